@@ -46,7 +46,7 @@ def running(
     robot = load(ROBOTS / name)
     with contextlib.ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="poise-")))
-        journal = Journal(folder / "journal.sqlite")
+        journal = Journal(folder / "journal.jsonl")
         stack.callback(journal.close)
         computers = stack.enter_context(
             computers_of(robot, folder / "computers", lambda _: None)

@@ -173,7 +173,7 @@ def measured(robot: poise.Robot, seconds: float) -> dict[str, Any]:
 def run_for(robot: poise.Robot, seconds: float) -> dict[str, Any]:
     """Keep a robot up, and return what its journal and its timers say."""
     with tempfile.TemporaryDirectory() as folder:
-        journal = Path(folder) / "journal.sqlite"
+        journal = Path(folder) / "journal.jsonl"
         with poise.up(robot, journal=journal, adapt=False) as running:
             time.sleep(seconds)
             status = running.status()

@@ -32,6 +32,7 @@ from benchmarks.moves import COMPONENTS, ROBOTS, count
 from poise.clock import SystemClock
 from poise.errors import PoiseError
 from poise.manage.agent_connections.agents import Agents
+from poise.manage.agent_connections.requests import Reply
 from poise.manage.agent_connections.statuses import components_of
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.deploy.stop import stop
@@ -88,17 +89,13 @@ class DoomedAgents(Agents):
         self.left = chance.randint(1, most)
         self.doom = chance
 
-    def deploy(self, deployments: Mapping[str, Deployment]) -> dict[str, str]:
-        """Tell all agents, or die before, amid or after that."""
-        if self._is_last() and self.doom is not None:
-            some = dict(deployments)
-            for computer in self.doom.sample(sorted(some), len(some) // 2):
-                del some[computer]
-            super().deploy(some)
+    def begin_deploy(self, computer: str, deployment: Deployment) -> Reply:
+        """Tell an agent, or die before or after that."""
+        if self._is_last() and self.doom is not None and self.doom.random() < 0.5:
             _die()
-        refusals = super().deploy(deployments)
+        reply = super().begin_deploy(computer, deployment)
         self._step()
-        return refusals
+        return reply
 
     def take_steps(
         self,
@@ -137,7 +134,7 @@ def manager(
 ) -> Iterator[tuple[RunningComponents, DoomedAgents, float]]:
     """Take over the robot; yield its run, its agents, and when these were there."""
     robot = load(ROBOTS / "storm.yaml")
-    journal = Journal(folder / "journal.sqlite")
+    journal = Journal(folder / "journal.jsonl")
     with (
         contextlib.closing(journal),
         DoomedAgents(robot.name, endpoints, SystemClock()) as agents,
@@ -162,7 +159,7 @@ def live(
 ) -> None:
     """Be a manager until it kills itself."""
     chance = random.Random(seed)
-    before = len(read_journal(folder / "journal.sqlite")) if seed % 1_000_003 else 0
+    before = len(read_journal(folder / "journal.jsonl")) if seed % 1_000_003 else 0
     # some die while they take over
     doomed_from = seed if chance.random() < 0.15 else None
     with manager(endpoints, folder, doomed_from=doomed_from) as (run, agents, there):

@@ -9,6 +9,7 @@ import json
 import signal
 import subprocess
 import sys
+import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -83,8 +84,9 @@ def called(
     words: Sequence[str], cwd: Path | None = None
 ) -> subprocess.CompletedProcess[str]:
     """Run a command to its end in this process."""
-    out, err = io.StringIO(), io.StringIO()
+    out = io.StringIO()
     with (
+        tempfile.TemporaryFile("w+", buffering=1) as err,
         pytest.MonkeyPatch.context() as patch,
         contextlib.redirect_stdout(out),
         contextlib.redirect_stderr(err),
@@ -93,7 +95,9 @@ def called(
     ):
         patch.setattr(sys, "argv", ["poise", *words])
         code = _exit_code(main)
-    return subprocess.CompletedProcess(words, code, out.getvalue(), err.getvalue())
+        err.seek(0)
+        said = err.read()
+    return subprocess.CompletedProcess(words, code, out.getvalue(), said)
 
 
 @contextlib.contextmanager

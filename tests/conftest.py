@@ -16,7 +16,7 @@ from hypothesis import HealthCheck, settings
 from poise.emulate import sweep
 from poise.emulate.registry import registered
 from poise.session.launch.temporary_folders import scratch_folder
-from tests import busy, order, quick
+from tests import busy, machine, order, quick
 from tests.command import Poise, run_poise
 from tests.waiting import LIMIT, wait_until
 
@@ -38,6 +38,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 def pytest_configure(config: pytest.Config) -> None:
     """Add what all runs hold."""
+    machine.enter_own_network()
     for plugin in (busy, order, quick):
         config.pluginmanager.register(plugin)
     # a shell's background job ignores Ctrl-C, and `nohup` a hang-up; so would all that
@@ -58,11 +59,18 @@ def poise(tmp_path: Path) -> Poise:
 def _leaves_nothing(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     """Hold that no process, file or emulated computer outlives all tests."""
     tmp_path_factory.getbasetemp()  # pytest keeps its own, elsewhere
-    with pytest.MonkeyPatch.context() as patch, tempfile.TemporaryDirectory() as name:
+    with (
+        pytest.MonkeyPatch.context() as patch,
+        tempfile.TemporaryDirectory() as name,
+        tempfile.TemporaryDirectory() as state,
+    ):
         place = Path(name)
         place.chmod(0o755)  # some tests are another user
+        Path(state).chmod(0o777)
         patch.setenv("TMPDIR", name)
+        patch.setenv("XDG_STATE_HOME", state)
         patch.setattr(tempfile, "tempdir", None)
+        patch.delenv("XDG_RUNTIME_DIR", raising=False)  # else robots' sockets lie there
         yield
         with contextlib.suppress(AssertionError):  # what follows names them
             wait_until(lambda: not _processes(place), LIMIT, every=0.01)
@@ -70,7 +78,9 @@ def _leaves_nothing(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
         sweep()
         with scratch_folder("poise-run-"), scratch_folder("poise-agent-"):
             pass
-        assert [*_processes(place), *_files(place), *_emulations(place)] == []
+        left = [*_processes(place), *_files(place), *_emulations(place)]
+        machine.leave()
+        assert left == []
 
 
 def _processes(place: Path) -> list[str]:

@@ -1,6 +1,6 @@
 """What the loop of adaptation costs: CPU of manager and agent, and time to decide.
 
-It imports internal modules: it times single decisions, on facts that it makes up.
+It imports internal modules: it times single decisions, on situation that it makes up.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from benchmarks.synthetic import robots
 from poise import plan
 from poise.estimate.online import Estimate
 from poise.manage.adaptation.decision import decide
-from poise.manage.adaptation.facts import Facts
+from poise.manage.adaptation.situation import Situation
 from poise.manage.observe.estimates import DemandEstimate
 from poise.manage.observe.loads import Load
 from poise.model.robot import (
@@ -66,9 +66,9 @@ def decision(times: int) -> dict[str, float]:
     """Return how long decisions take for 100 components on 4 computers [s]."""
     took, acted = [], 0
     for seed in range(times):
-        facts = _overloaded(seed)
+        situation = _overloaded(seed)
         began = time.perf_counter()
-        found = decide(facts)
+        found = decide(situation)
         took.append(time.perf_counter() - began)
         acted += found.acts
     return {
@@ -83,7 +83,7 @@ def _own(status: AgentStatus) -> float:
     return status.cpu - sum(c.cpu for c in status.containers)
 
 
-def _overloaded(seed: int) -> Facts:
+def _overloaded(seed: int) -> Situation:
     """Return a robot at 60 % of its CPU, and a program that takes half a computer."""
     robot = _large(seed)
     found = plan.solve(plan.problem_of(robot, "work"), budget=0.2)
@@ -106,7 +106,7 @@ def _overloaded(seed: int) -> Facts:
         )
         for c in robot.components()
     )
-    return Facts(
+    return Situation(
         robot=robot,
         task="work",
         placement=dict(found.placement),

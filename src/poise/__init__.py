@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from poise.errors import Timeout as Timeout
     from poise.errors import Unavailable as Unavailable
     from poise.errors import UsageError as UsageError
-    from poise.estimate.success import Situation as Situation
+    from poise.estimate.success import Conditions as Conditions
     from poise.estimate.success.learning import note_outcome as note_outcome
     from poise.manage.journal import JournalEntry as JournalEntry
     from poise.manage.journal import read_journal as read_journal
@@ -52,10 +52,14 @@ if TYPE_CHECKING:
     from poise.session.robot_file import check as check
     from poise.session.robot_file import load as load
     from poise.session.run import run as run
+    from poise.session.running_robots.running import NoManager as NoManager
     from poise.session.running_robots.running import RolledBack as RolledBack
     from poise.session.running_robots.running import Running as Running
     from poise.session.running_robots.running import connect as connect
-    from poise.session.running_robots.stop_without_manager import (
+    from poise.session.running_robots.without_manager import (
+        status_without_manager as status_without_manager,
+    )
+    from poise.session.running_robots.without_manager import (
         stop_without_manager as stop_without_manager,
     )
     from poise.session.up import up as up
@@ -72,6 +76,7 @@ else:
         "FileProblem": "errors",
         "JournalEntry": "manage.journal",
         "Message": "runtime.component.ports",
+        "NoManager": "session.running_robots.running",
         "Placement": "session.placing.placement",
         "PoiseError": "errors",
         "PolicyAction": "model.policy.seen",
@@ -89,7 +94,7 @@ else:
         "RunReport": "session.reports.run_report",
         "Running": "session.running_robots.running",
         "Seen": "model.policy.seen",
-        "Situation": "estimate.success",
+        "Conditions": "estimate.success",
         "Stamp": "clock",
         "TakenOver": "errors",
         "Timeout": "errors",
@@ -110,7 +115,8 @@ else:
         "read_journal": "manage.journal",
         "record": "view.record",
         "run": "session.run",
-        "stop_without_manager": "session.running_robots.stop_without_manager",
+        "status_without_manager": "session.running_robots.without_manager",
+        "stop_without_manager": "session.running_robots.without_manager",
         "subscribed": "runtime.component.ports",
         "test_policies": "session.recordings.policy_events",
         "time_left": "runtime.component.deadline",

@@ -8,12 +8,41 @@ long ago it was comes with an error.
 from __future__ import annotations
 
 import time
+from pathlib import Path
 from typing import Protocol
 
 from msgspec import Struct
 
 DRIFT = 50e-6
 """Two computers' clocks run apart by at most this [s/s]: crystals keep 25e-6 each."""
+
+
+def wall_time() -> float:
+    """Return the time of day [s since 1970], for records that people read only.
+
+    It steps, by years on a computer whose clock has no battery. So no limit, age or
+    order may depend on it.
+    """
+    return time.time()  # noqa: TID251, the one place
+
+
+def boot_time() -> float:
+    """Return the time [s] since this computer was started, suspended or not.
+
+    It never steps back, and all processes of the computer read the same. So it may
+    outlive a process; the next process compares `boot_id`, too.
+    """
+    return time.clock_gettime(time.CLOCK_BOOTTIME)
+
+
+def wall_time_at(boot: float) -> float:
+    """Return the time of day of a moment of `boot_time` [s since 1970], for people."""
+    return wall_time() - boot_time() + boot
+
+
+def boot_id() -> str:
+    """Return what tells this start of this computer from all others."""
+    return Path("/proc/sys/kernel/random/boot_id").read_text().strip()
 
 
 class Stamp(Struct, frozen=True, array_like=True):
@@ -36,6 +65,17 @@ class Elapsed(Struct, frozen=True):
     def most(self) -> float:
         """How long it took at the longest [s]."""
         return self.value + self.error
+
+
+def time_asleep() -> float:
+    """Return for how long the computer has been suspended since it started [s].
+
+    The monotonic clock stands still meanwhile, CLOCK_BOOTTIME does not.
+    """
+    # a pause between two readings makes it seem less, never more
+    return max(
+        time.clock_gettime(time.CLOCK_BOOTTIME) - time.monotonic() for _ in range(2)
+    )
 
 
 class Clock(Protocol):

@@ -7,6 +7,7 @@
       RobotError        the robot file or a problem is wrong: correct the file
       RunError          the world broke: a process, a computer or a link
         TakenOver       another manager has the robot now, which goes on
+        NoManager       the robot goes on, and no manager of it answers
         CallError       a call through a connector did not bring back a result
           Unavailable   nobody answers at the other end
           Timeout       the answer did not come within the connector's limit

@@ -7,11 +7,12 @@ again.
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 from poise.back_off import BackOff
 
@@ -19,6 +20,8 @@ log = logging.getLogger(__name__)
 
 SHOWN_FOR = 60.0
 """A failure is shown for this time [s]."""
+
+Hook = Callable[[threading.ExceptHookArgs], object]
 
 
 def hear_failures(report: Callable[[str, BaseException], object]) -> None:
@@ -31,7 +34,28 @@ def hear_failures(report: Callable[[str, BaseException], object]) -> None:
     report
         Called on the thread, with its name and the exception; must not block.
     """
+    threading.excepthook = _hook(report)
 
+
+@contextlib.contextmanager
+def failures_heard(report: Callable[[str, BaseException], object]) -> Iterator[None]:
+    """Hear of them inside the ``with`` block, as `hear_failures` does.
+
+    The process is another's: what it has installed itself hears of them, too.
+    """
+    before = threading.excepthook
+    is_default = before is threading.__excepthook__  # it prints what the log has
+    mine = threading.excepthook = _hook(report, None if is_default else before)
+    try:
+        yield
+    finally:
+        if threading.excepthook is mine:
+            threading.excepthook = before
+
+
+def _hook(
+    report: Callable[[str, BaseException], object], others: Hook | None = None
+) -> Hook:
     def hook(args: threading.ExceptHookArgs) -> None:
         name = args.thread.name if args.thread is not None else "unknown"
         error = args.exc_value or args.exc_type()
@@ -42,8 +66,10 @@ def hear_failures(report: Callable[[str, BaseException], object]) -> None:
             report(name, error)
         except Exception:  # the log has both
             log.exception("the failure of thread '%s' could not be reported", name)
+        if others is not None:
+            others(args)
 
-    threading.excepthook = hook
+    return hook
 
 
 class Failures:

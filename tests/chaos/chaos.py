@@ -1,9 +1,11 @@
 """Breaks a running robot at random, and looks whether it comes back each time.
 
-Containers, agents and managers are killed, links cut and slowed, computers crashed,
-frozen and loaded, components moved. Then all is healed; within a limit the robot has to
-be as its file says, with nothing active twice and no process left over. Its components
-number all they say: nothing may come twice or in another order.
+Containers, agents, computers and managers are killed and stopped, links cut and slowed,
+computers crashed and loaded, components moved, and a second manager starts on the other
+side of a cut. Then all is healed; within a limit the robot has to be as its file says,
+with nothing active twice and no process left over. Its components number all they say:
+nothing may come twice or in another order. They log when their handlers run: no two
+incarnations of one may work at the same time.
 """
 
 from __future__ import annotations
@@ -11,73 +13,37 @@ from __future__ import annotations
 import contextlib
 import os
 import random
-import signal
-import subprocess
-import sys
+import shutil
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
-from msgspec import Struct
-
 import poise
-from poise.errors import PoiseError, UsageError
+from poise.errors import PoiseError
 from poise.session.running_robots.running import Running, Status
+from poise.session.scenes.handler_log import overlaps, read_handler_log
 from poise.wire.records.status import ComponentStatus
+from tests.chaos.faults import COMPONENTS, Faults, containers
+from tests.chaos.managers import Managers
+from tests.chaos.report import MESSAGES, ChaosReport
 
-ROBOT = Path(__file__).parent / "robot" / "robot.yaml"
-COMPONENTS = ("caller", "counter", "relay", "sensor", "sink", "source")
-COMPUTERS = ("a", "b", "c")
-UP_LIMIT = 30.0
-"""A manager has started within this time [s]."""
+ROBOT = Path(__file__).parent / "robot"
+WRITER = Path(__file__).parents[2] / "examples/relay/handler_log.py"
 SETTLE_LIMIT = 60.0
 """A healed robot is as its file says within this time [s]."""
 ROUND = (4.0, 10.0)
 """Faults come for so long before all is healed [s]."""
+HEAL_LIMIT = 60.0
+"""The faults of a round are over within this time [s]."""
 STAYS = 2.0
 """It must stay so for this time [s]."""
 FLOWS = (("sink", "received"), ("caller", "received"), ("caller", "answered"))
 PAUSE = (0.1, 1.5)
 """From one fault to the next [s]."""
-AT_ONCE = 2
-"""At most so many faults that last are in force."""
 WARM = 180.0
 """A process's memory is compared from this age on [s]."""
 _LOOK = 0.1
-
-
-class ChaosReport(Struct, kw_only=True):
-    """What was done to a robot, and what came of it.
-
-    Parameters
-    ----------
-    events
-        What was done -> how often.
-    trouble
-        What must not be: what hung, was active twice, was left over, came twice or in
-        another order.
-    settled
-        How long each healed robot took to be as its file says [s].
-    received, lost, doubled, reordered
-        Messages, over all receivers.
-    answered, refused
-        Calls.
-    growth, grew
-        The most by which the memory of a process grew after `WARM` [bytes], and which.
-    """
-
-    events: Counter[str]
-    trouble: list[str]
-    settled: list[float]
-    received: int = 0
-    lost: int = 0
-    doubled: int = 0
-    reordered: int = 0
-    answered: int = 0
-    refused: int = 0
-    growth: int = 0
-    grew: str = "no process"
 
 
 class Chaos:
@@ -86,38 +52,48 @@ class Chaos:
     Parameters
     ----------
     folder
-        For the manager's journal and output.
+        For a copy of the robot, and the managers' journals and output.
+    seed
+        Of what happens when.
     say
-        Takes a sentence at every event.
+        Takes a sentence at every event, with the time since the beginning.
     """
 
-    def __init__(
-        self, folder: Path, chance: random.Random, say: Callable[[str], object]
-    ) -> None:
+    def __init__(self, folder: Path, seed: int, say: Callable[[str], object]) -> None:
         self._folder = folder
-        self._chance = chance
-        self._say = say
-        self._running = Running("chaos")
-        self._lasting: dict[str, Callable[[], object]] = {}
-        self._moves: list[subprocess.Popen[bytes]] = []
+        self._chance = random.Random(seed)
+        self._tell = say
+        self._began = time.monotonic()
+        self._name = f"chaos-{os.getpid()}"
+        self._running = Running(self._name)
         self._measures: dict[tuple[str, int, int], dict[str, float]] = {}
         self._memory: dict[int, tuple[str, int, int]] = {}
-        self.report = ChaosReport(events=Counter(), trouble=[], settled=[])
+        self.report = ChaosReport(seed=seed, events=Counter(), trouble=[], settled=[])
 
     @contextlib.contextmanager
     def begun(self) -> Iterator[None]:
         """Emulate the computers and start the manager; end both afterwards."""
-        robot = poise.load(ROBOT)
+        file = self._written()
+        robot = poise.load(file)
         with poise.emulated(robot, say=lambda _: None) as self._computers:
-            self._manager = self._start_manager()
+            self._managers = Managers(file, self._folder)
+            self._faults = Faults(
+                self._name,
+                self._computers,
+                self._managers,
+                self._status,
+                self._chance,
+                self._say,
+            )
             try:
                 self._settle()
                 yield
             finally:
                 self._heal()
-                self._manager.send_signal(signal.SIGTERM)
-                for process in (self._manager, *self._moves):
-                    process.wait(SETTLE_LIMIT)
+                if trouble := self._managers.end():
+                    self.report.trouble.append(trouble)
+                self._faults.end_moves(SETTLE_LIMIT)
+                self.report.trouble += self._faults.trouble
 
     def go(self, seconds: float) -> None:
         """Break the robot again and again for a time [s], or until it stays broken."""
@@ -125,139 +101,31 @@ class Chaos:
         while time.monotonic() < end and not self.report.trouble:
             until = time.monotonic() + self._chance.uniform(*ROUND)
             while time.monotonic() < until:
-                self._break_something()
+                self._faults.inject()
                 self._look_for(self._chance.uniform(*PAUSE))
             self._heal()
             self._settle()
 
-    def _break_something(self) -> None:
-        momentary = [
-            self._kill_container,
-            self._kill_agent,
-            self._kill_manager,
-            self._move,
-        ]
-        lasting = [
-            self._cut,
-            self._cut_off,
-            self._slow,
-            self._crash,
-            self._freeze,
-            self._load,
-        ]
-        if len(self._lasting) >= AT_ONCE:
-            self._end_one(self._chance.choice(self._mendable()))
-        else:
-            event = self._chance.choice([*momentary, *momentary, *lasting])
-            with contextlib.suppress(UsageError):  # such as two faults of one link
-                name = event()
-                self._note(name)
+    def _say(self, sentence: str) -> None:
+        self._tell(f"{time.monotonic() - self._began:8.1f} s  {sentence}")
 
-    def _note(self, event: str) -> None:
-        self.report.events[event.partition(" ")[0]] += 1
-        self._say(event)
-
-    def _kill_container(self) -> str:
-        status = self._status()
-        pids = [
-            (container.name, container.pid)
-            for computer in (status.computers.values() if status else ())
-            for container in computer.containers
-        ]
-        if not pids:
-            raise UsageError("there is no container")
-        name, pid = self._chance.choice(pids)
-        _kill(pid)
-        return f"container {name} killed"
-
-    def _kill_agent(self) -> str:
-        computer = self._chance.choice(COMPUTERS)
-        status = self._status()
-        if status is None or computer not in status.computers:
-            raise UsageError("its process is not known")
-        _kill(status.computers[computer].pid)
-        return f"agent of {computer} killed"
-
-    def _kill_manager(self) -> str:
-        self._manager.kill()
-        self._manager.wait()
-        self._look_for(self._chance.uniform(0, 2))
-        self._manager = self._start_manager()
-        return "manager killed"
-
-    def _move(self) -> str:
-        component = self._chance.choice(COMPONENTS)
-        computer = self._chance.choice(COMPUTERS)
-        self._moves = [each for each in self._moves if each.poll() is None]
-        self._moves.append(
-            subprocess.Popen(
-                [sys.executable, "-m", "poise", "move", component, computer],
-                stdout=subprocess.DEVNULL,
-                stderr=subprocess.DEVNULL,
-            )
-        )
-        return f"move of {component} to {computer}"
-
-    def _cut(self) -> str:
-        one, two = self._chance.sample(COMPUTERS, 2)
-        self._computers.cut(one, two)
-        return self._lasts(
-            f"cut of {one} and {two}", lambda: self._computers.heal(one, two)
-        )
-
-    def _cut_off(self) -> str:
-        computer = self._chance.choice(COMPUTERS)
-        self._computers.cut(computer)
-        return self._lasts(
-            f"cut-off of {computer}", lambda: self._computers.heal(computer)
-        )
-
-    def _slow(self) -> str:
-        one, two = self._chance.sample(COMPUTERS, 2)
-        self._computers.slow(one, two, bandwidth=self._chance.choice([2e4, 1e6]))
-        return self._lasts(
-            f"slow link {one} {two}", lambda: self._computers.heal(one, two)
-        )
-
-    def _crash(self) -> str:
-        computer = self._chance.choice(COMPUTERS)
-        self._computers.crash(computer)
-        return self._lasts(
-            f"crash of {computer}", lambda: self._computers.boot(computer)
-        )
-
-    def _freeze(self) -> str:
-        computer = self._chance.choice(COMPUTERS)
-        self._computers.freeze(computer)
-        return self._lasts(
-            f"freeze of {computer}", lambda: self._computers.boot(computer)
-        )
-
-    def _load(self) -> str:
-        computer = self._chance.choice(COMPUTERS)
-        self._computers.load(computer, 0.3)
-        return self._lasts(
-            f"load on {computer}", lambda: self._computers.load(computer, 0)
-        )
-
-    def _lasts(self, event: str, end: Callable[[], object]) -> str:
-        self._lasting[event] = end
-        return event
-
-    def _end_one(self, event: str) -> None:
-        end = self._lasting.pop(event)
-        with contextlib.suppress(UsageError):  # a crash has ended it already
-            end()
-        self._say(f"  no more: {event}")
-
-    def _mendable(self) -> list[str]:
-        """Return what can be mended: cables only where no computer is crashed."""
-        events = list(self._lasting)
-        return [each for each in events if each.startswith("crash")] or events
+    def _written(self) -> Path:
+        """Write the robot, whose name is of this process alone; return its file."""
+        folder = Path(shutil.copytree(ROBOT, self._folder / "robot"))
+        shutil.copy(WRITER, folder)
+        (folder / "handler-log").mkdir()
+        file = folder / "robot.yaml"
+        file.write_text(file.read_text().replace("NAME", self._name, 1))
+        return file
 
     def _heal(self) -> None:
-        while self._lasting:
-            self._end_one(self._mendable()[0])
+        """Wait until the faults of this round are over."""
+        limit = time.monotonic() + HEAL_LIMIT
+        while self._faults.in_force():
+            self._look_for(_LOOK)
+            if time.monotonic() > limit:
+                self.report.trouble.append(f"faults last for over {HEAL_LIMIT:g} s")
+                return
 
     def _settle(self) -> None:
         """Wait until all is well and stays so for a while; note what is not."""
@@ -274,11 +142,13 @@ class Chaos:
                 ]
                 if not wrong:
                     self.report.settled.append(well - began)
+                    self._say(f"  settled after {well - began:.1f} s")
                     self._weigh()
                     return
             if wrong:
                 if now - began > SETTLE_LIMIT:
-                    said = f"{SETTLE_LIMIT:g} s after all was healed"
+                    at = f"{now - self._began:.1f} s"
+                    said = f"{at}: {SETTLE_LIMIT:g} s after all was healed"
                     self.report.trouble += [f"{said}: {what}" for what in wrong]
                     return
                 well, before = now, self._flows()
@@ -295,16 +165,13 @@ class Chaos:
 
     def _components(self) -> Iterator[tuple[int, ComponentStatus]]:
         """Yield all components with their process's number."""
-        status = self._status()
-        for computer in status.computers.values() if status else ():
-            for container in computer.containers:
-                for component in container.components:
-                    yield container.pid, component
+        for container in containers(self._status()):
+            for component in container.components:
+                yield container.pid, component
 
     def _wrong(self) -> list[str]:
         """Return what is not as the robot's file says."""
-        if self._manager.poll() is not None:
-            code = self._manager.returncode
+        if (code := self._managers.first.poll()) is not None:
             return [f"the manager ended by itself (exit code {code})"]
         status = self._status()
         if status is None:
@@ -339,6 +206,7 @@ class Chaos:
         """Take in what components tell, for a time [s]."""
         end = time.monotonic() + seconds
         while True:
+            self._faults.end_due()
             self._take_in()
             left = end - time.monotonic()
             if left <= 0:
@@ -363,11 +231,14 @@ class Chaos:
         totals = Counter[str]()
         for life in lives.values():
             totals.update({what: int(value) for what, value in life.items()})
-        for what in ("received", "lost", "doubled", "reordered", "answered", "refused"):
+        for what in (*MESSAGES, "answered", "refused"):
             setattr(report, what, totals[what])
-        for what in ("doubled", "reordered"):
+        for what in ("doubled", "reordered", "beside"):
             if totals[what]:
                 report.trouble.append(f"{totals[what]} messages {what}")
+        logs = read_handler_log(self._folder / "robot" / "handler-log")
+        report.judge(overlaps(logs), self._faults.history, self._began)
+        report.events.update(fault.kind for fault in self._faults.history)
         for what, first, last in self._memory.values():
             if last - first > report.growth:
                 report.growth, report.grew = last - first, what
@@ -375,7 +246,7 @@ class Chaos:
 
     def _weigh(self) -> None:
         """Note what memory the processes have for themselves."""
-        pids = [self._manager.pid]
+        pids = [self._managers.first.pid]
         for computer in self._computers.computers.values():
             pids += computer.running()
         for pid in pids:
@@ -391,22 +262,6 @@ class Chaos:
             return self._running.status()
         except PoiseError:
             return None
-
-    def _start_manager(self) -> subprocess.Popen[bytes]:
-        with (self._folder / "manager.log").open("ab") as log:
-            return subprocess.Popen(
-                [
-                    *(sys.executable, "-m", "poise", "up", str(ROBOT)),
-                    *("--journal", str(self._folder / "journal.sqlite")),
-                ],
-                stdout=log,
-                stderr=log,
-            )
-
-
-def _kill(pid: int) -> None:
-    with contextlib.suppress(ProcessLookupError):
-        os.kill(pid, signal.SIGKILL)
 
 
 def _parent(pid: int) -> int:

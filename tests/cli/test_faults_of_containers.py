@@ -13,7 +13,7 @@ import pytest
 from poise.emulate import look
 from poise.manage.control_socket.client import send_command
 from poise.manage.control_socket.records import RobotStatus, StatusCommand
-from poise.manage.journal import Journal, JournalEntry
+from poise.manage.journal import JournalEntry, read_journal
 from tests.command import robot_up, run_poise
 from tests.waiting import wait_long
 
@@ -77,11 +77,8 @@ def pid() -> int:
 
 def journal(up: Path) -> list[JournalEntry]:
     """Return what went wrong and right."""
-    entries = Journal(up / "journal")
-    try:
-        return [each for each in entries.entries() if each.kind in {"wrong", "right"}]
-    finally:
-        entries.close()
+    entries = read_journal(up / "journal")
+    return [each for each in entries if each.kind in {"wrong", "right"}]
 
 
 def break_by(up: Path, harm: Callable[[int], object]) -> list[JournalEntry]:

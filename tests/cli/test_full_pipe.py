@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import os
 import select
 import signal
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -15,7 +17,8 @@ from poise.errors import PoiseError
 from poise.manage.control_socket.client import send_command
 from poise.manage.control_socket.records import RobotStatus, StatusCommand
 from tests.command import POISE, run_poise
-from tests.waiting import LONG, wait_long
+from tests.processes import children_of, words_of
+from tests.waiting import LIMIT, LONG, wait_long
 
 pytestmark = pytest.mark.slow
 
@@ -73,11 +76,10 @@ def adopted(computer: str) -> int:
 
 
 def agent_of(up: int, computer: str) -> int:
-    children = Path(f"/proc/{up}/task").glob("*/children")
-    for pid in " ".join(file.read_text() for file in children).split():
-        words = Path(f"/proc/{pid}/cmdline").read_bytes().split(b"\0")
+    for pid in children_of(up):
+        words = words_of(pid)
         if b"agent" in words and computer.encode() in words:
-            return int(pid)
+            return pid
     pytest.fail(f"no agent of {computer}")
 
 
@@ -108,3 +110,50 @@ def test_a_killed_agent_is_noticed_though_nobody_reads(tmp_path: Path) -> None:
         up.wait(LONG)
         os.close(reading)
         os.close(writing)
+
+
+FAILING = """
+import poise.cli.command_table
+from poise.cli.main import main
+
+def build(_):
+    raise KeyError("a bug of Poise")
+
+poise.cli.command_table.build = build
+main()
+"""
+
+
+@pytest.mark.parametrize(
+    ("argv", "code"),
+    [
+        pytest.param([*POISE, "status", "--robot", "no"], 2, id="an error"),
+        pytest.param([sys.executable, "-c", FAILING], 1, id="a bug"),
+    ],
+)
+def test_a_command_that_fails_ends_though_nobody_reads_why(
+    argv: list[str], code: int
+) -> None:
+    reading, writing = os.pipe()
+    os.set_blocking(writing, False)
+    with contextlib.suppress(BlockingIOError):
+        while True:
+            os.write(writing, bytes(PIPE))
+    os.set_blocking(writing, True)
+    with subprocess.Popen(argv, stderr=writing) as failing:
+        try:
+            assert failing.wait(LIMIT) == code
+        finally:
+            failing.kill()
+            os.close(reading)
+            os.close(writing)
+
+
+def test_a_bug_is_said_with_its_traceback() -> None:
+    argv = [sys.executable, "-c", FAILING]
+    failed = subprocess.run(
+        argv, capture_output=True, text=True, timeout=LONG, check=False
+    )
+    assert failed.returncode == 1
+    assert failed.stderr.startswith("Traceback (most recent call last):\n")
+    assert failed.stderr.endswith("\nKeyError: 'a bug of Poise'\n")

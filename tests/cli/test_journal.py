@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import pytest
 
 from poise.errors import UsageError
 from poise.manage.journal import Journal, read_journal
+from poise.session.state_folder import make_journal
 from tests.command import POISE, Poise
 
 pytestmark = pytest.mark.slow
@@ -17,7 +19,7 @@ pytestmark = pytest.mark.slow
 
 @pytest.fixture
 def file(tmp_path: Path) -> Path:
-    path = tmp_path / "journal.sqlite"
+    path = tmp_path / "journal.jsonl"
     book = Journal(path)
     book.note("wrong", "computer 'left' is overloaded", load=0.5)
     book.note("decided", "1 move", gain=3.0)
@@ -57,6 +59,28 @@ def test_follows_what_is_written(file: Path) -> None:
         assert "all is well" in process.stdout.readline()
         process.terminate()
     assert process.returncode in {143, -15}
+
+
+def test_without_a_file_it_shows_the_last_robot_or_the_one_that_is_named(
+    tmp_path: Path, poise: Poise, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    assert "there is no journal in" in poise("journal").stderr
+    for at, robot in enumerate(("first", "last")):
+        path = make_journal(robot)
+        book = Journal(path)
+        book.note("decided", f"{robot} decided")
+        book.close()
+        os.utime(path, (at, at))
+    shown = poise("journal", "--kind", "decided")
+    assert shown.stdout.endswith(" last decided\n")
+    assert "journal of robot 'last': " in shown.stderr
+    assert "first decided" in poise("journal", "--robot", "first").stdout
+    refused = poise("journal", "--robot", "odd")
+    assert refused.returncode == 2
+    assert "no journal of robot 'odd'" in refused.stderr
+    assert "there: first, last" in " ".join(refused.stderr.split())
+    assert poise("journal", path, "--robot", "last").returncode == 2
 
 
 def test_refuses_what_is_no_journal(file: Path, tmp_path: Path, poise: Poise) -> None:

@@ -194,8 +194,13 @@ def up(field: Field, runtime: Path, request: pytest.FixtureRequest) -> Iterator[
         up.end()
 
 
+def is_well() -> bool:
+    """Return whether all is as the robot file says; a busy machine may be late."""
+    return run_poise("status").returncode == 0
+
+
 def test_goes_on_without_a_computer_and_brings_it_back(field: Field, up: Up) -> None:
-    assert run_poise("status").returncode == 0
+    wait_long(is_well)
     before = field.pids()
 
     field.set_cable("right", "down")
@@ -207,7 +212,7 @@ def test_goes_on_without_a_computer_and_brings_it_back(field: Field, up: Up) -> 
     assert "computer 'right' is out of reach since" in status.stdout
     told = json.loads(run_poise("status", "--json").stdout)
     assert list(told["out_of_reach"]) == ["right"]
-    assert told["deviations"][0]["computer"] == "right"
+    assert "right" in [each["computer"] for each in told["deviations"]]
 
     # what has nothing to do with it is managed on
     moved = run_poise("move", "alone", "third" if at(field) == "left" else "left")
@@ -215,7 +220,7 @@ def test_goes_on_without_a_computer_and_brings_it_back(field: Field, up: Up) -> 
 
     field.set_cable("right", "up")
     up.wait_for("computer 'right' is reached again")
-    wait_long(lambda: run_poise("status").returncode == 0)
+    wait_long(is_well)
     assert up.process.poll() is None
     moved_container = 1
     assert len(before & field.pids()) == len(before) - moved_container
@@ -232,7 +237,7 @@ def test_components_of_a_lost_computer_go_on_elsewhere(field: Field, up: Up) -> 
 
     field.set_cable(lost, "up")
     up.wait_for(f"computer '{lost}' is reached again")
-    wait_long(lambda: run_poise("status").returncode == 0)
+    wait_long(is_well)
     assert at(field, "source") == there
     active = [
         computer
@@ -283,7 +288,7 @@ def test_what_must_stay_on_a_lost_computer_is_missing(field: Field, up: Up) -> N
     up.wait_for("component 'sink' of 'right' is missing: it may run on right only")
     up.wait_for("component 'large' of 'right' is missing: it fits nowhere")
     field.set_cable("right", "up")
-    wait_long(lambda: run_poise("status").returncode == 0)
+    wait_long(is_well)
 
 
 CUT = 0.5
@@ -302,7 +307,7 @@ def test_the_first_move_after_a_short_cut_works(field: Field, up: Up) -> None:
             assert moved.committed, moved.reason
         up.wait_for(rf"\d\d:\d\d:\d\d moved component 'source' from .* to '{there}'")
         assert at(field, "source") == there
-    assert run_poise("status").returncode == 0
+    wait_long(is_well)
 
 
 def test_a_component_moves_where_it_does_not_fit_only_by_force(
@@ -356,7 +361,7 @@ def test_a_second_manager_is_refused_until_the_first_is_gone(
     assert stop.returncode == 1
     assert f"(process {pid})" in stop.stderr
     assert field.pids() == before
-    assert run_poise("status").returncode == 0
+    wait_long(is_well)
 
     up.process.kill()
     up.process.wait(LONG)

@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 
 from poise.estimate.profile import file as profile_file
-from poise.manage.observe.recording import load
 from poise.runtime.component.implementation import find_type
 from poise.runtime.connectors.interface import methods
+from poise.wire.recording_file import load
 from tests.command import Poise
 
 ROBOT = """\

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from poise.manage.observe.recording import save
+from poise.wire.recording_file import append
 from poise.wire.records.recorded import Recorded
 from poise.wire.records.samples import AgentSample, ComponentSample, ContainerSample
 from tests.command import Poise
@@ -35,7 +35,7 @@ def told(at: float) -> AgentSample:
 def _folder(tmp_path: Path) -> Path:
     (tmp_path / "robot.yaml").write_text(ROBOT)
     samples = [told(0.2 * k) for k in range(300)]
-    save(Recorded(robot="r", samples=samples), tmp_path / "run.recording")
+    append(Recorded(robot="r", samples=samples), tmp_path / "run.recording")
     return tmp_path
 
 

@@ -8,7 +8,7 @@ from typer.testing import CliRunner, Result
 
 from poise.cli.command_table import build
 from poise.errors import UsageError
-from poise.estimate.success import Situation
+from poise.estimate.success import Conditions
 from poise.estimate.success.learning import note_outcome
 from poise.model.load import load
 
@@ -77,8 +77,8 @@ def test_what_failed_without_a_computer_counts_without_it(robot: Path) -> None:
     robot.write_text(ROBOT.replace("left:", "right: {cpu: 1, memory: 1 GiB}, left:"))
     both = PARTS.replace("devices: [arm]", "cpu: 10%")
     (robot.parent / "parts" / "grasping.yaml").write_text(both)
-    lost = Situation(lost=("right",))
-    note_outcome(load(robot), "pick", "failed", ["gripper"], situation=lost)
+    lost = Conditions(lost=("right",))
+    note_outcome(load(robot), "pick", "failed", ["gripper"], conditions=lost)
 
     def chosen(*options: str) -> object:
         arguments = ["plan", str(robot), "--json", *options]

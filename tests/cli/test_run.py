@@ -10,14 +10,18 @@ import subprocess
 import textwrap
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from poise.cli.command.run_time.run import run_command
 from poise.emulate import sweep
+from poise.emulate.registry import registry
 from poise.errors import PoiseError
 from poise.manage.control_socket.location import path_of
+from poise.manage.journal import read_journal
 from poise.runtime.waker import wait_readable
+from poise.session.state_folder import find_journal
 from tests.command import POISE, called, run_poise
 from tests.waiting import wait_until
 
@@ -123,7 +127,7 @@ def remains() -> set[str]:
     ours = tuple(f"poise-{pid}-" for pid in _started)
     return {
         f"{folder}/{name}"
-        for place in ("/run/poise", "/run/netns", "/sys/fs/cgroup")
+        for place in (registry(), "/run/netns", "/sys/fs/cgroup")
         # unlike `Path.glob`, it goes on when a folder of another test vanishes
         for folder, folders, files in os.walk(place)
         for name in (*folders, *files)
@@ -159,7 +163,7 @@ def test_a_run_ends_with_a_report_and_prints_nothing_else(tmp_path: Path) -> Non
     assert told["placement"].keys() == {"counter", "printer"}
     assert {c["name"] for c in told["components"]} == {"counter", "printer"}
     assert told["faults"] == []
-    assert (report / "journal.sqlite").exists()
+    assert (report / "journal.jsonl").exists()
     assert "everything runs" in [entry["what"] for entry in told["journal"]]
     assert "everything runs" in (report / "report.html").read_text()
     if not told["invalid"]:
@@ -168,6 +172,8 @@ def test_a_run_ends_with_a_report_and_prints_nothing_else(tmp_path: Path) -> Non
 
 def test_a_component_that_raises_on_start_ends_the_run(robot: Write) -> None:
     code, said = run(robot(implementation("Angry")), "--task", "work")
+    kept = [each.what for each in read_journal(find_journal("tiny"))]
+    assert "task 'work', auto placement" in kept
     assert code == 1
     assert "component 'worker' on " in said
     assert "LookupError: no map here" in said
@@ -283,18 +289,22 @@ def test_a_signal_ends_everything(
         assert not Path(f"/proc/{pid}").exists()
 
 
+def status_of_tiny() -> dict[str, Any]:
+    status = run_poise("status", "--robot", "tiny", "--json").stdout
+    answer: dict[str, Any] = json.loads(status)
+    return answer
+
+
 def test_others_see_a_run_move_its_components_and_stop_it(robot: Write) -> None:
     file = robot(implementation("Announcing"))
     process = start(file, "--task", "work", "--for", "600s")
     assert process.stdout is not None
     assert any("`poise top`" in line for line in process.stdout)
-    status = json.loads(run_poise("status", "--robot", "tiny", "--json").stdout)
-    assert status["placement"] == {"worker": "left"}
-    assert status["deviations"] == []
+    assert status_of_tiny()["placement"] == {"worker": "left"}
+    wait_until(lambda: status_of_tiny()["deviations"] == [])
     moved = run_poise("move", "worker", "right", "--robot", "tiny")
     assert (moved.returncode, moved.stderr) == (0, "")
-    status = json.loads(run_poise("status", "--robot", "tiny", "--json").stdout)
-    assert status["placement"] == {"worker": "right"}
+    assert status_of_tiny()["placement"] == {"worker": "right"}
     assert run_poise("stop", "--robot", "tiny").returncode == 0
     rest, _ = process.communicate(timeout=LIMIT)
     assert "the run was ended early" in rest

@@ -10,14 +10,14 @@ from msgspec.structs import replace
 
 from poise.errors import UsageError
 from poise.estimate.profile import file as profile_file
-from poise.manage.observe.recording import load as load_recording
-from poise.manage.observe.recording import save
 from poise.model import load
 from poise.model.robot import Generated, Robot, Workload
 from poise.session.profiling.rig import OTHERS, rig_of
 from poise.session.profiling.workload_replay import PLAYER, played
 from poise.session.recordings.tapped_robot import tapped
 from poise.session.robot_file import check
+from poise.wire.recording_file import append
+from poise.wire.recording_file import load as load_recording
 from poise.wire.records.recorded import Input, Recorded
 from tests.command import Poise
 
@@ -74,7 +74,7 @@ def _robot(folder: Path) -> Robot:
 
 def recorded(folder: Path, source: str) -> Workload:
     entry = Input(source, 0.1, b"", b"")
-    save(Recorded(robot="heard", inputs=[entry]), folder / "run.recording")
+    append(Recorded(robot="heard", inputs=[entry]), folder / "run.recording")
     return Workload(recording="run.recording")
 
 

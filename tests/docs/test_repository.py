@@ -37,7 +37,7 @@ def test_the_example_runs(tmp_path: Path) -> None:
     ran = run_poise("run", "robot.yaml", "--for", "0.5s", "--report", "x", cwd=tmp_path)
     # a busy machine spoils the figures of the run, of which nothing is asked
     assert ran.returncode == 0 or "they were promised" in ran.stdout, ran.stderr
-    journal = run_poise("journal", "x/journal.sqlite", cwd=tmp_path).stdout
+    journal = run_poise("journal", "x/journal.jsonl", cwd=tmp_path).stdout
     assert re.search(
         r"grasping by 'suction' \([0-9a-f]{12}, /.*grasping.yaml\)", journal
     )

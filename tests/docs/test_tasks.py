@@ -30,7 +30,7 @@ def test_its_task_runs_action_by_action_and_is_done(
     report = json.loads(poise("run", "robot.yaml", *options).stdout)
     (task,) = report["tasks"]
     assert (task["name"], task["state"], task["why"]) == ("serve", "done", "")
-    journal = json.loads(poise("journal", "last/journal.sqlite", "--json").stdout)
+    journal = json.loads(poise("journal", "last/journal.jsonl", "--json").stdout)
     said = [each["what"] for each in journal["entries"]]
     begins = [each for each in said if each.endswith("of task 'serve' begins")]
     assert begins == [

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
 from poise.emulate import look
+from poise.emulate.registry import FOLDER
 from poise.model.robot import Computer, Link, Robot
 
 
@@ -19,6 +22,16 @@ def two_computers() -> Robot:
         ),
         links=(Link(between=("brain", "legs"), bandwidth=12.5e6),),
     )
+
+
+@pytest.fixture
+def own_registry(
+    tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
+) -> Path:
+    """Give a test that uses no address a registry without what others left or lock."""
+    folder = tmp_path_factory.mktemp("registry")
+    monkeypatch.setenv(FOLDER, str(folder))
+    return folder
 
 
 @pytest.fixture

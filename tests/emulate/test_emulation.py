@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import socket
 import subprocess
 import sys
 import tempfile
@@ -19,7 +20,7 @@ from poise.emulate.cgroup.v2 import V2
 from poise.emulate.layout import EmulationLayout
 from poise.emulate.limits import Limits
 from poise.emulate.probe import Probe
-from poise.emulate.registry import registered
+from poise.emulate.registry import FOLDER, registered
 from poise.errors import RobotError, RunError, UsageError
 from poise.model.robot import Computer, Robot
 
@@ -44,10 +45,11 @@ def left_of(layout: EmulationLayout) -> list[str]:
         *(path for c in layout.computers for path in (*c.groups, c.folder)),
         *layout.aside,
         *(f"/run/netns/{name}" for name in (network.namespaces if network else ())),
-        *([f"/sys/class/net/{network.owner}"] if network else []),
     ]
+    cables = {name for _, name in socket.if_nameindex()}
+    left = [network.owner] if network and network.owner in cables else []
     entries = [each.run for each in registered() if each.run == layout.run]
-    return [*(path for path in paths if Path(path).exists()), *entries]
+    return [*(path for path in paths if Path(path).exists()), *left, *entries]
 
 
 def bare() -> Probe:
@@ -179,6 +181,7 @@ def test_sweep_removes_what_a_killed_owner_left(
         assert time.monotonic() < deadline
 
 
+@pytest.mark.usefixtures("own_registry")
 def test_used_folder_is_refused_and_kept(two_computers: Robot, tmp_path: Path) -> None:
     (tmp_path / "legs").mkdir()
     with pytest.raises(UsageError, match="legs exists"):
@@ -186,6 +189,7 @@ def test_used_folder_is_refused_and_kept(two_computers: Robot, tmp_path: Path) -
     assert (tmp_path / "legs").exists()
 
 
+@pytest.mark.usefixtures("own_registry")
 def test_robot_with_an_impossible_computer_starts_nothing(tmp_path: Path) -> None:
     robot = Robot(name="r", computers=(Computer(name="dead", capacity={"cpu": 0}),))
     with pytest.raises(RobotError, match="'dead'"):
@@ -193,6 +197,7 @@ def test_robot_with_an_impossible_computer_starts_nothing(tmp_path: Path) -> Non
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.usefixtures("own_registry")
 def test_bare_host_says_what_it_goes_without(
     two_computers: Robot, tmp_path: Path
 ) -> None:
@@ -254,6 +259,7 @@ def test_user_without_rights_runs_it_all_the_same() -> None:
         Path(folder).chmod(0o777)
         done = subprocess.run(
             [sys.executable, "-c", WITHOUT_RIGHTS, str(Path(folder, "run"))],
+            env={**os.environ, FOLDER: str(Path(folder, "emulations"))},
             capture_output=True,
             text=True,
             timeout=LIMIT,

@@ -15,14 +15,7 @@ from poise.emulate.probe import Probe
 from poise.errors import RunError
 from poise.model.robot import Robot
 
-
-@pytest.fixture(autouse=True)
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Use a registry that no other process sees."""
-    folder = tmp_path / "registry"
-    folder.mkdir()
-    monkeypatch.setattr(registry, "registry", lambda: folder)
-    return folder
+pytestmark = pytest.mark.usefixtures("own_registry")
 
 
 def test_another_process_reads_what_was_registered(
@@ -66,7 +59,9 @@ def test_two_that_are_laid_out_at_once_get_addresses_of_their_own(
     assert len(nets) == 2
 
 
-def test_an_entry_of_another_version_is_an_error_that_names_it(folder: Path) -> None:
-    (folder / "poise-1-2-0.emulation").write_text("{}")
+def test_an_entry_of_another_version_is_an_error_that_names_it(
+    own_registry: Path,
+) -> None:
+    (own_registry / "poise-1-2-0.emulation").write_text("{}")
     with pytest.raises(RunError, match=r"poise-1-2-0\.emulation: .*owner.*remove"):
         sweep()

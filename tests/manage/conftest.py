@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable
 from typing import Any
 
 import pytest
 from msgspec.structs import replace
 
 from poise.manage.agent_connections.checkpoint_copies import CheckpointCopies
+from poise.manage.agent_connections.requests import Reply
 from poise.model.robot import (
     Architecture,
     ComponentEntry,
@@ -19,7 +20,7 @@ from poise.model.robot import (
     Robot,
 )
 from poise.wire.records.deployment import Deployment
-from poise.wire.records.requests import ManagerId
+from poise.wire.records.requests import Accepted, Claimed, ManagerId, Refused
 from poise.wire.records.status import (
     AgentStatus,
     ComponentStatus,
@@ -90,7 +91,7 @@ class FakeAgents:
         self.manager = ManagerId(key="k", user="ann", host="desk", pid=7, since=0.0)
         self.checkpoints = CheckpointCopies()
         self.gone: set[str] = set()
-        self.answering: set[str] = set()
+        self.lasting: set[str] = set()
         self.hearers: dict[str, str] = {}
         self.revoked: list[str] = []
         self.returns = False
@@ -98,6 +99,7 @@ class FakeAgents:
         self.is_forced = False
         self.later: ManagerId | None = None
         self.strangers: set[str] = set()
+        self.left_with: dict[str, Deployment] = {}
         self.refusing: set[str] = set()
         self.deaf: set[str] = set()
         self.refused: list[str] = []
@@ -124,12 +126,34 @@ class FakeAgents:
             for name, status in self._statuses.items()
         }
 
+    def report_component(self, computer: str, component: ComponentStatus) -> None:
+        """Let one report a component anew, in the container that is there."""
+        status = self._statuses[computer]
+        containers = tuple(
+            replace(
+                container,
+                components=tuple(
+                    component if each.name == component.name else each
+                    for each in container.components
+                ),
+            )
+            for container in status.containers
+        )
+        self._statuses[computer] = replace(status, containers=containers)
+
     def forget(self, computer: str) -> None:
         """Let one have come back that has not reported yet."""
         del self._statuses[computer]
 
+    def report(self, status: AgentStatus) -> None:
+        """Let an agent have reported something else."""
+        self._statuses[status.computer] = status
+
     def statuses(self) -> dict[str, AgentStatus]:
         return dict(self._statuses)
+
+    def ages(self) -> dict[str, float]:
+        return dict.fromkeys(self.statuses(), 0.0)
 
     def out_of_reach(self) -> dict[str, float]:
         return dict.fromkeys(self.gone, 0.0)
@@ -139,6 +163,7 @@ class FakeAgents:
     ) -> dict[str, Deployment]:
         self.claimed += sorted(computers)
         self.is_forced = take_over
+        assert self.gone.isdisjoint(computers)
         return {c: d for c, d in self.deployed if c in computers}
 
     def successor(self) -> ManagerId | None:
@@ -148,17 +173,14 @@ class FakeAgents:
         refused, self.refused = self.refused, []
         return refused
 
-    def has_computer(self, computer: str) -> bool:
-        return computer in self.answering
+    def ends_soon(self, computer: str) -> bool:
+        return computer not in self.lasting
 
     def obey(self, computer: str) -> bool:
         return computer not in self.strangers
 
     def heard_by(self, computer: str) -> str:
         return self.hearers.get(computer, "")
-
-    def holds_lease(self, computer: str) -> bool:  # noqa: ARG002, all do
-        return True
 
     def is_cut_off(self, computer: str) -> bool:  # noqa: ARG002, none ever is
         return False
@@ -175,18 +197,31 @@ class FakeAgents:
             self.gone.clear()
         return is_enough()
 
-    def deploy(self, deployments: Mapping[str, Deployment]) -> dict[str, str]:
-        refusals = {}
+    def begin_claim(self, computer: str) -> Reply:
+        self.claimed.append(computer)
+        reply = Reply()
+        if computer in self.refusing:
+            reply.take(Refused("not today"))
+        else:
+            self.strangers.discard(computer)
+            reply.take(Claimed(self.left_with.get(computer)))
+        return reply
+
+    def end_claim(self, computer: str, reply: Reply) -> None:
+        pass
+
+    def begin_deploy(self, computer: str, deployment: Deployment) -> Reply:
+        reply = Reply()
         if self.lose_when_told:
             self.gone.add(self.lose_when_told)
-        for computer, deployment in deployments.items():
-            if computer in self.refusing:
-                refusals[computer] = f"the agent of '{computer}' refused: not today"
-                continue
-            self.deployed.append((computer, deployment))
-            if computer not in self.deaf:
-                self._statuses[computer] = self._obeyed(computer, deployment)
-        return refusals
+        if computer in self.refusing:
+            reply.take(Refused("not today"))
+            return reply
+        self.deployed.append((computer, deployment))
+        if computer not in self.deaf:
+            self._statuses[computer] = self._obeyed(computer, deployment)
+        reply.take(Accepted())
+        return reply
 
     def _obeyed(self, computer: str, deployment: Deployment) -> AgentStatus:
         containers = tuple(
@@ -208,8 +243,11 @@ class FakeAgents:
             )
             for container in deployment.containers
         )
+        before = self._statuses.get(computer)
         return AgentStatus(
             computer=computer,
+            pid=before.pid if before else 0,
+            adopted=before.adopted if before else 0,
             generation=deployment.generation,
             uptime=0,
             cpu=0,

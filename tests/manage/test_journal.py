@@ -1,13 +1,28 @@
-"""The journal: what was noted stays, in order."""
+"""The journal: what was noted stays, in order, and no trouble of it stops a robot."""
 
 from __future__ import annotations
 
+import logging
+import os
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from poise.errors import UsageError
-from poise.manage.journal import Journal, read_journal
+from poise.manage import journal as journals
+from poise.manage.journal import (
+    FILES,
+    MOST_KEPT,
+    Journal,
+    JournalEntry,
+    check_journal,
+    read_journal,
+)
+
+
+def whats(path: Path) -> list[str]:
+    return [entry.what for entry in read_journal(path)]
 
 
 def test_what_was_noted_is_there_in_order() -> None:
@@ -19,97 +34,173 @@ def test_what_was_noted_is_there_in_order() -> None:
         ("decided", "go", {"placement": {"a": "left"}}),
         ("done", "went", {}),
     ]
-    assert journal.entries()[0].at <= journal.entries()[1].at
+    assert [e.what for e in journal.entries(after=1)] == ["went"]
+    assert [e.what for e in journal.entries(most=1)] == ["went"]
 
 
-def test_it_outlives_its_writer(tmp_path: Path) -> None:
-    path = tmp_path / "journal.sqlite"
-    first = Journal(path)
-    first.note("seen", "something")
-    first.close()
-    second = Journal(path)
-    second.note("seen", "more")
-    assert [e.what for e in second.entries()] == ["something", "more"]
-    second.close()
+def test_it_outlives_its_writer_and_numbers_go_on(tmp_path: Path) -> None:
+    path = tmp_path / "journal.jsonl"
+    for what in ("something", "more"):
+        journal = Journal(path)
+        journal.note("seen", what, load=0.5)
+        journal.close()
+    entries = read_journal(path)
+    assert [(e.number, e.what, e.facts) for e in entries] == [
+        (1, "something", {"load": 0.5}),
+        (2, "more", {"load": 0.5}),
+    ]
+    assert [e.what for e in read_journal(path, after=1)] == ["more"]
 
 
 def test_it_can_be_read_while_it_is_written(tmp_path: Path) -> None:
-    writer, reader = (Journal(tmp_path / "journal.sqlite") for _ in range(2))
-    writer.note("seen", "something")
-    assert [e.what for e in reader.entries()] == ["something"]
-    writer.close()
-    reader.close()
-
-
-def test_a_full_disk_costs_lines_and_not_the_robot(tmp_path: Path) -> None:
-    shown: list[str] = []
-    journal = Journal(tmp_path / "journal.sqlite", lambda e: shown.append(e.what))
-    assert journal._database is not None
-    limit = journal._database.execute
-    limit("PRAGMA max_page_count = 1")
-    for _ in range(3):
-        journal.note("seen", "x" * 10_000)
-    assert "cannot be written: database or disk is full" in journal.trouble
-    limit("PRAGMA max_page_count = 1000")
-    journal.note("seen", "room again")
-    assert not journal.trouble
-    back = "the journal is written again; 3 entries are missing"
-    assert [e.what for e in journal.entries()] == ["room again", back]
-    assert shown[:3] == ["x" * 10_000] * 3
+    journal = Journal(tmp_path / "journal.jsonl")
+    journal.note("seen", "something")
+    assert journal.file is not None
+    assert journal.file.flush()
+    assert whats(tmp_path / "journal.jsonl") == ["something"]
     journal.close()
 
 
-@pytest.mark.parametrize("left", [b"", b"SQLite format 3\0", bytes(20)])
-def test_a_damaged_file_is_put_aside_and_a_new_one_begun(
-    tmp_path: Path, left: bytes
+def test_memory_holds_the_last_entries_only() -> None:
+    journal = Journal(":memory:")
+    for _ in range(MOST_KEPT + 1):
+        journal.note("seen", "x")
+    assert [journal.entries()[0].number, len(journal.entries())] == [2, MOST_KEPT]
+    assert journal.forgotten == 1
+
+
+def test_its_files_rotate_and_are_bounded(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    path = tmp_path / "journal.sqlite"
-    path.write_bytes(left + b"no pages of a database" * 500)
-    shown: list[str] = []
-    journal = Journal(path, lambda entry: shown.append(entry.what))
-    journal.note("done", "begun")
-    assert [e.what for e in journal.entries()] == [*shown[:1], "begun"]
-    assert "the journal was damaged" in shown[0]
-    assert (tmp_path / "journal.sqlite.damaged-1").read_bytes().startswith(left)
-    assert not journal.trouble
+    monkeypatch.setattr(journals, "LARGEST", 1_000)
+    path = tmp_path / "journal.jsonl"
+    journal = Journal(path)
+    assert journal.file is not None
+    for number in range(1, 101):
+        journal.note("seen", f"{number:->100}")
+        assert journal.file.flush()
     journal.close()
+    sizes = {each.name: each.stat().st_size for each in tmp_path.iterdir()}
+    assert len(sizes) == FILES
+    assert max(sizes.values()) <= 1_000
+    kept = read_journal(path)
+    assert [e.number for e in kept] == list(range(101 - len(kept), 101))
+    assert len(kept) > 3 * (FILES - 1)
 
 
-def test_a_file_that_is_damaged_while_it_is_written_is_put_aside(
+@pytest.mark.parametrize("left", [b'{"at":1.0,"kind":"se', b'{"at"\n\xff\n'])
+def test_half_a_line_of_a_killed_manager_is_left_out_and_said(
+    tmp_path: Path, left: bytes, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = tmp_path / "journal.jsonl"
+    first = Journal(path)
+    first.note("seen", "before")
+    first.close()
+    with path.open("ab") as file:
+        file.write(left)
+    second = Journal(path)
+    second.note("seen", "after")
+    second.close()
+    with caplog.at_level(logging.WARNING):
+        assert whats(path) == ["before", "after"]
+    assert "left out, being no entry" in caplog.text
+
+
+def test_a_fact_that_json_refuses_is_said_once_and_the_robot_goes_on(
     tmp_path: Path,
 ) -> None:
-    path = tmp_path / "journal.sqlite"
-    first = Journal(path)
-    for number in range(300):
-        first.note("seen", f"{number}" * 100)
-    first.close()
-    with path.open("r+b") as file:
-        file.seek(4096)
-        file.write(b"\xff" * 100_000)
-    journal = Journal(path)
-    journal.note("done", "went on")
-    whats = [entry.what for entry in journal.entries()]
-    assert whats[-1] == "went on"
-    assert "damaged" in whats[0]
+    shown: list[str] = []
+    path = tmp_path / "journal.jsonl"
+    journal = Journal(path, lambda entry: shown.append(entry.what))
+    for _ in range(2):
+        journal.note("done", "moved", fact=object())
+    journal.note("done", "said \udc80")
     journal.close()
+    assert whats(path)[0] == "moved"
+    assert "the facts of a journal entry are lost: TypeError" in whats(path)[1]
+    assert whats(path)[2:] == ["moved", "said ?"]
+    assert shown == whats(path)
+    assert "the facts of a journal entry are lost" in journal.trouble
+
+
+def test_a_terminal_that_fails_stops_nothing(tmp_path: Path) -> None:
+    def fail(entry: JournalEntry) -> None:
+        raise ValueError(entry.what)
+
+    journal = Journal(tmp_path / "journal.jsonl", fail)
+    journal.note("seen", "something")
+    journal.close()
+    assert whats(tmp_path / "journal.jsonl") == ["something"]
+
+
+def no_folder(folder: Path) -> Callable[[], object]:
+    return folder.mkdir
+
+
+def a_folder_of_its_name(folder: Path) -> Callable[[], object]:
+    (folder / "journal.jsonl").mkdir(parents=True)
+    return (folder / "journal.jsonl").rmdir
+
+
+@pytest.mark.parametrize("hinder", [no_folder, a_folder_of_its_name])
+def test_it_goes_on_when_it_can_be_written_again(
+    tmp_path: Path, hinder: Callable[[Path], Callable[[], object]]
+) -> None:
+    path = tmp_path / "folder" / "journal.jsonl"
+    relieve = hinder(path.parent)
+    journal = Journal(path)
+    journal.note("seen", "kept in memory")
+    assert journal.file is not None
+    assert not journal.file.flush()
+    assert f"the journal {path} cannot be written: " in journal.trouble
+    assert [e.what for e in journal.entries()] == ["kept in memory"]
+    relieve()
+    journal.note("seen", "room again")
+    journal.close()
+    assert whats(path) == ["kept in memory", "room again"]
 
 
 def test_a_file_that_was_removed_is_begun_again(tmp_path: Path) -> None:
-    path = tmp_path / "journal.sqlite"
+    path = tmp_path / "journal.jsonl"
     journal = Journal(path)
     journal.note("seen", "before")
-    for file in tmp_path.iterdir():
-        file.unlink()
+    assert journal.file is not None
+    assert journal.file.flush()
+    path.unlink()
     journal.note("done", "went on")
-    whats = [entry.what for entry in read_journal(path)]
-    assert "was removed: a new one begins" in whats[0]
-    assert whats[1:] == ["went on"]
     journal.close()
+    assert whats(path) == ["went on"]
 
 
-def test_a_file_that_cannot_be_one_is_named(tmp_path: Path) -> None:
+def test_a_step_of_the_time_of_day_by_ten_years_changes_no_order(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    journal = Journal(tmp_path / "journal.jsonl")
+    journal.note("seen", "before")
+    monkeypatch.setattr(journals, "wall_time", lambda: 1e9)  # in 2001
+    journal.note("seen", "after")
+    journal.close()
+    assert whats(tmp_path / "journal.jsonl") == ["before", "after"]
+    assert [e.what for e in journal.entries(after=1)] == ["after"]
+
+
+def test_a_file_that_can_be_no_journal_is_named(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=r"the journal .*nowhere/j cannot be written"):
-        Journal(tmp_path / "nowhere" / "j")
-    (tmp_path / "notes").write_text("buy milk, and then more milk, and some bread " * 9)
-    with pytest.raises(UsageError, match=r"notes cannot be written: file is not a da"):
-        Journal(tmp_path / "notes")
+        check_journal(tmp_path / "nowhere" / "j")
+    (tmp_path / "notes").write_text("buy milk, and then more milk, and some bread")
+    with pytest.raises(UsageError, match=r"notes cannot be written: the file is some"):
+        check_journal(tmp_path / "notes")
+    with pytest.raises(UsageError, match=r"cannot be written: Is a directory"):
+        check_journal(tmp_path)
+    check_journal(tmp_path / "new")
+    assert not (tmp_path / "new").exists()
+
+
+def test_who_may_not_read_it_is_told(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="cannot be read: No such file"):
+        read_journal(tmp_path / "nowhere")
+    (tmp_path / "text").write_text("no journal")
+    with pytest.raises(UsageError, match="cannot be read: it is no journal"):
+        read_journal(tmp_path / "text")
+    os.truncate(tmp_path / "text", 0)
+    assert read_journal(tmp_path / "text") == []

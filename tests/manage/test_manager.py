@@ -30,6 +30,11 @@ from tests.manage.conftest import FakeAgents
 
 PLACEMENT = {"grabber": "left", "thinker": "right"}
 COMMAND = MoveCommand("thinker", "left", force=True)
+CONFIGURING, FAILED = (
+    ComponentStatus(name="thinker", epoch=1, state=state)
+    for state in ("unconfigured", "failed")
+)
+"""The target of that move."""
 
 
 class Managed:
@@ -54,10 +59,14 @@ class Managed:
         before = len(self.journal.entries())
         future = self.manager.submit(COMMAND)
         self.manager.work(0.0)
+        if not future.done():  # the target is being configured
+            self.agents.report_component("left", FAILED)
+            self.manager.work(0.0)
         result = future.result(0.0)
         assert isinstance(result, MigrationReport)
         assert not result.committed
-        asked, *others = [entry.what for entry in self.journal.entries()[before:]]
+        entries = self.journal.entries()[before:]
+        asked, *others = [entry.what for entry in entries if entry.kind != "desired"]
         assert asked == "asked to move 'thinker' to 'left'"
         return others
 
@@ -93,7 +102,7 @@ def test_drifts_are_told_until_the_simulated_world_ends(
 
 def test_a_fault_is_told_while_a_move_waits(managed: Managed) -> None:
     managed.agents.faults = (Fault(container="eye", message="was killed", number=1),)
-    managed.agents.states["thinker"] = ComponentStatus(name="thinker", state="failed")
+    managed.agents.states["thinker"] = CONFIGURING
     sentences = managed.sentences_of_move()
     assert sentences[0] == "container 'eye' on 'left' was killed"
     assert sum("was killed" in each for each in sentences) == 2  # of both computers
@@ -102,13 +111,35 @@ def test_a_fault_is_told_while_a_move_waits(managed: Managed) -> None:
 def test_a_deviation_of_another_component_is_told_while_a_move_waits(
     managed: Managed,
 ) -> None:
-    for name in PLACEMENT:
-        managed.agents.states[name] = ComponentStatus(name=name, state="failed")
+    managed.agents.states["thinker"] = CONFIGURING
+    failed = ComponentStatus(name="grabber", state="failed")
+    managed.agents.states["grabber"] = failed
+    managed.agents.report_component("left", failed)
     sentences = managed.sentences_of_move()
     assert sentences[0] == "component 'grabber' on 'left' is failed"
-    # what moves is for the move to judge, and deviates only after that
     assert sentences[1].startswith("did not move component 'thinker'")
-    assert sentences[2] == "component 'thinker' on 'right' is failed"
+
+
+def test_other_commands_are_carried_out_while_a_target_is_configured(
+    managed: Managed,
+) -> None:
+    """They waited for as long as a user's `configure` took."""
+    managed.agents.states["thinker"] = CONFIGURING
+    moving = managed.manager.submit(COMMAND)
+    managed.manager.work(0.0)
+    (sentence,) = managed.manager.status().under_way
+    assert sentence.startswith("component 'thinker' from 'right' to 'left' is prepared")
+    assert "is unconfigured, not yet inactive" in sentence
+    other = managed.manager.submit(MoveCommand("grabber", "nowhere", dry=True))
+    managed.manager.work(0.0)
+    assert isinstance(other.result(0.0), Refusal)
+    assert not moving.done()
+    assert managed.run.placed["thinker"].goal == "active"
+    managed.agents.report_component("left", FAILED)
+    managed.manager.work(0.0)
+    assert "cannot be configured on 'left'" in str(moving.result(0.0))
+    assert managed.manager.status().under_way == ()
+    assert managed.run.desired.configured_ahead == ()
 
 
 def test_a_move_to_a_computer_that_is_out_of_reach_is_refused_at_once(
@@ -124,19 +155,20 @@ def test_a_bug_in_a_command_is_refused_and_the_robot_goes_on(
     managed: Managed, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def break_down(*_: object, **__: object) -> None:
-        managed.run.tell([])  # in the middle of a change
+        run = managed.run  # in the middle of a change
+        run.commit(run.desired.aiming("stay", ["thinker"]), "odd")
         raise KeyError("odd")
 
-    monkeypatch.setattr("poise.manage.manager.move", break_down)
+    monkeypatch.setattr("poise.manage.manager.plan_move", break_down)
     future = managed.manager.submit(COMMAND)
     managed.manager.work(0.0)
     refusal = future.result(0.0)
     assert isinstance(refusal, Refusal)
     assert "KeyError: 'odd'" in refusal.reason
-    entry = managed.journal.entries()[-1]
-    assert (entry.kind, "KeyError: 'odd'" in entry.what) == ("failed", True)
+    (entry,) = (each for each in managed.journal.entries() if each.kind == "failed")
+    assert "KeyError: 'odd'" in entry.what
     assert "break_down" in entry.facts["traceback"]
-    assert {each.component for each in managed.run.wanted} == set(PLACEMENT)
+    assert managed.run.desired.settled().keys() == PLACEMENT.keys()
 
 
 def test_a_status_waits_for_nothing_that_the_manager_does(managed: Managed) -> None:
@@ -151,23 +183,6 @@ def test_a_lost_computer_is_told_once(managed: Managed) -> None:
     managed.manager.work(0.0)
     said = [s for s in sentences if s.startswith("computer 'right' is out of reach")]
     assert len(said) == 1
-
-
-def test_nothing_restarts_elsewhere_while_an_agent_may_come_back(
-    managed: Managed,
-) -> None:
-    managed.agents.gone.add("right")
-    managed.agents.answering.add("right")
-    managed.manager.work(0.0)
-    said = [entry.what for entry in managed.journal.entries()]
-    assert "the agent of 'right' ended; its containers go on" in said
-    assert not managed.manager._facts().lost
-    managed.agents.gone.clear()
-    managed.manager.work(0.0)
-    managed.agents.gone.add("right")
-    managed.agents.answering.clear()
-    managed.manager.work(0.0)
-    assert managed.manager._facts().lost == {"right"}
 
 
 def test_why_a_record_of_an_agent_was_refused_is_told(managed: Managed) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, cast
 
 import pytest
-from msgspec.structs import replace
 
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.journal import Journal
@@ -33,15 +32,16 @@ def test_a_connector_is_not_said_to_be_joined_because_its_end_is_moved(
     run.start()
     seen = Watch(run)
     agents.unjoined = (RAW,)
-    run.synchronise("left")
+    run.reconciler.forget("left")
+    run.reconcile()
     seen.look()
     what = f"connector '{RAW.name}' from 'left' does not reach 'left'"
     assert [each.what for each in seen.deviations] == [what]
-    run.tell([run.placed["grabber"], replace(run.placed["filter"], goal="stay")])
+    run.commit(run.desired.aiming("stay", ["filter"]), "it is to move")
     seen.look()
     assert [each.what for each in seen.deviations] == [what]
     agents.unjoined = ()
-    run.tell(run.placed.values())
+    run.commit(run.desired.aiming("active", ["filter"]), "it stays")
     seen.look()
     assert not seen.deviations
     said = [(e.kind, e.what) for e in journal.entries() if "reach" in e.what]

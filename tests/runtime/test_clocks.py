@@ -26,6 +26,7 @@ from poise.runtime.waker import wait_readable
 from poise.session.launch.start import Sampling, started
 from poise.wire import record_channel
 from poise.wire.control_session import locator
+from poise.wire.failure_detector import Contacts
 from poise.wire.heartbeats import Heartbeats
 from poise.wire.records.clocks import Clocks, ClockStatus
 from poise.wire.records.container import ToContainer
@@ -112,12 +113,13 @@ def test_two_agents_learn_of_each_others_clocks() -> None:
         exchanges = {}
         for name, clock in clocks.items():
             exchanges[name] = each = HeartbeatExchange(
-                "test",
                 name,
+                Contacts("test", name, name),
                 Fence("test", name, lambda: None, lambda _: None),
                 clock,
-                name,
                 partial(Heartbeats, clock, listen=where[name]),
+                lambda _: None,
+                lambda: 0.0,
             )
             stack.callback(each.close)
             each.begin("manager", agents, is_leased=False)

@@ -121,7 +121,7 @@ def test_what_makes_room_for_higher_priorities_comes_back_when_there_is_room(
         emulated.crash(before["high"])
         wait_long(lambda: robot.status().placement.get("high") == before["low"])
         assert "low" not in robot.status().placement
-        assert is_said(robot, "architecture 'low' is put aside")
+        wait_long(lambda: is_said(robot, "architecture 'low' is put aside"))
         emulated.boot(before["high"])
         wait_long(lambda: robot.status().placement.get("low") == before["high"])
         wait_long(lambda: is_well(robot))

@@ -146,3 +146,30 @@ def test_names_are_never_cut() -> None:
     text = out.getvalue()
     assert (text.count("a"), text.count("b")) == (60 + 2, 60)  # "state", "active"
     assert max(map(len, text.splitlines())) <= 80
+
+
+def shown(answer: RobotStatus) -> str:
+    out = StringIO()
+    for part in status_parts(answer):
+        Console(file=out, width=80).print(part)
+    return out.getvalue()
+
+
+def test_what_an_agent_reported_long_ago_is_not_called_fine() -> None:
+    answer = status(Estimate(mean=0.1, p95=0.1, error=0.01))
+    fresh = shown(replace(answer, ages={"vision": 0.4}))
+    assert "everything is as the robot file says" in fresh
+    assert "ago" not in fresh
+    stale = shown(replace(answer, ages={"vision": 12.0}))
+    assert "not known how these are now: vision" in stale
+    assert "everything is as the robot file says" not in stale
+    assert "12 s ago" in stale
+    assert "active" not in stale
+
+
+def test_a_computer_that_never_reported_is_shown_as_not_known() -> None:
+    answer = status(Estimate(mean=0.1, p95=0.1, error=0.01))
+    text = shown(replace(answer, capacities={"vision": {}, "main": {}}))
+    assert "not known how these are now: main" in text
+    row = next(line for line in text.splitlines() if line.startswith("main"))
+    assert row.split() == ["main", *["not", "known"] * 4, "never"]

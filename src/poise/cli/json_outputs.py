@@ -105,7 +105,7 @@ class SmallestShown(TypedDict):
     tasks: Mapping[str, PlannedPhases]
 
 
-_SCENES = [get_type_hints(play)["return"] for _, play in SCENES.values()]
+_SCENES = dict.fromkeys(get_type_hints(play)["return"] for _, play in SCENES.values())
 OUTPUTS: Mapping[str, Sequence[Any]] = {
     "check": [Checked],
     "plan": [Planned, PlannedPhases, Compared, SmallestShown],

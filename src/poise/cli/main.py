@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, NoReturn, cast
 from poise.cli.interrupts import end_at_once
 
 if TYPE_CHECKING:
+    from types import TracebackType
+
     from poise.errors import PoiseError
 
 
@@ -41,6 +43,8 @@ def main() -> None:
         if error.filename is None and not is_disk_full:
             raise
         _fail(RunError(f"{error.filename or 'a result'}: {error.strerror}"), 1)
+    finally:
+        sys.excepthook = _say_traceback  # in place of typer's
 
 
 def _completed() -> list[str]:
@@ -52,10 +56,29 @@ def _completed() -> list[str]:
 
 
 def _fail(error: PoiseError, code: int) -> NoReturn:
-    sys.stderr.write(f"{error}\n")
+    _say_last(str(error))
     if "--json" in sys.argv:
         _print_error(error)
     sys.exit(code)
+
+
+def _say_last(text: str) -> None:
+    """Print to stderr; drop what is not taken within a second or two.
+
+    A command whose stderr is a full pipe that nobody reads would hang for ever.
+    """
+    from poise.session.launch.printer import Printer
+
+    with Printer(sys.stderr.fileno()) as printer:
+        printer.print(text)
+
+
+def _say_traceback(
+    kind: type[BaseException], error: BaseException, trace: TracebackType | None
+) -> None:
+    import traceback
+
+    _say_last("".join(traceback.format_exception(kind, error, trace)).rstrip())
 
 
 def _print_error(error: PoiseError) -> None:

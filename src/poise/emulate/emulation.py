@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterable, Mapping
 from itertools import count
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import Self
 
 from msgspec.structs import replace
 
+from poise.clock import wall_time
 from poise.emulate import processes
 from poise.emulate.cgroup import files as cgroup_files
 from poise.emulate.cgroup.groups import Groups
@@ -91,7 +91,7 @@ class Emulation:
                 self._layout = replace(again, aside=aside)
             self._make(self._layout, groups, host, refused)
             if kept is not None:
-                kept = replace(kept, since=time.time(), without=self.without)
+                kept = replace(kept, since=wall_time(), without=self.without)
                 self._layout = replace(self._layout, kept=kept)
             register(lambda _: self._layout)
         except BaseException as error:

@@ -23,6 +23,8 @@ from poise.emulate.owner import PREFIX, Owner
 from poise.emulate.processes import marked, stop
 from poise.errors import PoiseError, RunError, UsageError
 
+FOLDER = "POISE_EMULATIONS"
+"""The environment variable that names the registry's folder."""
 _LOCK_LIMIT = 30.0
 _LOOK = 0.01
 
@@ -30,13 +32,17 @@ _LOOK = 0.01
 def registry() -> Path:
     """Return the folder of all entries; only this user may write to it.
 
+    `FOLDER` names it where a program has a network namespace of its own: a registry
+    keeps apart the addresses of one network.
+
     Raises
     ------
     RunError
         It belongs to another user, whose entries would remove things of this one.
     """
     run = "/run" if os.access("/run", os.W_OK) else os.environ.get("XDG_RUNTIME_DIR")
-    folder = Path(run) / PREFIX if run else Path(f"/tmp/{PREFIX}-{os.getuid()}")  # noqa: S108 - owner and mode are checked below
+    usual = f"{run}/{PREFIX}" if run else f"/tmp/{PREFIX}-{os.getuid()}"  # noqa: S108 - owner and mode are checked below
+    folder = Path(os.environ.get(FOLDER) or usual)
     folder.mkdir(mode=0o700, exist_ok=True)
     found = folder.lstat()
     if found.st_uid != os.getuid() or found.st_mode & 0o022 or folder.is_symlink():

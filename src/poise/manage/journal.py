@@ -1,55 +1,55 @@
-"""Every decision of the manager, and what came of it, in an SQLite file."""
+"""Every decision of the manager, and what came of it: a line of JSON each."""
 
 from __future__ import annotations
 
-import contextlib
 import logging
-import sqlite3
+import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, Literal, get_args
 
 import msgspec
 from msgspec import Struct
 
-from poise.errors import RunError, UsageError
+from poise.clock import wall_time
+from poise.errors import UsageError
+from poise.manage.background_file import BackgroundFile, numbered
+from poise.units import counted
 
 log = logging.getLogger(__name__)
 
-Kind = Literal["seen", "decided", "done", "failed", "wrong", "right"]
+Kind = Literal["seen", "decided", "desired", "done", "failed", "wrong", "right"]
 """What an entry is about.
 
 seen
     Something was noticed that needs no action.
 decided
     The manager decided what to do next.
+desired
+    What should run is different from now on; not printed.
 done, failed
     It did that, or could not.
 wrong, right
     Something is not as the robot file says any more, or is so again.
 """
 
+LARGEST, FILES = 4 << 20, 4
+"""A journal has so many files of this size [bytes] at most."""
+MOST_KEPT = 2_000
+"""So many entries are kept in memory."""
+_MOST_KEPT_SIZE = 8 << 20
+_MOST_WAITING = 1 << 20
 _MOST_RECENT = 20
+_TAIL = 64 << 10
 KINDS: tuple[str, ...] = get_args(Kind)
-_ALL = -1
-
-_SCHEMA = """
-CREATE TABLE IF NOT EXISTS entries (
-    id INTEGER PRIMARY KEY,
-    at REAL NOT NULL,     -- seconds since the epoch
-    kind TEXT NOT NULL,   -- seen, decided, done, failed, wrong, right
-    what TEXT NOT NULL,   -- one sentence for people
-    facts TEXT NOT NULL   -- JSON for machines
-)
-"""
 
 
 class JournalEntry(Struct, frozen=True):
     """An entry of the journal; `at` in seconds since 1970.
 
-    `number` counts the entries of one file; 0: it is not read from one.
+    `number` counts the entries of a journal, also over several managers.
     """
 
     at: float
@@ -63,12 +63,14 @@ class JournalEntry(Struct, frozen=True):
         return f"{time.strftime('%H:%M:%S', time.localtime(self.at))} {self.what}"
 
 
-class Journal:
-    """Written by one thread at a time; any program may read it meanwhile.
+_decode = msgspec.json.Decoder(JournalEntry).decode
 
-    The robot goes on when an entry cannot be written: the disk may be full, or another
-    program may hold the file. `trouble` says so until one can be again. A damaged file
-    is put aside, and a new one begun.
+
+class Journal:
+    """Takes entries on any thread, and never raises; any program may read its file.
+
+    A thread of its own writes them. When they cannot be written, because the disk is
+    full, say, `file.trouble` says so, and the last are kept in memory.
 
     Parameters
     ----------
@@ -77,35 +79,43 @@ class Journal:
     show
         Called with each entry, in order; must not block.
 
-    Raises
-    ------
-    UsageError
-        It cannot be opened, or is something else.
+    Attributes
+    ----------
+    file
+        None: it is only in memory.
+    forgotten
+        How many entries memory holds no more.
     """
 
     def __init__(
         self, path: Path | str, show: Callable[[JournalEntry], object] | None = None
     ) -> None:
-        self._path = None if path == ":memory:" else Path(path)
         self._show = show
-        self._database: sqlite3.Connection | None = None
-        self._inode = 0
-        self._num_missing = 0
+        self._lock = threading.RLock()
+        self._kept: deque[bytes] = deque()
+        self._kept_size = 0
+        self.forgotten = 0
         self._recent: deque[JournalEntry] = deque(maxlen=_MOST_RECENT)
-        self.trouble: str = ""
-        """Why entries are not written; empty: they are."""
-        try:
-            self._open()
-        except sqlite3.Error as error:
-            if _is_damaged(self._path, error):
-                self._begin_another(error)
-            elif _code_of(error) in _NO_ROOM:
-                self._note_missing(error)
-            else:
-                raise UsageError(
-                    f"the journal {path} cannot be written: {error}. Name a file in a "
-                    "folder that is there, may be written, and has room"
-                ) from error
+        self._refused = ""
+        self.file: BackgroundFile | None = None
+        self._number = 0
+        if path != ":memory:":
+            self._number = _last_number(Path(path))
+            self.file = BackgroundFile(
+                Path(path),
+                "the journal",
+                "line",
+                most=_MOST_WAITING,
+                largest=LARGEST,
+                files=FILES,
+            )
+            self.file.add(b"\n")  # a manager that was killed may have left half a line
+            self.file.start()
+
+    @property
+    def trouble(self) -> str:
+        """Why entries are not written as they are; empty: they are."""
+        return (self.file.trouble if self.file else "") or self._refused
 
     def recent(self) -> tuple[JournalEntry, ...]:
         """Return the last entries without their facts; any thread may ask."""
@@ -113,154 +123,88 @@ class Journal:
 
     def note(self, kind: Kind, what: str, **facts: object) -> None:
         """Add an entry: `what` for people, `facts` for machines."""
-        entry = JournalEntry(time.time(), kind, what, facts)
-        self._recent.append(JournalEntry(entry.at, kind, what, None))
-        if self._show is not None:
-            self._show(entry)
-        try:
-            self._write(entry)
-        except sqlite3.Error as error:
-            if _is_damaged(self._path, error):
-                self._begin_another(error)
-                self._write(entry)
-            else:
-                self._note_missing(error)
-            return
-        if self.trouble:
-            text = (
-                f"the journal is written again; {self._num_missing} entries are missing"
-            )
-            self.trouble, self._num_missing = "", 0
-            self.note("right", text)
+        refused = ""
+        with self._lock:
+            self._number += 1
+            entry = JournalEntry(wall_time(), kind, what, facts, self._number)
+            try:
+                line = msgspec.json.encode(entry)
+            except Exception as error:  # noqa: BLE001, the robot goes on
+                refused = f"the facts of a journal entry are lost: {error!r}"
+                what = what.encode(errors="replace").decode()
+                entry = msgspec.structs.replace(entry, what=what, facts={})
+                line = msgspec.json.encode(entry)
+            self._keep(line)
+            if self.file is not None:
+                self.file.add(line + b"\n")
+            self._recent.append(msgspec.structs.replace(entry, facts=None, number=0))
+            self._say(entry)
+        if refused and not self._refused:
+            self._refused = refused
+            self.note("wrong", f"{refused}; the entry is: {what}")
 
-    def entries(self, after: int = 0, most: int = _ALL) -> list[JournalEntry]:
-        """Return entries, oldest first: the last `most` with numbers above `after`.
+    def entries(self, after: int = 0, most: int = MOST_KEPT) -> list[JournalEntry]:
+        """Return this manager's last entries, oldest first, from memory.
 
-        From any thread.
-
-        Raises
-        ------
-        RunError
-            They cannot be read.
+        At most `MOST_KEPT`, and the last `most` of those with numbers above `after`.
         """
-        try:
-            return _entries(self._database, after, most) if self._database else []
-        except sqlite3.Error as error:
-            raise RunError(f"the journal cannot be read: {error}") from error
+        with self._lock:
+            kept = list(self._kept)
+        return [entry for entry in map(_decode, kept[-most:]) if entry.number > after]
 
     def close(self) -> None:
-        """Close the file."""
-        if self._database is not None:
-            self._database.close()
-            self._database = None
+        """Write what is still to be written, and close the file."""
+        if self.file is not None:
+            self.file.close()
 
-    def _open(self) -> sqlite3.Connection:
-        database = sqlite3.connect(
-            self._path or ":memory:",
-            isolation_level=None,
-            timeout=1.0,
-            check_same_thread=False,
-        )
-        try:
-            database.execute("PRAGMA journal_mode=WAL")
-            database.execute("PRAGMA synchronous=NORMAL")
-            database.execute(_SCHEMA)
-        except sqlite3.Error:
-            database.close()
-            raise
-        self._database, self._inode = database, _inode(self._path)
-        return database
+    def _keep(self, line: bytes) -> None:
+        self._kept.append(line)
+        self._kept_size += len(line)
+        while len(self._kept) > MOST_KEPT or self._kept_size > _MOST_KEPT_SIZE:
+            self._kept_size -= len(self._kept.popleft())
+            self.forgotten += 1
 
-    def _write(self, entry: JournalEntry) -> None:
-        if self._database is not None and _inode(self._path) != self._inode:
-            self.close()  # SQLite would go on to write a file that nobody finds
-            self._open()
-            self.note(
-                "wrong", f"the journal {self._path} was removed: a new one begins"
-            )
-        (self._database or self._open()).execute(
-            "INSERT INTO entries (at, kind, what, facts) VALUES (?, ?, ?, ?)",
-            (
-                entry.at,
-                entry.kind,
-                entry.what,
-                msgspec.json.encode(entry.facts).decode(),
-            ),
-        )
-
-    def _note_missing(self, error: sqlite3.Error) -> None:
-        self._num_missing += 1
-        if not self.trouble:
-            self.trouble = (
-                f"the journal {self._path} cannot be written: {error}. Entries are "
-                "only printed"
-            )
-            log.warning("%s", self.trouble)
-
-    def _begin_another(self, error: sqlite3.Error) -> None:
-        """Put the damaged file aside, and begin a new one."""
-        assert self._path is not None  # noqa: S101, memory is not damaged
-        self.close()
-        aside = _put_aside(self._path)
-        self._open()
-        self.note(
-            "wrong",
-            f"the journal was damaged ({error}): it is {aside} now, and a new one "
-            f"begins",
-        )
+    def _say(self, entry: JournalEntry) -> None:
+        if self._show is not None and entry.kind != "desired":
+            try:
+                self._show(entry)
+            except Exception:  # its reader's fault does not stop the robot
+                log.exception("an entry of the journal could not be shown: %s", entry)
 
 
-_NO_ROOM = {
-    sqlite3.SQLITE_FULL,
-    sqlite3.SQLITE_IOERR,
-    sqlite3.SQLITE_READONLY,
-    sqlite3.SQLITE_BUSY,
-}
-_DAMAGED = {sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB}
-_HEADER = b"SQLite format 3\0"
-
-
-def _code_of(error: sqlite3.Error) -> int:
-    """Return the primary code of an error; 0 when SQLite did not raise it."""
-    code: int = getattr(error, "sqlite_errorcode", 0)
-    return code & 0xFF
-
-
-def _is_damaged(path: Path | None, error: sqlite3.Error) -> bool:
-    """Return whether a file was a journal, and is none any more."""
-    if path is None or _code_of(error) not in _DAMAGED:
-        return False
-    with contextlib.suppress(OSError), path.open("rb") as file:
-        header = file.read(len(_HEADER))
-        # anything else may be a file of the user's
-        return header in {_HEADER, bytes(len(_HEADER))} or path.suffix == ".sqlite"
-    return False
-
-
-def _put_aside(path: Path) -> Path:
-    """Rename a journal with its side files; return its new name."""
-    number = 1
-    while (aside := path.with_name(f"{path.name}.damaged-{number}")).exists():
-        number += 1
-    for suffix in ("", "-wal", "-shm"):
-        with contextlib.suppress(FileNotFoundError):
-            path.with_name(path.name + suffix).rename(f"{aside}{suffix}")
-    return aside
-
-
-def _inode(path: Path | None) -> int:
-    """Return what tells a file from others of its name; 0: there is none."""
+def check_journal(path: Path | None) -> None:
+    """Raise UsageError when a file that a user names can be no journal."""
+    if path is None:
+        return
     try:
-        return path.stat().st_ino if path else 0
-    except OSError:
-        return 0
+        if not path.parent.is_dir():
+            raise UsageError(
+                f"the journal {path} cannot be written: there is no folder "
+                f"{path.parent}. Name a file in a folder that is there"
+            )
+        text = path.read_bytes()[:_TAIL] if path.exists() else b""
+    except OSError as error:
+        raise UsageError(
+            f"the journal {path} cannot be written: {error.strerror}. Name another file"
+        ) from error
+    lines = text.splitlines()
+    if any(lines) and not any(_parsed(line) for line in lines):
+        raise UsageError(
+            f"the journal {path} cannot be written: the file is something else. Name "
+            "another one"
+        )
 
 
 def read_journal(path: Path | str, after: int = 0) -> list[JournalEntry]:
     """Return the entries of a journal, oldest first, also while a manager writes it.
 
+    Lines that are no entries are left out, and counted in a warning: a manager that is
+    killed may leave half a line.
+
     Parameters
     ----------
+    path
+        Its newest file; those before it, ``path.1`` and so on, are read, too.
     after
         Only entries with a higher number.
 
@@ -269,28 +213,61 @@ def read_journal(path: Path | str, after: int = 0) -> list[JournalEntry]:
     UsageError
         There is no such file, or it is no journal.
     """
-    where = Path(path).resolve().as_uri()
+    path = Path(path)
+    found: list[JournalEntry] = []
+    num_others = 0
     try:
-        with contextlib.closing(
-            sqlite3.connect(f"{where}?mode=ro", uri=True, timeout=1.0)
-        ) as database:
-            return _entries(database, after)
-    except sqlite3.Error as error:
-        raise UsageError(
-            f"the journal {path} cannot be read: {error}. Name the file of "
-            "`poise up --journal`, or journal.sqlite in `poise run --report`'s folder"
-        ) from error
+        for line in _lines_backwards(path):
+            entry = _parsed(line)
+            if entry is None:
+                num_others += 1
+            elif after and entry.number <= after:
+                break
+            else:
+                found.append(entry)
+    except OSError as error:
+        raise _unreadable(path, error.strerror or str(error)) from error
+    if num_others and not found and not after:
+        raise _unreadable(path, "it is no journal")
+    if num_others:
+        lines = counted(num_others, "line")
+        log.warning("the journal %s: %s left out, being no entry", path, lines)
+    return found[::-1]
 
 
-def _entries(
-    database: sqlite3.Connection, after: int = 0, most: int = _ALL
-) -> list[JournalEntry]:
-    rows = database.execute(
-        "SELECT at, kind, what, facts, id FROM (SELECT * FROM entries WHERE id > ? "
-        "ORDER BY id DESC LIMIT ?) ORDER BY id",
-        (after, most),
+def _unreadable(path: Path, why: str) -> UsageError:
+    return UsageError(
+        f"the journal {path} cannot be read: {why}. Name the file of `poise up "
+        "--journal`, or journal.jsonl in `poise run --report`'s folder; without a "
+        "file, `poise journal` shows the last robot's"
     )
-    return [
-        JournalEntry(at, kind, what, msgspec.json.decode(facts), number)
-        for at, kind, what, facts, number in rows
-    ]
+
+
+def _lines_backwards(path: Path) -> Iterator[bytes]:
+    """Yield the lines of a journal, the last one first."""
+    yield from filter(None, reversed(path.read_bytes().split(b"\n")))
+    for older in numbered(path, FILES):
+        if older.exists():
+            yield from filter(None, reversed(older.read_bytes().split(b"\n")))
+
+
+def _parsed(line: bytes) -> JournalEntry | None:
+    try:
+        return _decode(line)
+    except (msgspec.DecodeError, UnicodeDecodeError):
+        return None
+
+
+def _last_number(path: Path) -> int:
+    """Return the number of a journal's last entry; 0: it has none that can be read."""
+    for each in (path, *numbered(path, FILES)[:1]):
+        try:
+            with each.open("rb") as file:
+                file.seek(max(0, each.stat().st_size - _TAIL))
+                lines = file.read().split(b"\n")
+        except OSError:
+            continue
+        for line in reversed(lines):
+            if entry := _parsed(line):
+                return entry.number
+    return 0

@@ -12,15 +12,18 @@ import queue
 import threading
 import time
 import traceback
+from collections.abc import Callable
 from concurrent.futures import Future
+from functools import partial
+from typing import TypeVar
 
 from msgspec import structs
 
 from poise.errors import PoiseError, RunError, TakenOver
 from poise.manage.adaptation.bad_links import check_links
-from poise.manage.adaptation.facts import Facts
 from poise.manage.adaptation.loop import Adaptation
 from poise.manage.adaptation.shortages.put_aside import PutAside
+from poise.manage.adaptation.situation import Situation
 from poise.manage.adaptation.what_if import check_move
 from poise.manage.control_socket.read_commands import look, status_of
 from poise.manage.control_socket.records import (
@@ -42,13 +45,15 @@ from poise.manage.control_socket.records import (
 from poise.manage.deploy.lost_computers import LostComputers
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.deploy.stop import stop
-from poise.manage.migration.move import move, replace
-from poise.manage.migration.replacement import replace_architecture
+from poise.manage.migration.move import plan_move, plan_replacement
+from poise.manage.migration.planned import Planned
+from poise.manage.migration.replacement import plan_architecture_replacement
 from poise.manage.observe.chains import ChainAges, chain_reports
 from poise.manage.observe.deadline_misses import DeadlineMisses
 from poise.manage.observe.estimates import Estimates
 from poise.manage.observe.manager_troubles import ManagerTroubles
-from poise.manage.observe.recording import Recording
+from poise.manage.observe.recording import Recording, RecordingFile
+from poise.manage.observe.thread_failures import ThreadFailures
 from poise.manage.observe.watch import Watch
 from poise.manage.prefetch.prefetch import Prefetcher
 from poise.manage.tasks.progress import Saved
@@ -57,6 +62,7 @@ from poise.manage.tasks.task_manager import TaskManager
 MOST_COMMANDS = 64
 """At most this many commands queue; further ones are refused."""
 Results = Future[Result | Refusal]
+T = TypeVar("T")
 
 
 class Manager:
@@ -78,6 +84,11 @@ class Manager:
         Why not all that the task needs runs; empty: it does.
     recording
         Keeps the samples, and what policies see; None: nothing does.
+
+    Attributes
+    ----------
+    failures
+        Is to hear of threads of this process that fail.
     """
 
     def __init__(
@@ -89,9 +100,11 @@ class Manager:
         *,
         adapts: bool = False,
         aside: str = "",
-        recording: Recording | None = None,
+        recording: RecordingFile | None = None,
     ) -> None:
         self._run = run
+        run.goes_on_without_lost = True
+        self._tick = run.tick
         self._estimates = estimates
         self._samples = samples
         self._recording = recording
@@ -99,22 +112,26 @@ class Manager:
         self._commands: queue.Queue[tuple[Command, Results]] = queue.Queue(
             MOST_COMMANDS
         )
+        self._planned: list[tuple[Command, Planned, Results]] = []
         self._stops: list[Results] = []
         self._stopping = threading.Event()
         self._has_successor = False
         self._watch = Watch(run)
-        self._troubles = ManagerTroubles(run.journal)
+        self._troubles = ManagerTroubles(
+            run.journal, others=(samples, *([recording.file] if recording else []))
+        )
+        self.failures = ThreadFailures(run.journal)
         self._lost = LostComputers(run)
         self._misses = DeadlineMisses()
         self._ages = ChainAges()
-        self.tasks = TaskManager(run, tasks, self._facts)
+        self.tasks = TaskManager(run, tasks, self._situation)
         self._put_aside = PutAside(run, self.tasks.now, aside)
         if aside:
             self._put_aside.look()
         self._prefetch = Prefetcher(run)
         keep = recording.add_seen if recording else None
         self._adaptation = Adaptation(
-            run, self._facts, self._put_aside, acts=adapts, keep=keep
+            run, self._situation, self._put_aside, acts=adapts, keep=keep
         )
         run.check = self._look  # moves wait long: what breaks meanwhile is said at once
 
@@ -149,16 +166,21 @@ class Manager:
 
     def status(self) -> RobotStatus:
         """Return the last known state; from any thread, at once."""
+        known = status_of(self._run, self.tasks.reports, self._estimates)
         return structs.replace(
-            status_of(self._run, self.tasks.reports, self._estimates),
+            known,
             deviations=(
+                *self._tick.deviations(),
+                *known.deviations,
                 *self._troubles.deviations(),
+                *self.failures.deviations(),
                 *self._lost.deviations(),
                 *self._watch.deviations,
                 *self._watch.code_errors.deviations(),
                 *self._adaptation.deviations,
                 *self._put_aside.deviations(),
             ),
+            under_way=tuple(p.under_way() for _, p, _ in self._planned.copy()),
             faults=self._watch.num_faults,
             prefetch=self._prefetch.report(),
         )
@@ -175,23 +197,22 @@ class Manager:
         TakenOver
             The agents obey another manager.
         """
-        self._run.agents.wait_news(self._has_news, limit)
+        if self._tick.run("wait for news", partial(self._wait_news, limit)) is None:
+            self._run.clock.sleep(limit)
         try:
             command, future = self._commands.get_nowait()
         except queue.Empty:
             pass
         else:
             if not self.is_stopping and future.set_running_or_notify_cancel():
-                future.set_result(self._carry_out(command))
-        prepared = self._run.prepared.items()
-        self._estimates.resting = {(name, each.epoch) for name, each in prepared}
-        self._take_samples()
+                self._begin(command, future)
+        self._tick.run("migrate", self._migrate)
+        self._tick.run("take samples", self._take_samples)
         self._look()
-        self._lost.bring_back()
         if not self.is_stopping:
-            self.tasks.look(self._put_aside.functions())
-            self._prefetch.look(self.tasks.likely_next(), self._estimates.loads.loads())
-            self._adaptation.look()
+            self._tick.run("look after tasks", self._look_after_tasks, changes=True)
+            self._tick.run("prepare the next action", self._prepare_next, changes=True)
+            self._tick.run("adapt the placement", self._adaptation.look)
 
     def stop(self) -> None:
         """Stop the robot, and answer the clients that still wait.
@@ -227,6 +248,9 @@ class Manager:
         for future in self._stops:
             refusal = Refusal(text, "RunError") if self._has_successor else None
             _answer(future, refusal or StopReport(remaining))
+        for _, _, future in self._planned:
+            future.set_result(Refusal(text, "RunError"))
+        self._planned.clear()
         while not self._commands.empty():
             _answer(self._commands.get_nowait()[1], Refusal(text, "RunError"))
 
@@ -239,6 +263,8 @@ class Manager:
 
     def _take_samples(self) -> None:
         """Estimate from samples, keep them, and say which demands have shifted."""
+        prepared = self._run.prepared.items()
+        self._estimates.resting = {(name, each.epoch) for name, each in prepared}
         for sample in self._samples.take():
             if self._estimates_end:
                 return
@@ -249,13 +275,46 @@ class Manager:
                 what = f"{needs}, {drift.before:.1%} before"
                 self._run.journal.note("seen", what)
 
+    def _look_after_tasks(self) -> None:
+        self.tasks.look(self._put_aside.functions())
+
+    def _prepare_next(self) -> None:
+        self._prefetch.look(self.tasks.likely_next(), self._estimates.loads.loads())
+
+    def _wait_news(self, limit: float) -> bool:
+        return self._run.agents.wait_news(self._has_news, limit)
+
     def _has_news(self) -> bool:
         """Return whether something is to be done at once."""
-        return self.is_stopping or not self._commands.empty() or self.tasks.has_news()
+        return (
+            self.is_stopping
+            or not self._commands.empty()
+            or self.tasks.has_news()
+            or any(planned.is_over() for _, planned, _ in self._planned)
+        )
 
-    def _carry_out(self, command: Command) -> Result | Refusal:
+    def _begin(self, command: Command, future: Results) -> None:
+        """Carry out a command, but for a migration: its targets are configured first.
+
+        Meanwhile other commands are carried out, and the robot is looked after.
+        """
+        result = self._carry_out(command, partial(self._done, command))
+        if isinstance(result, Planned):
+            self._planned.append((command, result, future))
+        else:
+            future.set_result(result)
+
+    def _migrate(self) -> None:
+        """Make the migrations whose targets are configured, or will not be."""
+        for each in list(self._planned):
+            command, planned, future = each
+            if not self.is_stopping and planned.is_over():
+                self._planned.remove(each)
+                future.set_result(self._carry_out(command, planned.run))
+
+    def _carry_out(self, command: Command, do: Callable[[], T]) -> T | Refusal:
         try:
-            return self._done(command)
+            return do()
         except PoiseError as error:
             return Refusal.from_error(error)
         except Exception as error:  # noqa: BLE001, a bug of Poise must not end the robot
@@ -265,29 +324,31 @@ class Manager:
         """Journal an error that nobody foresaw, and let what was placed go on."""
         what = f"{command} ended by a bug of Poise: {type(error).__name__}: {error}"
         self._run.journal.note("failed", what, traceback=traceback.format_exc())
-        try:
-            self._run.tell(self._run.placed.values())
-        except PoiseError as told:
-            return Refusal(f"{what}; then: {told}", "RunError")
+        self._run.release(what)
         return Refusal(f"{what}. The robot goes on as it was placed", "RunError")
 
-    def _done(self, command: Command) -> Result:
+    def _done(self, command: Command) -> Result | Planned:
         run = self._run
         self._lost.settle()
         match command:
             case MoveCommand(component, computer, dry=True):
                 return self._adaptation.what_if(component, computer)
             case MoveCommand(component, computer, force):
-                facts = self._facts()
-                check_links(facts, component, computer)
+                situation = self._situation()
+                check_links(situation, component, computer)
                 if not force:
-                    check_move(facts, component, computer)
+                    check_move(situation, component, computer)
                 self._adaptation.note_asked(component, computer)
-                return move(run, component, computer, force=force)
+                planned = plan_move(run, component, computer, force=force)
+                return planned.begin()
             case ReplaceCommand(component, by, adapt, fresh) if ":" in by:
-                return replace(run, component, by, adapt, fresh=fresh)
+                planned = plan_replacement(run, component, by, adapt, fresh=fresh)
+                return planned.begin()
             case ReplaceCommand(what, by, adapt, fresh):
-                return replace_architecture(run, what, by, adapt, fresh=fresh)
+                planned = plan_architecture_replacement(
+                    run, what, by, adapt, fresh=fresh
+                )
+                return planned.begin()
             case TaskCommand(verb, task, priority):
                 self.tasks.command(verb, task, priority)
                 return TaskDone(self.tasks.report(task))
@@ -295,12 +356,16 @@ class Manager:
                 return Rebalanced(*self._adaptation.balance(cost, dry=dry))
         raise AssertionError(command)
 
-    def _facts(self) -> Facts:
+    def _situation(self) -> Situation:
         run, now = self._run, self.tasks.now()
-        return Facts(
+        return Situation(
             robot=structs.replace(run.robot, tasks=(now,)),
             task=now.name,
-            placement=run.placement(),
+            placement={
+                name: at
+                for name, at in run.placement().items()
+                if name not in run.desired.held
+            },
             lost=self._lost.computers(),
             loads=self._estimates.loads.loads(),
             misses=self._misses.look(run.current(), time.monotonic()),
@@ -322,10 +387,11 @@ class Manager:
             raise TakenOver(text)
 
     def _look(self) -> None:
-        self._raise_on_successor()
-        self._troubles.look()
-        self._lost.note()
-        self._watch.look()
+        self._tick.run("see who manages the robot", self._raise_on_successor)
+        self._tick.run("look at itself", self._troubles.look)
+        self._run.reconcile()
+        self._tick.run("see which computers are lost", self._lost.note)
+        self._tick.run("watch components", self._watch.look)
 
 
 def _answer(future: Results, result: Result | Refusal) -> None:

@@ -140,6 +140,16 @@ class Counts:
     ) -> None: ...
     def leave(self) -> None: ...
 
+class LeaseEnd:
+    """Until when leased components may act (lease_end.h)."""
+
+    def __init__(self, memory: int) -> None: ...
+    @property
+    def at(self) -> float: ...
+    @at.setter
+    def at(self, arg: float, /) -> None: ...
+    def is_past(self) -> bool: ...
+
 class ServedCall:
     """Answers the calls of one method (served_call.h)."""
 
@@ -153,6 +163,7 @@ class ServedCall:
         counts: Counts,
         translate: Callable[[Exception | SystemExit], NoReturn],
         is_over: Callable[[], bool],
+        lease: LeaseEnd | None = None,
     ) -> None: ...
     def __call__(
         self, frame: poise.wire.frame.Frame, ahead: float = 0.0

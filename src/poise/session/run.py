@@ -7,11 +7,13 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+from poise import threads
+from poise.clock import wall_time
 from poise.errors import PoiseError, RunError
 from poise.manage.control_socket.server import ControlServer
 from poise.manage.deploy.deactivation import drain
 from poise.manage.deploy.running_components import RunningComponents
-from poise.manage.journal import Journal, JournalEntry
+from poise.manage.journal import Journal, JournalEntry, check_journal
 from poise.manage.manager import Manager
 from poise.manage.observe.estimates import Estimates
 from poise.manage.observe.recording import Recording
@@ -27,6 +29,8 @@ from poise.session.reports.history import History
 from poise.session.reports.last_seen import LastSeen
 from poise.session.reports.run_report import MeasuredRun, RunReport, reported
 from poise.session.robot_file import task_of
+from poise.session.state_folder import make_journal
+from poise.units import counted
 
 Meanwhile = Callable[[RunningComponents, float], object]
 """Called a few times a second with the run and its time so far [s]; may move
@@ -62,7 +66,8 @@ def run(  # noqa: PLR0913 - each is a choice of the user
     placement
         What `poise.place` decided; None: it is decided here.
     journal
-        A file for every decision (SQLite); None: it is not kept.
+        A file for every decision, a line of JSON each; None: it is in the user's state
+        folder, where `poise journal` finds it.
     record
         A file for what is used and what is published between architectures; None: it
         is not kept.
@@ -86,8 +91,8 @@ def run(  # noqa: PLR0913 - each is a choice of the user
     first = first_phase(robot, [chosen], placement, sentences.append)
     placed = first.placed
     with contextlib.ExitStack() as stack:
-        at = time.time()
-        book = Journal(journal or ":memory:", _saying(say))
+        check_journal(journal)
+        book = Journal(journal or make_journal(robot.name), _saying(say))
         stack.callback(book.close)
         book.note("decided", f"task '{chosen}', {placed.method} placement")
         for sentence in sentences:
@@ -116,8 +121,9 @@ def run(  # noqa: PLR0913 - each is a choice of the user
             samples,
             adapts=adapt,
             aside=placed.why_aside,
-            recording=kept.samples if record else None,
+            recording=kept.recorder,
         )
+        stack.enter_context(threads.failures_heard(manager.failures.note))
         answering.callback(manager.end)
         shows = ""
         if server is not None:
@@ -126,7 +132,10 @@ def run(  # noqa: PLR0913 - each is a choice of the user
         say(f"running task '{chosen}' for up to {seconds:g} s{shows}")
         seen = _measure(up, seconds, manager, check, meanwhile)
         drain(up.run)
-        entries = tuple(entry for entry in book.entries() if entry.at >= at)
+        entries = tuple(book.entries())
+        if book.forgotten:
+            lacks = counted(book.forgotten, "earlier line")
+            say(f"the report lacks {lacks} of the journal; `poise journal` has more")
         return reported(up, placed, manager.tasks.reports, seen, entries)
 
 
@@ -152,7 +161,7 @@ def _measure(
     up.computers.begin()
     history, last_seen = History(run.robot, up.computers.faster), LastSeen()
     run.agents.on_status = last_seen.take
-    begin, began, at = run.agents.statuses(), time.monotonic(), time.time()
+    begin, began, at = run.agents.statuses(), time.monotonic(), wall_time()
     last_seen.look(begin)
     interrupted = False
 
@@ -160,11 +169,12 @@ def _measure(
         check()
         looks()
         up.computers.raise_if_ended()
-        run.excused -= manager.lost()
+        if lost := manager.lost():
+            raise RunError(run.unreached()[min(lost)])
 
     def look(_: float) -> None:
         now, statuses = time.monotonic(), run.agents.statuses()
-        history.look(statuses, time.time(), now)
+        history.look(statuses, wall_time(), now)
         manager.work(0.0)
         meanwhile(run, now - began)
 

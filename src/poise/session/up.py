@@ -16,10 +16,10 @@ from poise.estimate.success.learning import actions_in, learned
 from poise.manage.control_socket.records import StopCommand
 from poise.manage.control_socket.server import ControlServer
 from poise.manage.deploy.takeover import start_or_take_over
-from poise.manage.journal import Journal
+from poise.manage.journal import Journal, check_journal
 from poise.manage.manager import Manager
 from poise.manage.observe.estimates import Estimates
-from poise.manage.observe.recording import Recording, save
+from poise.manage.observe.recording import Recording, RecordingFile
 from poise.manage.tasks.saved import goes_on_with
 from poise.model.robot import Robot
 from poise.session.callbacks import Check, Say, log, nothing
@@ -30,7 +30,7 @@ from poise.session.placing.repository import note_architectures
 from poise.session.profiling.stored_profiles import read_profile
 from poise.session.robot_file import task_of
 from poise.session.running_robots.running import Running
-from poise.wire.records.recorded import Recorded
+from poise.session.state_folder import make_journal
 
 if TYPE_CHECKING:
     from poise.manage.observe.export.opentelemetry import Telemetry
@@ -131,7 +131,8 @@ def up(  # noqa: PLR0913 - each is a choice of the user
         What `poise.place` decided; None: it is decided here, and what runs already
         stays where it is.
     journal
-        A file for every decision (SQLite); None: it is not kept.
+        A file for every decision, a line of JSON each; None: it is in the user's state
+        folder, where `poise journal` finds it.
     metrics
         TCP port for Prometheus, on this computer; None: none.
     otel
@@ -170,25 +171,20 @@ def up(  # noqa: PLR0913 - each is a choice of the user
     send = _telemetry() if otel is not None else None
     with contextlib.ExitStack() as stack:
         server = stack.enter_context(ControlServer(robot.name, takes_over=take_over))
-        book = Journal(journal or ":memory:", lambda entry: say(str(entry)))
+        check_journal(journal)
+        book = Journal(
+            journal or make_journal(robot.name), lambda entry: say(str(entry))
+        )
         stack.callback(book.close)
         for sentence in sentences:
             book.note("decided", sentence)
         note_architectures(book, robot, placed)
         emulated = all(computer.address is None for computer in robot.computers)
         estimates = Estimates(robot, read_profile(robot), emulated=emulated)
-        recording = Recording()
-        if record is not None:
-            stack.callback(
-                lambda: save(
-                    Recorded(
-                        robot=robot.name,
-                        samples=recording.take(),
-                        seen=recording.take_seen(),
-                    ),
-                    record,
-                )
-            )
+        recorder = RecordingFile(record, robot.name) if record else None
+        if recorder is not None:
+            stack.callback(lambda: say(str(recorder)))
+            stack.callback(recorder.close)
         waiting = Recording()
         it = stack.enter_context(
             started(
@@ -222,8 +218,9 @@ def up(  # noqa: PLR0913 - each is a choice of the user
             waiting,
             adapts=adapt,
             aside=placed.why_aside,
-            recording=recording if record else None,
+            recording=recorder,
         )
+        stack.enter_context(threads.failures_heard(manager.failures.note))
         running = stack.enter_context(Up(it, manager))
         server.start(manager.submit)
         yield running

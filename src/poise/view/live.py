@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import time
 from collections import deque
 
 from msgspec import Struct
 from msgspec.structs import replace
 
+from poise.clock import wall_time
 from poise.errors import PoiseError
 from poise.session.running_robots.running import JournalEntry, Running, Status
 
@@ -21,11 +21,11 @@ class Look(Struct, frozen=True, kw_only=True):
     Parameters
     ----------
     status
-        What was known last; None: nothing yet.
+        What was known last, of agents if no manager answers; None: nothing yet.
     entries
         The last entries of its journal, oldest first.
     trouble
-        Why there is no answer now; empty: there is.
+        Why no manager answers now; empty: one does.
     since
         Since when there is none [s since 1970].
     """
@@ -59,11 +59,17 @@ class LiveReader:
             if before.status is None or before.status.manager != status.manager:
                 # its journal may be another file, with numbers of its own
                 self._entries.clear()
+            if status.by_agents:  # the journal is the manager's
+                first = status.deviations[0]
+                trouble, since = first.what, first.since
+                return self._note(Look(status=status, trouble=trouble, since=since))
             after = self._entries[-1].number if self._entries else 0
             self._entries.extend(self.running.journal(after))
         except PoiseError as error:
-            since = before.since if before.trouble else time.time()
-            self._look = replace(before, trouble=str(error), since=since)
-        else:
-            self._look = Look(status=status, entries=tuple(self._entries))
+            since = before.since if before.trouble else wall_time()
+            return self._note(replace(before, trouble=str(error), since=since))
+        return self._note(Look(status=status))
+
+    def _note(self, look: Look) -> Look:
+        self._look = replace(look, entries=tuple(self._entries))
         return self._look

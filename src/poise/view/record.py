@@ -5,13 +5,14 @@ from __future__ import annotations
 import secrets
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from math import inf
 from pathlib import Path
 from typing import Any, get_args
 
 from msgspec import Struct
 
+from poise.clock import wall_time
 from poise.errors import PoiseError, RunError
 from poise.session.callbacks import Check, Say, log, nothing
 from poise.session.running_robots.running import JournalEntry, Status, connect
@@ -193,7 +194,8 @@ class Recorder:
         self._reader = Reader()
         self._rate = rate
         self._viewer = secrets.token_hex(8)
-        self._last_entry = time.time(), 0
+        self._manager = ""
+        self._last_entry = 0
         self._silent_since: float | None = None
         self._connectors: dict[str, str] = {}
         """Connector -> why there is no answer; empty: there is."""
@@ -249,11 +251,10 @@ class Recorder:
             say(f"robot '{self.robot}' answers again")
         assert look.status is not None  # noqa: S101, without trouble there is one
         self._write_rows(file, look.status, now)
-        for entry in look.entries:
-            self._write_entry(file, entry)
+        self._write_entries(file, look.status.manager.key, look.entries)
 
     def _write_rows(self, file: McapFile, status: Status, now: float) -> None:
-        view, at = self._reader.take(status, now), time.time()
+        view, at = self._reader.take(status, now), wall_time()
         ages = tuple(
             ChainRow(
                 each.name, each.age.median, each.age.p99, each.deadline, each.missed
@@ -271,10 +272,22 @@ class Recorder:
             for row in rows:
                 file.add(f"{part}/{row.name}", _SCHEMAS[type(row)], at, row)
 
+    def _write_entries(
+        self, file: McapFile, manager: str, entries: Sequence[JournalEntry]
+    ) -> None:
+        """Write the entries since the recording began; each manager has its own."""
+        last = entries[-1].number if entries else 0
+        if not self._manager:
+            self._last_entry = last
+        elif manager != self._manager:
+            self._last_entry = 0
+        self._manager = manager
+        for entry in entries:
+            if entry.number > self._last_entry:
+                self._write_entry(file, entry)
+        self._last_entry = last
+
     def _write_entry(self, file: McapFile, entry: JournalEntry) -> None:
-        if (entry.at, entry.number) <= self._last_entry:
-            return
-        self._last_entry = entry.at, entry.number
         seconds = int(entry.at)
         log = {
             "timestamp": {"sec": seconds, "nsec": int((entry.at - seconds) * 1e9)},

@@ -98,7 +98,8 @@ class Reader:
 
 
 def _computers(status: Status) -> Iterator[ComputerRow]:
-    for name in sorted({*status.computers, *status.capacities}):
+    unknown = status.not_known()
+    for name in sorted({*status.computers, *status.capacities, *unknown}):
         agent, capacity = status.computers.get(name), status.capacities.get(name, {})
         yield ComputerRow(
             name,
@@ -107,24 +108,25 @@ def _computers(status: Status) -> Iterator[ComputerRow]:
             agent.memory if agent else 0,
             capacity.get("memory", 0.0),
             sum(there == name for there in status.placement.values()),
-            agent is not None and name not in status.out_of_reach,
+            name not in unknown,
         )
 
 
 def _components(before: Status, now: Status) -> Iterator[ComponentRow]:
-    seen = set()
+    seen, unknown = set(), now.not_known()
     for computer, each, was, seconds in _components_since(before, now):
         seen.add(each.name)
         yield ComponentRow(
             each.name,
             computer,
-            each.state if computer not in now.out_of_reach else "unknown",
+            each.state if computer not in unknown else "unknown",
             max(0.0, each.cpu - was.cpu) / seconds,
             max(0, _missed(each) - _missed(was)) / seconds,
             each.errors,
         )
     for name in sorted(now.placement.keys() - seen):
-        yield ComponentRow(name, now.placement[name], "not there", 0.0, 0.0, 0)
+        state = "unknown" if now.placement[name] in unknown else "not there"
+        yield ComponentRow(name, now.placement[name], state, 0.0, 0.0, 0)
 
 
 def _connectors(before: Status, now: Status) -> Iterator[ConnectorRow]:

@@ -178,8 +178,12 @@ class Top(App[None]):
             return Text("waiting for the robot ...")
         status = self._view.status
         head = Text(f"robot '{status.robot}', task '{status.task}': ")
-        if not status.deviations:
+        if unknown := status.not_known():
+            head.append(f"not known: {', '.join(sorted(unknown))}; ", "red")
+        elif not status.deviations:
             return head.append("as the robot file says", "green")
+        if not status.deviations:
+            return head
         more = len(status.deviations) - 1
         head.append(status.deviations[0].what, "red")
         return head.append(f" and {more} more" if more else "", "red")
@@ -234,7 +238,9 @@ def _shortened(name: str, room: int) -> str:
 
 def computer_cells(row: ComputerRow, bar: int = _BAR) -> tuple[Any, ...]:
     """Return what is shown of a computer."""
-    load = _bar(row.cpu, row.cores, f"{row.cpu:.2f}/{row.cores:.3g}", bar)
+    # agents alone do not know what their computers have
+    most = f"/{row.cores:.3g}" if row.cores else ""
+    load = _bar(row.cpu, row.cores, f"{row.cpu:.2f}{most}", bar)
     return (
         row.name,
         load if row.is_reached else Text("out of reach", "red"),

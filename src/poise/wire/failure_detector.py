@@ -26,6 +26,10 @@ LEASE = 0.7
 """An agent that its manager has not heard for longer is cut off [s]."""
 SURELY_ENDED = 0.95
 """The lease of an agent that is silent for longer has ended, on its clock, too [s]."""
+UNCUT_LEASE = 10.0
+"""The lease of agents that nothing can cut off from their manager, but that may have to
+wait for CPU: each holds it while it runs [s]."""
+UNCUT_SURELY_ENDED = 11.0
 _WINDOW = 50
 """The number of heartbeats over which loss is counted."""
 _IN_A_ROW = 2

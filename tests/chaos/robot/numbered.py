@@ -1,9 +1,15 @@
-"""Components that number all they say, by stream: one that began anew is another."""
+"""Components that number all they say, by stream, and log when their handlers run.
 
+One that starts without its state begins another stream.
+"""
+
+import random
 import secrets
 import time
 from collections.abc import Mapping
 from typing import Protocol
+
+from handler_log import HandlerLog
 
 from poise import (
     CallError,
@@ -18,11 +24,18 @@ from poise import (
 
 MOST_STREAMS = 50
 """A receiver remembers so many streams."""
+LONGEST = 3.0
+"""A worker's handler takes at most so long [s]."""
+_STEP = 0.02
 
 
 class Number(Message):
+    """`at`: when it was published [s, by the clock of the machine]."""
+
+    sender: str
     stream: str
     value: int
+    at: float
 
 
 class Stream(Message):
@@ -30,6 +43,13 @@ class Stream(Message):
 
     name: str
     last: int
+
+
+class Newest(Message):
+    """A sender's newest stream, and when it began."""
+
+    name: str
+    since: float
 
 
 class Streams(Message):
@@ -41,16 +61,33 @@ class Streams(Message):
     lost: int = 0
     doubled: int = 0
     reordered: int = 0
+    beside: int = 0
+    newest: Mapping[str, Newest] = {}
 
 
-class Receiver(Component):
-    """Counts what is missing, came twice, or came late."""
+class Logged(Component):
+    """Logs when its handlers run."""
 
     def configure(self) -> None:
+        self.handlers = HandlerLog(self.name)
+
+
+class Receiver(Logged):
+    """Counts what is missing, came twice, or came late.
+
+    Also what an earlier incarnation of its sender published beside a later one.
+    """
+
+    def configure(self) -> None:
+        super().configure()
         self.seen = Streams({}, time.time())
 
     def take(self, number: Number) -> None:
         was = self.seen
+        newest = was.newest.get(number.sender, Newest(number.stream, number.at))
+        is_beside = number.stream != newest.name and number.at > newest.since
+        if number.stream not in was.last and is_beside:
+            newest, is_beside = Newest(number.stream, number.at), False
         before = was.last.get(number.stream, number.value - 1)
         last = {**was.last, number.stream: max(before, number.value)}
         self.seen = Streams(
@@ -60,12 +97,15 @@ class Receiver(Component):
             lost=was.lost + max(0, number.value - before - 1),
             doubled=was.doubled + (number.value == before),
             reordered=was.reordered + (number.value < before),
+            beside=was.beside + is_beside,
+            newest={**was.newest, number.sender: newest},
         )
 
     @every(0.1)
     def tell(self) -> None:
-        for name in ("born", "received", "lost", "doubled", "reordered"):
-            self.measure(name, getattr(self.seen, name))
+        with self.handlers.run():
+            for name in ("born", "received", "lost", "doubled", "reordered", "beside"):
+                self.measure(name, getattr(self.seen, name))
 
     def snapshot(self) -> Streams:
         return self.seen
@@ -74,15 +114,17 @@ class Receiver(Component):
         self.seen = state
 
 
-class Sender(Component):
+class Sender(Logged):
     """Numbers what it says."""
 
     def configure(self) -> None:
+        super().configure()
         self.stream = Stream(secrets.token_hex(4), 0)
 
     def next(self) -> Number:
         self.stream = Stream(self.stream.name, self.stream.last + 1)
-        return Number(self.stream.name, self.stream.last)
+        now = time.clock_gettime(time.CLOCK_MONOTONIC)
+        return Number(self.name, self.stream.name, self.stream.last, now)
 
     def snapshot(self) -> Stream:
         return self.stream
@@ -96,21 +138,44 @@ class Source(Sender):
 
     @every(0.02)
     def say(self) -> None:
-        self.numbers.publish(self.next())
+        with self.handlers.run():
+            self.numbers.publish(self.next())
 
 
-class Relay(Component):
+class Relay(Logged):
     relayed: Published[Number]
 
     @subscribed(block=1000)
     def numbers(self, message: Number) -> None:
-        self.relayed.publish(message)
+        with self.handlers.run():
+            self.relayed.publish(message)
+
+
+class Worker(Sender):
+    """Works for up to `LONGEST` at a time, and publishes what came of it."""
+
+    results: Published[Number]
+
+    @every(4.0)
+    def work(self) -> None:
+        with self.handlers.run():
+            end = time.monotonic() + random.uniform(0, LONGEST)
+            while time.monotonic() < end:
+                time.sleep(_STEP)
+                self.handlers.go_on()
+            self.results.publish(self.next())
 
 
 class Sink(Receiver):
     @subscribed(block=1000)
     def relayed(self, message: Number) -> None:
-        self.take(message)
+        with self.handlers.run():
+            self.take(message)
+
+    @subscribed(block=1000)
+    def results(self, message: Number) -> None:
+        with self.handlers.run():
+            self.take(message)
 
 
 class Sensor(Sender):
@@ -118,7 +183,8 @@ class Sensor(Sender):
 
     @every(0.05)
     def read(self) -> None:
-        self.readings.publish(self.next())
+        with self.handlers.run():
+            self.readings.publish(self.next())
 
 
 class Counts(Protocol):
@@ -134,10 +200,15 @@ class Caller(Receiver):
 
     @subscribed(block=1000)
     def readings(self, message: Number) -> None:
-        self.take(message)
+        with self.handlers.run():
+            self.take(message)
 
     @every(0.05)
     def ask(self) -> None:
+        with self.handlers.run():
+            self.ask_once()
+
+    def ask_once(self) -> None:
         try:
             count = self.counter.count()
         except CallError:
@@ -155,15 +226,17 @@ class Count(Message):
     value: int
 
 
-class Counter(Component):
+class Counter(Logged):
     counter: Provided[Counts]
 
     def configure(self) -> None:
+        super().configure()
         self.value = 0
 
     def count(self) -> int:
-        self.value += 1
-        return self.value
+        with self.handlers.run():
+            self.value += 1
+            return self.value
 
     def snapshot(self) -> Count:
         return Count(self.value)

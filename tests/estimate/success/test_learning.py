@@ -76,10 +76,10 @@ def test_a_task_counts_the_actions_that_need_the_function(robot: Robot) -> None:
 
 def test_learns_each_situation_apart(robot: Robot) -> None:
     """What failed when the CPU was short says nothing of other times."""
-    short = poise.Situation(cpu_is_short=True)
-    note_outcome(robot, "pick", "failed", ["gripper"], situation=short)
+    short = poise.Conditions(cpu_is_short=True)
+    note_outcome(robot, "pick", "failed", ["gripper"], conditions=short)
     assert success(robot, "tidy") == [1.0, 1.0]
-    assert success(robot, "tidy", situation=short) == [pytest.approx(1 / 3), 0.5]
+    assert success(robot, "tidy", conditions=short) == [pytest.approx(1 / 3), 0.5]
 
 
 def test_a_changed_architecture_is_learned_anew(robot: Robot) -> None:

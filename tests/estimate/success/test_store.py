@@ -1,4 +1,4 @@
-"""Outcomes are kept by robot, action, situation and hash, until they are reset."""
+"""Outcomes are kept by robot, action, conditions and hash, until they are reset."""
 
 import contextlib
 import sqlite3
@@ -8,9 +8,9 @@ import msgspec
 import pytest
 
 from poise.errors import UsageError
-from poise.estimate.success import Outcome, Posterior, Situation, SuccessStore
+from poise.estimate.success import Conditions, Outcome, Posterior, SuccessStore
 
-WELL = Situation()
+WELL = Conditions()
 DRIVEN = Outcome(
     at=0.0,
     action="drive",
@@ -22,13 +22,13 @@ DRIVEN = Outcome(
 
 
 def test_counts_outcomes_apart(tmp_path: Path) -> None:
-    """By action, situation and hash; another robot's are not seen."""
-    lost = Situation(lost=("vision",), cpu_is_short=True)
+    """By action, conditions and hash; another robot's are not seen."""
+    lost = Conditions(lost=("vision",), cpu_is_short=True)
     with SuccessStore(tmp_path / "new" / "success.sqlite") as store:
         store.add("courier", DRIVEN)
         store.add("courier", DRIVEN)
         store.add("courier", msgspec.structs.replace(DRIVEN, ending="failed"))
-        store.add("courier", msgspec.structs.replace(DRIVEN, situation=lost))
+        store.add("courier", msgspec.structs.replace(DRIVEN, conditions=lost))
         store.add("other", DRIVEN)
     with SuccessStore(tmp_path / "new" / "success.sqlite") as store:
         assert store.posteriors("courier", "laser") == {
@@ -67,5 +67,5 @@ def test_says_which_file_broke_meanwhile(tmp_path: Path) -> None:
 
 def test_the_order_of_lost_computers_means_nothing() -> None:
     """They are a set."""
-    assert Situation(lost=("b", "a", "b")) == Situation(lost=("a", "b"))
-    assert str(Situation(lost=("b", "a"))) == "without a, b"
+    assert Conditions(lost=("b", "a", "b")) == Conditions(lost=("a", "b"))
+    assert str(Conditions(lost=("b", "a"))) == "without a, b"

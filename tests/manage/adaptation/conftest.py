@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 import pytest
 
 from poise.estimate.online import Estimate
-from poise.manage.adaptation.facts import Facts
+from poise.manage.adaptation.situation import Situation
 from poise.manage.observe.estimates import DemandEstimate
 from poise.manage.observe.loads import Load
 from poise.model.policy.values import TimerValues
@@ -20,7 +20,7 @@ from poise.model.robot import (
     Task,
 )
 
-Make = Callable[..., Facts]
+Make = Callable[..., Situation]
 
 
 @pytest.fixture
@@ -46,8 +46,8 @@ def two() -> Robot:
 
 
 @pytest.fixture
-def facts(two: Robot) -> Make:
-    """Return what makes facts; both components are on `left` unless said."""
+def situation(two: Robot) -> Make:
+    """Return what makes situation; both components are on `left` unless said."""
 
     def make(
         placement: Mapping[str, str] | None = None,
@@ -55,7 +55,7 @@ def facts(two: Robot) -> Make:
         background: Mapping[str, float] | None = None,
         missed: tuple[str, ...] = (),
         robot: Robot = two,
-    ) -> Facts:
+    ) -> Situation:
         placement = placement or {"a": "left", "b": "left"}
         background = background or {}
         loads = {
@@ -67,7 +67,7 @@ def facts(two: Robot) -> Make:
             for computer in robot.computers
             for n in [list(placement.values()).count(computer.name)]
         }
-        return Facts(
+        return Situation(
             robot=robot,
             task="work",
             placement=placement,

@@ -30,12 +30,11 @@ def take(
     robbed: Robbed, policy: Policy, limits: MoveLimits | None = None, now: float = 0.0
 ) -> None:
     """Carry out the action of a policy about the first subject that it finds."""
-    facts = robbed.facts()
+    situation = robbed.situation()
     policies = Policies([replace(policy, lasts=0.0)])
-    symptom = policies.look(partial(values_of, facts), now)[0]
-    actions = Actions(robbed.run, robbed.aside, limits or MoveLimits())
-    assert actions.knows(policy.do)
-    actions.take(symptom, facts, now)
+    symptom = policies.look(partial(values_of, situation), now)[0]
+    actions = Actions(robbed.run, robbed.aside, limits or MoveLimits(), policies)
+    actions.take(symptom, situation, now)
 
 
 def about(name: str, **keys: object) -> Policy:
@@ -114,7 +113,7 @@ def test_the_loop_says_what_a_policy_saw_and_what_came_of_it() -> None:
     policies = (about("low", do="restart", lasts=0.0, cool_down=60.0),)
     robbed = Robbed(replace(robot, policies=policies))
     now = [0.0]
-    loop = Adaptation(robbed.run, robbed.facts, robbed.aside, clock=lambda: now[0])
+    loop = Adaptation(robbed.run, robbed.situation, robbed.aside, clock=lambda: now[0])
     loop.look()
     assert robbed.run.placed["low"].epoch == 1
     (entry,) = [e for e in robbed.journal.entries() if "policy" in e.what]
@@ -132,7 +131,7 @@ def test_the_loop_says_what_a_policy_saw_and_what_came_of_it() -> None:
 def test_an_action_that_fails_is_said_and_the_loop_goes_on() -> None:
     policies = (about("low", do="replace", lasts=0.0, cool_down=60.0),)
     robbed = Robbed(replace(robot_with(), policies=policies))
-    loop = Adaptation(robbed.run, robbed.facts, robbed.aside, clock=lambda: 0.0)
+    loop = Adaptation(robbed.run, robbed.situation, robbed.aside, clock=lambda: 0.0)
     loop.look()
     (entry,) = [e for e in robbed.journal.entries() if e.kind == "failed"]
     assert entry.what.endswith("architecture 'low-task' has no alternative")

@@ -11,10 +11,10 @@ from msgspec.structs import replace
 from poise.errors import UsageError
 from poise.manage.adaptation.bad_links import check_links
 from poise.manage.adaptation.decision import decide
-from poise.manage.adaptation.facts import Facts
 from poise.manage.adaptation.move_limits import MoveLimits
 from poise.manage.adaptation.policy.evaluation import Policies
 from poise.manage.adaptation.policy.subjects import values_of
+from poise.manage.adaptation.situation import Situation
 from poise.model.policy.shipped import policies_of
 from poise.model.policy.values import LinkValues
 from poise.model.robot import Computer, Connector, ConnectorEnd, Link, Robot
@@ -29,37 +29,39 @@ def quality(
     return LinkQuality(delay=delay, loss=loss, silent=silent)
 
 
-def seen(facts: Make, robot: Robot, **links: LinkQuality) -> list[str]:
+def seen(situation: Make, robot: Robot, **links: LinkQuality) -> list[str]:
     """Return the policies that see something when `left` says this of its links."""
     linked = replace(robot, links=(Link(between=("left", "right"), latency=0.002),))
     left = AgentStatus(computer="left", generation=1, uptime=1.0, cpu=0.0, links=links)
-    now = replace(facts(robot=linked), statuses={"left": left})
+    now = replace(situation(robot=linked), statuses={"left": left})
     policies = Policies(policies_of(linked))
     for at in (0.0, 5.0):
         found = policies.look(lambda subject: values_of(now, subject), at)
     return [symptom.policy.name for symptom in found]
 
 
-def test_a_good_link_is_not_mentioned(facts: Make, two: Robot) -> None:
-    assert seen(facts, two, right=quality()) == []
+def test_a_good_link_is_not_mentioned(situation: Make, two: Robot) -> None:
+    assert seen(situation, two, right=quality()) == []
 
 
-def test_nothing_is_known_of_a_link_without_heartbeats(facts: Make, two: Robot) -> None:
-    assert seen(facts, two) == []
+def test_nothing_is_known_of_a_link_without_heartbeats(
+    situation: Make, two: Robot
+) -> None:
+    assert seen(situation, two) == []
 
 
-def test_a_link_over_which_nothing_comes_is_cut(facts: Make, two: Robot) -> None:
-    assert seen(facts, two, right=quality(silent=1.0, loss=0.5)) == ["cut-link"]
+def test_a_link_over_which_nothing_comes_is_cut(situation: Make, two: Robot) -> None:
+    assert seen(situation, two, right=quality(silent=1.0, loss=0.5)) == ["cut-link"]
 
 
 @pytest.mark.parametrize("bad", [quality(delay=0.06), quality(loss=0.2)])
 def test_a_link_with_delay_or_loss_is_slow(
-    facts: Make, two: Robot, bad: LinkQuality
+    situation: Make, two: Robot, bad: LinkQuality
 ) -> None:
-    assert seen(facts, two, right=bad) == ["slow-link"]
+    assert seen(situation, two, right=bad) == ["slow-link"]
 
 
-def test_a_link_to_a_lost_computer_is_no_news(facts: Make, two: Robot) -> None:
+def test_a_link_to_a_lost_computer_is_no_news(situation: Make, two: Robot) -> None:
     robot = replace(two, links=(Link(between=("left", "right")),))
     left = AgentStatus(
         computer="left",
@@ -69,7 +71,7 @@ def test_a_link_to_a_lost_computer_is_no_news(facts: Make, two: Robot) -> None:
         links={"right": quality(silent=9.0)},
     )
     now = replace(
-        facts(robot=robot), statuses={"left": left}, lost=frozenset({"right"})
+        situation(robot=robot), statuses={"left": left}, lost=frozenset({"right"})
     )
     (link,) = values_of(now, "link")
     assert isinstance(link, LinkValues)
@@ -90,23 +92,23 @@ def joined(robot: Robot, *, third: bool = True, bandwidth: float = 1e6) -> Robot
     )
 
 
-def over(facts: Make, robot: Robot, link: LinkQuality) -> Facts:
-    """Return facts where `a` and `b` are at the ends of a link that is planned for."""
+def over(situation: Make, robot: Robot, link: LinkQuality) -> Situation:
+    """Return one where `a` and `b` are at the ends of a link that is planned for."""
     left = AgentStatus(
         computer="left", generation=1, uptime=1.0, cpu=0.0, links={"right": link}
     )
     return replace(
-        facts({"a": "left", "b": "right"}, robot=robot),
+        situation({"a": "left", "b": "right"}, robot=robot),
         statuses={"left": left},
         bad_links=frozenset({"left-right"}),
     )
 
 
 def test_one_end_of_a_cut_link_moves_to_where_both_are_reached(
-    facts: Make, two: Robot
+    situation: Make, two: Robot
 ) -> None:
     """Nothing can move over the cut link itself; all they compute is in vain."""
-    found = decide(over(facts, joined(two), quality(silent=1.0)))
+    found = decide(over(situation, joined(two), quality(silent=1.0)))
     assert found.acts
     assert found.gain == pytest.approx((0.2 + 0.2) * 30)
     assert found.proposal is not None
@@ -120,9 +122,9 @@ def test_one_end_of_a_cut_link_moves_to_where_both_are_reached(
 
 
 def test_nothing_moves_when_there_is_no_way_round_a_cut_link(
-    facts: Make, two: Robot
+    situation: Make, two: Robot
 ) -> None:
-    alone = over(facts, joined(two, third=False), quality(silent=1.0))
+    alone = over(situation, joined(two, third=False), quality(silent=1.0))
     found = decide(alone)
     assert not found.acts
     assert found.why.startswith(
@@ -138,9 +140,9 @@ def test_nothing_moves_when_there_is_no_way_round_a_cut_link(
     ],
 )
 def test_a_move_that_needs_a_cut_link_is_refused_at_once(
-    facts: Make, two: Robot, component: str, source: str, why: str
+    situation: Make, two: Robot, component: str, source: str, why: str
 ) -> None:
-    now = over(facts, joined(two), quality(silent=1.0))
+    now = over(situation, joined(two), quality(silent=1.0))
     now = replace(now, placement={"a": "left", "b": "right", component: source})
     said = f"cannot move to 'right': link 'left-right' is cut: {why}"
     with pytest.raises(UsageError, match=re.escape(said)):
@@ -148,9 +150,9 @@ def test_a_move_that_needs_a_cut_link_is_refused_at_once(
     check_links(now, "a", "middle")
 
 
-def test_over_a_slow_link_the_ends_meet_at_once(facts: Make, two: Robot) -> None:
+def test_over_a_slow_link_the_ends_meet_at_once(situation: Make, two: Robot) -> None:
     """Of a period of 100 ms 60 are lost."""
-    slow = over(facts, joined(two, third=False), quality(delay=0.06))
+    slow = over(situation, joined(two, third=False), quality(delay=0.06))
     found = decide(slow)
     assert found.acts
     assert found.gain == pytest.approx(0.6 * (0.2 + 0.2) * 30)
@@ -159,9 +161,9 @@ def test_over_a_slow_link_the_ends_meet_at_once(facts: Make, two: Robot) -> None
     assert len(found.proposal.steps) == 1
 
 
-def test_what_nothing_crosses_changes_nothing(facts: Make, two: Robot) -> None:
+def test_what_nothing_crosses_changes_nothing(situation: Make, two: Robot) -> None:
     robot = replace(joined(two), connectors=())
-    found = decide(over(facts, robot, quality(silent=1.0)))
+    found = decide(over(situation, robot, quality(silent=1.0)))
     assert not found.acts
     assert found.why.startswith(
         "link 'left-right' is cut, and no connector crosses it; "
@@ -169,29 +171,29 @@ def test_what_nothing_crosses_changes_nothing(facts: Make, two: Robot) -> None:
 
 
 def test_a_slow_link_that_costs_little_is_not_worth_a_move(
-    facts: Make, two: Robot
+    situation: Make, two: Robot
 ) -> None:
     """0.3 s to start a component, against 0.002 x 0.4 cores x 30 s."""
-    seen = over(facts, joined(two), quality(delay=0.0002))
+    seen = over(situation, joined(two), quality(delay=0.0002))
     assert not decide(seen).acts
 
 
 def test_another_link_that_is_cut_is_not_crossed_instead(
-    facts: Make, two: Robot
+    situation: Make, two: Robot
 ) -> None:
     """`b` is held to `right`, and `a` cannot go there; `middle` reaches both."""
     (whole,) = two.architectures
     first, second = whole.components
     held = replace(whole, components=(first, replace(second, only=("right",))))
     robot = joined(replace(two, architectures=(held,)))
-    found = decide(over(facts, robot, quality(silent=1.0)))
+    found = decide(over(situation, robot, quality(silent=1.0)))
     assert found.acts
     assert found.proposal is not None
     assert found.proposal.placement == {"a": "middle", "b": "right"}
 
 
 def test_a_link_that_comes_and_goes_moves_less_and_less(
-    facts: Make, two: Robot
+    situation: Make, two: Robot
 ) -> None:
     """15 minutes: cut for 10 s in every 20 s."""
     robot, limits, moves = joined(two), MoveLimits(), []
@@ -201,10 +203,10 @@ def test_a_link_that_comes_and_goes_moves_less_and_less(
             limits.forget_nothing()
             continue
         seen = replace(
-            over(facts, robot, quality(silent=1.0)),
+            over(situation, robot, quality(silent=1.0)),
             placement=at,
         )
-        if limits.rests(now, seen.situation()):
+        if limits.rests(now, seen.amounts()):
             continue
         found = decide(seen, limits.barred(now))
         if found.acts and found.proposal is not None:
@@ -212,5 +214,5 @@ def test_a_link_that_comes_and_goes_moves_less_and_less(
             at = dict(found.proposal.placement)
             moves.append(now)
         else:
-            limits.note_nothing(now, seen.situation())
+            limits.note_nothing(now, seen.amounts())
     assert len(moves) == 1

@@ -14,10 +14,10 @@ from tests.manage.adaptation.conftest import Make
 
 
 def test_what_a_background_load_takes_away_makes_a_component_move(
-    facts: Make,
+    situation: Make,
 ) -> None:
     """Other programs get 0.2 of 0.5 cores, and want half as much again."""
-    found = decide(facts(background={"left": 0.2}))
+    found = decide(situation(background={"left": 0.2}))
     assert found.acts
     assert found.proposal is not None
     assert len(found.proposal.steps) == 1
@@ -27,23 +27,23 @@ def test_what_a_background_load_takes_away_makes_a_component_move(
 
 
 def test_a_move_that_paused_its_component_for_long_is_not_worth_it(
-    facts: Make,
+    situation: Make,
 ) -> None:
-    seen = facts(background={"left": 0.2})
+    seen = situation(background={"left": 0.2})
     found = decide(replace(seen, downtimes={"a": 60.0, "b": 60.0}))
     assert not found.acts
     assert found.cost > found.gain
     assert found.why.startswith("it stays as it is: ")
 
 
-def test_when_all_fits_another_placement_does_not_help(facts: Make) -> None:
-    found = decide(facts(missed=("a",)))
+def test_when_all_fits_another_placement_does_not_help(situation: Make) -> None:
+    found = decide(situation(missed=("a",)))
     assert not found.acts
     assert "all components fit where they are" in found.why
 
 
-def test_when_nothing_fits_it_says_what_is_missing(facts: Make) -> None:
-    full = facts(background={"left": 0.45, "right": 0.45}, missed=("a",))
+def test_when_nothing_fits_it_says_what_is_missing(situation: Make) -> None:
+    full = situation(background={"left": 0.45, "right": 0.45}, missed=("a",))
     found = decide(full)
     assert not found.acts
     assert found.why.startswith(
@@ -56,8 +56,8 @@ def test_when_nothing_fits_it_says_what_is_missing(facts: Make) -> None:
     ) in found.why
 
 
-def test_a_component_does_not_go_where_it_is_barred(facts: Make) -> None:
-    found = decide(facts(background={"left": 0.2}), {"a": {"right"}})
+def test_a_component_does_not_go_where_it_is_barred(situation: Make) -> None:
+    found = decide(situation(background={"left": 0.2}), {"a": {"right"}})
     assert found.proposal is not None
     assert found.proposal.placement == {"a": "left", "b": "right"}
 
@@ -84,9 +84,9 @@ LATE = ChainAge(
 
 
 def test_a_chain_that_loses_its_time_on_a_wire_is_brought_together(
-    facts: Make,
+    situation: Make,
 ) -> None:
-    apart = facts({"a": "left", "b": "right"})
+    apart = situation({"a": "left", "b": "right"})
     found = decide(replace(apart, chains=(LATE,)))
     assert found.acts
     assert found.proposal is not None
@@ -94,9 +94,9 @@ def test_a_chain_that_loses_its_time_on_a_wire_is_brought_together(
     assert found.gain == pytest.approx((0.2 + 0.2) * 30)
 
 
-def test_a_chain_that_is_slow_off_the_wire_is_explained(facts: Make) -> None:
+def test_a_chain_that_is_slow_off_the_wire_is_explained(situation: Make) -> None:
     slow = replace(LATE, wires={"a": 0.0, "b": 0.05})
-    found = decide(replace(facts(), chains=(slow,)))
+    found = decide(replace(situation(), chains=(slow,)))
     assert not found.acts
     assert found.why.startswith(
         "the data of chain 'c' must not be older than 100 ms and is 350 ms old, 300 ms "
@@ -104,8 +104,8 @@ def test_a_chain_that_is_slow_off_the_wire_is_explained(facts: Make) -> None:
     )
 
 
-def test_a_measured_start_counts_instead_of_an_assumed_one(facts: Make) -> None:
-    seen = facts(background={"left": 0.2})
+def test_a_measured_start_counts_instead_of_an_assumed_one(situation: Make) -> None:
+    seen = situation(background={"left": 0.2})
     started = tuple(
         ComponentStatus(name=name, state="active", start=2.0) for name in ("a", "b")
     )
@@ -117,14 +117,14 @@ def test_a_measured_start_counts_instead_of_an_assumed_one(facts: Make) -> None:
     assert found.cost == pytest.approx(2.0 + 0.2 * 0.05)
 
 
-def test_nothing_moves_to_a_lost_computer(facts: Make) -> None:
-    seen = replace(facts(background={"left": 0.2}), lost=frozenset({"right"}))
+def test_nothing_moves_to_a_lost_computer(situation: Make) -> None:
+    seen = replace(situation(background={"left": 0.2}), lost=frozenset({"right"}))
     found = decide(seen)
     assert not found.acts
 
 
-def test_what_is_on_a_lost_computer_does_not_count(facts: Make) -> None:
+def test_what_is_on_a_lost_computer_does_not_count(situation: Make) -> None:
     placed = {"a": "left", "b": "right"}
-    seen = facts(placed, background={"left": 0.3})
+    seen = situation(placed, background={"left": 0.3})
     found = decide(replace(seen, lost=frozenset({"right"})))
     assert not found.acts

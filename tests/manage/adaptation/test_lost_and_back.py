@@ -5,7 +5,7 @@ from __future__ import annotations
 from msgspec.structs import replace
 
 from poise.manage.adaptation.loop import Adaptation
-from poise.manage.adaptation.shortages.put_aside import CALM
+from poise.manage.adaptation.shortages.take_back import CALM
 from poise.manage.migration.transition_run import start_together
 from poise.model.robot import Computer
 from tests.manage.adaptation.shortages.test_put_aside import BOTH, Robbed, robot_with
@@ -20,11 +20,11 @@ class Returning(Robbed):
         robot = replace(robot_with(), computers=computers)
         free = tuple(replace(a, home=None) for a in robot.architectures)
         robot = replace(robot, architectures=free)
-        super().__init__(robot, BOTH, names)
+        super().__init__(robot, BOTH)
         self.now, self.lost = 0.0, frozenset({"right"})
         self.loop = Adaptation(
             self.run,
-            lambda: replace(self.facts(), lost=self.lost, loads={}),
+            lambda: replace(self.situation(), lost=self.lost, loads={}),
             self.aside,
             clock=lambda: self.now,
         )

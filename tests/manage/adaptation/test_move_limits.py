@@ -50,7 +50,7 @@ def test_no_more_than_the_budget_moves_in_a_minute() -> None:
 
 
 @pytest.mark.parametrize("load", ["periodic", "adversarial", "random"])
-def test_no_load_makes_a_component_go_to_and_fro(facts: Make, load: str) -> None:
+def test_no_load_makes_a_component_go_to_and_fro(situation: Make, load: str) -> None:
     """An hour under a load of other programs that changes sides."""
     move_limits, chance = MoveLimits(), random.Random(1)
     placement, moves = {"a": "left", "b": "left"}, 0
@@ -66,7 +66,7 @@ def test_no_load_makes_a_component_go_to_and_fro(facts: Make, load: str) -> None
             side = chance.choice(("left", "right"))
         if move_limits.rests(now):
             continue
-        seen = facts(dict(placement), background={side: 0.35})
+        seen = situation(dict(placement), background={side: 0.35})
         found = decide(seen, move_limits.barred(now))
         if not found.acts or found.proposal is None:
             move_limits.note_nothing(now)

@@ -18,10 +18,10 @@ from msgspec import Struct
 
 from poise.estimate.online import Estimate
 from poise.manage.adaptation import loop
-from poise.manage.adaptation.facts import Facts
 from poise.manage.adaptation.loop import Adaptation
 from poise.manage.adaptation.move_limits import STAY_AWAY
 from poise.manage.adaptation.shortages.put_aside import PutAside
+from poise.manage.adaptation.situation import Situation
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.migration.report import TransitionReport, TransitionStep
 from poise.manage.observe.estimates import DemandEstimate
@@ -101,7 +101,7 @@ class World:
             needs[self.placement[component.name]] += component.demand["cpu"]
         return needs
 
-    def facts(self) -> Facts:
+    def situation(self) -> Situation:
         """Return what a manager would know: loads over a second, and who is late."""
         loads, late = {}, set()
         for name in self.names:
@@ -114,7 +114,7 @@ class World:
             )
             if needed + got > 1.0 + 1e-9:
                 late.add(name)
-        return Facts(
+        return Situation(
             robot=self.robot,
             task="t",
             placement=dict(self.placement),
@@ -190,7 +190,7 @@ def run(world: World, seconds: float) -> World:
     try:
         adaptation = Adaptation(
             cast(RunningComponents, Robotless(world.robot)),
-            world.facts,
+            world.situation,
             cast(PutAside, Nothing()),
             clock=lambda: world.now,
         )

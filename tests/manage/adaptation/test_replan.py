@@ -9,9 +9,9 @@ from msgspec.structs import replace
 
 from poise.errors import RobotError
 from poise.estimate.online import Drift, Estimate
-from poise.manage.adaptation.facts import Facts
 from poise.manage.adaptation.proposals import Proposal
 from poise.manage.adaptation.replan import propose
+from poise.manage.adaptation.situation import Situation
 from poise.manage.observe.estimates import DemandEstimate
 from poise.model.robot import (
     Action,
@@ -76,10 +76,10 @@ def standing(
 def proposed(
     robot: Robot, now: Mapping[str, str], needs: Iterable[DemandEstimate], move: float
 ) -> Proposal:
-    facts = Facts(
+    situation = Situation(
         robot=robot, task="work", placement=now, demand_estimates=tuple(needs)
     )
-    return propose(facts, robot, move)
+    return propose(situation, robot, move)
 
 
 def test_what_is_best_stays(robot: Robot) -> None:

@@ -12,8 +12,8 @@ from poise.session.render.moves import what_if_lines
 from tests.manage.adaptation.conftest import Make
 
 
-def test_says_loads_limits_and_what_the_move_costs(facts: Make) -> None:
-    seen = what_if(replace(facts(), downtimes={"a": 0.5}), "a", "right")
+def test_says_loads_limits_and_what_the_move_costs(situation: Make) -> None:
+    seen = what_if(replace(situation(), downtimes={"a": 0.5}), "a", "right")
     assert (seen.source, seen.target) == ("left", "right")
     before, after = seen.loads["left"]
     gained = seen.loads["right"][1] - seen.loads["right"][0]
@@ -24,10 +24,10 @@ def test_says_loads_limits_and_what_the_move_costs(facts: Make) -> None:
     assert seen.cost == pytest.approx(0.3 + 0.2 * 0.5)
 
 
-def test_says_which_limits_the_move_would_break(facts: Make, two: Robot) -> None:
+def test_says_which_limits_the_move_would_break(situation: Make, two: Robot) -> None:
     small = Computer(name="right", capacity={"cpu": 0.1})
     robot = replace(two, computers=(two.computers[0], small))
-    seen = what_if(facts(robot=robot), "a", "right")
+    seen = what_if(situation(robot=robot), "a", "right")
     assert any("right" in limit for limit in seen.breaks)
     assert any("refused" in line for line in what_if_lines(seen))
 
@@ -35,15 +35,17 @@ def test_says_which_limits_the_move_would_break(facts: Make, two: Robot) -> None
 @pytest.mark.parametrize(
     ("component", "computer"), [("none", "right"), ("a", "none"), ("a", "left")]
 )
-def test_refuses_what_is_no_move(facts: Make, component: str, computer: str) -> None:
+def test_refuses_what_is_no_move(
+    situation: Make, component: str, computer: str
+) -> None:
     with pytest.raises(UsageError):
-        what_if(facts(), component, computer)
+        what_if(situation(), component, computer)
 
 
-def test_says_what_else_could_be_done_and_what_that_would_cost(facts: Make) -> None:
+def test_says_what_else_could_be_done_and_what_that_would_cost(situation: Make) -> None:
     """Of 0.5 cores others take 0.2 and want 0.3: 0.2 are left for 0.4."""
     stays, *moves = alternatives(
-        replace(facts(background={"left": 0.2}), downtimes={"b": 1.0})
+        replace(situation(background={"left": 0.2}), downtimes={"b": 1.0})
     )
     assert (stays.what, stays.cost) == ("stay", 0.0)
     assert stays.short == pytest.approx(0.2)
@@ -60,23 +62,25 @@ def test_says_what_else_could_be_done_and_what_that_would_cost(facts: Make) -> N
         assert each.total < stays.total
 
 
-def test_a_component_that_must_stay_is_no_alternative(facts: Make, two: Robot) -> None:
+def test_a_component_that_must_stay_is_no_alternative(
+    situation: Make, two: Robot
+) -> None:
     robot = two.with_components(
         lambda c: replace(c, movable=False) if c.name == "a" else c
     )
-    stays, *moves = alternatives(facts(robot=robot))
+    stays, *moves = alternatives(situation(robot=robot))
     assert [each.what.split()[1] for each in moves] == ["b"]
     assert stays.short == 0.0
 
 
-def test_force_is_offered_only_where_it_helps(facts: Make, two: Robot) -> None:
+def test_force_is_offered_only_where_it_helps(situation: Make, two: Robot) -> None:
     """A computer that the file does not allow is for the move itself to refuse."""
     small = Computer(name="right", capacity={"cpu": 0.1})
     robot = replace(two, computers=(two.computers[0], small))
     with pytest.raises(UsageError, match="--force"):
-        check_move(facts(robot=robot), "a", "right")
+        check_move(situation(robot=robot), "a", "right")
     held = replace(robot, architectures=tuple(map(_held, robot.architectures)))
-    check_move(facts(robot=held), "a", "right")
+    check_move(situation(robot=held), "a", "right")
 
 
 def _held(architecture: Architecture) -> Architecture:

@@ -6,6 +6,7 @@ All on a virtual clock, over links that a test cuts. Each side reads a clock of 
 from __future__ import annotations
 
 import random
+from math import inf
 
 import pytest
 
@@ -31,7 +32,7 @@ class World:
         self.leases = {name: Lease(self.contacts[name]) for name in AGENTS}
         for name, lease in self.leases.items():
             lease.begin([other for other in AGENTS if other != name])
-        self.manager = Reachability(self.contacts[MANAGER])
+        self.manager = Reachability(self.contacts[MANAGER], SURELY_ENDED)
         self.cut: set[tuple[str, str]] = set()
         self.stalled: set[str] = set()
         self.jitter = 0.0
@@ -81,10 +82,14 @@ class World:
         ]
 
     def is_held(self, name: str) -> bool:
-        return self.leases[name].is_held(self.now + AHEAD[name])
+        now = self.now + AHEAD[name]
+        return self.leases[name].until(now) > now
 
     def lost(self) -> set[str]:
         return {n for n in self.manager.silent() if not self.heard_by(n)}
+
+    def have_leases_ended(self, *names: str) -> bool:
+        return self.manager.have_leases_ended(names, self.now)
 
     def heard_by(self, name: str) -> str:
         return self.manager.heard_by(name, self.now)
@@ -110,13 +115,13 @@ def test_a_computer_that_is_cut_off_is_lost_and_its_lease_ends_first(
     world.isolate("left")
     world.run(DETECTED + 2 * EVERY)
     assert world.lost() == {"left"}
-    assert not world.manager.have_leases_ended(["left"])
+    assert not world.have_leases_ended("left")
     world.run(LEASE - DETECTED)
     assert not world.is_held("left")
     assert world.is_held("right")
     assert world.is_held("third")
     world.run(SURELY_ENDED - LEASE + EVERY)
-    assert world.manager.have_leases_ended(["left"])
+    assert world.have_leases_ended("left")
 
 
 def test_a_lease_ends_as_soon_when_others_tell_of_the_silence_late(
@@ -127,7 +132,7 @@ def test_a_lease_ends_as_soon_when_others_tell_of_the_silence_late(
     world.run(2.0)
     world.isolate("left")
     world.run(SURELY_ENDED + JITTER + 2 * EVERY)
-    assert world.manager.have_leases_ended(["left"])
+    assert world.have_leases_ended("left")
 
 
 def test_who_is_cut_off_from_the_manager_only_goes_on(world: World) -> None:
@@ -137,7 +142,7 @@ def test_who_is_cut_off_from_the_manager_only_goes_on(world: World) -> None:
     assert not world.lost()
     assert world.heard_by("left") in {"right", "third"}
     assert world.is_held("left")
-    assert not world.manager.have_leases_ended(["left"])
+    assert not world.have_leases_ended("left")
 
 
 def test_a_manager_that_cannot_be_heard_stops_nothing(world: World) -> None:
@@ -153,8 +158,43 @@ def test_the_side_without_the_manager_stops(world: World) -> None:
         world.sever(name, "third")
     world.run(SURELY_ENDED + 0.2)
     assert world.lost() == {"left", "right"}
-    assert world.manager.have_leases_ended(["left", "right"])
+    assert world.have_leases_ended("left", "right")
     assert [world.is_held(name) for name in AGENTS] == [False, False, True]
+
+
+def test_an_agent_that_was_stalled_extends_nothing_by_what_it_finds(
+    world: World,
+) -> None:
+    """Heartbeats that came meanwhile have heard only what it sent before."""
+    world.stalled = {"left"}
+    world.run(3.0)
+    world.isolate("left")
+    world.stalled = set()
+    world.step()
+    assert not world.is_held("left")
+
+
+def test_the_lease_of_an_agent_that_was_never_heard_ends_after_its_loss(
+    world: World,
+) -> None:
+    assert not world.have_leases_ended("fourth")
+    world.manager.note_ended("fourth", world.now)
+    assert not world.have_leases_ended("fourth")
+    world.run(SURELY_ENDED + STEP)
+    assert world.have_leases_ended("fourth")
+
+
+def test_the_next_agent_holds_a_lease_only_once_the_manager_has_heard_it() -> None:
+    contacts, now = Contacts("robot", "left", "next"), 100.0
+    lease = Lease(contacts)
+    lease.begin(["right"], began=-inf)
+    assert lease.until(now) == -inf
+    manager = Contacts("robot", MANAGER, "manager")
+    contacts.note(manager.next_beat(5.0), now)  # it may have been under way for long
+    assert lease.until(now) == -inf
+    manager.note(contacts.next_beat(now), 5.1)
+    contacts.note(manager.next_beat(5.2), now + 0.2)
+    assert lease.until(now + 0.2) == pytest.approx(now + LEASE)
 
 
 def test_an_agent_answers_the_manager_and_sends_by_itself_without_it(
@@ -224,7 +264,7 @@ def test_what_may_be_started_elsewhere_is_active_nowhere(
             if world.manager.silent() == set(AGENTS):
                 continue  # there is nowhere to start anything
             for name in world.lost():
-                if world.manager.have_leases_ended([name]):
+                if world.have_leases_ended(name):
                     num_started += 1
                     assert name in cut_off, (seed, world.now, name)
     assert num_started > 0

@@ -12,8 +12,8 @@ from msgspec.structs import replace
 from poise import plan
 from poise.errors import UsageError
 from poise.manage.adaptation.decision import decide
-from poise.manage.adaptation.facts import Facts
 from poise.manage.adaptation.shortages.failover import fail_over
+from poise.manage.adaptation.situation import Situation
 from poise.manage.migration.move import move
 from poise.manage.migration.move import replace as replace_implementation
 from poise.manage.migration.replacement import replace_architecture
@@ -75,16 +75,16 @@ def test_an_architecture_is_not_replaced(layer: str) -> None:
 
 def test_an_overload_moves_none(layer: str) -> None:
     robbed = Robbed(robot_of_two(layer))
-    decision = decide(robbed.facts(0.5, "high", "low"))
+    decision = decide(robbed.situation(0.5, "high", "low"))
     assert not decision.acts
     sequencing = Robbed(robot_of_two("sequencing"))
-    assert decide(sequencing.facts(0.5, "high", "low")).acts
+    assert decide(sequencing.situation(0.5, "high", "low")).acts
 
 
 def test_a_lost_computer_takes_them_with_it(layer: str) -> None:
     robbed = Robbed(robot_of_two(layer))
-    facts: Facts = replace(robbed.facts(), lost=frozenset({"left"}))
-    found = fail_over(facts, {"left"})
+    situation: Situation = replace(robbed.situation(), lost=frozenset({"left"}))
+    found = fail_over(situation, {"left"})
     assert not found.placement
     assert set(found.missing) == {"high", "low"}
     assert found.missing["low"] == f"it belongs to the {layer} layer, which stays"

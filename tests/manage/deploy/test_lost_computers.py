@@ -1,39 +1,35 @@
 """Agents that were restarted are told of, also when nobody saw them end."""
 
-from types import SimpleNamespace
+from __future__ import annotations
+
 from typing import cast
 
+from msgspec import structs
+
+from poise.manage.agent_connections.agents import Agents
 from poise.manage.deploy.lost_computers import LostComputers
 from poise.manage.deploy.running_components import RunningComponents
+from poise.manage.journal import Journal
+from poise.model.robot import Robot
+from tests.manage.conftest import FakeAgents
 
 
-def test_an_agent_that_was_back_before_anybody_looked_is_told_of() -> None:
-    said: list[tuple[str, str]] = []
-    right = SimpleNamespace(pid=7, adopted=0)
-    agents = SimpleNamespace(
-        obey=lambda _: True,
-        statuses=lambda: {"right": right},
-        has_computer=lambda _: True,
-        is_cut_off=lambda _: False,
-    )
-    run = SimpleNamespace(
-        computers=lambda: {"right"},
-        agents=agents,
-        excused=set(),
-        unreached=dict,
-        synchronise=lambda computer: said.append(("told again", computer)),
-        journal=SimpleNamespace(note=lambda kind, what: said.append((kind, what))),
-    )
-    lost = LostComputers(cast("RunningComponents", run))
+def test_an_agent_that_was_back_before_anybody_looked_is_told_of(robot: Robot) -> None:
+    agents, journal = FakeAgents("left", "right"), Journal(":memory:")
+    placement = {"grabber": "left", "thinker": "right"}
+    run = RunningComponents(robot, placement, cast("Agents", agents), journal, "/run")
+    run.start()
+    lost = LostComputers(run)
+    before, told = len(journal.entries()), len(agents.deployed)
     lost.note()
-    lost.bring_back()
-    assert said == []
-    right.pid, right.adopted = 8, 1
+    assert len(journal.entries()) == before
+    status = agents.statuses()["right"]
+    agents.report(structs.replace(status, pid=8, adopted=1))
+    run.reconcile()
     for _ in range(2):
         lost.note()
-        lost.bring_back()
-    assert said == [
-        ("wrong", "computer 'right' was cut off, or its agent was restarted"),
-        ("told again", "right"),
-        ("right", "the agent of 'right' was restarted; 1 container went on"),
+    assert [computer for computer, _ in agents.deployed[told:]] == ["right"]
+    assert [entry.what for entry in journal.entries()[before:]] == [
+        "computer 'right' was cut off, or its agent was restarted",
+        "the agent of 'right' was restarted; 1 container went on",
     ]

@@ -170,10 +170,10 @@ def test_a_computer_that_may_be_out_of_reach_is_not_waited_for(
     run, _ = run_of(robot, agents)
     run.start()
     agents.gone.add("right")
-    run.excused.add("right")
+    run.goes_on_without_lost = True
     run.raise_on_lost()
     agents.deaf.add("right")
-    run.tell(run.placed.values())
+    run.commit(run.desired.aiming("active", run.placed.keys()), "again")
     run.wait([run.placed["grabber"]], 1.0)
 
 
@@ -194,7 +194,8 @@ def test_a_computer_that_came_back_is_told_again(
     run.start()
     told = len(agents.deployed)
     agents.strangers.add("right")
-    run.synchronise("right")
+    run.reconcile()
+    run.reconcile()
     assert [computer for computer, _ in agents.deployed[told:]] == ["right"]
     assert agents.claimed == ["left", "right", "right"]
 
@@ -208,6 +209,6 @@ def test_a_computer_that_has_not_reported_again_keeps_its_address(
     run = RunningComponents(robot, placement, cast("Agents", agents), journal, "/run")
     run.start()
     agents.forget("right")
-    run.tell([each.with_goal("inactive") for each in run.placed.values()], {"left"})
+    run.commit(run.desired.aiming("inactive", ["filter"]), "it ends")
     (container,) = agents.deployed[-1][1].containers
     assert [c.address for c in container.connectors] == ["right:7000/mind"]

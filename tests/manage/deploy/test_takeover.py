@@ -39,7 +39,8 @@ def run_of(
     gateways = {"left": "left:7000", "right": "right:7000"}
     if left:
         layout = DeploymentPlan(robot, "/run", code_version=version_of)
-        agents.deploy(layout.specs(left, 5, gateways))
+        for computer, told in layout.specs(left, 5, gateways).items():
+            agents.begin_deploy(computer, told)
     run = RunningComponents(robot, PLACEMENT, cast("Agents", agents), journal, "/run")
     return run, agents, journal
 
@@ -80,12 +81,8 @@ def serving_tasks(robot: Robot) -> RunningComponents:
     """Return a run of tasks that goes on, of which only `grabber` was found."""
     run, agents, _ = run_of(robot)
     layout = DeploymentPlan(robot, "/run", code_version=version_of)
-    agents.deploy(
-        {
-            computer: structs.replace(told, tasks=b"some")
-            for computer, told in layout.specs(LEFT[:1], 5, {}).items()
-        }
-    )
+    for computer, told in layout.specs(LEFT[:1], 5, {}).items():
+        agents.begin_deploy(computer, structs.replace(told, tasks=b"some"))
     start_or_take_over(run, by_force=False)
     return run
 

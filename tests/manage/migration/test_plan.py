@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Mapping
+
 from poise.manage.deploy.deployment_plan import DeploymentPlan
 from poise.manage.deploy.incarnation import Incarnation
 from poise.manage.migration.plan import MigrationPlan
@@ -18,7 +20,13 @@ GATEWAYS = {"left": "10.0.0.1:4001", "right": "10.0.0.2:4002"}
 
 
 def rounds_of(
-    robot: Robot, olds: dict[str, str], news: dict[str, str], **others: str
+    robot: Robot,
+    olds: dict[str, str],
+    news: dict[str, str],
+    late: Mapping[str, int] = {},
+    away: Collection[str] = (),
+    /,
+    **others: str,
 ) -> MigrationPlan:
     """Return the rounds when all components call over ports named ``calls``."""
 
@@ -31,7 +39,9 @@ def rounds_of(
     calls = {(component.name, "calls") for component in robot.components()}
     layout = DeploymentPlan(robot, "/run")
     sources, targets = placed(olds, 0), placed(news, 1)
-    return MigrationPlan(layout, sources, targets, rest, calls, GATEWAYS)
+    return MigrationPlan(
+        layout, sources, targets, rest, calls, GATEWAYS, late=late, away=away
+    )
 
 
 def steps(
@@ -63,6 +73,58 @@ def test_a_move_takes_one_round_in_stages(robot: Robot) -> None:
         ("filter", Step("restore state", "filter", 1)),
         ("filter", Step("activate", "filter", 1)),
     ]
+
+
+def test_no_marker_goes_over_a_cut_link(robot: Robot) -> None:
+    """What `thinker` keeps is one message; it takes no more, and waits for none."""
+    rounds = rounds_of(
+        robot,
+        {"filter": "left"},
+        {"filter": "middle"},
+        {"filter.clean-thinker.seen": 1},
+        heavy="left",
+        thinker="right",
+    )
+    (only,) = rounds.transfer()
+    late = {"filter.clean-thinker.seen/0.0": 1}
+    heavy = ("filter.clean-heavy.clean",)
+    assert steps(only)[:3] == [
+        ("filter", Step("pause", "filter", 0, late=late)),
+        ("heavy", Step("drain channels", "heavy", 0, heavy)),
+        ("thinker", Step("drain channels", "thinker", 0, late=late)),
+    ]
+
+
+def test_a_sender_that_is_cut_off_buffers_what_would_be_kept(robot: Robot) -> None:
+    rounds = rounds_of(
+        robot,
+        {"filter": "right"},
+        {"filter": "middle"},
+        {"grabber.raw-filter.raw": 4},
+        grabber="left",
+    )
+    (only,) = rounds.transfer()
+    late = {"grabber.raw-filter.raw/0.0": 4}
+    assert steps(only)[:3] == [
+        ("grabber", Step("buffer", late=late)),
+        ("filter", Step("pause", "filter", 0)),
+        ("filter", Step("drain channels", "filter", 0, late=late)),
+    ]
+
+
+def test_a_computer_that_is_out_of_reach_takes_no_step(robot: Robot) -> None:
+    late = {"grabber.raw-filter.raw": 1, "filter.clean-thinker.seen": 1}
+    rounds = rounds_of(
+        robot,
+        {"filter": "right"},
+        {"filter": "middle"},
+        late,
+        ["left"],
+        grabber="left",
+        thinker="left",
+    )
+    taking = [*rounds.transfer()[0], *rounds.resume(), *rounds.roll_back()]
+    assert {where.component for where, _ in taking} == {"filter"}
 
 
 def test_either_side_resumes(robot: Robot) -> None:

@@ -74,9 +74,8 @@ def test_what_does_not_end_is_started_anew(
 def test_what_was_replaced_stays_replaced_over_a_cold_move(
     run: RunningComponents, agents: FakeAgents
 ) -> None:
-    run.placed["filter"] = structs.replace(
-        run.placed["filter"], implementation="eye:Better"
-    )
+    better = structs.replace(run.placed["filter"], implementation="eye:Better")
+    run.commit(run.desired.placing([better]), "it was replaced")
     again = TransitionStep("filter", target="right")
     assert transit(run, (STOP, again)).committed
     assert told(agents)["filter"] == ("right", 1, "eye:Better")

@@ -11,8 +11,9 @@ from poise.estimate.profile import ComponentProfile, Profile
 from poise.estimate.profile.distribution import Distribution
 from poise.manage.observe.estimates import Estimates
 from poise.manage.observe.export.prometheus import MetricsServer, to_prometheus
-from poise.manage.observe.recording import Recording, load, save
+from poise.manage.observe.recording import Recording
 from poise.model.robot import Robot
+from poise.wire.recording_file import append, load
 from poise.wire.records.recorded import Recorded
 from poise.wire.records.samples import AgentSample
 from poise.wire.records.status import (
@@ -94,7 +95,7 @@ def test_a_replay_gives_the_same_estimates(
         live.take(steady(0.2 * k))
         recording.add(steady(0.2 * k))
     recorded = Recorded(robot="r", samples=recording.take())
-    save(recorded, tmp_path / "run.samples")
+    append(recorded, tmp_path / "run.samples")
     again = Estimates(robot, None, emulated=True)
     for sample in load(tmp_path / "run.samples").samples:
         again.take(sample)
@@ -202,4 +203,4 @@ def test_a_move_is_no_drift(robot: Robot, steady: Sampler, cpu: float) -> None:
 
 def test_a_recording_on_a_full_disk_is_an_error() -> None:
     with pytest.raises(RunError, match="/dev/full cannot be written: No space left"):
-        save(Recorded(robot="any", samples=[]), Path("/dev/full"))
+        append(Recorded(robot="any", samples=[]), Path("/dev/full"))

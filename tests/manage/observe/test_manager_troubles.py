@@ -45,16 +45,43 @@ def test_a_clock_that_drifts_is_no_trouble() -> None:
     assert not journal.entries()
 
 
-def test_a_journal_that_cannot_be_written_is_a_deviation_meanwhile(
-    tmp_path: Path,
-) -> None:
-    journal = Journal(tmp_path / "journal.sqlite")
-    troubles = ManagerTroubles(journal)
-    journal.trouble = "the journal cannot be written"
-    troubles.look()
-    (found,) = troubles.deviations()
-    assert found.what == "the journal cannot be written"
-    journal.note("seen", "room again")
+class File:
+    trouble = ""
+
+
+def test_a_file_that_cannot_be_written_is_a_deviation_meanwhile() -> None:
+    file, journal = File(), Journal(":memory:")
+    troubles = ManagerTroubles(journal, others=[file])
+    for file.trouble in (
+        "the recording x cannot be written: no room",
+        "the recording x cannot be written: no room, and so far lacks 1 record",
+        "the recording x cannot be written: no room, and so far lacks 7 records",
+        "the recording x lacks 8 records",
+    ):
+        troubles.look()
+        (found,) = troubles.deviations()
+        assert found.what == file.trouble
+    file.trouble = ""
     troubles.look()
     assert not troubles.deviations()
+    assert [(e.kind, e.what) for e in journal.entries()] == [
+        ("wrong", "the recording x cannot be written: no room"),
+        (
+            "wrong",
+            "the recording x cannot be written: no room, and so far lacks 1 record",
+        ),
+        ("wrong", "the recording x lacks 8 records"),
+        ("right", "no more: the recording x lacks 8 records"),
+    ]
+
+
+def test_a_journal_that_cannot_be_written_is_a_deviation(tmp_path: Path) -> None:
+    journal = Journal(tmp_path / "nowhere" / "journal.jsonl")
+    assert journal.file is not None
+    assert not journal.file.flush()
+    troubles = ManagerTroubles(journal)
+    troubles.look()
+    (found,) = troubles.deviations()
+    assert found.what.endswith("cannot be written: No such file or directory")
+    assert [e.what for e in journal.entries()] == [found.what]
     journal.close()

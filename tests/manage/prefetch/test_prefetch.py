@@ -113,7 +113,7 @@ def test_a_preparation_that_fails_is_said_and_dropped(rig: Rig) -> None:
         name="thinker", state="failed", error="Traceback\nKeyError: 'map'"
     )
     rig.look(NEXT)
-    rig.run.bring(rig.run.placed.values(), 1.0)  # what runs does not mind
+    rig.run.wait(rig.run.placed.values(), 1.0)  # what runs does not mind
     rig.look(NEXT)
     assert rig.said("failed") == [
         (

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 from typing import cast
 
@@ -9,9 +10,10 @@ import msgspec
 import pytest
 from msgspec.structs import replace
 
+from poise.clock import boot_id
 from poise.errors import UsageError
 from poise.estimate.success.learning import beliefs_about
-from poise.manage.adaptation.facts import Facts
+from poise.manage.adaptation.situation import Situation
 from poise.manage.agent_connections.agents import Agents
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.journal import Journal
@@ -113,14 +115,14 @@ class Rig:
         agents = cast("Agents", self.agents)
         self.run = RunningComponents(robot, {}, agents, self.journal, "/run")
         self.run.start()
-        self.manager = TaskManager(self.run, saved or Saved(), self._facts)
+        self.manager = TaskManager(self.run, saved or Saved(), self._situation)
         for name in started:
             self.manager.command("start", name)
         self.manager.look()
 
-    def _facts(self) -> Facts:
+    def _situation(self) -> Situation:
         now = self.manager.now()
-        return Facts(
+        return Situation(
             robot=replace(self.robot, tasks=(now,)),
             task=now.name,
             placement=self.run.placement(),
@@ -170,7 +172,8 @@ def test_a_component_learns_once_that_its_action_begins() -> None:
 def test_one_that_was_restarted_by_others_learns_its_action_again() -> None:
     rig = Rig(robot_with(task("t", act("a", "see"))), "t")
     placed = rig.run.placed["seeer"]
-    rig.run.placed["seeer"] = replace(placed, epoch=9, turn=0, action="")
+    again = replace(placed, epoch=9, turn=0, action="")
+    rig.run.commit(rig.run.desired.placing([again]), "it was restarted")
     rig.manager.look()
     assert rig.run.placed["seeer"].turn == placed.turn
 
@@ -270,9 +273,10 @@ def test_components_start_tasks_and_refusals_are_journalled() -> None:
 
 def test_what_is_on_a_lost_computer_holds_no_switch_up() -> None:
     rig = Rig(robot_with(task("t", act("a", "see"), act("b", "go"))), "t")
-    rig.run.placed["seeer"] = replace(rig.run.placed["seeer"], computer="spare")
+    away = replace(rig.run.placed["seeer"], computer="spare")
     rig.agents.gone.add("spare")
-    rig.run.excused.add("spare")
+    rig.run.goes_on_without_lost = True
+    rig.run.commit(rig.run.desired.placing([away]), "it was there")
     (each,) = rig.manager.tasks.tries(rig.manager.tasks.find("t"))
     rig.manager.tasks.end(each.number, 0.0, "told", done=True)
     rig.manager.look()
@@ -285,7 +289,9 @@ def test_the_next_manager_goes_on_where_this_one_was() -> None:
     )
     rig = Rig(robot, "t")
     rig.end("seeer")
-    assert {told.tasks for _, told in rig.agents.deployed[-2:]} == {rig.run.tasks}
+    assert {told.tasks for _, told in rig.agents.deployed[-2:]} == {
+        rig.run.desired.tasks
+    }
     asked = Tasks(robot)
     asked.start("t", 0.0)
     asked.start("u", 0.0)
@@ -295,6 +301,39 @@ def test_the_next_manager_goes_on_where_this_one_was() -> None:
     assert states == [("t", "going"), ("u", "going")]
     again = Rig(robot, saved=msgspec.convert(msgspec.to_builtins(saved), Saved))
     assert again.active() == {"goer", "sayer"}
+
+
+def test_the_limit_of_an_action_holds_though_the_time_of_day_steps_back(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    limited = replace(act("a", "see"), limit=60.0)
+    rig = Rig(robot_with(task("t", limited)), "t")
+    then = time.time()
+    monkeypatch.setattr(time, "time", lambda: then - 10 * 365 * 86400.0)
+    (each,) = rig.manager.tasks.tries(rig.manager.tasks.records[0])
+    assert each.progress.since is not None
+    each.progress.since -= 61
+    rig.manager.look()
+    assert rig.states()["t"][0] == "failed"
+
+
+@pytest.mark.parametrize("boot", ["this", "another"])
+def test_the_limit_of_an_action_goes_on_under_the_next_manager(boot: str) -> None:
+    limited = replace(act("a", "see"), limit=60.0)
+    rig = Rig(robot_with(task("t", limited)), "t")
+    (each,) = rig.manager.tasks.tries(rig.manager.tasks.records[0])
+    assert each.progress.since is not None
+    each.progress.since -= 50
+    rig.manager.tasks.saved.boot = boot_id() if boot == "this" else boot
+    kept = msgspec.msgpack.encode(rig.manager.tasks.saved)
+    rig.run.commit(replace(rig.run.desired, tasks=kept), "kept")
+    saved = goes_on_with(rig.run, Tasks(rig.robot), rig.journal)
+    tasks = Tasks(rig.robot, saved=saved)
+    (again,) = tasks.tries(tasks.records[0])
+    left = 60 - tasks.worked(again, each.progress.since + 50)
+    assert left == pytest.approx(10 if boot == "this" else 60, abs=5)
+    said = [what for what in rig.said() if "has its limit of 60 s from now on" in what]
+    assert len(said) == (boot == "another")
 
 
 def test_a_choice_that_is_ahead_is_said_only_when_it_is_made() -> None:

@@ -51,6 +51,7 @@ from poise.wire.records.status import (
     ContainerStatus,
     Fault,
 )
+from tests.processes import children_of
 from tests.runtime.conftest import free_port
 from tests.waiting import LIMIT, wait_until
 
@@ -341,11 +342,6 @@ def wait_gone(pid: int) -> None:
     os.close(pidfd)
 
 
-def children(pid: int) -> list[int]:
-    threads = Path(f"/proc/{pid}/task").glob("*/children")
-    return [int(each) for thread in threads for each in thread.read_text().split()]
-
-
 def health(status: AgentStatus, name: str) -> ContainerHealth:
     none = ContainerHealth(name=name, state="stopped", since=0.0)
     return next((h for h in status.health if h.name == name), none)
@@ -510,7 +506,7 @@ def test_a_command_that_is_made_inactive_ends_and_its_container_does_not(
     command = ("sleep", "100")
     manager.deploy("sleeper", command=command)
     pid = manager.wait_active("sleeper").pid
-    (process,) = children(pid)
+    (process,) = children_of(pid)
     manager.deploy("sleeper", goal="inactive", command=command)
     status = manager.wait_for(
         lambda status: (
@@ -535,7 +531,7 @@ def test_ends_with_its_lifeline(doomed: Manager) -> None:
 def test_a_command_ends_with_its_container(manager: Manager) -> None:
     manager.deploy("sleeper", command=("sleep", "100"))
     container = manager.wait_active("sleeper")
-    (command,) = children(container.pid)
+    (command,) = children_of(container.pid)
     os.kill(container.pid, signal.SIGKILL)
     wait_gone(command)
 
@@ -550,8 +546,8 @@ def test_what_a_component_forked_ends_with_its_container(
     container = manager.wait_active("forking")
     wait_until(lambda: daemon.exists() and daemon.read_text() != "")
     # its parent ends, and the container takes its place
-    wait_until(lambda: int(daemon.read_text()) in children(container.pid))
-    forked = children(container.pid)
+    wait_until(lambda: int(daemon.read_text()) in children_of(container.pid))
+    forked = children_of(container.pid)
     assert len(forked) >= 2
     if how == "killed":
         os.kill(container.pid, signal.SIGKILL)
@@ -569,7 +565,7 @@ def test_an_orphan_that_ended_is_reaped_and_no_exit_code_is_lost(
     container = manager.wait_active("daemonizing")
     wait_until(lambda: orphan.exists() and orphan.read_text() != "")
     pid = int(orphan.read_text())
-    wait_until(lambda: pid not in children(container.pid))
+    wait_until(lambda: pid not in children_of(container.pid))
     (manager.folder / "look").touch()
     wait_until(lambda: codes.exists() and codes.read_text().endswith("]"))
     assert codes.read_text() == "[3, 4]"
@@ -644,7 +640,7 @@ def limit_descriptors(pid: int, more: int | None) -> None:
 @pytest.mark.parametrize("who", ["agent", "zygote"])
 def test_lives_on_without_a_free_descriptor(doomed: Manager, who: str) -> None:
     agent = doomed.process.pid
-    (zygote,) = children(agent)
+    (zygote,) = children_of(agent)
     limit_descriptors(*((agent, 3) if who == "agent" else (zygote, 1)))
     doomed.deploy("quiet", "busy", "stubborn")
     doomed.wait_for(lambda status: len(doomed.faults(status)) >= 3)
@@ -738,7 +734,7 @@ def test_without_its_zygote_what_runs_goes_on_and_the_status_says_so(
 ) -> None:
     doomed.deploy("quiet", "stubborn")
     pids = [doomed.wait_active(name).pid for name in ("quiet", "stubborn")]
-    (zygote,) = children(doomed.process.pid)
+    (zygote,) = children_of(doomed.process.pid)
     os.kill(zygote, signal.SIGKILL)
     status = doomed.wait_for(lambda status: "zygote is gone" in status.trouble)
     assert {each.pid for each in status.containers} == set(pids)

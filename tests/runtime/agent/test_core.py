@@ -41,9 +41,17 @@ class Process:
         self.sent: list[ToContainer] = []
         self.signals: list[Signals] = []
         self.fault: Exception | None = None
+        self.lease_end = 0.0
+        self.is_lapsed = False
 
     def note_born(self, pid: int) -> None:
         pass
+
+    def extend_lease(self, until: float) -> None:
+        self.lease_end = until
+
+    def is_lease_past(self) -> bool:
+        return self.is_lapsed
 
     def send(self, record: ToContainer) -> None:
         if self.fault:
@@ -160,6 +168,7 @@ class World:
         surroundings = Surroundings(
             clock=self.clock,
             wall=lambda: 1e9 + self.clock.now(),
+            asleep=lambda: 0.0,
             random=Random(1),
             say=self.said.append,
             publish=self.statuses.append,

@@ -39,7 +39,7 @@ class FakeRoute:
     def __init__(self, *, ready: bool = True) -> None:
         self.ready = ready
         self.went: list[Any] = []
-        self.is_closed = self.is_calling_now = False
+        self.is_closed = self.is_calling_now = self.is_given_up = False
         self.room = 1_000
         self.asked = threading.Event()
 
@@ -79,6 +79,9 @@ class FakeRoute:
         if not self.ready:
             raise Unavailable("nobody there")
         self.went.append(f"marker {number}")
+
+    def give_up(self) -> None:
+        self.is_given_up = True
 
     def close(self) -> None:
         self.is_closed = True
@@ -148,6 +151,22 @@ def test_what_is_kept_back_goes_when_its_source_works(
     sender.send(2)
     drain(sender)
     assert old.went == [1, 2]
+
+
+def test_only_the_newest_messages_are_kept_back_from_a_target_that_is_cut_off(
+    sender: Sender, old: FakeRoute, new: FakeRoute
+) -> None:
+    """Of 1 to 3 it keeps one: 1 and 2 are dropped, and their publisher never waits."""
+    sender.buffer_for_move(keep=1)
+    for number in (1, 2, 3):
+        sender.send(number)
+    assert sender.counts.drops == 2
+    sender.switch("new")
+    drain(sender)
+    assert (old.went, new.went) == ([], [3])
+    sender.send(4)
+    sender.send(5)
+    assert new.went == [3, 4, 5]
 
 
 def test_what_is_kept_back_also_waits_for_a_target_that_moves(
@@ -246,7 +265,7 @@ def test_does_not_release_to_nowhere(
 def test_a_publisher_waits_while_too_much_is_held(
     sender: Sender, new: FakeRoute, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("poise.runtime.connectors.sender.MOST_BUFFERED", 2)
+    monkeypatch.setattr("poise.runtime.connectors.message_buffer.MOST_BUFFERED", 2)
     sender.buffer_for_move()
     for number in range(3):
         sender.send(number)  # the third waits for the sender's limit, and is lost

@@ -11,6 +11,7 @@ import pytest
 from poise import Message
 from poise.errors import UsageError
 from poise.runtime.component.ports import Port
+from poise.runtime.connectors import tap
 from poise.runtime.connectors.proxy import Proxy
 from poise.runtime.connectors.sender import Sender
 from poise.runtime.connectors.tap import MOST_PASSED, MOST_TIMES, Observer, Plain
@@ -42,6 +43,19 @@ def test_a_message_is_noted_and_goes_out_as_ever() -> None:
     assert [each.value for each in reading.passed] == [{"number": 7}]
     assert [each.at for each in reading.passed] == list(reading.times)
     assert observer.take(2).times == ()
+
+
+def test_messages_are_shown_at_their_rate_though_the_time_of_day_steps_back(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    observer = Observer("a-b", Note, rate=1e9)
+    observer.note(lambda: Note(1))
+    monkeypatch.setattr(tap, "wall_time", lambda: 1e9)  # in 2001
+    observer.note(lambda: Note(2))
+    assert [each.value for each in observer.take(1).passed] == [
+        {"number": 1},
+        {"number": 2},
+    ]
 
 
 def test_without_viewers_messages_take_the_way_that_they_always_took() -> None:

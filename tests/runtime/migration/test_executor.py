@@ -174,3 +174,44 @@ def test_a_halt_says_that_a_step_after_the_commit_was_begun(
     assert executor.halt(batch(HALT)).is_committed  # as often as it is asked
     executor.note_deployment()
     assert not executor.halt(batch(HALT)).is_committed
+
+
+def test_over_a_cut_link_no_marker_is_sent_and_nobody_is_waited_for(
+    runner: Runner,
+) -> None:
+    route = Mock()
+    sender = Mock(routes=lambda: {"key": route})
+    wiring = Mock(sender=lambda _: sender)
+    executor = MigrationExecutor({("one", 0): runner}, wiring, Mock())
+    outcome = executor.receive(batch(Step("buffer", late={"key": 3})))()
+    assert isinstance(outcome, StepsDone)
+    sender.buffer_for_move.assert_called_once_with(3)
+    route.give_up.assert_called_once_with()
+    sender.send_marker.assert_not_called()
+
+
+def test_what_arrives_late_over_a_cut_link_is_taken_no_more(runner: Runner) -> None:
+    wiring = Mock()
+    executor = MigrationExecutor({("one", 0): runner}, wiring, Mock())
+    drain = Step("drain channels", "one", 0, late={"key": 1})
+    assert isinstance(executor.receive(batch(drain))(), StepsDone)
+    wiring.shut.assert_called_once_with("key")
+
+
+def test_a_pause_gives_up_what_the_component_sends_over_a_cut_link(
+    runner: Runner, executor: MigrationExecutor
+) -> None:
+    """Else it waits for a component that waits for the computer that is cut off."""
+    routes = {"cut": Mock(), "near": Mock()}
+    senders = {
+        name: Mock(routes=lambda name=name: {name: routes[name]}) for name in routes
+    }
+    runner.endpoints.senders.update(senders)
+    pause = Step("pause", "one", 0, late={"cut": 1})
+    outcomes = [executor.receive(batch(each))() for each in (OFFER, pause)]
+    runner.endpoints.senders.clear()
+    assert all(isinstance(each, StepsDone) for each in outcomes), outcomes
+    routes["cut"].give_up.assert_called_once_with()
+    routes["near"].give_up.assert_not_called()
+    senders["cut"].send_marker.assert_not_called()
+    senders["near"].send_marker.assert_called_once_with(1)

@@ -6,13 +6,13 @@ import sys
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import pytest
 
 from poise import Message
 from poise.runtime.workload.replay import TICK, Replay
 from poise.testing import Bench
 from poise.wire.codec import codec
+from poise.wire.recording_file import append
 from poise.wire.records.recorded import Input, Recorded
 
 
@@ -35,7 +35,7 @@ def recorded(path: Path, *messages: tuple[str, float, str]) -> str:
     inputs = [
         Input(source, at, encode(Text(text))[0], b"") for source, at, text in messages
     ]
-    path.write_bytes(msgspec.msgpack.encode(Recorded(robot="r", inputs=inputs)))
+    append(Recorded(robot="r", inputs=inputs), path)
     return str(path)
 
 

@@ -18,6 +18,7 @@ import poise
 from poise.emulate import EmulatedSet, find_set, look, sweep
 from poise.emulate.registry import read
 from tests.command import POISE, robot_up, run_poise
+from tests.processes import words_of
 from tests.waiting import LONG, wait_long, wait_until
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(LONG)]
@@ -87,7 +88,7 @@ def _healed(request: pytest.FixtureRequest) -> Iterator[None]:
             fault = min(faults, key=lambda each: each.kind != "crashed")
             if fault.kind == "load":
                 kept.load(fault.on[0], 0.0)
-            elif fault.kind in {"crashed", "frozen"}:
+            elif fault.kind in {"crashed", "frozen", "frozen agent"}:
                 kept.boot(*fault.on)
             else:
                 kept.heal(*fault.on)
@@ -104,7 +105,7 @@ def agent_of(kept: EmulatedSet, computer: str) -> int:
 
     def look_for_it() -> bool:
         for pid in kept.computers[computer].running():
-            words = Path(f"/proc/{pid}/cmdline").read_bytes().split(b"\0")
+            words = words_of(pid)
             if b"agent" in words and computer.encode() in words:
                 found.append(pid)
         return bool(found)
@@ -193,6 +194,33 @@ def test_a_manager_loses_a_broken_computer_until_it_is_booted(
         assert emulate(kept, "boot", "right").returncode == 0
         wait_long(lambda: not robot.status().out_of_reach)
     assert emulate(kept, "boot", "right").returncode == 2
+
+
+def test_an_agent_alone_is_stopped_until_it_is_booted(
+    kept: EmulatedSet, file: Path
+) -> None:
+    with robot_up(file):
+        robot = poise.connect(kept.robot)
+        (container,) = robot.status().computers["left"].containers
+        agent = agent_of(kept, "left")
+        assert emulate(kept, "freeze", "left", "--agent").returncode == 0
+        wait_until(lambda: state_of(agent) == "T")
+        assert state_of(container.pid) != "T"
+        (fault,) = kept.state().faults
+        assert str(fault).startswith("frozen agent left since")
+        again = emulate(kept, "freeze", "left", "--agent")
+        assert again.returncode == 2
+        assert "`poise emulate boot left` ends it" in again.stderr
+        wait_long(lambda: "left" in robot.status().out_of_reach)
+        assert emulate(kept, "boot", "left").returncode == 0
+        wait_long(lambda: not robot.status().out_of_reach)
+    assert kept.state().faults == ()
+
+
+def state_of(pid: int) -> str:
+    """Return a process's state; T: it is stopped."""
+    stat = Path(f"/proc/{pid}/stat").read_text()
+    return stat.rpartition(")")[2].split()[0]
 
 
 def test_a_killed_agent_is_started_again(kept: EmulatedSet, file: Path) -> None:

@@ -10,11 +10,12 @@ import pytest
 import poise
 from poise.cli.command.design_time.policy import policy_command
 from poise.errors import UsageError
-from poise.manage.observe.recording import Recording, save
+from poise.manage.observe.recording import RecordingFile
 from poise.model.policy.policy import Policy
 from poise.model.policy.seen import Seen
 from poise.model.policy.values import SUBJECTS, ComputerValues, LinkValues
 from poise.model.robot import Computer, Robot
+from poise.wire.recording_file import append
 from poise.wire.records.recorded import Recorded
 
 BUSY = Policy(
@@ -35,13 +36,13 @@ ROBOT = Robot(
 
 def record(path: Path, *used: float) -> None:
     """Write a recording with the use of a computer, five times a second."""
-    recording = Recording()
+    recorder = RecordingFile(path, "r")
     for number, cores in enumerate(used):
         values = ComputerValues(name="left", used=cores)
         link = LinkValues(name="left-right", bandwidth=float("inf"))
         seen = Seen(at=1000 + number / 5, computers=(values,), links=(link,))
-        recording.add_seen(seen)
-    save(Recorded(robot="r", seen=recording.take_seen()), path)
+        recorder.add_seen(seen)
+    recorder.close()
 
 
 def test_a_policy_would_have_acted_once_its_condition_lasted(tmp_path: Path) -> None:
@@ -60,13 +61,13 @@ def test_it_would_have_acted_again_after_its_cool_down(tmp_path: Path) -> None:
 
 
 def test_a_recording_without_what_policies_see_is_refused(tmp_path: Path) -> None:
-    save(Recorded(robot="r"), tmp_path / "x")
+    append(Recorded(robot="r"), tmp_path / "x")
     with pytest.raises(UsageError, match="`poise up --record` records it"):
         poise.test_policies(ROBOT, tmp_path / "x")
 
 
 def test_a_damaged_recording_is_refused(tmp_path: Path) -> None:
-    save(Recorded(robot="r", seen=[b"zlib?"]), tmp_path / "x")
+    append(Recorded(robot="r", seen=[b"zlib?"]), tmp_path / "x")
     with pytest.raises(UsageError, match="the recording is damaged"):
         poise.test_policies(ROBOT, tmp_path / "x")
 

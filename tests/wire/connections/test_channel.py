@@ -226,9 +226,32 @@ def test_a_slow_receiver_holds_the_sender_up_until_its_limit(wire: Wire) -> None
     go_on.set()
 
 
-def _push_for_ever(channel: Channel) -> None:
+@remote
+def test_a_message_waits_no_more_for_a_computer_that_is_given_up(wire: Wire) -> None:
+    """A publisher waited in vain, and so did the move of its component."""
+    go_on, first = threading.Event(), threading.Event()
+
+    def handle(_: Frame) -> None:
+        first.set()
+        go_on.wait(LIMIT)
+
+    wire.server().open("echo", handle)
+    channel = wire.channel()
+    with ThreadPoolExecutor(1) as pool:
+        filling = pool.submit(_push_for_ever, channel, 10 * LIMIT)
+        assert first.wait(LIMIT)
+        with pytest.raises(TimeoutError):  # it waits for room
+            filling.result(1.0)
+        channel.give_up()
+        with pytest.raises(Unavailable):
+            filling.result(LIMIT)
+    go_on.set()
+    wait_until(channel.is_ready)
+
+
+def _push_for_ever(channel: Channel, limit: float = SHORT) -> None:
     while True:
-        channel.push(message("x" * 1_000_000), SHORT)
+        channel.push(message("x" * 1_000_000), limit)
 
 
 @both

@@ -14,9 +14,11 @@ import subprocess
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from pathlib import Path
 
 from msgspec.structs import replace
 
+from poise.clock import wall_time
 from poise.emulate import processes, registry
 from poise.emulate.computer import EmulatedComputer
 from poise.emulate.kept.background_load import background_load
@@ -147,20 +149,34 @@ class EmulatedSet:
             if self.layout.network is not None:
                 namespaces.detach(self.layout.network, self._index(computer))
             processes.stop(self.computers[computer].running, ask=0.0)
-            kinds: tuple[FaultKind, ...] = ("cut", "frozen", "load")
+            kinds: tuple[FaultKind, ...] = ("cut", "frozen", "frozen agent", "load")
             for kind in kinds:
                 _drop(faults, kind, on)
 
-    def freeze(self, computer: str) -> None:
-        """Stop all processes of a computer, until it is booted."""
+    def freeze(self, computer: str, *, agent: bool = False) -> None:
+        """Stop all processes of a computer, until it is booted.
+
+        Parameters
+        ----------
+        agent
+            Whether to stop its agent only; its containers go on.
+        """
         on = self._named(computer)
+        running = self.computers[computer].running
         with self._changing() as faults:
             _raise_if_crashed(faults, on)
-            _add(faults, "frozen", on)
-            processes.freeze(self.computers[computer].running)
+            _add(faults, "frozen agent" if agent else "frozen", on)
+            if agent:
+                keeper = self.layout.owner.pid
+                agents = [pid for pid in running() if _is_agent(pid, keeper)]
+                if not agents:
+                    raise UsageError(f"'{computer}' has no agent now: try again")
+                processes.freeze(lambda: agents)
+            else:
+                processes.freeze(running)
 
     def boot(self, computer: str) -> None:
-        """Bring a crashed or frozen computer back.
+        """Bring a crashed or frozen computer back, or its frozen agent.
 
         Raises
         ------
@@ -171,7 +187,9 @@ class EmulatedSet:
         running = self.computers[computer].running
         with self._changing() as faults:
             crashed = _drop(faults, "crashed", on)
-            if crashed is None and _drop(faults, "frozen", on) is None:
+            kinds: tuple[FaultKind, ...] = ("frozen", "frozen agent")
+            frozen = [_drop(faults, kind, on) for kind in kinds]
+            if crashed is None and not any(frozen):
                 text = f"'{computer}' is neither crashed nor frozen{_said(faults)}"
                 raise UsageError(text)
             if crashed is not None and self.layout.network is not None:
@@ -288,6 +306,16 @@ class EmulatedSet:
         processes.stop(lambda: sorted(set(pids) & set(running())), ask=0.0)
 
 
+def _is_agent(pid: int, keeper: int) -> bool:
+    """Return whether a process is an agent: its containers have the same words."""
+    try:
+        words = Path(f"/proc/{pid}/cmdline").read_bytes().split(b"\0")
+        stat = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2]
+    except (FileNotFoundError, ProcessLookupError):  # it has ended
+        return False
+    return words[2:4] == [b"poise", b"agent"] and int(stat.split()[1]) == keeper
+
+
 def _find(
     faults: list[InjectedFault], kind: FaultKind, on: tuple[str, ...]
 ) -> InjectedFault | None:
@@ -324,7 +352,7 @@ def _add(
         InjectedFault(
             kind=kind,
             on=on,
-            since=time.time(),
+            since=wall_time(),
             shape=shape,
             cpu=cpu,
             processes=processes,

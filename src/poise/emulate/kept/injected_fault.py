@@ -9,7 +9,7 @@ from msgspec import Struct
 
 from poise.emulate.network.plan import Shape
 
-FaultKind = Literal["cut", "slow", "crashed", "frozen", "load"]
+FaultKind = Literal["cut", "slow", "crashed", "frozen", "frozen agent", "load"]
 
 
 class InjectedFault(Struct, frozen=True, kw_only=True):

@@ -5,6 +5,7 @@ A cable ends with its namespace, so removing the namespaces removes everything.
 
 from __future__ import annotations
 
+import socket
 import subprocess
 from collections.abc import Sequence
 from pathlib import Path
@@ -139,7 +140,7 @@ def can_delay(namespace: str) -> bool:
 def unplug(interface: str) -> None:
     """Remove the owner's end of a cable; nothing happens when it is gone."""
     # It is also removed with the switch's namespace, but only some time later.
-    if Path("/sys/class/net", interface).exists():
+    if interface in (name for _, name in socket.if_nameindex()):
         _run("ip", "", [f"link del {interface}"])
 
 

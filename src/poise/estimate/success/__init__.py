@@ -1,6 +1,6 @@
 """How often actions succeed with an architecture, learned from their outcomes."""
 
 from poise.estimate.success.posterior import Posterior
-from poise.estimate.success.store import Ending, Outcome, Situation, SuccessStore
+from poise.estimate.success.store import Conditions, Ending, Outcome, SuccessStore
 
-__all__ = ["Ending", "Outcome", "Posterior", "Situation", "SuccessStore"]
+__all__ = ["Conditions", "Ending", "Outcome", "Posterior", "SuccessStore"]

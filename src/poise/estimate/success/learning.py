@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from random import Random
@@ -10,15 +9,16 @@ from random import Random
 from msgspec import Struct
 from msgspec.structs import replace
 
+from poise.clock import wall_time
 from poise.errors import UsageError
 from poise.estimate.architecture_hash import hash_of
-from poise.estimate.success import Ending, Outcome, Posterior, Situation, SuccessStore
+from poise.estimate.success import Conditions, Ending, Outcome, Posterior, SuccessStore
 from poise.model.robot import Architecture, Robot
 from poise.model.tasks.steps import Action, actions_of
 from poise.suggest import unknown
 
 STORE = Path(".poise") / "success.sqlite"
-WELL = Situation()
+WELL = Conditions()
 """All computers are there, and the CPU is not short."""
 
 
@@ -38,7 +38,7 @@ class Belief(Struct, frozen=True, kw_only=True):
     """
 
     action: str
-    situation: Situation
+    conditions: Conditions
     hash: str
     is_present: bool
     done: int
@@ -62,7 +62,7 @@ def note_outcome(
     ending: Ending,
     architectures: Mapping[str, str] | Iterable[str],
     *,
-    situation: Situation = WELL,
+    conditions: Conditions = WELL,
 ) -> None:
     """Note how an action ended, so that the next choice of architectures knows.
 
@@ -77,7 +77,7 @@ def note_outcome(
     architectures
         What served the action: `Placement.architectures`, of which those count whose
         function the action needs; or names of architectures, which all count.
-    situation
+    conditions
         What was known of the circumstances.
 
     Raises
@@ -95,9 +95,9 @@ def note_outcome(
     with _store(robot) as store:
         for each in served:
             outcome = Outcome(
-                at=time.time(),
+                at=wall_time(),
                 action=action,
-                situation=situation,
+                conditions=conditions,
                 function=each.function,
                 architecture=each.name,
                 hash=hash_in(robot, each),
@@ -110,7 +110,7 @@ def learned(
     robot: Robot,
     actions: Iterable[Action],
     *,
-    situation: Situation = WELL,
+    conditions: Conditions = WELL,
     explore: bool = False,
     seed: int = 0,
 ) -> Learned:
@@ -133,7 +133,7 @@ def learned(
     rivals = list(_rivals(robot, tuple(actions)))
     if not rivals or not (explore or _has_outcomes(robot)):
         return Learned(robot)
-    believed = _posteriors(robot, (a for _, group in rivals for a in group), situation)
+    believed = _posteriors(robot, (a for _, group in rivals for a in group), conditions)
     count = sum(each.count for by in believed.values() for each in by.values())
     success: dict[str, float] = {}
     says = []
@@ -163,19 +163,19 @@ def actions_in(robot: Robot, task: str | None) -> Iterator[Action]:
 
 
 def beliefs_about(robot: Robot, architecture: str) -> list[Belief]:
-    """Return what was learned of an architecture, by action, situation and hash."""
+    """Return what was learned of an architecture, by action, conditions and hash."""
     if not _has_outcomes(robot):
         return []
     now = hash_in(robot, named(robot, architecture))
     with _store(robot) as store:
         found = store.posteriors(robot.name, architecture)
     beliefs = []
-    for (action, situation, hash_), posterior in found.items():
+    for (action, conditions, hash_), posterior in found.items():
         low, high = posterior.interval()
         beliefs.append(
             Belief(
                 action=action,
-                situation=situation,
+                conditions=conditions,
                 hash=hash_,
                 is_present=hash_ == now,
                 done=posterior.done,
@@ -241,15 +241,15 @@ def _rivals(
 
 
 def _posteriors(
-    robot: Robot, architectures: Iterable[Architecture], situation: Situation
+    robot: Robot, architectures: Iterable[Architecture], conditions: Conditions
 ) -> dict[str, dict[str, Posterior]]:
-    """Return architecture -> action -> what its outcomes in this situation say."""
+    """Return architecture -> action -> what its outcomes in this conditions say."""
     if not _has_outcomes(robot):
         return {a.name: {} for a in architectures}
     found = {}
     with _store(robot) as store:
         for a in architectures:
-            key = situation, hash_in(robot, a)
+            key = conditions, hash_in(robot, a)
             every = store.posteriors(robot.name, a.name).items()
             found[a.name] = {k[0]: each for k, each in every if k[1:] == key}
     return found

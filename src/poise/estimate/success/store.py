@@ -20,7 +20,7 @@ CREATE TABLE IF NOT EXISTS outcomes (
     robot TEXT NOT NULL,
     at REAL NOT NULL,           -- seconds since the epoch
     action TEXT NOT NULL,
-    situation TEXT NOT NULL,    -- JSON of a Situation
+    situation TEXT NOT NULL,    -- JSON of a Conditions
     function TEXT NOT NULL,
     architecture TEXT NOT NULL,
     hash TEXT NOT NULL,         -- of the architecture as it ran
@@ -29,7 +29,7 @@ CREATE TABLE IF NOT EXISTS outcomes (
 """
 
 
-class Situation(Struct, frozen=True, kw_only=True):
+class Conditions(Struct, frozen=True, kw_only=True):
     """What is known of the circumstances of an action; each is learned apart.
 
     Parameters
@@ -58,7 +58,7 @@ class Outcome(Struct, frozen=True, kw_only=True):
 
     at: float
     action: str
-    situation: Situation = Situation()
+    conditions: Conditions = Conditions()
     function: str
     architecture: str
     hash: str
@@ -79,7 +79,7 @@ class SuccessStore(SqliteFile):
             robot,
             outcome.at,
             outcome.action,
-            _text(outcome.situation),
+            _text(outcome.conditions),
             outcome.function,
             outcome.architecture,
             outcome.hash,
@@ -88,8 +88,8 @@ class SuccessStore(SqliteFile):
 
     def posteriors(
         self, robot: str, architecture: str
-    ) -> dict[tuple[str, Situation, str], Posterior]:
-        """Return (action, situation, hash) -> what its outcomes say of success."""
+    ) -> dict[tuple[str, Conditions, str], Posterior]:
+        """Return (action, conditions, hash) -> what its outcomes say of success."""
         rows = self.execute(
             "SELECT action, situation, hash, SUM(ending = 'done'), "
             "SUM(ending = 'failed') FROM outcomes WHERE robot = ? AND architecture = ?"
@@ -98,7 +98,7 @@ class SuccessStore(SqliteFile):
             architecture,
         )
         return {
-            (action, msgspec.json.decode(text, type=Situation), hash_): Posterior(*n)
+            (action, msgspec.json.decode(text, type=Conditions), hash_): Posterior(*n)
             for action, text, hash_, *n in rows
         }
 
@@ -111,5 +111,5 @@ class SuccessStore(SqliteFile):
         ).rowcount
 
 
-def _text(situation: Situation) -> str:
-    return msgspec.json.encode(situation).decode()
+def _text(conditions: Conditions) -> str:
+    return msgspec.json.encode(conditions).decode()

@@ -7,16 +7,19 @@ there.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from functools import partial
 
-from poise.errors import RunError, UsageError
+from poise.errors import PoiseError, RunError, UsageError
 from poise.manage.adaptation.bad_links import check_links
-from poise.manage.adaptation.facts import Facts
 from poise.manage.adaptation.move_limits import MoveLimits
-from poise.manage.adaptation.policy.evaluation import Symptom
+from poise.manage.adaptation.policy.evaluation import Policies, Symptom
+from poise.manage.adaptation.responder import Change
 from poise.manage.adaptation.shortages.crash_loops import CrashLoops, components_in
 from poise.manage.adaptation.shortages.put_aside import PutAside
+from poise.manage.adaptation.situation import Situation
 from poise.manage.adaptation.what_if import check_move
+from poise.manage.deploy.desired import Desired
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.migration.move import move
 from poise.manage.migration.replacement import replace_architecture
@@ -31,18 +34,25 @@ from poise.model.robot import Architecture
 
 
 class Actions:
-    """Carries out actions on a running robot.
+    """Carries out actions on a running robot, one about one subject at a time.
 
     `take` raises PoiseError when an action is refused or fails.
     """
 
+    purpose = "carry out policies"
+
     def __init__(
-        self, run: RunningComponents, put_aside: PutAside, limits: MoveLimits
+        self,
+        run: RunningComponents,
+        put_aside: PutAside,
+        limits: MoveLimits,
+        policies: Policies,
     ) -> None:
         self._run = run
+        self._policies = policies
         self._put_aside = put_aside
         self._limits = limits
-        self._by_name: Mapping[Do, Callable[[Symptom, Facts, float], None]] = {
+        self._by_name: Mapping[Do, Callable[[Symptom, Situation, float], None]] = {
             "move": self._move,
             "replace": self._replace,
             "restart": self._restart,
@@ -50,33 +60,50 @@ class Actions:
             "put aside": self._put,
         }
 
-    def knows(self, do: Do | None) -> bool:
-        """Return whether an action is one of these."""
-        return do in self._by_name
+    def respond(self, situation: Situation, _desired: Desired) -> Change | None:
+        """Return the action that is due, the first one if there are more."""
+        due = self._policies.due(situation.symptoms, situation.now)
+        symptom = next((s for s in due if s.policy.do in self._by_name), None)
+        if symptom is None:
+            return None
+        policy = symptom.policy
+        what = f"policy '{policy.name}': {policy.do} '{symptom.values.name}'"
+        return Change(
+            why=f"{what}: {symptom.what}",
+            facts={"policies": saw([symptom])},
+            carry_out=partial(self._carry_out, symptom, situation, what),
+        )
 
-    def take(self, symptom: Symptom, facts: Facts, now: float) -> None:
+    def _carry_out(self, symptom: Symptom, situation: Situation, what: str) -> None:
+        self._policies.note_acted([symptom], situation.now)
+        try:
+            self.take(symptom, situation, situation.now)
+        except PoiseError as error:
+            self._run.journal.note("failed", f"{what}: {error}")
+
+    def take(self, symptom: Symptom, situation: Situation, now: float) -> None:
         """Carry out the action of a symptom's policy."""
         do = symptom.policy.do
-        assert do is not None  # noqa: S101, `knows` looked
-        self._by_name[do](symptom, facts, now)
+        assert do is not None  # noqa: S101, `respond` looked
+        self._by_name[do](symptom, situation, now)
 
-    def _move(self, symptom: Symptom, facts: Facts, now: float) -> None:
+    def _move(self, symptom: Symptom, situation: Situation, now: float) -> None:
         policy, run = symptom.policy, self._run
         component, target = _component(symptom), policy.to or ""
-        source = facts.placement.get(component, "")
+        source = situation.placement.get(component, "")
         if source == target:
             return
-        check_links(facts, component, target)
+        check_links(situation, component, target)
         if not policy.force:
             if not self._limits.may_move(1, now):
                 raise RunError("the move is over the budget of a minute")
             if target in self._limits.barred(now).get(component, ()):
                 raise RunError(f"'{component}' left '{target}' only lately")
-            check_move(facts, component, target)
+            check_move(situation, component, target)
         self._limits.note([TransitionStep(component, source, target)], now)
         _raise_on_failure(move(run, component, target))
 
-    def _replace(self, symptom: Symptom, _facts: Facts, _now: float) -> None:
+    def _replace(self, symptom: Symptom, _situation: Situation, _now: float) -> None:
         policy, run = symptom.policy, self._run
         old = self._architecture(symptom)
         others = [
@@ -89,7 +116,7 @@ class Actions:
         report = replace_architecture(run, old.name, by, fresh=policy.force)
         _raise_on_failure(report)
 
-    def _restart(self, symptom: Symptom, facts: Facts, _now: float) -> None:
+    def _restart(self, symptom: Symptom, situation: Situation, _now: float) -> None:
         run = self._run
         if symptom.policy.for_each == "container":
             components = components_in(run, symptom)
@@ -97,13 +124,13 @@ class Actions:
             components = [_component(symptom)]
         steps = []
         for name in sorted(components):
-            at = facts.placement[name]
+            at = situation.placement[name]
             steps += [TransitionStep(name, at), TransitionStep(name, target=at)]
         _raise_on_failure(transit(run, tuple(steps)))
 
-    def _put(self, symptom: Symptom, facts: Facts, now: float) -> None:
+    def _put(self, symptom: Symptom, situation: Situation, now: float) -> None:
         if symptom.policy.for_each == "computer":
-            architecture = _lowest(facts, symptom.computer)
+            architecture = _lowest(situation, symptom.computer)
         else:
             architecture = self._architecture(symptom)
         self._put_aside.put([architecture.name], symptom.what, now)
@@ -119,6 +146,11 @@ class Actions:
         raise UsageError(f"no architecture has '{name}'")
 
 
+def saw(symptoms: Iterable[Symptom]) -> list[dict[str, object]]:
+    """Return policies and the values that they saw, for the journal."""
+    return [{"policy": each.policy.name, "saw": each.values} for each in symptoms]
+
+
 def _raise_on_failure(report: MigrationReport | TransitionReport) -> None:
     if not report.committed:
         raise RunError(report.reason)
@@ -129,12 +161,12 @@ def _component(symptom: Symptom) -> str:
     return getattr(symptom.values, "component", symptom.values.name)
 
 
-def _lowest(facts: Facts, computer: str) -> Architecture:
+def _lowest(situation: Situation, computer: str) -> Architecture:
     """Return the lowest architecture on a computer, if another one is higher."""
     here = [
         a
-        for a in facts.robot.architectures
-        if any(facts.placement.get(c.name) == computer for c in a.components)
+        for a in situation.robot.architectures
+        if any(situation.placement.get(c.name) == computer for c in a.components)
     ]
     lowest = min(
         (a for a in here if a.layer == "sequencing"),

@@ -13,12 +13,11 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from poise.errors import UsageError
-from poise.manage.adaptation.facts import Facts
+from poise.manage.adaptation.situation import Situation
+from poise.manage.agent_connections.statuses import CUT
 from poise.model.policy.values import LinkValues
 from poise.model.robot import Connector, Link, Robot
 
-_CUT = 0.7
-"""A link over which no heartbeat came for so long is cut [s]."""
 _CUT_DISTANCE = 1000.0
 """By this factor the planner takes the ends of a cut link to be further apart."""
 _FAR = 0.001
@@ -57,38 +56,38 @@ class LinkState(Struct, frozen=True, kw_only=True):
         return 1.0 if self.cut else min(1.0, self.loss + rate * self.extra)
 
 
-def states_of(facts: Facts) -> Iterator[LinkState]:
+def states_of(situation: Situation) -> Iterator[LinkState]:
     """Yield the links of a robot as they are."""
-    for link in facts.robot.links:
+    for link in situation.robot.links:
         first, second = link.between
         sides = [
             status.links[there]
             for here, there in ((first, second), (second, first))
-            if (status := facts.statuses.get(here)) and there in status.links
+            if (status := situation.statuses.get(here)) and there in status.links
         ]
-        if facts.lost & {first, second} or not sides:
+        if situation.lost & {first, second} or not sides:
             yield LinkState(link=link)
             continue
         yield LinkState(
             link=link,
             delay=max(side.delay or 0.0 for side in sides),
             loss=max(side.loss for side in sides),
-            cut=max(side.silent for side in sides) > _CUT,
+            cut=max(side.silent for side in sides) > CUT,
         )
 
 
-def link_values(facts: Facts) -> Iterator[LinkValues]:
+def link_values(situation: Situation) -> Iterator[LinkValues]:
     """Yield what policies may ask of links."""
     traffic: dict[frozenset[str | None], float] = {}
-    for connector in facts.robot.all_connectors():
-        now = facts.traffic.get(str(connector))
+    for connector in situation.robot.all_connectors():
+        now = situation.traffic.get(str(connector))
         if now is not None:
-            ends = _ends(connector, facts.placement)
+            ends = _ends(connector, situation.placement)
             carried = now.size * (now.calls + now.messages)
             traffic[ends] = traffic.get(ends, 0.0) + carried
-    for state in states_of(facts):
+    for state in states_of(situation):
         first, second = state.link.between
-        status = facts.statuses.get(first)
+        status = situation.statuses.get(first)
         clock = status.clocks.get(second) if status else None
         yield LinkValues(
             name=str(state),
@@ -102,23 +101,23 @@ def link_values(facts: Facts) -> Iterator[LinkValues]:
         )
 
 
-def bad_links(facts: Facts) -> tuple[LinkState, ...]:
+def bad_links(situation: Situation) -> tuple[LinkState, ...]:
     """Return the links about which policies want a new plan."""
-    return tuple(s for s in states_of(facts) if str(s) in facts.bad_links)
+    return tuple(s for s in states_of(situation) if str(s) in situation.bad_links)
 
 
 def crossing(
-    facts: Facts, placement: Mapping[str, str], bad: Sequence[LinkState]
+    situation: Situation, placement: Mapping[str, str], bad: Sequence[LinkState]
 ) -> Iterator[tuple[Connector, LinkState]]:
     """Yield the connectors of a placement that cross bad links, with the links."""
     links = {frozenset[str | None](state.link.between): state for state in bad}
-    for connector in facts.robot.all_connectors():
+    for connector in situation.robot.all_connectors():
         if (state := links.get(_ends(connector, placement))) is not None:
             yield connector, state
 
 
 def wasted(
-    facts: Facts,
+    situation: Situation,
     robot: Robot,
     placement: Mapping[str, str],
     bad: Sequence[LinkState],
@@ -131,8 +130,8 @@ def wasted(
         With the present demands.
     """
     shares: dict[str, float] = {}
-    for connector, state in crossing(facts, placement, bad):
-        now = facts.traffic.get(str(connector))
+    for connector, state in crossing(situation, placement, bad):
+        now = situation.traffic.get(str(connector))
         rate = max(connector.rate, now.calls + now.messages if now else 0.0)
         for end in connector.between:
             before = shares.get(end.component, 0.0)
@@ -141,19 +140,19 @@ def wasted(
     return sum(demands[name] * share for name, share in shares.items())
 
 
-def check_links(facts: Facts, component: str, computer: str) -> None:
+def check_links(situation: Situation, component: str, computer: str) -> None:
     """Raise UsageError when a link is cut that a move needs.
 
     A state crosses from where it is; connectors are joined before anything moves.
     """
-    cut = [state for state in states_of(facts) if state.cut]
-    source = facts.placement.get(component)
-    if not cut or source is None or facts.robot.component(component).command:
+    cut = [state for state in states_of(situation) if state.cut]
+    source = situation.placement.get(component)
+    if not cut or source is None or situation.robot.component(component).command:
         return
     needs = {
         str(state): f"'{connector}' would cross it"
         for connector, state in crossing(
-            facts, {**facts.placement, component: computer}, cut
+            situation, {**situation.placement, component: computer}, cut
         )
         if component in {end.component for end in connector.between}
     } | {
@@ -166,12 +165,12 @@ def check_links(facts: Facts, component: str, computer: str) -> None:
         raise UsageError(f"component '{component}' cannot move to '{computer}': {why}")
 
 
-def reason(facts: Facts, bad: Sequence[LinkState]) -> str:
+def reason(situation: Situation, bad: Sequence[LinkState]) -> str:
     """Return what crosses bad links now, for people; empty where none is bad."""
     if not bad:
         return ""
     across: dict[str, list[str]] = {str(state): [] for state in bad}
-    for connector, state in crossing(facts, facts.placement, bad):
+    for connector, state in crossing(situation, situation.placement, bad):
         across[str(state)].append(f"'{connector}'")
     return "".join(
         f"link '{state}' is {'cut' if state.cut else 'slow'}, and {_cross(names)} it; "

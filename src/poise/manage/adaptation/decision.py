@@ -23,10 +23,10 @@ from poise.manage.adaptation.bad_links import (
     wasted,
     with_bad_links,
 )
-from poise.manage.adaptation.facts import Facts, Homes
 from poise.manage.adaptation.late_data import late, relieve
 from poise.manage.adaptation.proposals import Proposal
 from poise.manage.adaptation.replan import propose, with_present_demands
+from poise.manage.adaptation.situation import Homes, Situation
 from poise.manage.agent_connections.statuses import components_of
 from poise.manage.migration.report import TransitionStep
 from poise.manage.migration.residue import missing_cpu
@@ -68,7 +68,9 @@ class Decision(Struct, frozen=True, kw_only=True):
     cost: float = 0.0
 
 
-def decide(facts: Facts, barred: Mapping[str, AbstractSet[str]] = {}) -> Decision:
+def decide(
+    situation: Situation, barred: Mapping[str, AbstractSet[str]] = {}
+) -> Decision:
     """Return whether to change the placement, and why.
 
     Parameters
@@ -76,32 +78,32 @@ def decide(facts: Facts, barred: Mapping[str, AbstractSet[str]] = {}) -> Decisio
     barred
         Component -> computers where it may not go.
     """
-    facts = facts.within_reach()
-    bad = bad_links(facts)
-    barred = beyond_cuts(barred, facts.placement, bad)
-    robot = with_bad_links(facts.robot_left(), bad)
-    robot_now = with_present_demands(robot, facts.demand_estimates)
-    short = sum(missing_cpu(robot_now, facts.placement).values())
-    robot = _barring(robot, facts.placement, barred)
-    causes = reason(facts, bad)
-    in_vain = wasted(facts, robot_now, facts.placement, bad)
+    situation = situation.within_reach()
+    bad = bad_links(situation)
+    barred = beyond_cuts(barred, situation.placement, bad)
+    robot = with_bad_links(situation.robot_left(), bad)
+    robot_now = with_present_demands(robot, situation.demand_estimates)
+    short = sum(missing_cpu(robot_now, situation.placement).values())
+    robot = _barring(robot, situation.placement, barred)
+    causes = reason(situation, bad)
+    in_vain = wasted(situation, robot_now, situation.placement, bad)
     relieved = 0.0
     if not short:
-        relief = relieve(robot, facts, barred)
+        relief = relieve(robot, situation, barred)
         if not relief.homes and not in_vain:
             return Decision(acts=False, why=causes + relief.why)
         robot, relieved = _held(robot, relief.homes), relief.wasted
     try:
-        proposal = propose(facts, robot, MOVE, is_quick=True)
+        proposal = propose(situation, robot, MOVE, is_quick=True)
     except RobotError as error:
-        room = _room(robot_now, facts)
-        why = f"no placement can help: {causes}{late(facts)}{error}{room}"
+        room = _room(robot_now, situation)
+        why = f"no placement can help: {causes}{late(situation)}{error}{room}"
         unable = Decision(acts=False, why=why)
-        return _with_fewer(robot, facts, unable) if short else unable
+        return _with_fewer(robot, situation, unable) if short else unable
     left = sum(missing_cpu(robot_now, proposal.placement).values())
-    in_vain -= wasted(facts, robot_now, proposal.placement, bad)
+    in_vain -= wasted(situation, robot_now, proposal.placement, bad)
     gain = (short - left + relieved + in_vain) * HORIZON
-    cost = cost_of(facts, robot_now, proposal.steps)
+    cost = cost_of(situation, robot_now, proposal.steps)
     what = f"{causes}no other placement is better"
     if proposal.steps:
         what = (
@@ -120,12 +122,12 @@ def _held(robot: Robot, homes: Homes) -> Robot:
     )
 
 
-def _room(robot: Robot, facts: Facts) -> str:
+def _room(robot: Robot, situation: Situation) -> str:
     """Return what the components need and what there is for them, for people."""
     needed = sum(
         c.demand.get("cpu", 0.0)
         for c in robot.components()
-        if c.name in facts.placement
+        if c.name in situation.placement
     )
     usable = ", ".join(
         f"'{c.name}' has {format_cores(c.usable('cpu'))}" for c in robot.computers
@@ -136,20 +138,20 @@ def _room(robot: Robot, facts: Facts) -> str:
     )
 
 
-def _with_fewer(robot: Robot, facts: Facts, unable: Decision) -> Decision:
+def _with_fewer(robot: Robot, situation: Situation, unable: Decision) -> Decision:
     """Return whether to put aside architectures for the sake of higher ones.
 
     Not all fits, so the work of the lowest priorities is given up; but only when
     higher ones suffer in spite of their CPU weights.
     """
     try:
-        proposal = propose(facts, robot, MOVE, fewer=True, is_quick=True)
+        proposal = propose(situation, robot, MOVE, fewer=True, is_quick=True)
     except RobotError:
         return unable
     aside = {
         a.name: a.priority for a in robot.architectures if a.name in proposal.aside
     }
-    suffers = _suffering(facts)
+    suffers = _suffering(situation)
     helped = [
         a.priority
         for a in robot.architectures
@@ -161,23 +163,25 @@ def _with_fewer(robot: Robot, facts: Facts, unable: Decision) -> Decision:
     return Decision(acts=True, why=f"not all fits without {names}", proposal=proposal)
 
 
-def shortages_of(facts: Facts) -> dict[str, float]:
+def shortages_of(situation: Situation) -> dict[str, float]:
     """Return what components of each computer need and it does not have [cores]."""
-    robot = with_present_demands(facts.robot_left(), facts.demand_estimates)
-    return missing_cpu(robot, facts.placement)
+    robot = with_present_demands(situation.robot_left(), situation.demand_estimates)
+    return missing_cpu(robot, situation.placement)
 
 
-def _suffering(facts: Facts) -> set[str]:
+def _suffering(situation: Situation) -> set[str]:
     """Return the components that are starved, or miss deadlines."""
     starved = {
         each.component
-        for each in facts.demand_estimates
+        for each in situation.demand_estimates
         if each.estimate.starved >= STARVED
     }
-    return starved | {each.component for each in facts.misses if each.late}
+    return starved | {each.component for each in situation.misses if each.late}
 
 
-def cost_of(facts: Facts, robot: Robot, steps: Iterable[TransitionStep]) -> float:
+def cost_of(
+    situation: Situation, robot: Robot, steps: Iterable[TransitionStep]
+) -> float:
     """Return what steps cost [core-seconds].
 
     Parameters
@@ -186,10 +190,10 @@ def cost_of(facts: Facts, robot: Robot, steps: Iterable[TransitionStep]) -> floa
         With the present demands.
     """
     demands = {c.name: c.demand.get("cpu", 0.0) for c in robot.components()}
-    starts = {c.name: c.start for c in components_of(facts.statuses) if c.start}
+    starts = {c.name: c.start for c in components_of(situation.statuses) if c.start}
     return sum(
         starts.get(step.component, START)
-        + demands[step.component] * facts.downtimes.get(step.component, DOWNTIME)
+        + demands[step.component] * situation.downtimes.get(step.component, DOWNTIME)
         for step in steps
     )
 

@@ -11,7 +11,7 @@ from collections.abc import Set as AbstractSet
 
 from msgspec import Struct
 
-from poise.manage.adaptation.facts import Facts, Homes
+from poise.manage.adaptation.situation import Homes, Situation
 from poise.manage.observe.chains import ChainAge
 from poise.model.check.allowed_computers import allowed_computers
 from poise.model.robot import Robot
@@ -37,7 +37,7 @@ class Relief(Struct, frozen=True, kw_only=True):
 
 
 def relieve(
-    robot: Robot, facts: Facts, barred: Mapping[str, AbstractSet[str]]
+    robot: Robot, situation: Situation, barred: Mapping[str, AbstractSet[str]]
 ) -> Relief:
     """Return what might help the late chains, or why nothing does.
 
@@ -48,8 +48,8 @@ def relieve(
     """
     allowed = allowed_computers(robot)
     movable = {c.name for c in robot.components() if c.movable}
-    needs = {each.component: each.estimate.mean for each in facts.demand_estimates}
-    for chain in facts.chains:
+    needs = {each.component: each.estimate.mean for each in situation.demand_estimates}
+    for chain in situation.chains:
         before, after = _longest_wire(chain)
         age = chain.ages[chain.last]
         if not chain.is_late or age - chain.wires[after] > chain.deadline:
@@ -69,22 +69,22 @@ def relieve(
                     / chain.used,
                 )
     return Relief(
-        why=f"{late(facts)}by their demands all components fit where they are: another "
-        "placement would not help. Is a component blocked, or its deadline too short "
-        "for its work?"
+        why=f"{late(situation)}by their demands all components fit where they are: "
+        "another placement would not help. Is a component blocked, or its deadline "
+        "too short for its work?"
     )
 
 
-def late(facts: Facts) -> str:
+def late(situation: Situation) -> str:
     """Return what each late timer and chain needs and gets, for people."""
     timers = [
         f"timer '{each.timer}' of component '{each.component}' must end within "
         f"{format_seconds(each.deadline)}, and its runs take "
         f"{format_seconds(each.takes)} (p99)"
-        for each in facts.misses
+        for each in situation.misses
         if each.late
     ]
-    chains = [_sentence(each) for each in facts.chains if each.is_late]
+    chains = [_sentence(each) for each in situation.chains if each.is_late]
     return "".join(f"{sentence}; " for sentence in (*timers, *chains))
 
 

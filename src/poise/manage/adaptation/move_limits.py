@@ -26,11 +26,11 @@ THINK_AGAIN = 2.0
 """When nothing can be done, it is thought about again after this time [s]; then after
 twice as long, up to `LONGEST_REST`."""
 CHANGED_AFTER = 0.5
-"""After this time already, when the situation is another one [s]: loads are means."""
+"""After this time already, when the amounts is another one [s]: loads are means."""
 _MINUTE = 60.0
 
 
-Situation = Mapping[str, float]
+Amounts = Mapping[str, float]
 """What a decision depends on: an amount for each thing [cores]."""
 _CHANGED = 0.1
 """It is another one when an amount has changed by this share, and `_NOTICEABLE`."""
@@ -38,7 +38,7 @@ _NOTICEABLE = 0.05
 """[cores]"""
 
 
-def has_changed(before: Situation, now: Situation) -> bool:
+def has_changed(before: Amounts, now: Amounts) -> bool:
     """Return whether a decision may be another one now."""
     return before.keys() != now.keys() or any(
         abs(now[name] - amount) > max(_NOTICEABLE, _CHANGED * max(amount, now[name]))
@@ -59,20 +59,20 @@ class MoveLimits:
         self._think_again = THINK_AGAIN
         self._moves: deque[float] = deque()
         self._left: dict[tuple[str, str], tuple[float, float]] = {}
-        self._in_vain: tuple[float, Situation] | None = None
+        self._in_vain: tuple[float, Amounts] | None = None
 
-    def rests(self, now: float, situation: Situation | None = None) -> bool:
+    def rests(self, now: float, amounts: Amounts | None = None) -> bool:
         """Return whether nothing is done yet, after a transition or in vain.
 
         Parameters
         ----------
-        situation
+        amounts
             What is thought about; when it is another than that in which nothing could
             be done, that is thought about soon.
         """
-        if self._in_vain is not None and situation is not None:
+        if self._in_vain is not None and amounts is not None:
             at, before = self._in_vain
-            if now >= at + CHANGED_AFTER and has_changed(before, situation):
+            if now >= at + CHANGED_AFTER and has_changed(before, amounts):
                 self.forget_nothing()
                 return False
         return now < self._rests_until
@@ -91,9 +91,9 @@ class MoveLimits:
                 found.setdefault(component, set()).add(computer)
         return found
 
-    def note_nothing(self, now: float, situation: Situation | None = None) -> None:
+    def note_nothing(self, now: float, amounts: Amounts | None = None) -> None:
         """Remember that nothing could be done about what is wrong."""
-        self._in_vain = None if situation is None else (now, situation)
+        self._in_vain = None if amounts is None else (now, amounts)
         self._rests_until = now + self._think_again
         self._think_again = min(2 * self._think_again, LONGEST_REST)
 

@@ -10,8 +10,8 @@ from msgspec.structs import replace
 from poise import plan
 from poise.errors import RobotError
 from poise.estimate.demands import shifted_cpu_demand
-from poise.manage.adaptation.facts import Facts
 from poise.manage.adaptation.proposals import PresentDemand, Proposal
+from poise.manage.adaptation.situation import Situation
 from poise.manage.migration.transition import plan_transition
 from poise.manage.observe.estimates import DemandEstimate
 from poise.model.robot import ComponentEntry, Computer, Robot
@@ -25,7 +25,7 @@ EXPLAIN_FOR = 1.0
 
 
 def propose(
-    facts: Facts,
+    situation: Situation,
     robot: Robot,
     move: float,
     *,
@@ -51,8 +51,8 @@ def propose(
     RobotError
         The task fits nowhere with these demands, or there is no way to the placement.
     """
-    task, now = facts.task, facts.placement
-    shifted = dict(_shifted(robot, facts.demand_estimates))
+    task, now = situation.task, situation.placement
+    shifted = dict(_shifted(robot, situation.demand_estimates))
     robot_now = _with_cpu(
         robot, {name: demand.counted for name, demand in shifted.items()}
     )

@@ -9,9 +9,9 @@ from msgspec import Struct
 from poise import plan
 from poise.errors import RobotError, UsageError
 from poise.manage.adaptation.decision import DOWNTIME, MOVE, cost_of
-from poise.manage.adaptation.facts import Facts
 from poise.manage.adaptation.proposals import WhatIf
 from poise.manage.adaptation.replan import with_present_demands
+from poise.manage.adaptation.situation import Situation
 from poise.manage.agent_connections.statuses import components_of
 from poise.manage.migration.report import TransitionStep
 from poise.manage.migration.residue import residue
@@ -24,7 +24,7 @@ _MOST_KEPT = 5
 """So many alternatives are kept."""
 
 
-def what_if(facts: Facts, component: str, computer: str) -> WhatIf:
+def what_if(situation: Situation, component: str, computer: str) -> WhatIf:
     """Return what a move would change.
 
     Raises
@@ -32,8 +32,8 @@ def what_if(facts: Facts, component: str, computer: str) -> WhatIf:
     UsageError
         There is no such component or computer, or it runs there.
     """
-    before = facts.placement
-    computers = {c.name: c for c in facts.robot.computers}
+    before = situation.placement
+    computers = {c.name: c for c in situation.robot.computers}
     if component not in before:
         raise UsageError(f"component '{component}' does not run")
     if computer not in computers:
@@ -41,14 +41,14 @@ def what_if(facts: Facts, component: str, computer: str) -> WhatIf:
     source, after = before[component], {**before, component: computer}
     if source == computer:
         raise UsageError(f"component '{component}' runs on '{computer}' already")
-    robot = with_present_demands(facts.robot, facts.demand_estimates)
+    robot = with_present_demands(situation.robot, situation.demand_estimates)
     problem = plan.keep_components(plan.problem_of(robot), before.keys())
     now, then = plan.evaluate(problem, before), plan.evaluate(problem, after)
     assert now.objective is not None  # noqa: S101, a given placement has terms
     assert then.objective is not None  # noqa: S101, the same
     step = TransitionStep(component, source, computer)
     demands = {c.name: c.demand.get("cpu", 0.0) for c in robot.components()}
-    sizes = {c.name: c.snapshot for c in components_of(facts.statuses)}
+    sizes = {c.name: c.snapshot for c in components_of(situation.statuses)}
     return WhatIf(
         component=component,
         source=source,
@@ -62,8 +62,8 @@ def what_if(facts: Facts, component: str, computer: str) -> WhatIf:
             for name in (source, computer)
         },
         usable={name: computers[name].usable("cpu") for name in (source, computer)},
-        downtime=facts.downtimes.get(component, DOWNTIME),
-        cost=cost_of(facts, robot, [step]),
+        downtime=situation.downtimes.get(component, DOWNTIME),
+        cost=cost_of(situation, robot, [step]),
         state=sizes.get(component, 0),
     )
 
@@ -92,16 +92,16 @@ class Alternative(Struct, frozen=True, kw_only=True):
     breaks: str = ""
 
 
-def alternatives(facts: Facts) -> tuple[Alternative, ...]:
+def alternatives(situation: Situation) -> tuple[Alternative, ...]:
     """Return what could be done now: first nothing, then single moves, the best first.
 
     None when some component can run nowhere.
     """
-    facts = facts.within_reach()
-    robot = with_present_demands(facts.robot_left(), facts.demand_estimates)
-    now = facts.placement
+    situation = situation.within_reach()
+    robot = with_present_demands(situation.robot_left(), situation.demand_estimates)
+    now = situation.placement
     try:
-        problem = plan.problem_of(robot, facts.task, present=now, move=MOVE)
+        problem = plan.problem_of(robot, situation.task, present=now, move=MOVE)
     except RobotError:
         return ()
     problem = plan.keep_components(problem, now.keys())
@@ -114,7 +114,7 @@ def alternatives(facts: Facts) -> tuple[Alternative, ...]:
             what=str(step) if step else "stay",
             total=result.objective.total,
             short=short,
-            cost=cost_of(facts, robot, [step]) if step else 0.0,
+            cost=cost_of(situation, robot, [step]) if step else 0.0,
             breaks=result.reason,
         )
 
@@ -156,16 +156,16 @@ def _load(
     return sum(demands[name] for name, at in placement.items() if at == computer)
 
 
-def check_move(facts: Facts, component: str, computer: str) -> None:
+def check_move(situation: Situation, component: str, computer: str) -> None:
     """Raise UsageError when a component does not fit on a computer beside what runs.
 
     Limits that are broken without it do not count.
     """
-    allowed = allowed_computers(facts.robot, layers_stay=False)
-    if component not in facts.placement or computer not in allowed[component]:
+    allowed = allowed_computers(situation.robot, layers_stay=False)
+    if component not in situation.placement or computer not in allowed[component]:
         return  # the move itself says so
-    robot = with_present_demands(facts.robot, facts.demand_estimates)
-    if new := _new_breaks(robot, facts.placement, component, computer):
+    robot = with_present_demands(situation.robot, situation.demand_estimates)
+    if new := _new_breaks(robot, situation.placement, component, computer):
         raise UsageError(
             f"component '{component}' does not fit on '{computer}' ({'; '.join(new)}); "
             "`--force` moves it nevertheless"

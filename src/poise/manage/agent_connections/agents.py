@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import socket
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from typing import Self
 
 from poise.clock import Clock
-from poise.endpoint import Endpoint
 from poise.errors import RunError
 from poise.manage.agent_connections.checkpoint_copies import CheckpointCopies
 from poise.manage.agent_connections.heartbeats import AgentHeartbeats
@@ -17,11 +15,14 @@ from poise.manage.agent_connections.requests import (
     ANSWER_LIMIT,
     LOOK_EVERY,
     LOSS_DELAY,
+    SEND_LIMIT,
     AgentRequests,
+    Reply,
     nothing,
 )
 from poise.priority import ahead
-from poise.wire.control_session import IDENTITIES, LEASE, open_session
+from poise.wire.control_session import LEASE, open_session
+from poise.wire.failure_detector import SURELY_ENDED, UNCUT_SURELY_ENDED
 from poise.wire.records.checkpoints import CheckpointCopy
 from poise.wire.records.deployment import Deployment
 from poise.wire.records.migration import (
@@ -40,14 +41,11 @@ from poise.wire.records.requests import (
     Request,
 )
 from poise.wire.records.samples import AgentSample
-from poise.wire.records.status import AgentStatus
 
 _LATE = LEASE + 1.0
 """An agent that was cut off knows within this time that its manager ended [s]."""
 MARGIN = 0.1
 """An agent's answer to migration steps may come this much after their limit [s]."""
-_PROBE_LIMIT = 0.1
-"""A computer answers within this time, if it is there [s]."""
 _REVOKED = 2
 """A token that was revoked counts as one so much higher, which no agent has."""
 _LEAST_BANDWIDTH = 1e6
@@ -83,7 +81,12 @@ class Agents(AgentReports):
         self._is_leased = lease <= LEASE
         heard = endpoints if self._is_leased else {}
         self._heartbeats = AgentHeartbeats(
-            robot, self.manager.key, heard, clock, self.on_silent
+            robot,
+            self.manager.key,
+            heard,
+            clock,
+            self.on_silent,
+            SURELY_ENDED if self._is_leased else UNCUT_SURELY_ENDED,
         )
         self._tokens: dict[str, int] = {}
         self._claimed: dict[str, int] = {}
@@ -93,19 +96,10 @@ class Agents(AgentReports):
         prefix = f"poise/{robot}"
         self._requests = AgentRequests(self._session, prefix, self, clock, self._tokens)
         self._declared = [
-            self._session.declare_subscriber(
-                f"{prefix}/status/*",
-                reading(AgentStatus, self.take_status, self.on_refused),
-            ),
+            *self.subscribe(self._session),
             self._session.declare_subscriber(
                 f"{prefix}/checkpoint/*",
                 reading(CheckpointCopy, self.checkpoints.note, self.on_refused),
-            ),
-            self._session.liveliness().declare_subscriber(
-                f"{prefix}/alive/*", self.on_alive, history=True
-            ),
-            self._session.liveliness().declare_subscriber(
-                IDENTITIES, self.on_identity, history=True
             ),
         ]
         if on_sample is not None:
@@ -130,17 +124,6 @@ class Agents(AgentReports):
         """Leave the agents as they are."""
         self._heartbeats.close()
         self._session.close()  # type: ignore[no-untyped-call]
-
-    def has_computer(self, computer: str) -> bool:
-        """Return whether a computer answers that it runs no agent."""
-        at = Endpoint.parse(self._endpoints[computer].removeprefix("tcp/"))
-        try:
-            socket.create_connection((at.host, at.port), _PROBE_LIMIT).close()
-        except ConnectionRefusedError:
-            return True
-        except OSError:
-            pass
-        return False  # one that takes connections and is silent is frozen
 
     def obey(self, computer: str) -> bool:
         """Return whether an agent is reached and obeys this manager."""
@@ -234,28 +217,49 @@ class Agents(AgentReports):
 
     def _claim(self, computer: str, *, take_over: bool) -> Answer:
         """Claim an agent; one that was cut off learns late that its manager ended."""
-        before = self._statuses[computer].manager
+        if not self.wait_news(lambda: computer in self.statuses(), SEND_LIMIT):
+            raise RunError(f"the agent of '{computer}' has not reported yet")
+        before = self.statuses()[computer].manager
         is_late = bool(self._claimed) or (before is not None and has_ended(before))
         until = self._clock.now() + (_LATE if is_late else 0.0)
         while True:
-            known = self._statuses[computer].token, self._tokens.get(computer, 0)
-            token = self._tokens[computer] = max(known) + 1
-            claim = Claim(self.manager, take_over, self._endpoints, self._is_leased)
+            claim = self._new_claim(computer, take_over=take_over)
             answers, refusals = self._requests.send({computer: claim})
             if not refusals:
-                self._claimed[computer] = token
+                self._claimed[computer] = self._tokens[computer]
                 return answers[computer]
             if self._clock.now() >= until:
                 raise RunError(refusals[computer])
             self._clock.sleep(LOOK_EVERY)
 
+    def begin_claim(self, computer: str) -> Reply:
+        """Ask an agent to obey this manager; do not wait for its answer."""
+        return self._requests.begin(computer, self._new_claim(computer))
+
+    def end_claim(self, computer: str, reply: Reply) -> None:
+        """Take note that an agent accepted a claim."""
+        self._claimed[computer] = reply.token
+        if self._is_leased:
+            self._heartbeats.start()
+
+    def begin_deploy(self, computer: str, deployment: Deployment) -> Reply:
+        """Tell an agent what should run; do not wait for its answer."""
+        return self._requests.begin(computer, deployment)
+
+    def _new_claim(self, computer: str, *, take_over: bool = False) -> Claim:
+        """Return a claim with a token that its agent has not seen."""
+        status = self.statuses().get(computer)
+        known = status.token if status is not None else 0
+        self._tokens[computer] = max(known, self._tokens.get(computer, 0)) + 1
+        return Claim(self.manager, take_over, self._endpoints, self._is_leased)
+
     def heard_by(self, computer: str) -> str:
         """Return a computer that still hears one out of reach; empty when none does."""
         return self._heartbeats.heard_by(computer)
 
-    def holds_lease(self, computer: str) -> bool:
-        """Return whether an agent is heard and says that its lease is in force."""
-        return not self._is_leased or self._heartbeats.holds_lease(computer)
+    def ends_soon(self, computer: str) -> bool:
+        """Return whether the lease of a lost computer has ended, or does soon."""
+        return self._is_leased or self._heartbeats.have_leases_ended({computer})
 
     def is_cut_off(self, computer: str) -> bool:
         """Return whether an agent says that its lease has ended."""
@@ -272,16 +276,6 @@ class Agents(AgentReports):
             return False
         self._tokens |= {name: token + _REVOKED for name, token in tokens.items()}
         return True
-
-    def deploy(self, deployments: Mapping[str, Deployment]) -> dict[str, str]:
-        """Send agents what should run, all at once; by computer.
-
-        Returns
-        -------
-        Computer -> why its agent did not accept it within `ANSWER_LIMIT`; empty when
-        all did.
-        """
-        return self._requests.send(deployments)[1]
 
     def ask(self, computer: str, request: Request, limit: float) -> Answer | None:
         """Return an agent's answer; None: it gave none within `limit` [s]."""
@@ -342,3 +336,6 @@ class Agents(AgentReports):
 
     def _on_new_agent(self, computer: str) -> None:
         self._heartbeats.forget(computer)
+
+    def _on_ended_agent(self, computer: str) -> None:
+        self._heartbeats.note_ended(computer)

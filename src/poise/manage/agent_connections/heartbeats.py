@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 
 from poise.clock import Clock
 from poise.manage.agent_connections.reachability import Reachability
@@ -25,6 +25,8 @@ class AgentHeartbeats:
     on_silent
         Called on the thread of the heartbeats, when that has changed, with the
         computers that do not hear the manager, or are not heard.
+    surely_ended
+        The lease of an agent that ended has ended, too, after this time [s].
     """
 
     def __init__(
@@ -34,6 +36,7 @@ class AgentHeartbeats:
         endpoints: Mapping[str, str],
         clock: Clock,
         on_silent: Callable[[set[str]], object],
+        surely_ended: float,
     ) -> None:
         self._clock = clock
         self._on_silent = on_silent
@@ -41,7 +44,7 @@ class AgentHeartbeats:
         self._revoked: dict[str, int] = {}
         self._lock = threading.Lock()
         self._contacts = Contacts(robot, MANAGER, key)
-        self._reachability = Reachability(self._contacts)
+        self._reachability = Reachability(self._contacts, surely_ended)
         where = {name: endpoint_of(each) for name, each in endpoints.items()}
         self._computers = tuple(where)
         self._heartbeats = Heartbeats(
@@ -69,16 +72,21 @@ class AgentHeartbeats:
             self._reachability.forget(computer)
             self._silent.discard(computer)
 
+    def note_ended(self, computer: str) -> None:
+        """Note that an agent has ended now, or is found missing."""
+        with self._lock:
+            self._reachability.note_ended(computer, self._clock.now())
+
+    def have_leases_ended(self, computers: Collection[str]) -> bool:
+        """Return whether the leases of lost computers have surely ended."""
+        with self._lock:
+            now = self._clock.now()
+            return self._reachability.have_leases_ended(computers, now)
+
     def heard_by(self, computer: str) -> str:
         """Return another agent that hears this one; empty when none does."""
         with self._lock:
             return self._reachability.heard_by(computer, self._clock.now())
-
-    def holds_lease(self, computer: str) -> bool:
-        """Return whether an agent is heard and said that its lease is in force."""
-        with self._lock:
-            contact = self._contacts.get(computer)
-            return contact is not None and not contact.last.is_cut_off
 
     def is_cut_off(self, computer: str) -> bool:
         """Return whether an agent said last that its lease has ended."""
@@ -94,7 +102,8 @@ class AgentHeartbeats:
         Whether all have; else nothing is revoked.
         """
         with self._lock:
-            have_ended = self._reachability.have_leases_ended(tokens.keys())
+            now = self._clock.now()
+            have_ended = self._reachability.have_leases_ended(tokens.keys(), now)
             if have_ended:
                 self._revoked |= tokens
             return have_ended

@@ -5,10 +5,10 @@ from __future__ import annotations
 import getpass
 import os
 import socket
-import time
 import uuid
 from pathlib import Path
 
+from poise.clock import wall_time
 from poise.wire.records.requests import ManagerId
 
 
@@ -23,7 +23,7 @@ def manager_id() -> ManagerId:
         user=user,
         host=socket.gethostname(),
         pid=os.getpid(),
-        since=time.time(),
+        since=wall_time(),
     )
 
 

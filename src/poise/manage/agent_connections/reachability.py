@@ -9,13 +9,7 @@ from __future__ import annotations
 from collections.abc import Collection
 from typing import NamedTuple
 
-from poise.wire.failure_detector import (
-    ASK_AFTER,
-    DETECTED,
-    EVERY,
-    SURELY_ENDED,
-    Contacts,
-)
+from poise.wire.failure_detector import ASK_AFTER, DETECTED, EVERY, Contacts
 
 _STALLED = 1.5 * EVERY
 """Between two looks no more than this counts [s]."""
@@ -54,11 +48,18 @@ class Reachability:
     """Which agents the manager hears, itself or by way of other agents.
 
     An agent of which no heartbeat answered one of the manager is not judged: datagrams
-    may not get through.
+    may not get through. What it runs stops some time after it has ended.
+
+    Parameters
+    ----------
+    surely_ended
+        An agent's lease has ended when it was silent, or gone, for this time [s].
     """
 
-    def __init__(self, contacts: Contacts) -> None:
+    def __init__(self, contacts: Contacts, surely_ended: float) -> None:
         self._contacts = contacts
+        self._surely_ended = surely_ended
+        self._ended_at: dict[str, float] = {}
         self._agents: dict[str, _Agent] = {}
         self._looked_at: float | None = None
 
@@ -66,6 +67,11 @@ class Reachability:
         """Know nothing of an agent, until it is heard again: it may be another one."""
         self._contacts.forget(computer)
         self._agents.pop(computer, None)
+        self._ended_at.pop(computer, None)
+
+    def note_ended(self, computer: str, now: float) -> None:
+        """Note that an agent is gone since `now` [s], as another connection says."""
+        self._ended_at[computer] = now
 
     def look(self, computers: Collection[str], now: float) -> None:
         """Judge all agents at `now` [s], when all that came was taken in."""
@@ -108,9 +114,11 @@ class Reachability:
         other, at = relayed
         return other if at - agent.direct.last > _LATER else ""
 
-    def have_leases_ended(self, computers: Collection[str]) -> bool:
-        """Return whether agents' leases have surely ended, so far as they have any."""
+    def have_leases_ended(self, computers: Collection[str], now: float) -> bool:
+        """Return whether the leases of lost agents have surely ended at `now` [s]."""
         return all(
-            name not in self._agents or self._agents[name].any.seconds >= SURELY_ENDED
+            self._agents[name].any.seconds >= self._surely_ended
+            if name in self._agents
+            else now - self._ended_at.get(name, now) >= self._surely_ended
             for name in computers
         )

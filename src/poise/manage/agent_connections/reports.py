@@ -7,16 +7,15 @@ manager's own threads wait for it here.
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Callable, Iterable, Mapping
 from typing import TypeVar
 
 import msgspec
 import zenoh
 
-from poise.clock import Clock
+from poise.clock import Clock, wall_time
 from poise.errors import RunError
-from poise.wire.control_session import parse_identity
+from poise.wire.control_session import IDENTITIES, parse_identity
 from poise.wire.records.status import AgentStatus
 
 S = TypeVar("S")
@@ -49,6 +48,7 @@ class AgentReports:
         self._changed = threading.Condition()
         self._version = 0
         self._statuses: dict[str, AgentStatus] = {}
+        self._heard: dict[str, float] = {}
         self._alive: set[str] = set()
         self._lost: dict[str, float] = {}
         self._silent: dict[str, float] = {}
@@ -56,10 +56,30 @@ class AgentReports:
         self._num_taken = 0
         self.on_status: Callable[[AgentStatus], object] = lambda _: None
 
+    def subscribe(self, session: zenoh.Session) -> list[object]:
+        """Store from now on what agents report; return what must be kept for that."""
+        prefix, liveliness = f"poise/{self._robot}", session.liveliness()
+        return [
+            session.declare_subscriber(
+                f"{prefix}/status/*",
+                reading(AgentStatus, self.take_status, self.on_refused),
+            ),
+            liveliness.declare_subscriber(
+                f"{prefix}/alive/*", self.on_alive, history=True
+            ),
+            liveliness.declare_subscriber(IDENTITIES, self.on_identity, history=True),
+        ]
+
     def statuses(self) -> dict[str, AgentStatus]:
         """Return what each agent reported last, by computer."""
         with self._changed:
             return dict(self._statuses)
+
+    def ages(self) -> dict[str, float]:
+        """Return how long ago each agent reported last [s], by computer."""
+        now = self._clock.now()
+        with self._changed:
+            return {name: now - self._heard[name] for name in self._statuses}
 
     def out_of_reach(self) -> dict[str, float]:
         """Return since when [s since 1970] agents that were there are not reached."""
@@ -133,6 +153,7 @@ class AgentReports:
         self.on_status(status)
         with self._changed:
             self._statuses[status.computer] = status
+            self._heard[status.computer] = self._clock.now()
             self._note_news()
 
     def on_identity(self, sample: zenoh.Sample) -> None:
@@ -147,6 +168,9 @@ class AgentReports:
     def _on_new_agent(self, computer: str) -> None:
         """Know nothing of the agent of a computer that is back."""
 
+    def _on_ended_agent(self, computer: str) -> None:
+        """Note that an agent is gone now, so far as is known."""
+
     def on_alive(self, sample: zenoh.Sample) -> None:
         """Store that an agent came or went."""
         computer = str(sample.key_expr).rpartition("/")[2]
@@ -160,13 +184,14 @@ class AgentReports:
                     self._on_new_agent(computer)
             elif computer in self._alive:
                 self._alive.discard(computer)
-                self._lost[computer] = time.time()
+                self._lost[computer] = wall_time()
+                self._on_ended_agent(computer)
             self._note_news()
 
     def on_silent(self, computers: Iterable[str]) -> None:
         """Store whose heartbeats do not come."""
         with self._changed:
-            now = time.time()
+            now = wall_time()
             self._silent = {c: self._silent.get(c, now) for c in computers}
             self._note_news()
 
@@ -174,7 +199,9 @@ class AgentReports:
         """Count agents that are not there as lost."""
         with self._changed:
             missing = self._endpoints.keys() - self._alive
-            self._lost |= dict.fromkeys(missing, time.time())
+            self._lost |= dict.fromkeys(missing, wall_time())
+            for computer in missing:
+                self._on_ended_agent(computer)
             self._note_news()
 
     def _note_news(self) -> None:

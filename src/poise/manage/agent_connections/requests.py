@@ -41,6 +41,28 @@ def nothing() -> None:
     """Raise nothing: the default of what is checked while one waits."""
 
 
+class Reply:
+    """The answer of an agent to one request, once it is there; any thread may look.
+
+    Attributes
+    ----------
+    answer
+        What the agent answered; None: nothing yet, or nothing at all.
+    is_done
+        Whether nothing more comes.
+    """
+
+    def __init__(self, token: int = 0) -> None:
+        self.token = token
+        self.answer: Answer | None = None
+        self.is_done = False
+
+    def take(self, answer: Answer | None) -> None:
+        """Store what came first."""
+        if not self.is_done:
+            self.answer, self.is_done = answer, True
+
+
 class AgentRequests:
     """Asks the agents of one robot, all at once.
 
@@ -67,6 +89,17 @@ class AgentRequests:
         self._reports = reports
         self._clock = clock
         self._tokens = tokens
+
+    def begin(self, computer: str, request: Request) -> Reply:
+        """Ask an agent and do not wait: news come when it has answered, or cannot."""
+        reply = Reply(self._tokens.get(computer, 0))
+
+        def take(received: zenoh.Reply | None = None) -> None:
+            reply.take(_answer_of(received))
+            self._reports.notify()
+
+        self._get(computer, request, ANSWER_LIMIT, take)
+        return reply
 
     def send(
         self, requests: Mapping[str, Request]
@@ -122,16 +155,7 @@ class AgentRequests:
         pending, deadline = set(asked), self._clock.now() + _LAST_REPLY
         deadline += max((limit for _, _, limit in asked.values()), default=0.0)
         for key, (computer, request, limit) in asked.items():
-            take = partial(_note, replies, key)
-            token = self._tokens.get(computer, 0)
-            self._session.get(
-                f"{self._prefix}/agent/{computer}",
-                Callback(take, take),
-                payload=msgspec.msgpack.encode(
-                    ManagerRequest(token=token, request=request)
-                ),
-                timeout=limit,
-            )
+            self._get(computer, request, limit, partial(_note, replies, key))
         while pending:
             try:
                 key, reply = replies.get(timeout=LOOK_EVERY)
@@ -146,6 +170,23 @@ class AgentRequests:
             if key in pending:
                 pending.discard(key)
                 yield key, _answer_of(reply)
+
+    def _get(
+        self,
+        computer: str,
+        request: Request,
+        limit: float,
+        take: Callable[..., object],
+    ) -> None:
+        token = self._tokens.get(computer, 0)
+        self._session.get(
+            f"{self._prefix}/agent/{computer}",
+            Callback(take, take),
+            payload=msgspec.msgpack.encode(
+                ManagerRequest(token=token, request=request)
+            ),
+            timeout=limit,
+        )
 
     def _is_reached(self, computer: str) -> bool:
         return computer in self._reports.reached()

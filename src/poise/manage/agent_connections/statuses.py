@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 Statuses = Mapping[str, AgentStatus]
 """Computer -> what its agent reported last."""
 
+CUT = 0.7
+"""A link over which no heartbeat came for so long is cut [s]."""
 _WORKING = {
     "unconfigured": " (do its import and `configure` end?)",
     "inactive": " (does its `activate` end?)",
@@ -40,6 +42,25 @@ def calling_ports(statuses: Statuses) -> set[tuple[str, str]]:
     return {(c.name, port) for c in components_of(statuses) for port in c.requires}
 
 
+def keeping_ports(statuses: Statuses) -> dict[tuple[str, str], int]:
+    """Return component and port -> how many messages it keeps; it may lose others."""
+    return {
+        (component.name, port): size
+        for component in components_of(statuses)
+        for port, size in component.keeps.items()
+    }
+
+
+def cut_links(statuses: Statuses) -> set[frozenset[str]]:
+    """Return the pairs of computers of which one does not hear the other."""
+    return {
+        frozenset((here, there))
+        for here, status in statuses.items()
+        for there, link in status.links.items()
+        if link.silent > CUT
+    }
+
+
 def gateways(statuses: Statuses) -> dict[str, str]:
     """Return where other computers reach each computer's containers."""
     return {name: status.gateway for name, status in statuses.items()}
@@ -56,7 +77,7 @@ def missing(
     wanted: Iterable[Incarnation],
     statuses: Statuses,
     silent: Iterable[str],
-    unreached: Collection[str],
+    joins: Collection[str],
 ) -> list[str]:
     """Return what is not yet as it is wanted, in words; nothing when all is.
 
@@ -64,8 +85,8 @@ def missing(
     ----------
     silent
         Computers that have not reported since they were told what should run.
-    unreached
-        Connectors that need not be joined.
+    joins
+        The keys of the connectors that have to be joined.
     """
     states = {(c.name, c.epoch): c.state for c in components_of(statuses)}
     found = [f"computer '{name}' is silent" for name in sorted(silent)]
@@ -78,7 +99,7 @@ def missing(
     found += [
         f"connector '{connector.name}' is not joined"
         for connector in connectors_of(statuses)
-        if not connector.ready and connector.name not in unreached
+        if not connector.ready and connector.key in joins
     ]
     return found
 

@@ -4,11 +4,27 @@ from __future__ import annotations
 
 import select
 import socket
+import struct
+import time
+from pathlib import Path
 from typing import TypeVar
 
-from poise.errors import RunError, Timeout
-from poise.manage.control_socket.location import find
-from poise.manage.control_socket.records import Command, Refusal, Response, Result
+from poise.errors import RunError, Timeout, UsageError
+from poise.manage.control_socket.location import path_of, running_here
+from poise.manage.control_socket.records import (
+    Command,
+    JournalCommand,
+    Refusal,
+    Response,
+    Result,
+    StatusCommand,
+)
+from poise.manage.control_socket.without_manager import (
+    NoManager,
+    agents_of,
+    ask_agents,
+    robots_without_manager,
+)
 from poise.wire import record_channel
 from poise.wire.codec import WireError
 from poise.wire.connections.socket_path import connect
@@ -17,6 +33,11 @@ R = TypeVar("R", bound=Result)
 
 ANSWER_LIMIT = 60.0
 """The manager answers within this time [s]; moves of large states take the longest."""
+STATUS_LIMIT = 10.0
+"""It gives its status within this time [s], whatever it does: else it does not work."""
+_LOOK_EVERY = 1.0
+_PEER = struct.Struct("iii")
+"""Process, user and group of who listens at the other end."""
 
 
 def send_command(robot: str | None, command: Command) -> Result:
@@ -33,20 +54,23 @@ def send_command(robot: str | None, command: Command) -> Result:
         No such robot runs, or several do and none is named; or the manager refuses.
     RobotError
         The manager refuses because of the robot file.
+    NoManager
+        The robot goes on without a manager, or with one that gives not even a status
+        within `STATUS_LIMIT`.
     RunError
-        The manager does not answer within `ANSWER_LIMIT`, or could not do it.
+        The manager is busy for longer than `ANSWER_LIMIT`, or could not do it.
     """
-    path = find(robot)
+    path = _find(robot)
     try:
         with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as connection:
             connect(connection, path, record_channel.LIMIT)
             record_channel.send(connection, command)
-            if not select.select([connection], [], [], ANSWER_LIMIT)[0]:
-                raise Timeout(
-                    f"it is busy since {ANSWER_LIMIT:g} s; what it has begun goes on, "
-                    "and `poise status` shows the outcome"
-                )
+            _wait(connection, path, command)
             told: Response = record_channel.receive(connection, Response)
+    except NoManager:
+        raise
+    except BlockingIOError:  # its queue is full
+        raise _no_answer(path.stem) from None
     except (OSError, RunError, WireError) as error:
         raise RunError(f"robot '{path.stem}' gave no answer: {error}") from error
     if isinstance(told, Refusal):
@@ -60,3 +84,95 @@ def ask(robot: str | None, command: Command, type_: type[R]) -> R:
     if not isinstance(result, type_):
         raise RunError(f"the manager answered {result!r} to {command!r}")
     return result
+
+
+def _find(robot: str | None) -> Path:
+    """Return the control socket of a running robot; None: of the only one."""
+    managed = running_here()
+    if robot in managed:
+        return path_of(robot)
+    left = robots_without_manager(but=managed)
+    names = sorted([*managed, *left])
+    if robot is None and len(names) > 1:
+        said = ", ".join(n if n in managed else f"{n}, no manager" for n in names)
+        raise UsageError(f"several robots run ({said}): name one with --robot")
+    if robot is None and managed:
+        return path_of(managed[0])
+    status = left.get(robot or "".join(names))
+    if status is not None:
+        is_gone = all(each.unmanaged for each in status.computers.values())
+        addresses = agents_of(status.robot) if is_gone else None
+        raise NoManager(status.deviations[0].what, status, addresses)
+    which = f"robot '{robot}' does not run" if robot else "no robot runs"
+    raise UsageError(
+        f"{which} here (running: {', '.join(names) or 'none'}); `poise up FILE` starts "
+        "one, and `poise status --file FILE` asks the agents of one that was started "
+        "elsewhere"
+    )
+
+
+def _wait(connection: socket.socket, path: Path, command: Command) -> None:
+    """Wait for the answer to a command for as long as the manager works."""
+    is_quick = isinstance(command, StatusCommand | JournalCommand)
+    manager, began, patience = _peer(connection), time.monotonic(), STATUS_LIMIT
+    while not select.select([connection], [], [], _LOOK_EVERY)[0]:
+        waited = time.monotonic() - began
+        if _is_stopped(manager):
+            raise _no_answer(path.stem, manager, waited)
+        if waited < patience:
+            continue
+        if is_quick or not _gives_status(path):
+            raise _no_answer(path.stem, manager, waited)
+        if waited >= ANSWER_LIMIT:
+            raise Timeout(
+                f"it is busy since {ANSWER_LIMIT:g} s; what it has begun goes on, "
+                "and `poise status` shows the outcome"
+            )
+        patience = waited + STATUS_LIMIT
+
+
+def _gives_status(path: Path) -> bool:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as connection:
+        try:
+            connect(connection, path, record_channel.LIMIT)
+            record_channel.send(connection, StatusCommand())
+        except (OSError, RunError, WireError):
+            return False
+        return bool(select.select([connection], [], [], STATUS_LIMIT)[0])
+
+
+def _no_answer(robot: str, manager: int | None = None, waited: float = 0) -> NoManager:
+    """Return what is known of a manager that is there, and silent.
+
+    Parameters
+    ----------
+    manager
+        Its process; None: it takes no more connections.
+    waited
+        For how long [s].
+    """
+    why = f"the manager of robot '{robot}' takes no more connections"
+    if manager is not None:
+        why = f"the manager of robot '{robot}' (process {manager}) has not answered "
+        why += f"for {waited:.0f} s"
+        if _is_stopped(manager):
+            why += f": it is stopped, and `kill -CONT {manager}` lets it go on"
+    why += "; `poise up --take-over FILE` replaces it"
+    addresses = agents_of(robot)
+    status = ask_agents(addresses, why) if addresses is not None else None
+    return NoManager(status.deviations[0].what if status else why, status)
+
+
+def _peer(connection: socket.socket) -> int:
+    """Return the process that listens at the other end."""
+    peer = connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _PEER.size)
+    pid: int = _PEER.unpack(peer)[0]
+    return pid
+
+
+def _is_stopped(pid: int) -> bool:
+    try:
+        stat = Path(f"/proc/{pid}/stat").read_text()
+    except OSError:
+        return False
+    return stat.rpartition(")")[2].split()[0] in {"T", "t"}

@@ -7,7 +7,7 @@ import socket
 import tempfile
 from pathlib import Path
 
-from poise.errors import UsageError
+from poise.errors import RunError
 
 
 def folder() -> Path:
@@ -18,32 +18,26 @@ def folder() -> Path:
     return Path(tempfile.gettempdir()) / f"poise-{os.getuid()}"
 
 
-def path_of(robot: str) -> Path:
-    """Return where the control socket of a robot is."""
-    return folder() / f"{robot}.sock"
-
-
-def find(robot: str | None) -> Path:
-    """Return the control socket of a running robot; None: of the only one.
+def make_folder() -> Path:
+    """Return that folder, which is there from now on.
 
     Raises
     ------
-    UsageError
-        No such robot runs, or several do and none is named.
+    OSError, RunError
+        It cannot be made, or is another user's.
     """
-    running = {name: path_of(name) for name in running_here()}
-    if robot is None and len(running) == 1:
-        return next(iter(running.values()))
-    if robot in running:
-        return running[robot]
-    names = ", ".join(running) or "none"
-    if robot is None and running:
-        raise UsageError(f"several robots run ({names}): name one with --robot")
-    which = f"robot '{robot}' does not run" if robot else "no robot runs"
-    raise UsageError(
-        f"{which} here (running: {names}); `poise up FILE` starts one, and `poise stop "
-        "--file FILE` ends what a killed manager left on real computers"
-    )
+    made = folder()
+    made.mkdir(mode=0o700, parents=True, exist_ok=True)
+    if made.stat().st_uid != os.getuid():
+        raise RunError(
+            f"{made} is another user's: set XDG_RUNTIME_DIR to a folder of yours"
+        )
+    return made
+
+
+def path_of(robot: str) -> Path:
+    """Return where the control socket of a robot is."""
+    return folder() / f"{robot}.sock"
 
 
 def running_here() -> list[str]:

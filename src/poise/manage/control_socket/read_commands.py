@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import secrets
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 
 from msgspec.structs import replace
 
+from poise.clock import wall_time
 from poise.errors import PoiseError, RunError, UsageError
 from poise.manage.agent_connections.agents import Agents
 from poise.manage.agent_connections.statuses import Statuses
 from poise.manage.control_socket.records import (
+    STALE,
     Command,
     JournalCommand,
     JournalEntries,
@@ -24,6 +26,7 @@ from poise.manage.control_socket.records import (
 )
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.observe.chains import chain_reports
+from poise.manage.observe.deviations import Deviation
 from poise.manage.observe.estimates import Estimates
 from poise.manage.tasks.report import TaskReport
 from poise.model.robot import Computer
@@ -62,15 +65,21 @@ def look(
 def status_of(
     run: RunningComponents, tasks: Sequence[TaskReport], estimates: Estimates
 ) -> RobotStatus:
-    """Return the last known state, but for deviations and faults; from any thread."""
-    statuses = run.agents.statuses()
+    """Return the last known state, but for deviations and faults; from any thread.
+
+    The deviations are those of agents that are there, and have stopped to report.
+    """
+    statuses, ages = run.agents.statuses(), run.agents.ages()
+    out_of_reach = run.agents.out_of_reach()
     return RobotStatus(
         robot=run.robot.name,
         task=" and ".join(each.name for each in tasks if each.state == "going"),
         manager=run.agents.manager,
         placement=run.placement(),
         computers=statuses,
-        out_of_reach=run.agents.out_of_reach(),
+        ages=ages,
+        out_of_reach=out_of_reach,
+        deviations=tuple(_silent(ages, out_of_reach, wall_time())),
         demand_estimates=tuple(estimates.demand_estimates()),
         chains=chain_reports(run.robot, statuses),
         capacities={c.name: _capacity(c) for c in run.robot.computers},
@@ -79,6 +88,16 @@ def status_of(
         loads=estimates.loads.loads(),
         traffic=estimates.traffic(),
     )
+
+
+def _silent(
+    ages: Mapping[str, float], out_of_reach: Collection[str], now: float
+) -> Iterator[Deviation]:
+    for name, age in sorted(ages.items()):
+        if age > STALE and name not in out_of_reach:
+            what = f"the agent of '{name}' is there, but has stopped to report: what "
+            what += "runs there is not known; see its process and the load there"
+            yield Deviation(what=what, computer=name, since=now - age)
 
 
 def _capacity(computer: Computer) -> dict[str, float]:

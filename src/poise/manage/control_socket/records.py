@@ -115,6 +115,11 @@ Command = (
 )
 
 
+STALE = 5.0
+"""What an agent reported longer ago [s] says nothing about now: it does so twice a
+second."""
+
+
 class RobotStatus(Struct, frozen=True, tag=True, kw_only=True):
     """The last known state of a running robot.
 
@@ -124,10 +129,14 @@ class RobotStatus(Struct, frozen=True, tag=True, kw_only=True):
         Component -> computer, as the manager wants it.
     computers
         Computer -> what its agent reported last.
+    ages
+        Computer -> how long ago its agent reported that [s].
     out_of_reach
         Computer -> since when its agent has not been reached [s since 1970].
     deviations
         Everything that is not as the robot file says.
+    under_way
+        The migrations that are being prepared, and what each waits for.
     faults
         How many faults there were since the start; they may be over.
     demand_estimates
@@ -148,6 +157,10 @@ class RobotStatus(Struct, frozen=True, tag=True, kw_only=True):
         Computer -> its CPU use over the last second, where it was seen.
     traffic
         Connector -> what goes over it now.
+    by_agents
+        Whether agents said this, since no manager answers; the first deviation says
+        why. Then `manager` is the last one, `placement` where components are, and what
+        only a manager knows is empty: tasks, demands, capacities, decisions.
     """
 
     robot: str
@@ -155,8 +168,10 @@ class RobotStatus(Struct, frozen=True, tag=True, kw_only=True):
     manager: ManagerId
     placement: Mapping[str, str]
     computers: Mapping[str, AgentStatus]
+    ages: Mapping[str, float] = {}
     out_of_reach: Mapping[str, float] = {}
     deviations: tuple[Deviation, ...] = ()
+    under_way: tuple[str, ...] = ()
     faults: int = 0
     demand_estimates: tuple[DemandEstimate, ...] = ()
     chains: tuple[ChainReport, ...] = ()
@@ -166,6 +181,14 @@ class RobotStatus(Struct, frozen=True, tag=True, kw_only=True):
     prefetch: PrefetchReport = PrefetchReport()
     loads: Mapping[str, Load] = {}
     traffic: Mapping[str, ConnectorProfile] = {}
+    by_agents: bool = False
+
+    def not_known(self) -> set[str]:
+        """Return the computers of which it is not known how they are now."""
+        stale = {name for name, age in self.ages.items() if age > STALE}
+        known = self.computers.keys() - stale - self.out_of_reach.keys()
+        named = {*self.computers, *self.capacities, *self.placement.values()}
+        return (named | self.out_of_reach.keys()) - known
 
 
 class StopReport(Struct, frozen=True, tag=True):

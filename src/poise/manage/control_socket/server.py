@@ -18,8 +18,9 @@ from pathlib import Path
 from typing import Self
 
 from poise import threads
+from poise.clock import wall_time
 from poise.errors import RunError, UsageError
-from poise.manage.control_socket.location import is_alive, path_of
+from poise.manage.control_socket.location import is_alive, make_folder, path_of
 from poise.manage.control_socket.records import Command, Refusal, Result, StatusCommand
 from poise.wire import record_channel
 from poise.wire.codec import WireError
@@ -56,8 +57,8 @@ class ControlServer:
         self._is_closed = threading.Event()
         self._free = threading.Semaphore(MOST_CLIENTS)
         self._threads: set[threading.Thread] = set()
-        self._acceptor = threads.daemon(self._accept, "control")
-        self._since = time.time()
+        self._acceptor = threads.daemon(self._accept, "control", again=True)
+        self._since = wall_time()
         self._submit: Submit | None = None
         self._is_up = threading.Event()
         try:
@@ -97,12 +98,7 @@ class ControlServer:
         self._listener.close()
 
     def _make_folder(self, *, takes_over: bool) -> None:
-        folder = self._path.parent
-        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        if folder.stat().st_uid != os.getuid():
-            raise RunError(
-                f"{folder} is another user's: set XDG_RUNTIME_DIR to a folder of yours"
-            )
+        folder = make_folder()
         if is_alive(self._path) and not takes_over:
             raise UsageError(
                 f"robot '{self._robot}' runs already; `poise stop` ends it, and "
@@ -145,7 +141,9 @@ class ControlServer:
         while not self._is_up.wait(_LOOK_EVERY) and not _has_left(connection):
             if self._is_closed.is_set():
                 return Refusal(f"robot '{self._robot}' did not start", "RunError")
-        return self._submit and self._answer(connection, self._submit(command))
+        if self._submit is None or _has_left(connection):
+            return None  # it gave up while this process was stopped, say
+        return self._answer(connection, self._submit(command))
 
     def _answer(
         self, connection: socket.socket, future: Future[Result | Refusal]

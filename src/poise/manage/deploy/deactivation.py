@@ -65,15 +65,13 @@ def _deactivate(run: RunningComponents, leads: Leads) -> Iterator[set[str]]:
     inactive: set[str] = set()
     for level in levels(run.placed, leads):
         inactive |= set(level)
-        run.tell(
-            each.with_goal("inactive") if each.component in inactive else each
-            for each in run.placed.values()
-        )
+        run.commit(run.desired.aiming("inactive", inactive), "callers end first")
         run.agents.wait_news(partial(_are_inactive, run, inactive), REST_LIMIT)
         yield inactive
 
 
 def _are_inactive(run: RunningComponents, names: Collection[str]) -> bool:
+    run.reconcile()
     run.raise_on_lost()
     places = [each for each in run.placed.values() if each.component in names]
     return not maybe_active(places, run.computers(), run.current())

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from itertools import pairwise
 from pathlib import PurePath
 
@@ -161,6 +161,16 @@ class DeploymentPlan:
             if there.issuperset(end.component for end in connector.between)
         ]
 
+    def connectors_at(
+        self, components: Collection[str], placed: Iterable[str]
+    ) -> list[Connector]:
+        """Return those of `connectors` that begin or end at some components."""
+        return [
+            connector
+            for connector in self.connectors(placed)
+            if any(end.component in components for end in connector.between)
+        ]
+
     def slot_of(self, connector: Connector) -> str:
         """Return what the source calls its end: alike for an alternative's connector.
 
@@ -168,6 +178,11 @@ class DeploymentPlan:
         there to its alternatives.
         """
         return self._slots[str(connector)]
+
+    def key_of(self, connector: Connector, placed: Mapping[str, Incarnation]) -> str:
+        """Return what both ends call a connector between placed components."""
+        source, target = (placed[end.component] for end in connector.between)
+        return self.joined(connector, source, target, {}).key
 
     def joined(
         self,

@@ -41,6 +41,10 @@ class Incarnation(Struct, frozen=True, kw_only=True):
     turn: int = 0
     action: str = ""
 
+    def __str__(self) -> str:
+        """Return what it is and where, for the journal."""
+        return f"{self.component}/{self.epoch} on {self.computer} ({self.goal})"
+
     def with_goal(self, goal: Goal) -> Incarnation:
         """Return the same with another goal."""
         return structs.replace(self, goal=goal)

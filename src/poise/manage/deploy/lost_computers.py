@@ -1,26 +1,21 @@
-"""Computers that are out of reach, or whose agents were restarted; brings them back.
+"""Computers whose agents do not obey: out of reach, restarted, or another manager's.
 
-A computer whose agent was killed still answers: its containers go on, and the next
-agent adopts them. So nothing restarts elsewhere while that agent may come.
+It only observes and tells. The reconciler claims the agents that are back, and tells
+them what should run.
 """
 
 from __future__ import annotations
 
 import contextlib
-import time
 
+from poise.clock import wall_time
 from poise.errors import RunError
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.observe.deviations import Deviation
 from poise.units import counted
-from poise.wire.records.container import RESTART_LIMIT
 
 _MOMENT = 1.0
 """A command waits so long for a computer that has just been cut off [s]."""
-_RETRY_AFTER = 1.0
-"""A computer that came back, but refuses, is asked again after this time [s]."""
-_RESTART_LIMIT = RESTART_LIMIT + 1.0
-"""Nothing restarts elsewhere before what went on there without an agent was ended."""
 
 
 class LostComputers:
@@ -28,111 +23,119 @@ class LostComputers:
 
     def __init__(self, run: RunningComponents) -> None:
         self._run = run
-        self._reached = set(run.computers())
-        self._retry_at: dict[str, float] = {}
-        self._refusals: dict[str, Deviation] = {}
+        self._obeying = set(run.computers())
         self._lost_at: dict[str, float] = {}
-        self._restarting: dict[str, float] = {}
+        self._lost_moments: dict[str, float] = {}
+        for computer in {c.name for c in run.robot.computers} - self._obeying:
+            self._lost_at[computer] = wall_time()
+            self._lost_moments[computer] = run.clock.now()
+        self._was_cut_off: set[str] = set()
+        self._refused: dict[str, Deviation] = {}
         self._pids = _pids(run)
+        self._began = wall_time()
 
     def note(self) -> None:
-        """Journal which computers were lost, and go on without them."""
+        """Journal which computers were lost, which are back, and which refuse."""
         run = self._run
         pids = _pids(run)
         obeying = {
-            computer
-            for computer in run.computers()
-            # an agent that was restarted at once obeys whom the one before it obeyed
-            if run.agents.obey(computer)
-            and pids.get(computer) == self._pids.get(computer)
+            computer for computer in run.computers() if run.agents.obey(computer)
         }
-        for computer in self._reached - obeying:
-            self._reached.discard(computer)
-            run.excused.add(computer)
-            self._lost_at[computer] = time.time()
-            back = f"computer '{computer}' was cut off, or its agent was restarted"
-            what = run.unreached().get(computer, back)
-            if what != back and run.agents.has_computer(computer):
-                self._restarting[computer] = time.monotonic() + _RESTART_LIMIT
-                what = f"the agent of '{computer}' ended; its containers go on"
-            run.journal.note("wrong", what)
-
-    def restarting(self) -> frozenset[str]:
-        """Return the computers whose agent ended, and may yet be started again."""
-        now = time.monotonic()
-        return frozenset(c for c, until in self._restarting.items() if now < until)
+        restarted = {
+            computer
+            for computer in self._obeying & obeying
+            # an agent that was restarted at once obeys whom the one before it obeyed
+            if pids.get(computer) != self._pids.get(computer)
+        }
+        for computer in sorted(self._obeying - obeying | restarted):
+            self._note_lost(computer)
+        self._was_cut_off |= {
+            c for c in self._lost_at if c not in obeying and run.agents.is_cut_off(c)
+        }
+        for computer in sorted(self._lost_at.keys() & obeying):
+            status = run.agents.statuses().get(computer)
+            if status is not None and run.reconciler.is_current(computer, status):
+                self._note_back(computer)
+        self._note_refusals()
 
     def computers(self) -> frozenset[str]:
-        """Return those that nobody hears: what ran there may be started elsewhere."""
+        """Return those that nobody hears: what ran there may be started elsewhere.
+
+        Their leases have ended, or end within a second.
+        """
         agents = self._run.agents
-        away = self._run.excused & agents.out_of_reach().keys()
-        away -= self.restarting()
-        return frozenset(name for name in away if not agents.heard_by(name))
+        away = self._lost_at.keys() & agents.out_of_reach().keys() & self._run.claimed
+        return frozenset(
+            name
+            for name in away
+            if not agents.heard_by(name) and agents.ends_soon(name)
+        )
 
     def deviations(self) -> list[Deviation]:
         """Return what is known of each; from any thread."""
         since = self._run.agents.out_of_reach()
-        refusals = {c: r for c, r in self._refusals.copy().items() if c not in since}
-        returning = (
-            self._lost_at.keys() - self._reached - refusals.keys() - since.keys()
-        )
-        found = [
+        lost_at, refused = self._lost_at.copy(), self._refused.copy()
+        returning = [
             Deviation(
                 what=f"computer '{computer}' is back, but not yet managed again",
                 computer=computer,
-                since=self._lost_at[computer],
+                since=lost_at[computer],
             )
-            for computer in sorted(returning)
+            for computer in sorted(lost_at.keys() - refused.keys() - since.keys())
         ]
         away = [
             Deviation(what=what, computer=computer, since=since[computer])
             for computer, what in self._run.unreached().items()
             if computer in since
         ]
-        return [*found, *refusals.values(), *away]
+        return [*returning, *refused.values(), *away, *self._held_components()]
 
-    def bring_back(self) -> None:
-        """Let those that returned run what they should run now."""
-        run, now = self._run, time.monotonic()
-        for computer in run.computers() - self._reached:
-            is_there = computer in run.agents.statuses()
-            if is_there and self._retry_at.get(computer, 0.0) <= now:
-                self._bring_back(computer, now)
+    def _held_components(self) -> list[Deviation]:
+        """Return what may run on computers that were not claimed yet."""
+        run, desired = self._run, self._run.desired
+        return [
+            Deviation(
+                what=run.why_held(name),
+                computer=desired.placed[name].computer,
+                component=name,
+                since=self._began,
+            )
+            for name in sorted(desired.held & desired.placed.keys())
+        ]
 
     def settle(self) -> None:
         """Wait for computers that were cut off for a moment: a command is to come."""
-        run, now = self._run, time.time()
+        run, now = self._run, self._run.clock.now()
         self.note()
-        lost = {n for n, at in self._lost_at.items() if now - at < _MOMENT}
-        lost -= self._reached
-        if lost:
-            run.agents.wait_news(lambda: lost <= run.computers(), _MOMENT)
-            self.bring_back()
-            back = lost & self._reached
-            here = [each for each in run.placed.values() if each.computer in back]
-            with contextlib.suppress(RunError):  # the command itself says so
-                run.wait(here, _MOMENT)
-
-    def _bring_back(self, computer: str, now: float) -> None:
-        run = self._run
-        was_cut_off = run.agents.is_cut_off(computer)
-        is_same = run.agents.obey(computer) or was_cut_off
-        try:
-            run.synchronise(computer)
-        except RunError as error:
-            self._retry_at[computer] = now + _RETRY_AFTER
-            what = f"computer '{computer}' is reached again, but: {error}"
-            before = self._refusals.get(computer)
-            if before is None or before.what != what:
-                self._refusals[computer] = Deviation(
-                    what=what, computer=computer, since=time.time()
-                )
-                run.journal.note("failed", what)
+        lost = {n for n, at in self._lost_moments.items() if now - at < _MOMENT}
+        if not lost:
             return
-        self._refusals.pop(computer, None)
-        self._reached.add(computer)
-        self._restarting.pop(computer, None)
-        run.excused.discard(computer)
+
+        def are_back() -> bool:
+            run.reconcile()
+            self.note()
+            return lost.isdisjoint(self._lost_at)
+
+        run.agents.wait_news(are_back, _MOMENT)
+        back = lost - self._lost_at.keys()
+        here = [each for each in run.placed.values() if each.computer in back]
+        with contextlib.suppress(RunError):  # the command itself says so
+            run.wait(here, _MOMENT)
+
+    def _note_lost(self, computer: str) -> None:
+        run = self._run
+        self._obeying.discard(computer)
+        self._lost_at[computer] = wall_time()
+        self._lost_moments[computer] = run.clock.now()
+        back = f"computer '{computer}' was cut off, or its agent was restarted"
+        run.journal.note("wrong", run.unreached().get(computer, back))
+
+    def _note_back(self, computer: str) -> None:
+        run = self._run
+        self._obeying.add(computer)
+        del self._lost_at[computer], self._lost_moments[computer]
+        was_cut_off = computer in self._was_cut_off
+        self._was_cut_off.discard(computer)
         status = run.agents.statuses()[computer]
         pid_before, self._pids[computer] = self._pids.get(computer), status.pid
         what = f"computer '{computer}' is reached again"
@@ -140,11 +143,23 @@ class LostComputers:
             adopted = status.adopted
             went_on = counted(adopted, "container") if adopted else "no container"
             what = f"the agent of '{computer}' was restarted; {went_on} went on"
-        elif not is_same:
-            what += "; it obeyed another manager meanwhile"
         elif was_cut_off:
             what += "; its movable components were inactive meanwhile"
         run.journal.note("right", what)
+
+    def _note_refusals(self) -> None:
+        """Journal what an agent refuses, or does not answer, when that is new."""
+        run, troubles = self._run, self._run.reconciler.troubles
+        for computer in self._refused.keys() - troubles.keys():
+            del self._refused[computer]
+        for computer, why in troubles.items():
+            what = f"computer '{computer}' is reached, but: {why}"
+            before = self._refused.get(computer)
+            if before is None or before.what != what:
+                self._refused[computer] = Deviation(
+                    what=what, computer=computer, since=wall_time()
+                )
+                run.journal.note("failed", what)
 
 
 def _pids(run: RunningComponents) -> dict[str, int]:

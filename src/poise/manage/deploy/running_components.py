@@ -1,6 +1,7 @@
 """A robot's components, running: started, watched, moved, stopped.
 
-It believes only what agents observed.
+What should run is one record (`Desired`), which `commit` replaces; a reconciler brings
+the agents there. What does run is what they observed.
 """
 
 from __future__ import annotations
@@ -10,22 +11,29 @@ from collections.abc import Callable, Collection, Iterable, Mapping
 
 from msgspec import structs
 
+from poise.clock import Clock, SystemClock
 from poise.errors import RunError
 from poise.estimate.profile.code_version import version_of
 from poise.manage.agent_connections.agents import Agents
 from poise.manage.agent_connections.statuses import (
     components_of,
     containers_left,
+    cut_links,
     gateways,
     located,
     missing,
     unreached,
 )
+from poise.manage.deploy.adoption import found_in
 from poise.manage.deploy.deployment_plan import DeploymentPlan
+from poise.manage.deploy.desired import Desired, difference
 from poise.manage.deploy.incarnation import Incarnation
+from poise.manage.deploy.other_side import joined_by
+from poise.manage.deploy.reconciler import Reconciler
 from poise.manage.journal import Journal
 from poise.manage.observe.faults import fault_sentence, faults_after, last_numbers
 from poise.manage.prefetch.report import Switches
+from poise.manage.supervised import SupervisedTick
 from poise.model.robot import Robot
 from poise.units import counted
 from poise.wire.records.deployment import Deployment, Goal
@@ -59,6 +67,7 @@ class RunningComponents:
         folder: str,
         *,
         weigh: bool = False,
+        clock: Clock | None = None,
     ) -> None:
         self.robot = robot
         self.agents = agents
@@ -66,36 +75,104 @@ class RunningComponents:
         self.layout = DeploymentPlan(
             robot, folder, weigh=weigh, code_version=version_of
         )
+        self.clock = clock or SystemClock()
+        self._is_over = threading.Event()
         self._epochs: dict[str, int] = {}
         self._last_epoch = -1
-        self.placed = {
-            name: Incarnation(
-                component=name, computer=computer, epoch=self.next_epoch(name)
-            )
-            for name, computer in placement.items()
-        }
-        self.prepared: dict[str, Incarnation] = {}
-        """Components that are configured, inactive and unjoined, to be active soon."""
-        self.spare: dict[str, float] = {}
-        """Computer -> CPU for what is being prepared there [cores]."""
+        self.desired = Desired(
+            placed={
+                name: Incarnation(
+                    component=name, computer=computer, epoch=self.next_epoch(name)
+                )
+                for name, computer in placement.items()
+            }
+        )
+        """What should run; any thread may read it, and only `commit` replaces it."""
+        self.tick = SupervisedTick(
+            journal, self.clock, self.release, self._is_over.is_set
+        )
+        """What runs the parts of the manager's loop."""
+        self.reconciler = Reconciler(agents, self.clock, self._note_claimed)
+        self.claimed: set[str] = set()
+        """The computers that this manager has claimed, and so knows what runs there."""
+        self._found: dict[str, Deployment] = {}
         self.switches = Switches()
-        self.tasks = b""
-        """What the next manager needs to go on with the tasks; agents keep it."""
         self.check: Callable[[], object] = lambda: None
-        """Called at all news while all is started or watched; may raise to end that."""
+        """Called at all news while agents are waited for; may raise to end that."""
         self.faults_before = last_numbers(agents.statuses())
-        self._faults_before_tell = self.faults_before
-        self.generation = 0
-        """The number of what agents were told last: higher than any before."""
+        self._faults_before_commit = self.faults_before
         self._gateways: dict[str, str] = {}
-        self.wanted: tuple[Incarnation, ...] = ()
-        """What the agents should run; during a move also what is prepared."""
-        self._told: dict[str, Deployment] = {}
-        self._is_cancelled = threading.Event()
+        self._deployments: Mapping[str, Deployment] = {}
+        self._deployed_for: object = None
         self.is_left = False
-        """Whether it was stopped, or is left to another manager."""
-        self.excused: set[str] = set()
-        """Computers that may be out of reach: `raise_on_lost` ignores them."""
+        """Whether it is left to another manager, or was stopped."""
+        self.goes_on_without_lost = False
+        """Whether a lost computer is a deviation; else it ends what waits."""
+
+    @property
+    def placed(self) -> Mapping[str, Incarnation]:
+        """Component -> its authoritative incarnation."""
+        return self.desired.placed
+
+    @property
+    def prepared(self) -> Mapping[str, Incarnation]:
+        """Component -> its idle incarnation, to be active soon."""
+        return self.desired.prepared
+
+    def commit(self, desired: Desired, why: str, *, tell_later: bool = False) -> None:
+        """Let something else run from now on; the only place that changes that.
+
+        It is journalled, and agents are told; nothing is waited for. For the manager's
+        thread.
+
+        Parameters
+        ----------
+        desired
+            Made from `desired` as it is; its generation is set here.
+        why
+            For people, in the journal.
+        tell_later
+            Whether agents are told at the next `reconcile` only.
+        """
+        before = self.desired
+        statuses = self.agents.statuses()
+        self._faults_before_commit = last_numbers(statuses)
+        if desired != before:
+            # later than any that the agents ever saw, from whatever manager
+            seen = [status.generation for status in statuses.values()]
+            self.desired = structs.replace(
+                desired, generation=max(desired.generation, *seen, 0) + 1
+            )
+            if changes := difference(before, desired):
+                self.journal.note("desired", why, changes=changes)
+        if not tell_later:
+            self.reconcile()
+
+    def reconcile(self) -> None:
+        """Bring the agents a step nearer to what should run; never raises."""
+        if not self.is_left:
+            self.tick.run("bring agents to what should run", self._reconcile)
+
+    def release(self, why: str) -> None:
+        """Let what is placed go on, without any change under way: that broke."""
+        self.commit(self.desired.released(), why)
+
+    def _reconcile(self) -> None:
+        now = self.desired, dict(self.gateways())
+        if now != self._deployed_for:
+            self._deployed_for = now
+            self._deployments = {
+                computer: structs.replace(spec, tasks=self.desired.tasks)
+                for computer, spec in self.layout.specs(
+                    self.desired.incarnations(),
+                    self.desired.generation,
+                    now[1],
+                    self.desired.spare,
+                ).items()
+            }
+        self.reconciler.step(self._deployments)
+        if self._found:
+            self._join_found()
 
     def start(self) -> None:
         """End what an earlier manager left, and start everything.
@@ -107,10 +184,13 @@ class RunningComponents:
             or a limit passed; its message names the component and holds its traceback.
         """
         self.agents.claim(self.computers())
+        self.claimed |= self.computers()
         if left := containers_left(self.agents.statuses(), self.computers()):
             text = f"an earlier manager left {', '.join(left)}: it is ended first"
             self.journal.note("seen", text)
-            self.end_all(self.computers())
+            placed = self.desired
+            self.end_all("an earlier manager left something")
+            self.commit(placed, "what it left has ended")
         self.start_all()
 
     def start_all(self) -> None:
@@ -122,17 +202,22 @@ class RunningComponents:
         self.journal.note("done", "everything runs", placement=self.placement())
 
     def adopt(
-        self, kept: Mapping[str, Incarnation], last_epochs: Mapping[str, int]
+        self,
+        kept: Mapping[str, Incarnation],
+        last_epochs: Mapping[str, int],
+        tasks: bytes,
+        held: frozenset[str],
     ) -> None:
         """Go on with what an earlier manager left, in place of what was planned."""
-        self.placed = dict(kept)
         self._epochs = dict(last_epochs)
         # that of one on a computer that is out of reach is not known, and lower
         self._last_epoch = max(s.generation for s in self.agents.statuses().values())
+        desired = Desired(placed=dict(kept), tasks=tasks, held=held)
+        self.commit(desired, "taking the robot over")
 
     def placement(self) -> dict[str, str]:
-        """Return component -> computer, as it is now."""
-        return {name: each.computer for name, each in self.placed.items()}
+        """Return component -> computer, as it is now; from any thread."""
+        return self.desired.placement()
 
     def watch(self, seconds: float) -> None:
         """Let it run for `seconds` [s]; raise RunError when something fails."""
@@ -150,99 +235,47 @@ class RunningComponents:
 
     def cancel(self) -> None:
         """End what waits for agents: a change of the placement is rolled back."""
-        self._is_cancelled.set()
+        self._is_over.set()
         self.agents.notify()
 
-    def synchronise(self, computer: str) -> None:
-        """Bring a computer that came back to what should run there now.
-
-        Raise RunError when its agent obeys another manager, or does not answer.
-        """
-        self.reclaim({computer})
-        self.tell(self.placed.values())
-
-    def reclaim(self, computers: Iterable[str]) -> None:
-        """Claim again those whose agents were restarted, and tell all of them again."""
-        for computer in computers:
-            if not self.agents.obey(computer) or not self.agents.holds_lease(computer):
-                self.agents.claim({computer})
-            self._told.pop(computer, None)
-
-    def end_all(self, computers: set[str]) -> None:
-        """End all containers of computers, also those of another manager.
+    def end_all(self, why: str) -> None:
+        """End all containers of the computers that are reached, whoever started them.
 
         Raises
         ------
         RunError
             An agent refused, or something still ran after `STOP_LIMIT`.
         """
-        self.prepared.clear()
-        self.tell((), computers)
-        if not self.agents.wait_news(lambda: not self._running(computers), STOP_LIMIT):
-            running = ", ".join(self._running(computers))
-            raise RunError(f"{running} still ran {STOP_LIMIT:g} s after the stop")
+        self.commit(structs.replace(self.desired, is_stopped=True), why)
+
+        def has_ended() -> bool:
+            self.reconcile()
+            return not self._running()
+
+        if not self.agents.wait_news(has_ended, STOP_LIMIT):
+            refusals = map(self.reconciler.refusal, sorted(self.computers()))
+            text = "; ".join(filter(None, refusals)) or (
+                f"{', '.join(self._running())} still ran {STOP_LIMIT:g} s after "
+                "the stop"
+            )
+            raise RunError(text)
 
     def reach(self, goal: Goal, limit: float) -> None:
         """Bring every component to a goal within `limit` [s]; `start` says the rest."""
-        self.bring([each.with_goal(goal) for each in self.placed.values()], limit)
+        self.commit(self.desired.aiming(goal, self.placed.keys()), f"start: {goal}")
+        self.wait(self.placed.values(), limit)
         self.journal.note("done", f"all components are {goal}")
 
-    def bring(self, wanted: Collection[Incarnation], limit: float) -> None:
-        """Tell agents what should run beside all other components, and wait for it.
+    def bring(self, coming: Collection[Incarnation], limit: float, why: str) -> None:
+        """Let something run beside all else, and wait for it.
 
         Raises
         ------
         RunError
-            As `tell` and `wait` do.
+            As `wait` does.
         """
-        names = {each.component for each in wanted}
-        others = [each for name, each in self.placed.items() if name not in names]
-        self.tell([*others, *wanted])
-        self.wait(wanted, limit)
-
-    def tell(
-        self, wanted: Iterable[Incarnation], computers: Iterable[str] | None = None
-    ) -> None:
-        """Tell the agents of `computers` what should run, where that has changed.
-
-        What is prepared stays beside it.
-
-        Parameters
-        ----------
-        computers
-            None: all that are reached.
-
-        Raises
-        ------
-        RunError
-            An agent refused or did not answer.
-        """
-        self.wanted = tuple(wanted)
-        names = {each.component for each in self.wanted}
-        others = (e for name, e in self.prepared.items() if name not in names)
-        self.wanted += tuple(others)
-        statuses = self.agents.statuses()
-        self._faults_before_tell = last_numbers(statuses)
-        # later than any that the agents ever saw, from whatever manager
-        seen = [status.generation for status in statuses.values()]
-        self.generation = max(self.generation, *seen, 0) + 1
-        specs = {
-            computer: structs.replace(spec, tasks=self.tasks)
-            for computer, spec in self.layout.specs(
-                self.wanted, self.generation, self.gateways(), self.spare
-            ).items()
-        }
-        news = {
-            computer: specs[computer]
-            for computer in sorted(self.computers() if computers is None else computers)
-            if computer not in self._told
-            or _said(self._told[computer]) != _said(specs[computer])
-        }
-        refusals = self.agents.deploy(news)
-        self._told |= {c: spec for c, spec in news.items() if c not in refusals}
-        if refusals:
-            self.raise_on_lost()  # which explains a silence
-            raise RunError("; ".join(refusals.values()))
+        self.commit(self.desired.starting(coming), why)
+        self.wait(coming, limit)
 
     def gateways(self) -> dict[str, str]:
         """Return where other computers reach each computer's containers.
@@ -264,7 +297,9 @@ class RunningComponents:
         limit: float,
         trouble: Callable[[], bool] | None = None,
     ) -> None:
-        """Wait until `wanted` are at their goals and all their connectors are joined.
+        """Wait until `wanted` are at their goals and their connectors are joined.
+
+        Those whose ends do not reach each other are joined later.
 
         Parameters
         ----------
@@ -282,10 +317,11 @@ class RunningComponents:
         def is_reached() -> bool:
             look()
             self.raise_on_unreached(wanted)
-            return not self._missing(wanted)
+            self._raise_on_refusal(wanted)
+            return not self.missing(wanted)
 
         if not self.agents.wait_news(is_reached, limit):
-            missing = "; ".join(self._missing(wanted))
+            missing = "; ".join(self.missing(wanted))
             raise RunError(f"not there within {limit:g} s: {missing}")
 
     def current(self) -> dict[str, AgentStatus]:
@@ -293,8 +329,7 @@ class RunningComponents:
         return {
             computer: status
             for computer, status in self.agents.statuses().items()
-            if computer in self._told
-            and status.generation >= self._told[computer].generation
+            if self.reconciler.is_current(computer, status)
         }
 
     def computers(self) -> set[str]:
@@ -345,27 +380,85 @@ class RunningComponents:
             if place in known
         ]
 
-    def _missing(self, wanted: tuple[Incarnation, ...]) -> list[str]:
-        """Return what there is still to wait for, in words."""
+    def missing(self, wanted: Collection[Incarnation]) -> list[str]:
+        """Return what `wait` still waits for, in words."""
         statuses = self.current()
-        silent = self._told.keys() - statuses.keys() - self.excused
-        found = missing(wanted, statuses, silent, self._unreached_connectors())
+        silent = self._involved(wanted) & (self.computers() - statuses.keys())
+        new = {each.component: each for each in wanted if not each.unjoined}
+        placed = {**self.placed, **new}
+        unreached = self.unreached_connectors(placed)
+        joins = {
+            self.layout.key_of(connector, placed)
+            for connector in self.layout.connectors_at(new, placed)
+            if str(connector) not in unreached
+        }
+        found = missing(wanted, statuses, silent, joins)
         found += self.unresponsive(wanted) if found else []
-        faults = faults_after(self._faults_before_tell, statuses) if found else ()
+        faults = faults_after(self._faults_before_commit, statuses) if found else ()
         return found + [fault_sentence(computer, fault) for computer, fault in faults]
 
-    def _running(self, computers: set[str]) -> list[str]:
-        """Return the containers that still run there, for all that is known."""
-        return containers_left(self.current(), computers & self.computers())
+    def unreached_connectors(self, placed: Mapping[str, Incarnation]) -> dict[str, str]:
+        """Return the connectors whose ends do not reach each other, and why.
 
-    def _unreached_connectors(self) -> set[str]:
-        """Return the connectors that have an end on an excused computer."""
-        away = {n for n, each in self.placed.items() if each.computer in self.excused}
-        return {
-            str(connector)
-            for connector in self.layout.connectors(self.placed)
-            if not away.isdisjoint(end.component for end in connector.between)
+        Parameters
+        ----------
+        placed
+            By component.
+        """
+        cut = cut_links(self.agents.statuses())
+        away = set(self.agents.out_of_reach())
+        found = {}
+        for connector in self.layout.connectors(placed):
+            ends = [placed[end.component] for end in connector.between]
+            between = sorted({each.computer for each in ends})
+            if lost := away.intersection(between):
+                found[str(connector)] = f"computer '{min(lost)}' is out of reach"
+            elif frozenset(between) in cut:
+                found[str(connector)] = f"link '{'-'.join(between)}' is cut"
+            elif frozen := self.unresponsive(ends):
+                found[str(connector)] = "; ".join(frozen)
+        return found
+
+    def _involved(self, wanted: Iterable[Incarnation]) -> set[str]:
+        """Return the computers of incarnations, and of what is joined to them."""
+        wanted = tuple(wanted)
+        names = {each.component for each in wanted}
+        where = self.placement()
+        peers = {
+            where[end.component]
+            for connector in self.layout.connectors(where.keys() | names)
+            if not names.isdisjoint(end.component for end in connector.between)
+            for end in connector.between
+            if end.component in where
         }
+        return peers | {each.computer for each in wanted}
+
+    def _running(self) -> list[str]:
+        """Return the containers that still run, for all that is known."""
+        return containers_left(self.current(), self.computers())
+
+    def _note_claimed(self, computer: str, found: Deployment | None) -> None:
+        """Take in what an agent works towards that was claimed."""
+        found = found or Deployment(generation=0, containers=())
+        if computer in self.claimed:  # this manager knows what runs there
+            found = structs.replace(found, containers=())
+        self.claimed.add(computer)
+        self._found[computer] = found
+
+    def _join_found(self) -> None:
+        """Adopt what is at work on computers that were claimed for the first time."""
+        found, self._found = self._found, {}
+        for each in found_in(found):
+            self._epochs[each.name] = max(
+                self._epochs.get(each.name, self._last_epoch), each.spec.epoch
+            )
+        names = ", ".join(f"'{name}'" for name in sorted(found))
+        desired = joined_by(self.desired, self.robot, found_in(found), self.claimed)
+        last = max(each.generation for each in found.values())
+        desired = structs.replace(
+            desired, generation=max(last, self.desired.generation) + 1
+        )
+        self.commit(desired, f"what is at work on {names} goes on there")
 
     def note_refused(self) -> None:
         """Journal why records of agents were refused."""
@@ -376,7 +469,8 @@ class RunningComponents:
         """Look around while agents are waited for; raise RunError to end that."""
         self.note_refused()
         self.check()
-        if self._is_cancelled.is_set():
+        self.reconcile()
+        if self._is_over.is_set():
             raise RunError("the robot is being stopped")
         self.raise_on_lost()
 
@@ -391,6 +485,19 @@ class RunningComponents:
                 raise RunError(f"{what}:\n{component.error}")
         return False
 
+    def raise_on_broken(self, incarnations: Collection[Incarnation]) -> None:
+        """Raise RunError when one failed, or its container does not respond."""
+        if stuck := self.unresponsive(incarnations):
+            raise RunError("; ".join(stuck))
+        where = {(each.component, each.epoch): each.computer for each in incarnations}
+        for each in components_of(self.current()):
+            computer = where.get((each.name, each.epoch))
+            if computer is not None and each.state == "failed":
+                raise RunError(
+                    f"component '{each.name}' cannot be configured on '{computer}':\n"
+                    f"{each.error}"
+                )
+
     def raise_on_unreached(self, incarnations: Iterable[Incarnation]) -> None:
         """Raise RunError when one is on a computer that is out of reach."""
         unreached = self.unreached()
@@ -398,15 +505,30 @@ class RunningComponents:
             if each.computer in unreached:
                 raise RunError(unreached[each.computer])
 
+    def why_held(self, component: str) -> str:
+        """Return why a component stays inactive, for people."""
+        missing = {computer.name for computer in self.robot.computers} - self.claimed
+        names = " or ".join(f"'{name}'" for name in sorted(missing))
+        return (
+            f"component '{component}' waits: another manager may run it on {names}, "
+            "which this one has not reached. `poise up FILE --take-over` starts it "
+            "nevertheless"
+        )
+
+    def _raise_on_refusal(self, incarnations: Iterable[Incarnation]) -> None:
+        """Raise RunError when an agent refuses what should run there, or it is held."""
+        incarnations = tuple(incarnations)
+        for each in incarnations:
+            if each.goal == "active" and each.component in self.desired.held:
+                raise RunError(self.why_held(each.component))
+        for computer in sorted({each.computer for each in incarnations}):
+            if refusal := self.reconciler.refusal(computer):
+                raise RunError(refusal)
+
     def raise_on_lost(self) -> bool:
-        """Raise RunError when a computer is out of reach that is not excused."""
-        for computer, sentence in self.unreached().items():
-            if computer not in self.excused:
+        """Raise RunError when a computer is out of reach, unless it goes on without."""
+        if not self.goes_on_without_lost:
+            for sentence in self.unreached().values():
                 self.journal.note("wrong", sentence)
                 raise RunError(sentence)
         return False
-
-
-def _said(deployment: Deployment) -> Deployment:
-    """Return what a deployment says, whenever that is."""
-    return structs.replace(deployment, generation=0)

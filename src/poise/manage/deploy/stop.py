@@ -23,22 +23,15 @@ def stop(run: RunningComponents) -> None:
     RunError
         Something still runs: after `STOP_LIMIT`, or out of reach.
     """
-    if run.is_left:
+    if run.is_left or run.desired.is_stopped:
         return
-    run.leave()
-    agents = run.agents
-    run.excused |= agents.out_of_reach().keys()
+    agents, run.goes_on_without_lost = run.agents, True
     with contextlib.suppress(RunError):  # it is only for quiet
         deactivate_callers(run)
-    reached = run.computers()
-    run.reclaim({name for name in reached if not agents.obey(name)})
-    run.end_all(reached)
-    away = {computer.name for computer in run.robot.computers} - reached
-    if away:
-        agents.wait_news(lambda: away <= run.computers(), RETURN_LIMIT)
-        returned = away & run.computers()
-        run.reclaim(returned)
-        run.end_all(returned)
+    away = {computer.name for computer in run.robot.computers} - run.computers()
+    run.end_all("the robot is stopped")
+    if away and agents.wait_news(lambda: away <= run.computers(), RETURN_LIMIT):
+        run.end_all("computers that are back are stopped")
     text = "; ".join(
         f"{sentence}; `poise stop --file FILE` ends it once '{name}' is reached"
         for name, sentence in run.unreached().items()

@@ -6,16 +6,20 @@ import contextlib
 import itertools
 import secrets
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
+
+from msgspec import structs
 
 from poise.errors import PoiseError, RobotError, RunError
-from poise.manage.adaptation.facts import Facts
 from poise.manage.adaptation.shortages.free_room import placed_beside
+from poise.manage.adaptation.situation import Situation
 from poise.manage.deploy.adoption import Adoption, Found, adopt, found_in, is_half_done
 from poise.manage.deploy.incarnation import Incarnation
+from poise.manage.deploy.other_side import components_to_hold, where_held
 from poise.manage.deploy.running_components import (
     ACTIVE_LIMIT,
     READY_LIMIT,
+    STOP_LIMIT,
     RunningComponents,
 )
 from poise.manage.migration.transition import plan_transition
@@ -23,8 +27,10 @@ from poise.manage.migration.transition_run import transit
 from poise.model.check.allowed_computers import allowed_computers
 from poise.units import counted
 from poise.wire.records.deployment import Deployment
-from poise.wire.records.migration import MigrationSteps, Step, StepsDone
+from poise.wire.records.migration import MigrationSteps, Step, StepsDone, StepsOutcome
 
+WITNESS_LIMIT = 5.0
+"""Containers that do not say so are asked again for this time [s], and then ended."""
 HALT_LIMIT = 1.0
 """Containers say within this time how far a half-done migration came [s]."""
 
@@ -47,7 +53,8 @@ def start_or_take_over(
         Another manager is at work; or nothing ran, and it cannot start. A robot that
         is at work goes on.
     """
-    before = [status.manager for status in run.agents.statuses().values()]
+    statuses = run.agents.statuses()
+    before = [status.manager for status in statuses.values()]
     deployments, unclaimed = _claim(run, by_force=by_force)
     found = found_in(deployments)
     if not found:
@@ -58,8 +65,14 @@ def start_or_take_over(
         return
     said = next((f" of {manager}" for manager in before if manager), "")
     run.journal.note("seen", f"the robot{said} runs: taking over")
+    if by_force:  # a person says that nobody else runs anything on the others
+        run.claimed |= {computer.name for computer in run.robot.computers}
+    held = frozenset[str]()
+    if not by_force:
+        fenced = {name for name, status in statuses.items() if status.cut_off}
+        held = components_to_hold(run.robot, found, run.claimed, fenced)
     try:
-        _take_over(run, deployments, unclaimed, found, is_rule=is_rule)
+        _take_over(run, deployments, unclaimed, found, held, is_rule=is_rule)
     except Exception:
         run.leave()  # no error of a new manager ends a robot that is at work
         raise
@@ -70,19 +83,22 @@ def _take_over(
     deployments: Mapping[str, Deployment],
     unclaimed: Mapping[str, str],
     found: Sequence[Found],
+    held: frozenset[str],
     *,
     is_rule: bool,
 ) -> None:
     began = time.monotonic()
     last = max(deployments.values(), key=lambda d: d.generation, default=None)
-    run.tasks = last.tasks if last else b""
+    tasks = last.tasks if last else b""
     # what comes back from now on is claimed and told then
-    run.excused |= unclaimed.keys() | run.agents.out_of_reach().keys()
+    run.goes_on_without_lost = True
     planned = run.placement()
-    if run.tasks and not is_rule:
+    if tasks and not is_rule:
         # the tasks go on where they are, and say themselves what they need
         planned = _at_work(run, found)
-    is_committed = is_half_done(found, run.robot) and _is_committed(run, deployments)
+    is_committed = is_half_done(found, run.robot) and _is_committed(
+        run, found, deployments
+    )
     adoption = adopt(
         found,
         run.robot,
@@ -91,14 +107,14 @@ def _take_over(
         is_committed=is_committed,
         keeps=not is_rule,
     )
-    run.adopt(adoption.kept, _last_epochs(found))
     _note(run, adoption)
-    _tell(run)
+    starts = where_held(run.robot, adoption.starts, held, run.claimed)
+    run.adopt(adoption.kept, _last_epochs(found), tasks, held)
     for sentence in (*unclaimed.values(), *run.unreached().values()):
         run.journal.note("wrong", sentence)
     seconds = time.monotonic() - began
     run.journal.note("done", "took over", placement=run.placement(), seconds=seconds)
-    _start(run, adoption, found)
+    _start(run, adoption, found, starts)
     if is_rule:
         _move(run, planned)
 
@@ -111,7 +127,7 @@ def _at_work(run: RunningComponents, found: Sequence[Found]) -> dict[str, str]:
     it is not started twice. Else it goes where there is room. What only rests ends.
     """
     allowed, planned = allowed_computers(run.robot), run.placement()
-    away = {c.name for c in run.robot.computers} - (run.computers() - run.excused)
+    away = {c.name for c in run.robot.computers} - run.claimed
     works = {e.name: e.computer for e in found if e.spec.goal != "inactive"}
     homes: dict[str, tuple[str, ...]] = {}
     for architecture in run.robot.architectures:
@@ -127,39 +143,100 @@ def _at_work(run: RunningComponents, found: Sequence[Found]) -> dict[str, str]:
                 homes[name] = (planned[name],)
             else:
                 homes[name] = tuple(sorted(may))
-    facts = Facts(robot=run.robot, task="", placement=planned)
+    situation = Situation(robot=run.robot, task="", placement=planned)
     with contextlib.suppress(RobotError):  # all is as full as it was
         return {
             **{name: may[0] for name, may in homes.items()},
-            **placed_beside(facts, homes).placement,
+            **placed_beside(situation, homes).placement,
         }
     return {name: may[0] for name, may in homes.items()}
 
 
 def _is_committed(
-    run: RunningComponents, deployments: Mapping[str, Deployment]
+    run: RunningComponents,
+    found: Sequence[Found],
+    deployments: Mapping[str, Deployment],
 ) -> bool:
     """Return whether a half-done migration was committed; nothing of it goes on then.
 
     A container that began a step after the commit knows. When none did, the migration
-    can be rolled back.
+    can be rolled back. A target that does not answer may have begun it: it is asked
+    again, and ended when it still does not. Unknown is never taken for "no".
     """
-    numbers = itertools.count(secrets.randbits(48))
-    batches = [
-        (
-            computer,
-            MigrationSteps(
-                next(numbers), 0, container.name, (Step("halt"),), HALT_LIMIT
-            ),
-        )
+    asked = {
+        (computer, container.name)
         for computer, deployment in deployments.items()
         for container in deployment.containers
+    }
+    until = run.clock.now() + WITNESS_LIMIT
+    while asked:
+        unknown: dict[tuple[str, str], str] = {}
+        for where, outcome in _halted(run, asked):
+            if not isinstance(outcome, StepsDone):
+                unknown[where] = outcome.reason
+            elif outcome.is_committed:
+                return True
+        asked = unknown.keys() & _targets(found)
+        if run.clock.now() >= until:
+            break
+    for where in sorted(asked):
+        why = f"{unknown[where]}: it is ended, for it may have gone on with the move"
+        run.journal.note("decided", f"amid a migration, {why}")
+    if asked:
+        _end_containers(run, asked, deployments)
+    return False
+
+
+def _halted(
+    run: RunningComponents, containers: Collection[tuple[str, str]]
+) -> Iterator[tuple[tuple[str, str], StepsOutcome]]:
+    """Let containers go on with nothing of a migration; yield what each answers."""
+    numbers = itertools.count(secrets.randbits(48))
+    by_number = dict(zip(numbers, sorted(containers), strict=False))
+    halt = (Step("halt"),)
+    batches = [
+        (computer, MigrationSteps(number, 0, container, halt, HALT_LIMIT))
+        for number, (computer, container) in by_number.items()
     ]
-    outcomes = list(run.agents.take_steps(batches))
-    for outcome in outcomes:
-        if not isinstance(outcome, StepsDone):
-            run.journal.note("seen", f"amid a migration, {outcome.reason}")
-    return any(isinstance(o, StepsDone) and o.is_committed for o in outcomes)
+    for outcome in run.agents.take_steps(batches):
+        yield by_number[outcome.number], outcome
+
+
+def _targets(found: Sequence[Found]) -> set[tuple[str, str]]:
+    """Return the containers of targets: nothing goes on there before the commit."""
+    return {(e.computer, e.container) for e in found if e.spec.goal == "inactive"}
+
+
+def _end_containers(
+    run: RunningComponents,
+    gone: Collection[tuple[str, str]],
+    deployments: Mapping[str, Deployment],
+) -> None:
+    """End containers that do not answer, before others go on in their place.
+
+    Raises
+    ------
+    RunError
+        One still runs after a while.
+    """
+    for computer in sorted({computer for computer, _ in gone}):
+        before = deployments[computer]
+        left = tuple(c for c in before.containers if (computer, c.name) not in gone)
+        generation = run.agents.statuses()[computer].generation + 1
+        fewer = structs.replace(before, generation=generation, containers=left)
+        run.agents.begin_deploy(computer, fewer)
+
+    def still_there() -> list[str]:
+        return [
+            f"container '{container.name}' on '{computer}'"
+            for computer, status in run.agents.statuses().items()
+            for container in status.containers
+            if (computer, container.name) in gone
+        ]
+
+    if not run.agents.wait_news(lambda: not still_there(), STOP_LIMIT):
+        names = ", ".join(still_there())
+        raise RunError(f"{names} still runs {STOP_LIMIT:g} s after it was to end")
 
 
 def _last_epochs(found: Sequence[Found]) -> dict[str, int]:
@@ -180,29 +257,33 @@ def _note(run: RunningComponents, adoption: Adoption) -> None:
     run.journal.note("decided", f"{kept} go on as they run", kept=sorted(adoption.kept))
 
 
-def _start(run: RunningComponents, adoption: Adoption, found: Sequence[Found]) -> None:
+def _start(
+    run: RunningComponents,
+    adoption: Adoption,
+    found: Sequence[Found],
+    where: Mapping[str, str],
+) -> None:
     """Start what does not go on; what cannot start is a deviation from then on."""
     starts = [
         Incarnation(component=name, computer=computer, epoch=run.next_epoch(name))
-        for name, computer in adoption.starts.items()
+        for name, computer in where.items()
     ]
     # what is out of reach starts elsewhere, if it may, or once it is reached
-    told = run.computers() - run.excused
-    new = [each for each in starts if each.computer in told]
+    new = [each for each in starts if each.computer in run.claimed]
     if not starts:
         return
     try:
         for each in found:
             if each.name in adoption.restarts:
                 run.wait_ended(each.incarnation)
-        run.bring([each.with_goal("inactive") for each in new], READY_LIMIT)
-        run.bring(new, ACTIVE_LIMIT)
+        inactive = [each.with_goal("inactive") for each in new]
+        run.bring(inactive, READY_LIMIT, "start what is missing")
+        run.bring(new, ACTIVE_LIMIT, "activate what is missing")
         if new:
             run.journal.note("done", f"started {counted(len(new), 'component')}")
     except RunError as error:
         run.journal.note("failed", f"not all that is missing started: {error}")
-    run.placed |= {each.component: each for each in starts}
-    _tell(run)
+    run.commit(run.desired.placing(starts), "what is missing belongs there")
 
 
 def _claim(
@@ -222,22 +303,13 @@ def _claim(
             unclaimed[computer] = str(error)
             if computer == computers[0] and computer in run.computers():
                 break  # another manager has the robot
+        else:
+            run.claimed.add(computer)
     if computers and computers[0] in unclaimed and not deployments:
         run.leave()
         hint = "`poise up --take-over` takes the robot over"
         raise RunError(f"{unclaimed[computers[0]]}; {hint}")
     return deployments, unclaimed
-
-
-def _tell(run: RunningComponents) -> None:
-    """Tell agents what should run; one that is lost meanwhile is told when it is back.
-
-    Nothing of a robot at work ends because one of its agents cannot be told.
-    """
-    try:
-        run.tell(run.placed.values(), run.computers() - run.excused)
-    except RunError as error:
-        run.journal.note("failed", f"not all agents know yet what should run: {error}")
 
 
 def _move(run: RunningComponents, wanted: Mapping[str, str]) -> None:

@@ -21,8 +21,10 @@ from poise.errors import RunError
 from poise.manage.agent_connections.statuses import calling_ports, components_of
 from poise.manage.deploy.incarnation import Incarnation
 from poise.manage.deploy.running_components import RunningComponents
+from poise.manage.migration.late_connectors import late_connectors, raise_on_cut_state
 from poise.manage.migration.plan import MigrationPlan, PlacedStep
 from poise.manage.migration.report import MigrationReport
+from poise.manage.migration.stall import STALL_LIMIT, Stall
 from poise.manage.observe.deviations import explain
 from poise.priority import first
 from poise.wire.address import LOST_AFTER
@@ -78,17 +80,11 @@ class Migration:
         gone = {each.component for each in sources}
         self._others = {n: each for n, each in run.placed.items() if n not in gone}
         self._away = run.agents.out_of_reach().keys()
-        statuses = run.agents.statuses()
-        self._plan = MigrationPlan(
-            run.layout,
-            sources,
-            targets,
-            self._others,
-            calling_ports(statuses),
-            run.gateways(),
-        )
+        self._dropped: dict[str, str] = {}
         self._number = 0
-        self._phases = MigrationPhases("manager", f"migration of {report.name}")
+        self._names = [source.component for source in sources]
+        self._what = f"migration of {report.name}"
+        self._phases = MigrationPhases("manager", self._what)
         self._taken: list[StepTaken] = []
         self._late: list[PlacedStep] = []
 
@@ -97,21 +93,27 @@ class Migration:
         downtime, reason = 0.0, ""
         self._phases.enter("prepare")
         try:
-            self._prepare()
+            plan = self._planned()
+            self._prepare(plan)
         except RunError as error:
             reason = str(error)
             self._phases.enter("roll back")
         else:
             with first():
                 paused = time.monotonic()
-                reason = self._switch(paused + DOWNTIME_LIMIT)
+                reason = self._switch(plan, paused + DOWNTIME_LIMIT)
                 downtime = time.monotonic() - paused
         phases = self._phases.seconds()
         if not reason:
             self._linger()
-        self._remove(self._targets if reason else self._sources)
         if reason:
             reason = self._with_losses(reason)
+            desired = self._run.desired.configured(self._targets).starting(())
+            desired = desired.aiming("active", self._names)
+            self._run.commit(desired, f"{self._what} is rolled back: {reason}")
+        else:
+            self._run.reconcile()
+        self._wait_ended(self._targets if reason else self._sources)
         return structs.replace(
             self._report,
             committed=not reason,
@@ -119,41 +121,68 @@ class Migration:
             downtime=downtime,
             phases=phases,
             steps=tuple(self._taken),
+            late={} if reason else self._dropped,
         )
 
-    def _prepare(self) -> None:
+    def _planned(self) -> MigrationPlan:
+        """Return the steps; raise RunError when they could not all be taken."""
         self._raise_on_failed()
-        if stuck := self._run.unresponsive(self._targets):
-            raise RunError("; ".join(stuck))
-        staying = [source.with_goal("stay") for source in self._sources]
-        self._run.tell([*self._others.values(), *staying, *self._targets])
-        # higher than that of any earlier migration, whatever the clock says
-        self._number = self._run.generation
-        self._run.wait(self._targets, PREPARE_LIMIT, self._raise_on_failed)
-        for steps in self._plan.prepare():
-            self._take(steps, PREPARE_LIMIT, self._raise_on_failed)
+        run = self._run
+        for source in self._sources:
+            placed = run.placed.get(source.component)
+            if placed is None or placed.epoch != source.epoch:
+                raise RunError(f"component '{source.component}' was changed meanwhile")
+        raise_on_cut_state(run, self._sources, self._targets)
+        late = late_connectors(run, self._sources, self._others)
+        self._dropped = {name: each.why for name, each in late.items()}
+        return MigrationPlan(
+            run.layout,
+            self._sources,
+            self._targets,
+            self._others,
+            calling_ports(run.agents.statuses()),
+            run.gateways(),
+            late={name: each.keep for name, each in late.items()},
+            away=self._away,
+        )
 
-    def _switch(self, deadline: float) -> str:
+    def _prepare(self, plan: MigrationPlan) -> None:
+        desired = self._run.desired.aiming("stay", self._names).starting(self._targets)
+        self._run.commit(desired, f"prepare the {self._what}")
+        # higher than that of any earlier migration, whatever the clock says
+        self._number = self._run.desired.generation
+        stall = Stall(self._run, self._targets)
+
+        def trouble() -> bool:
+            stall.look()
+            return self._raise_on_failed()
+
+        self._run.wait(self._targets, PREPARE_LIMIT, trouble)
+        for steps in plan.prepare():
+            # a large state takes its time
+            is_large = any(step.name == "pre-copy" for _, step in steps)
+            limit = PREPARE_LIMIT if is_large else STALL_LIMIT
+            self._take(steps, limit, self._raise_on_failed)
+
+    def _switch(self, plan: MigrationPlan, deadline: float) -> str:
         """Pause, and let the targets go on, or the sources again; return why those."""
         self._phases.enter("quiesce")
         try:
-            for steps in self._plan.transfer():
+            for steps in plan.transfer():
                 began = time.monotonic()
                 quiesced = began + self._take(steps, _left(deadline))
         except RunError as error:
             self._phases.enter("roll back")
-            self._resume(self._plan.roll_back())
+            self._resume(plan.roll_back())
             return str(error)
         self._phases.enter("transfer", quiesced)
         self._phases.enter("commit")
-        # nothing rolls back any more
-        placed = self._run.placed
-        for source in self._sources:
-            del placed[source.component]
-        for target in self._targets:
-            placed[target.component] = target.with_goal("active")
+        # nothing rolls back any more; sources redirect until agents are told
+        desired = self._run.desired.without(self._names)
+        desired = desired.placing(each.with_goal("active") for each in self._targets)
+        self._run.commit(desired, f"{self._what} is committed", tell_later=True)
         self._phases.enter("resume")
-        self._resume(self._plan.resume())
+        self._resume(plan.resume())
         return ""
 
     def _linger(self) -> None:
@@ -245,18 +274,17 @@ class Migration:
             self._taken += outcome.taken
             yield batches[by_number[outcome.number]], outcome
 
-    def _remove(self, gone: Sequence[Incarnation]) -> None:
-        """Let only what is placed run, and wait until `gone` have ended."""
+    def _wait_ended(self, gone: Sequence[Incarnation]) -> None:
+        """Wait until what is not desired any more has ended; say what does not end."""
         run = self._run
-        try:
-            run.tell(run.placed.values())
-            if not run.agents.wait_news(
-                lambda: all(map(run.has_ended, gone)), REMOVE_LIMIT
-            ):
-                hanging = [e.component for e in gone if not run.has_ended(e)]
-                self._note_failure(f"'{', '.join(hanging)}' does not end")
-        except RunError as error:
-            self._note_failure(f"telling what should run: {error}")
+
+        def have_ended() -> bool:
+            run.reconcile()
+            return all(map(run.has_ended, gone))
+
+        if not run.agents.wait_news(have_ended, REMOVE_LIMIT):
+            hanging = [e.component for e in gone if not run.has_ended(e)]
+            self._note_failure(f"'{', '.join(hanging)}' does not end")
 
     def _with_losses(self, reason: str) -> str:
         """Return why it rolled back; a loss is known later than what it leads to."""
@@ -265,21 +293,17 @@ class Migration:
         return "; ".join([reason, *(text for text in new if text not in reason)])
 
     def _note_failure(self, reason: str) -> None:
-        self._run.journal.note("failed", f"migration of {self._report.name}: {reason}")
+        self._run.journal.note("failed", f"{self._what}: {reason}")
 
     def _raise_on_failed(self) -> bool:
         run = self._run
         run.look()
-        run.raise_on_unreached([*self._sources, *self._targets])
-        targets = {(t.component, t.epoch): t for t in self._targets}
+        ends = [*self._sources, *self._targets]
+        run.raise_on_unreached(ends)
+        run.raise_on_broken(ends)
         sources = {(s.component, s.epoch): s for s in self._sources}
         for component in components_of(run.current()):
             key = component.name, component.epoch
-            if key in targets and component.state == "failed":
-                raise RunError(
-                    f"component '{component.name}' cannot be configured on "
-                    f"'{targets[key].computer}':\n{component.error}"
-                )
             if key in sources and component.state != "active":
                 raise RunError(self._why_not_active(sources[key], component))
         return False

@@ -18,6 +18,7 @@ from poise.manage.deploy.running_components import (
     RunningComponents,
 )
 from poise.manage.migration.coordinator import Migration
+from poise.manage.migration.planned import Planned
 from poise.manage.migration.report import MigrationReport
 from poise.model.check.allowed_computers import allowed_computers
 
@@ -26,6 +27,16 @@ def move(
     run: RunningComponents, component: str, computer: str, *, force: bool = False
 ) -> MigrationReport:
     """Move a running component to a computer; it stays where it is when that fails.
+
+    Parameters and errors are those of `plan_move`.
+    """
+    return plan_move(run, component, computer, force=force).run()
+
+
+def plan_move(
+    run: RunningComponents, component: str, computer: str, *, force: bool = False
+) -> Planned:
+    """Return the move of a running component to a computer; nothing is begun.
 
     Parameters
     ----------
@@ -50,7 +61,7 @@ def move(
         implementation=old.implementation,
         gently=True,
     )
-    return _migrate(run, old, new)
+    return _planned(run, old, new)
 
 
 def replace(
@@ -62,6 +73,21 @@ def replace(
     fresh: bool = False,
 ) -> MigrationReport:
     """Swap a running component's implementation for another with fitting ports.
+
+    Parameters and errors are those of `plan_replacement`.
+    """
+    return plan_replacement(run, component, implementation, adapt, fresh=fresh).run()
+
+
+def plan_replacement(
+    run: RunningComponents,
+    component: str,
+    implementation: str,
+    adapt: str = "",
+    *,
+    fresh: bool = False,
+) -> Planned:
+    """Return the swap of an implementation for another; nothing is begun.
 
     Parameters
     ----------
@@ -97,12 +123,12 @@ def replace(
         fresh=fresh,
         gently=True,
     )
-    return _migrate(run, old, new, implementation)
+    return _planned(run, old, new, implementation)
 
 
-def _migrate(
+def _planned(
     run: RunningComponents, old: Incarnation, new: Incarnation, by: str = ""
-) -> MigrationReport:
+) -> Planned:
     report = MigrationReport(
         what=old.component,
         by=by,
@@ -111,11 +137,10 @@ def _migrate(
         cold=bool(run.robot.component(old.component).command),
     )
     if report.cold:
-        report = _move_cold(run, report, old, new)
-    else:
-        report = Migration(run, report, (old,), (new,)).run()
-    report.note_in(run.journal)
-    return report
+        return Planned(run, report, (), lambda: _move_cold(run, report, old, new))
+    return Planned(
+        run, report, (new,), lambda: Migration(run, report, (old,), (new,)).run()
+    )
 
 
 def _move_cold(
@@ -129,19 +154,14 @@ def _move_cold(
     """
     started = time.monotonic()
     try:
-        try:
-            run.tell([*run.placed.values(), new])
-            run.wait([new], READY_LIMIT)
-        except RunError as error:
-            run.tell(run.placed.values())
-            seconds = time.monotonic() - started
-            phases = {"prepare": seconds}
-            return structs.replace(report, reason=str(error), phases=phases)
-        stopped = time.monotonic()
-        reason = _swap(run, old, new)
+        run.bring([new], READY_LIMIT, f"prepare the cold move of {report.name}")
     except RunError as error:
-        reason = f"telling what should run: {error}"
-        return structs.replace(report, reason=reason)
+        desired = run.desired.starting(())
+        run.commit(desired, f"the cold move of {report.name} is rolled back: {error}")
+        phases = {"prepare": time.monotonic() - started}
+        return structs.replace(report, reason=str(error), phases=phases)
+    stopped = time.monotonic()
+    reason = _swap(run, old, new)
     return structs.replace(
         report,
         committed=not reason,
@@ -153,18 +173,19 @@ def _move_cold(
 
 def _swap(run: RunningComponents, old: Incarnation, new: Incarnation) -> str:
     """Return why `old` runs again; empty: `new` runs."""
-    others = [each for each in run.placed.values() if each != old]
-    active = new.with_goal("active")
+    what, active = f"cold move of '{old.component}'", new.with_goal("active")
     try:
-        run.tell([*others, new])
+        # the two must not run at the same time
+        desired = run.desired.without([old.component]).starting([new])
+        run.commit(desired, f"{what}: it ends where it was")
         run.wait_ended(old)
-        run.bring([active], ACTIVE_LIMIT)
+        run.bring([active], ACTIVE_LIMIT, f"{what}: it starts")
     except RunError as error:
         again = structs.replace(old, epoch=run.next_epoch(old.component))
-        run.placed[old.component] = again
-        run.tell(run.placed.values())
+        desired = run.desired.starting(()).placing([again])
+        run.commit(desired, f"{what} is rolled back: {error}")
         return str(error)
-    run.placed[new.component] = active
+    run.commit(run.desired.placing([active]), f"{what} is committed")
     return ""
 
 

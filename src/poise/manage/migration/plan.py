@@ -37,9 +37,14 @@ class MigrationPlan:
         Ends over which a component calls another: component and port.
     gateways
         Computer -> IP address and port of its gateway.
+    late
+        Connectors at the sources whose ends do not reach each other, and how many
+        messages their subscribers keep: what is under way over them is dropped.
+    away
+        Computers whose containers can take no step.
     """
 
-    def __init__(
+    def __init__(  # noqa: PLR0913, all that runs
         self,
         layout: DeploymentPlan,
         sources: Iterable[Incarnation],
@@ -47,8 +52,13 @@ class MigrationPlan:
         others: Mapping[str, Incarnation],
         calls: Collection[tuple[str, str]],
         gateways: Mapping[str, str],
+        *,
+        late: Mapping[str, int] = {},
+        away: Collection[str] = (),
     ) -> None:
         self._layout = layout
+        self._late = late
+        self._away = away
         self._gateways = gateways
         self._others = others
         self._calls = calls
@@ -93,7 +103,7 @@ class MigrationPlan:
             rounds.append([] if rounds else self._buffer())
             if not self._is_move:
                 rounds[-1] += self._drain_mailboxes(level, paused)
-            rounds[-1] += [_step("pause", self._sources[name]) for name in level]
+            rounds[-1] += map(self._pause, level)
             paused |= set(level)
         targets = self._targets.values()
         rounds[-1] += self._drain_channels(self._before)
@@ -138,9 +148,32 @@ class MigrationPlan:
 
     def _buffer(self) -> Round:
         return [
-            (sender, Step("buffer", connectors=tuple(map(str, connectors))))
+            (
+                sender,
+                Step(
+                    "buffer",
+                    connectors=self._timely(connectors),
+                    late=self._keys(connectors),
+                ),
+            )
             for sender, connectors in self._by_container(self._from)
         ]
+
+    def _pause(self, name: str) -> PlacedStep:
+        begin = [c for c in self._before if c.between[0].component == name]
+        return _step("pause", self._sources[name], late=self._keys(begin))
+
+    def _timely(self, connectors: Iterable[Connector]) -> tuple[str, ...]:
+        return tuple(str(c) for c in connectors if str(c) not in self._late)
+
+    def _keys(self, connectors: Iterable[Connector]) -> dict[str, int]:
+        """Return the keys of those that are late, and what their subscribers keep."""
+        before = {**self._others, **self._sources}
+        return {
+            self._layout.key_of(c, before): self._late[str(c)]
+            for c in connectors
+            if str(c) in self._late
+        }
 
     def _drain_mailboxes(
         self, names: Collection[str], paused: Collection[str]
@@ -161,15 +194,20 @@ class MigrationPlan:
 
         Others' connectors get one only when they lead to a target, too.
         """
-        by_receiver: dict[str, list[str]] = {}
+        by_receiver: dict[str, list[Connector]] = {}
         for connector in connectors:
             source, receiver = connector.between
             if source.component in self._sources or connector in self._from:
-                names = by_receiver.setdefault(receiver.component, [])
-                names.append(str(connector))
-        for name, names in by_receiver.items():
+                by_receiver.setdefault(receiver.component, []).append(connector)
+        for name, theirs in by_receiver.items():
             receiving = self._sources.get(name) or self._others[name]
-            yield _step("drain channels", receiving, connectors=tuple(names))
+            if receiving.computer not in self._away:
+                yield _step(
+                    "drain channels",
+                    receiving,
+                    connectors=self._timely(theirs),
+                    late=self._keys(theirs),
+                )
 
     def _release(
         self,
@@ -177,25 +215,23 @@ class MigrationPlan:
         connectors: list[Connector],
         ends: Mapping[str, Incarnation],
     ) -> Iterator[PlacedStep]:
+        placed = {**self._others, **ends}
         for sender, theirs in self._by_container(connectors):
-            keys = (
-                self._layout.joined(
-                    connector,
-                    self._others[connector.between[0].component],
-                    ends[connector.between[1].component],
-                    self._gateways,
-                ).key
-                for connector in theirs
-            )
-            yield sender, Step(name, connectors=tuple(keys))
+            keys = tuple(self._layout.key_of(connector, placed) for connector in theirs)
+            yield sender, Step(name, connectors=keys)
 
     def _by_container(
         self, connectors: list[Connector]
     ) -> Iterable[tuple[Incarnation, list[Connector]]]:
-        """Return connectors by one sender for each container that they begin in."""
+        """Return connectors by one sender for each container that they begin in.
+
+        Containers that can take no step are left out.
+        """
         found: dict[tuple[str, str], tuple[Incarnation, list[Connector]]] = {}
         for connector in connectors:
             sender = self._others[connector.between[0].component]
+            if sender.computer in self._away:
+                continue
             container = self._layout.container_of(sender.component)
             key = (sender.computer, container)
             found.setdefault(key, (sender, []))[1].append(connector)

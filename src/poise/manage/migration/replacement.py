@@ -15,6 +15,7 @@ from poise.manage.agent_connections.statuses import calling_ports, components_of
 from poise.manage.deploy.incarnation import Incarnation
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.migration.coordinator import Migration
+from poise.manage.migration.planned import Planned
 from poise.manage.migration.report import MigrationReport
 from poise.model.robot import Architecture, Robot
 
@@ -28,6 +29,23 @@ def replace_architecture(
     fresh: bool = False,
 ) -> MigrationReport:
     """Replace a running architecture by another that provides the same function.
+
+    Parameters and errors are those of `plan_architecture_replacement`.
+    """
+    return plan_architecture_replacement(
+        run, architecture, by, adapt, fresh=fresh
+    ).run()
+
+
+def plan_architecture_replacement(
+    run: RunningComponents,
+    architecture: str,
+    by: str,
+    adapt: str = "",
+    *,
+    fresh: bool = False,
+) -> Planned:
+    """Return the replacement of an architecture by another; nothing is begun.
 
     What waits at its ports goes to the alternative where the same source is joined to
     both; messages that are under way within it end with it.
@@ -52,7 +70,7 @@ def replace_architecture(
         _check_stateless(run, old)
     where = _placement(run, old, new)
     sources = [run.placed[component.name] for component in old.components]
-    targets = [
+    targets = tuple(
         Incarnation(
             component=component.name,
             computer=where[component.name],
@@ -63,16 +81,16 @@ def replace_architecture(
             gently=True,
         )
         for component in new.components
-    ]
+    )
     report = MigrationReport(
         what=architecture,
         by=by,
         before={each.component: each.computer for each in sources},
         after=where,
     )
-    report = Migration(run, report, sources, targets).run()
-    report.note_in(run.journal)
-    return report
+    return Planned(
+        run, report, targets, lambda: Migration(run, report, sources, targets).run()
+    )
 
 
 def _checked(

@@ -37,6 +37,8 @@ class MigrationReport(Struct, frozen=True, tag=True, kw_only=True):
         How long each phase took [s].
     steps
         What containers did, by container in the order of their answers.
+    late
+        Connectors over which messages under way were dropped, and why.
     """
 
     what: str
@@ -49,6 +51,7 @@ class MigrationReport(Struct, frozen=True, tag=True, kw_only=True):
     downtime: float = 0.0
     phases: Mapping[str, float] = {}
     steps: tuple[StepTaken, ...] = ()
+    late: Mapping[str, str] = {}
 
     @property
     def prepared(self) -> float:
@@ -61,20 +64,31 @@ class MigrationReport(Struct, frozen=True, tag=True, kw_only=True):
         kind = "architecture" if self.by and ":" not in self.by else "component"
         return f"{kind} '{self.what}'"
 
+    @property
+    def way(self) -> str:
+        """The same with where it goes, or what comes instead."""
+        if self.by:
+            return f"{self.name} by '{self.by}'"
+        before, after = self.before.get(self.what), self.after.get(self.what)
+        return f"{self.name} from '{before}' to '{after}'"
+
     def note_in(self, journal: Journal) -> None:
         """Journal what was done, or why it was not."""
-        before, after = self.before.get(self.what), self.after.get(self.what)
-        way = f"{self.name} from '{before}' to '{after}'"
-        if self.by:
-            way = f"{self.name} by '{self.by}'"
         if self.committed:
             how = " by a cold move" if self.cold else ""
             verb = "replaced" if self.by else "moved"
-            text = f"{verb} {way}{how}; {self._times()}"
+            text = f"{verb} {self.way}{how}; {self._times()}{self._losses()}"
             journal.note("done", text, migration=self)
         else:
-            text = f"did not {'replace' if self.by else 'move'} {way}: {self.reason}"
+            verb = "replace" if self.by else "move"
+            text = f"did not {verb} {self.way}: {self.reason}"
             journal.note("failed", text, migration=self)
+
+    def _losses(self) -> str:
+        return "".join(
+            f"; messages under way over '{connector}' were dropped: {why}"
+            for connector, why in self.late.items()
+        )
 
     def _times(self) -> str:
         if self.cold:

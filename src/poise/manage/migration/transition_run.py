@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import time
 from collections.abc import Collection, Mapping, Sequence
 
@@ -52,34 +51,31 @@ def start_together(
     new = [_with_checkpoint(run, each) for each in new]
     old = [run.placed[name] for name in placement.keys() & run.placed.keys()]
     lost = {each.computer for each in old}.intersection(lost)
-    others = [each for name, each in run.placed.items() if name not in placement]
-    prepared = [each.with_goal("inactive") for each in new]
+    before = run.desired
+    # one of the lost that comes back meanwhile must keep what it has
+    ends = [each for each in old if each.computer not in lost]
+    desired = before.without([each.component for each in ends])
+    inactive = [each.with_goal("inactive") for each in new]
     try:
-        # one of the lost that comes back meanwhile must keep what it has
-        run.tell([*others, *prepared], run.computers() - lost)
-        run.wait(prepared, READY_LIMIT)
-        for each in old:
-            if each.computer not in lost:
-                run.wait_ended(each)
+        run.commit(desired.starting(inactive), "start components together")
+        run.wait(inactive, READY_LIMIT)
+        for each in ends:
+            run.wait_ended(each)
         _revoke_leases(run, lost)
     except RunError as error:
         run.journal.note("failed", f"components did not start: {error}")
-        with contextlib.suppress(RunError):  # agents out of reach get it later
-            run.tell(run.placed.values())
+        run.commit(before, "components did not start: all is as it was")
         return False
-    placed = {each.component: each for each in new}
+    # where they were, they have no lease any more
+    run.commit(run.desired.placing(new), "components start together")
     try:
-        run.bring(new, ACTIVE_LIMIT)
+        run.wait(new, ACTIVE_LIMIT)
     except RunError as error:
         run.journal.note("failed", f"components did not start: {error}")
-        if lost:  # where they were, they have no lease any more
-            run.placed |= placed
-        else:
-            for name in placed:
-                run.placed.pop(name, None)
-            run.tell(run.placed.values())
+        if not lost:
+            names = [each.component for each in new]
+            run.commit(run.desired.without(names), "components did not start")
         return False
-    run.placed |= placed
     run.journal.note("done", "they are at work", placement=run.placement())
     return True
 
@@ -196,24 +192,23 @@ class _Transition:
             implementation=self._implementations.get(component, ""),
         )
         try:
-            run.bring([new.with_goal("inactive")], READY_LIMIT)
-            run.bring([new], ACTIVE_LIMIT)
-        except RunError:
-            run.tell(run.placed.values())
+            inactive = [new.with_goal("inactive")]
+            run.bring(inactive, READY_LIMIT, f"prepare '{component}'")
+            run.bring([new], ACTIVE_LIMIT, f"activate '{component}'")
+        except RunError as error:
+            run.commit(run.desired.starting(()), f"it does not start: {error}")
             raise
-        run.placed[component] = new
+        run.commit(run.desired.placing([new]), f"'{component}' is at work")
 
     def _stop(self, component: str) -> None:
         run = self._run
-        old = run.placed.pop(component)
+        old = run.placed[component]
         self._implementations[component] = old.implementation
+        run.commit(run.desired.without([component]), f"end '{component}'")
         try:
-            run.tell(run.placed.values())
             run.wait_ended(old)
-        except RunError:
+        except RunError as error:
             # the old one has lost its state by now, if it listens at all
-            run.placed[component] = structs.replace(
-                old, epoch=run.next_epoch(component)
-            )
-            run.tell(run.placed.values())
+            again = structs.replace(old, epoch=run.next_epoch(component))
+            run.commit(run.desired.placing([again]), f"it does not end: {error}")
             raise

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Hashable, Iterator, Mapping
 
+from poise.clock import wall_time
 from poise.manage.agent_connections.statuses import Statuses
 from poise.manage.journal import Kind
 from poise.manage.observe.deviations import Deviation
@@ -49,7 +49,7 @@ class CodeErrors:
                         what=f"connector '{name}' refused messages on '{computer}': "
                         "not of the port's type; `poise log` says more",
                         computer=computer,
-                        since=time.time(),
+                        since=wall_time(),
                     )
                     self._take(name, container.pid, {"": (count, error)}, now)
         for key, (error, count, last) in list(self._coming.items()):

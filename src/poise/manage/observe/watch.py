@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 
+from poise.clock import wall_time
 from poise.manage.agent_connections.statuses import Statuses
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.journal import Kind
@@ -61,8 +62,8 @@ class Watch:
         self, statuses: Statuses, before: Mapping[str, Deviation]
     ) -> dict[str, Deviation]:
         """Return what deviates now, by key; of what is being moved, what did before."""
-        run, now, wanted = self._run, time.time(), set(self._run.wanted)
-        settled = {n: each for n, each in run.placed.items() if each in wanted}
+        run, now = self._run, wall_time()
+        wanted, settled = run.desired.incarnations(), run.desired.settled()
         moving = run.placed.keys() - settled.keys()
         found = {key: before[key] for key in before.keys() & moving}
         deviations = find_deviations(

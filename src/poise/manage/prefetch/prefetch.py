@@ -7,7 +7,6 @@ from collections.abc import Callable, Collection, Iterable, Mapping
 
 from msgspec.structs import replace
 
-from poise.errors import RunError
 from poise.manage.agent_connections.statuses import components_of
 from poise.manage.deploy.incarnation import Incarnation
 from poise.manage.deploy.running_components import RunningComponents
@@ -15,7 +14,7 @@ from poise.manage.migration.residue import residue
 from poise.manage.observe.loads import Load
 from poise.manage.prefetch.choice import PrefetchPlan, choose
 from poise.manage.prefetch.report import PrefetchReport
-from poise.manage.prefetch.switch import prepare
+from poise.manage.prefetch.switch import drop, prepare
 from poise.manage.tasks.likely import Likely
 from poise.wire.records.status import AgentStatus
 
@@ -58,7 +57,7 @@ class Prefetcher:
         return PrefetchReport(
             hit=switches.summary(is_hit=True),
             miss=switches.summary(is_hit=False),
-            prepared={n: e.computer for n, e in self._run.prepared.copy().items()},
+            prepared={n: e.computer for n, e in self._run.prepared.items()},
             memory=sum(self._memory.copy().values()),
             wasted=self._wasted,
         )
@@ -102,12 +101,9 @@ class Prefetcher:
         begins = {n: at for n, at in wanted.items() if held.get(n) != at}
         if not drops and not begins:
             return
-        for name in drops:
-            del run.prepared[name]
         if drops:
             note("decided", f"{_list(drops)} not prepared any more")
-        for computer in begins.values():
-            run.spare[computer] = cpu[computer]
+            drop(run, drops)
         for each in likely:
             mine = {n: at for n, at in begins.items() if each.placement.get(n) == at}
             if mine:
@@ -118,11 +114,8 @@ class Prefetcher:
                     placement=mine,
                     probability=each.probability,
                 )
-        try:
-            prepare(run, begins)
-        except RunError as error:
-            note("failed", f"{_list(begins)} not prepared: {error}")
-            self._bar(begins)
+        if begins:
+            prepare(run, begins, {at: cpu[at] for at in begins.values()})
         new = [run.prepared[name] for name in begins.keys() & run.prepared.keys()]
         self._begun |= {(each.component, each.epoch): each for each in new}
         restarts = {
@@ -137,15 +130,17 @@ class Prefetcher:
 
     def _let_rest(self, likely: Iterable[Likely], drops: Collection[str]) -> list[str]:
         """Let what no action is likely to need rest; return what is not ready yet."""
-        run, unready = self._run, []
+        run, unready, ready = self._run, list[str](), list[Incarnation]()
         needed = {name for each in likely for name in each.placement}
         for name, each in run.prepared.items():
             if not each.gently or name in needed or name in drops:
                 continue
             if (name, each.epoch) in self._ready:
-                run.prepared[name] = replace(each, gently=False)
+                ready.append(replace(each, gently=False))
             else:
                 unready.append(name)
+        if ready:
+            run.commit(run.desired.preparing(ready), "what is prepared is idle")
         return unready
 
     def _cpu_left(
@@ -176,16 +171,13 @@ class Prefetcher:
             if why:
                 failed[name] = why
         for name, why in failed.items():
-            computer = run.prepared.pop(name).computer
+            computer = run.prepared[name].computer
             where = f"component '{name}' cannot be prepared on '{computer}'"
             text = f"{where}, and starts only with its action: {why}"
             run.journal.note("failed", text)
         if failed:
             self._bar(failed)
-            try:
-                run.tell(run.placed.values())
-            except RunError as error:
-                run.journal.note("failed", f"it is not ended yet: {error}")
+            drop(run, failed)
 
     def _note_ready(self) -> None:
         """Journal what is ready now, and count what was dropped that never worked."""

@@ -6,7 +6,6 @@ and uses memory, but no CPU; it becomes active within moments.
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Collection, Iterable, Mapping
 
 from msgspec.structs import replace
@@ -22,36 +21,34 @@ from poise.manage.deploy.running_components import (
 from poise.wire.records.status import State
 
 
-def prepare(run: RunningComponents, placement: Mapping[str, str]) -> None:
+def prepare(
+    run: RunningComponents, placement: Mapping[str, str], cpu: Mapping[str, float]
+) -> None:
     """Let components be prepared on computers; return before they are.
 
     What is prepared elsewhere is dropped there; what is at work stays as it is.
 
-    They take only the CPU time that others leave.
-
-    Raises
-    ------
-    RunError
-        An agent refused or did not answer; nothing more is prepared then.
+    Parameters
+    ----------
+    placement
+        Component -> computer.
+    cpu
+        Computer -> the CPU time that others leave for it [cores].
     """
-    before = dict(run.prepared)
-    for name, computer in placement.items():
-        if name not in run.placed:
-            run.prepared[name] = _prepared(run, name, computer, gently=True)
-    try:
-        run.tell(run.placed.values())
-    except RunError:
-        run.prepared = before
-        with contextlib.suppress(RunError):  # agents out of reach get it later
-            run.tell(run.placed.values())
-        raise
+    new = [
+        _prepared(run, name, computer, gently=True)
+        for name, computer in placement.items()
+        if name not in run.placed
+    ]
+    spare = {**run.desired.spare, **cpu}
+    run.commit(replace(run.desired, spare=spare).preparing(new), "prepare what is next")
 
 
 def drop(run: RunningComponents, components: Iterable[str]) -> None:
     """End prepared components; their state is lost."""
-    gone = [name for name in components if run.prepared.pop(name, None)]
+    gone = [name for name in components if name in run.prepared]
     if gone:
-        run.tell(run.placed.values())
+        run.commit(run.desired.without(gone), "what is idle ends")
 
 
 def switch(
@@ -75,30 +72,25 @@ def switch(
         all of `ends` rests.
     """
     are_ready = _are_ready(run, begins)
-    for name in ends:
-        old = run.placed.pop(name)
-        run.prepared[name] = replace(old, goal="inactive", unjoined=True, gently=False)
+    idle = [
+        replace(run.placed[name], goal="inactive", unjoined=True, gently=False)
+        for name in ends
+    ]
     new = [
         replace(_prepared(run, name, at), unjoined=False, gently=False)
         for name, at in begins.items()
     ]
-    resting = [run.prepared[name] for name in ends]
-    run.prepared |= {each.component: each for each in new}
+    active = [each.with_goal("active") for each in new]
+    desired = run.desired.without([*ends, *begins]).preparing(idle)
     try:
-        run.tell(run.placed.values())
-        _wait(run, [*resting, *new], READY_LIMIT)
-        active = [each.with_goal("active") for each in new]
-        run.tell([*run.placed.values(), *active])
+        run.commit(desired.starting(new), "switch to the next action")
+        _wait(run, [*idle, *new], READY_LIMIT)
+        run.commit(run.desired.starting(active), "activate the next action")
         _wait(run, active, ACTIVE_LIMIT)
-        for each in active:
-            del run.prepared[each.component]
-            run.placed[each.component] = each
-    except RunError:
-        for each in new:
-            run.prepared.pop(each.component, None)
-        with contextlib.suppress(RunError):  # agents out of reach get it later
-            run.tell(run.placed.values())
+    except RunError as error:
+        run.commit(run.desired.starting(()), f"it cannot begin: {error}")
         raise
+    run.commit(run.desired.placing(active), "the next action is at work")
     return are_ready
 
 

@@ -9,8 +9,8 @@ from msgspec.structs import replace
 
 from poise import plan
 from poise.errors import RobotError
-from poise.manage.adaptation.facts import Facts
 from poise.manage.adaptation.replan import SOLVE_FOR, with_present_demands
+from poise.manage.adaptation.situation import Situation
 from poise.manage.migration.report import TransitionStep
 from poise.manage.migration.residue import residue
 from poise.manage.migration.transition import plan_transition
@@ -39,7 +39,7 @@ class Room(Struct, frozen=True, kw_only=True):
 
 
 def room_for_functions(
-    facts: Facts, functions: Iterable[str], planned: Mapping[str, str]
+    situation: Situation, functions: Iterable[str], planned: Mapping[str, str]
 ) -> Room:
     """Return where functions go, beside what runs of them.
 
@@ -52,7 +52,7 @@ def room_for_functions(
     planned
         Component -> computer, as the plan over time has it; it counts where it fits.
     """
-    here = facts.within_reach()
+    here = situation.within_reach()
     robot = _with_chosen(
         with_present_demands(here.robot_left(), here.demand_estimates),
         here.placement,

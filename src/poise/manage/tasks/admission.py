@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterable, Sequence
 from collections.abc import Set as AbstractSet
 
 from msgspec.structs import replace
 
+from poise.clock import boot_time
 from poise.estimate.success.learning import learned
-from poise.manage.adaptation.facts import Facts
+from poise.manage.adaptation.situation import Situation
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.tasks.action_placement import Room, room_for_functions
-from poise.manage.tasks.learned_choice import situation_of
+from poise.manage.tasks.learned_choice import conditions_of
 from poise.manage.tasks.likely import PlanOverTime
 from poise.manage.tasks.progress import TaskRecord, Try
 from poise.manage.tasks.serving import Serving
@@ -32,7 +32,7 @@ class Admission:
 
     def look(
         self,
-        facts: Facts,
+        situation: Situation,
         new: Iterable[tuple[TaskRecord, Try]],
         aside: AbstractSet[str],
         *,
@@ -52,24 +52,24 @@ class Admission:
         """
         new = tuple(new)
         robot = learned(
-            facts.robot,
+            situation.robot,
             [each.action for _, each in new],
-            situation=situation_of(facts),
+            conditions=conditions_of(situation),
             explore=explore,
             seed=self._tasks.saved.number,
         ).robot
-        facts = replace(facts, robot=robot)
-        left_out = aside | self._serving.broken(facts.lost)
+        situation = replace(situation, robot=robot)
+        left_out = aside | self._serving.broken(situation.lost)
         planned: dict[str, str] = {}
         for record, each in new:
             names = tuple(t.name for t in self._tasks.tries(record))
             planned |= self._plans.placement(record.name, names, each.action.functions)
         going = self._tasks.going()
-        whole = self._beside(facts, going, left_out, planned)
+        whole = self._beside(situation, going, left_out, planned)
         if not whole.why:
             return whole
         for count in range(len(going) - 1, 0, -1):
-            if not self._beside(facts, going[:count], left_out, planned).why:
+            if not self._beside(situation, going[:count], left_out, planned).why:
                 others = " and ".join(f"'{each.name}'" for each in going[:count])
                 for record in going[count:]:
                     text = f"task {others} uses the room that it needs: {whole.why}"
@@ -80,7 +80,7 @@ class Admission:
 
     def _end_or_block(self, record: TaskRecord, why: str) -> None:
         """End the actions that do not fit though no other task runs."""
-        now = time.time()
+        now = boot_time()
         for each in self._tasks.tries(record):
             if each.progress.since is None:
                 self._tasks.end(each.number, now, f"it does not fit: {why}", done=False)
@@ -89,7 +89,7 @@ class Admission:
 
     def _beside(
         self,
-        facts: Facts,
+        situation: Situation,
         going: Sequence[TaskRecord],
         left_out: AbstractSet[str],
         planned: dict[str, str],
@@ -97,12 +97,14 @@ class Admission:
         """Return where the functions of some tasks go, when all others rest."""
         functions = self._tasks.functions_of(going) | self._serving.fixed()
         functions -= left_out
-        runs = facts.robot.components_for(functions)
-        placement = {n: at for n, at in facts.placement.items() if n in runs}
+        runs = situation.robot.components_for(functions)
+        placement = {n: at for n, at in situation.placement.items() if n in runs}
         rest = self._run.prepared
         hint = {
             n: rest[n].computer if n in rest else at
             for n, at in planned.items()
             if n in runs
         }
-        return room_for_functions(replace(facts, placement=placement), functions, hint)
+        return room_for_functions(
+            replace(situation, placement=placement), functions, hint
+        )

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 
 from poise.errors import PoiseError
-from poise.estimate.success import Ending, Situation
+from poise.estimate.success import Conditions, Ending
 from poise.estimate.success.learning import learned, note_outcome
 from poise.manage.adaptation.decision import shortages_of
-from poise.manage.adaptation.facts import Facts
+from poise.manage.adaptation.situation import Situation
 from poise.manage.journal import Journal
 from poise.model.robot import Robot
 from poise.model.tasks.steps import Action, Choice, Step, Subtask
@@ -17,7 +17,7 @@ from poise.model.tasks.steps import Action, Choice, Step, Subtask
 def choose(
     robot: Robot,
     choice: Choice,
-    situation: Situation,
+    conditions: Conditions,
     note: Callable[[str], object],
     *,
     explore: bool = False,
@@ -25,13 +25,13 @@ def choose(
     """Return which step of a choice promises most; of equals the first.
 
     A step promises what the best architectures for its first action do: their quality
-    times their success in this situation, as learned.
+    times their success in this conditions, as learned.
     """
     promises = []
     for step in choice.steps:
         action = _first(robot, step)
         promise = 1.0
-        known = learned(robot, [action], situation=situation, explore=explore).robot
+        known = learned(robot, [action], conditions=conditions, explore=explore).robot
         for function in action.functions:
             promise *= max(
                 (
@@ -48,11 +48,11 @@ def choose(
     return best
 
 
-def situation_of(facts: Facts) -> Situation:
-    """Return the situation of a robot, for which success is learned."""
-    return Situation(
-        lost=tuple(facts.lost),
-        cpu_is_short=any(short > 0 for short in shortages_of(facts).values()),
+def conditions_of(situation: Situation) -> Conditions:
+    """Return the conditions of a robot, for which success is learned."""
+    return Conditions(
+        lost=tuple(situation.lost),
+        cpu_is_short=any(short > 0 for short in shortages_of(situation).values()),
     )
 
 
@@ -61,7 +61,7 @@ def note_ending(
     journal: Journal,
     action: str,
     architectures: Iterable[str],
-    situation: Situation,
+    conditions: Conditions,
     *,
     done: bool,
 ) -> None:
@@ -71,7 +71,7 @@ def note_ending(
         return
     ending: Ending = "done" if done else "failed"
     try:
-        note_outcome(robot, action, ending, names, situation=situation)
+        note_outcome(robot, action, ending, names, conditions=conditions)
     except PoiseError as error:
         journal.note("failed", f"the outcome of '{action}' is not learned: {error}")
 

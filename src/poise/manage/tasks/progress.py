@@ -1,4 +1,4 @@
-"""How far a task and its steps are. Pure; times are given, in [s since 1970].
+"""How far a task and its steps are. Pure; times are given.
 
 The records of progress mirror the steps: they can be sent to agents and read again by
 the next manager.
@@ -46,7 +46,8 @@ class Progress(Struct, kw_only=True, omit_defaults=True):
     number
         Tells the tries of actions of all tasks apart; 0: it is no action.
     since
-        When the action's functions began to work; None: they do not.
+        When the action's functions began to work [s, `poise.clock.boot_time` of the
+        manager's computer]; None: they do not.
     spent
         How long they worked before that [s].
     heard
@@ -94,7 +95,7 @@ class TaskRecord(Struct, kw_only=True):
     why
         What it waits for, or why it ended so; else empty.
     since
-        When its state began.
+        When its state began [s since 1970], for people; so is `began`.
     """
 
     name: str
@@ -108,10 +109,17 @@ class TaskRecord(Struct, kw_only=True):
 
 
 class Saved(Struct, kw_only=True):
-    """All that the next manager needs to go on with the tasks."""
+    """All that the next manager needs to go on with the tasks.
+
+    Parameters
+    ----------
+    boot
+        The `poise.clock.boot_id` by whose clock times in `Progress` are.
+    """
 
     records: list[TaskRecord] = []
     number: int = 0
+    boot: str = ""
 
 
 class ActionEnded(Struct, frozen=True):

@@ -77,7 +77,7 @@ def task_reports(
     serving
         Returns the architectures that serve an action now.
     now
-        [s since 1970].
+        [s], by the clock of `Progress.since`.
     """
     return tuple(
         TaskReport(

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import contextlib
-import time
 
 import msgspec
 
+from poise.clock import boot_id, boot_time
 from poise.errors import UsageError
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.journal import Journal
@@ -22,11 +22,11 @@ def goes_on_with(run: RunningComponents, asked: Tasks, journal: Journal) -> Save
     asked
         What this manager was to start; what runs already goes on where it was.
     """
-    if not run.tasks:
+    if not run.desired.tasks:
         return asked.saved
     note = journal.note
     try:
-        saved = msgspec.msgpack.decode(run.tasks, type=Saved)
+        saved = msgspec.msgpack.decode(run.desired.tasks, type=Saved)
     except msgspec.DecodeError as error:
         note("failed", f"the tasks of the manager before are given up: {error}")
         return asked.saved
@@ -35,7 +35,26 @@ def goes_on_with(run: RunningComponents, asked: Tasks, journal: Journal) -> Save
         if record.state not in OVER:
             names = ", ".join(f"'{each.name}'" for each in tasks.tries(record))
             note("decided", f"task '{record.name}' goes on with {names}")
+    if saved.boot != boot_id():
+        _begin_clocks(tasks, journal)
     for record in asked.records:
         with contextlib.suppress(UsageError):  # it goes on already
-            tasks.start(record.name, time.time(), record.priority)
+            tasks.start(record.name, boot_time(), record.priority)
     return tasks.saved
+
+
+def _begin_clocks(tasks: Tasks, journal: Journal) -> None:
+    """Let actions at work begin now, for another computer's clock says nothing here."""
+    now = boot_time()
+    for record in tasks.records:
+        for each in tasks.tries(record):
+            if each.progress.since is not None:
+                each.progress.since = now
+                if each.action.limit is not None:
+                    journal.note(
+                        "decided",
+                        f"action '{each.name}' of task '{record.name}' has its limit "
+                        f"of {each.action.limit:g} s from now on, less "
+                        f"{each.progress.spent:g} s: its manager ran on another "
+                        "computer, or before this one was started again",
+                    )

@@ -6,16 +6,18 @@ what the next manager needs to go on is with the agents.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterable, Mapping
 from collections.abc import Set as AbstractSet
 
 import msgspec
 from msgspec.structs import replace
 
+from poise.clock import boot_id, boot_time
 from poise.errors import PoiseError, RunError, UsageError
-from poise.manage.adaptation.facts import Facts
 from poise.manage.adaptation.policy.subjects import values_of
+from poise.manage.adaptation.situation import Situation
+from poise.manage.deploy.desired import Desired
+from poise.manage.deploy.incarnation import Incarnation
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.migration.transition_run import transit
 from poise.manage.prefetch.resting import Resting
@@ -23,7 +25,7 @@ from poise.manage.prefetch.switch import switch
 from poise.manage.tasks.action_placement import Room, beyond_memory
 from poise.manage.tasks.admission import Admission
 from poise.manage.tasks.component_reports import ComponentReports, Heard
-from poise.manage.tasks.learned_choice import choose, note_ending, situation_of
+from poise.manage.tasks.learned_choice import choose, conditions_of, note_ending
 from poise.manage.tasks.likely import Likely, PlanOverTime, likely_next
 from poise.manage.tasks.progress import OVER, ActionEnded, Saved, TaskRecord, Try
 from poise.manage.tasks.report import TaskReport, task_reports
@@ -51,7 +53,7 @@ class TaskManager:
     ----------
     saved
         What was started already; it is changed.
-    facts
+    situation
         Returns what is known now.
 
     Attributes
@@ -64,14 +66,15 @@ class TaskManager:
         self,
         run: RunningComponents,
         saved: Saved,
-        facts: Callable[[], Facts],
+        situation: Callable[[], Situation],
     ) -> None:
         self._run = run
-        self._facts = facts
+        self._situation = situation
         self._explore = run.robot.explore
         self.tasks = Tasks(run.robot, self._say, self._choose, saved)
         self._plans = PlanOverTime(run.robot)
         self._serving = Serving(run)
+        self.tasks.saved.boot = boot_id()
         self._room = Admission(run, self.tasks, self._plans)
         self._component_reports = ComponentReports(run)
         self._resting = Resting(run)
@@ -79,7 +82,7 @@ class TaskManager:
         self._lost: AbstractSet[str] = frozenset()
         self._aside: AbstractSet[str] = frozenset()
         self._unlearned: list[tuple[ActionEnded, list[str]]] = []
-        self._since = time.time()
+        self._since = boot_time()
         self._ahead: list[tuple[TaskRecord, Try, float]] = []
         self.reports = self._reported()
 
@@ -116,7 +119,7 @@ class TaskManager:
         """
         self._aside = frozenset(aside)
         self._hear()
-        self.tasks.look(time.time(), self._holds)
+        self.tasks.look(boot_time(), self._holds)
         self._note_ended()
         self._go_on()
         self._resting.look(self._kept())
@@ -139,7 +142,7 @@ class TaskManager:
         UsageError
             There is no such task, or it is not in a state for that.
         """
-        self._since = now = time.time()
+        self._since = now = boot_time()
         if verb == "start":
             self.tasks.start(name, now, priority)
         else:
@@ -154,7 +157,7 @@ class TaskManager:
 
     def _go_on(self) -> None:
         """Let what should run now run, until nothing changes by that."""
-        now = time.time()
+        now = boot_time()
         if now >= self._room_at or self._lost != self._run.agents.out_of_reach().keys():
             self._lost = set(self._run.agents.out_of_reach())
             self._room_again = min(2 * self._room_again, _ROOM_AT_MOST)
@@ -163,7 +166,7 @@ class TaskManager:
             self._room_at = now + self._room_again
             self.tasks.unblock()
         for _ in range(_MOST_ROUNDS):
-            self.tasks.arbitrate(time.time())
+            self.tasks.arbitrate(boot_time())
             if not self._reconcile():
                 break
         self.tasks.announce()
@@ -179,8 +182,8 @@ class TaskManager:
         room = Room()
         there = self._serving.functions() | self._serving.broken(self._lost)
         if wanted - there - self._aside:
-            facts = self._facts()
-            room = self._room.look(facts, new, self._aside, explore=self._explore)
+            situation = self._situation()
+            room = self._room.look(situation, new, self._aside, explore=self._explore)
         if room.why:
             self._note_ended()
             return True
@@ -205,23 +208,28 @@ class TaskManager:
         for record, each in began:
             said = heard.get(str(each.action.ends), Heard())
             each.progress.heard = said.epoch, said.count
-            self.tasks.began(each.number, time.time())
+            self.tasks.began(each.number, boot_time())
             if begins:
                 self._note_switch(record, each, is_hit=is_hit)
         return False
 
-    def _give_turns(self) -> None:
-        """Let components know which actions begin, also those that start again."""
-        run = self._run
+    def _with_turns(self) -> Desired:
+        """Return what should run, when components know which actions begin.
+
+        Also those that start again.
+        """
+        run, begins = self._run, list[Incarnation]()
         for _, each in self._turns():
             end = each.action.ends
             if end is None or each.progress.since is None:
                 continue
             placed = run.placed.get(end.component)
             if placed is not None and placed.turn < each.number:
-                run.placed[end.component] = replace(
-                    placed, turn=each.number, action=each.action.name
+                begins.append(
+                    replace(placed, turn=each.number, action=each.action.name)
                 )
+        placed_now = {**run.placed, **{each.component: each for each in begins}}
+        return replace(run.desired, placed=placed_now)
 
     def _make_room(
         self, room: Room, begins: Mapping[str, str], stops: list[str]
@@ -248,11 +256,8 @@ class TaskManager:
             names = ", ".join(gone)
             run.journal.note("decided", f"there is no memory to let {names} rest")
         gone += [n for n in stops if run.placed[n].computer in away]
-        for name in gone:
-            run.prepared.pop(name, None)
-            run.placed.pop(name, None)
         if gone:
-            run.tell(run.placed.values())
+            run.commit(run.desired.without(gone), "there is no memory to keep it idle")
         return [name for name in stops if name not in gone]
 
     def _fail(self, new: list[Turn], begins: Iterable[str], why: str) -> None:
@@ -264,12 +269,12 @@ class TaskManager:
         for _, each in new:
             if not functions or functions.intersection(each.action.functions):
                 what = f"it cannot begin: {short}"
-                self.tasks.end(each.number, time.time(), what, done=False)
+                self.tasks.end(each.number, boot_time(), what, done=False)
         self._note_ended()
 
     def _hear(self) -> None:
         """End the actions whose components say so, and do what components wish."""
-        now, heard = time.time(), self._component_reports.ends()
+        now, heard = boot_time(), self._component_reports.ends()
         for _, each in self._turns():
             if said := self._said(each, heard):
                 what = f"'{each.action.ends}' said so"
@@ -294,7 +299,7 @@ class TaskManager:
     def _note_ended(self) -> None:
         """Remember what has ended, with the architectures that served it."""
         for ended in self.tasks.take_ended():
-            self._since = time.time()
+            self._since = boot_time()
             self._room_at = 0.0
             serving = self._serving.architectures(ended.action.functions)
             self._unlearned.append((ended, serving))
@@ -307,7 +312,7 @@ class TaskManager:
                 self._run.journal,
                 ended.action.name,
                 serving,
-                situation_of(self._facts()),
+                conditions_of(self._situation()),
                 done=ended.done,
             )
         self._unlearned.clear()
@@ -316,7 +321,7 @@ class TaskManager:
         condition = parse_condition(until.when, SUBJECTS[until.subject])
         return any(
             condition(each)
-            for each in values_of(self._facts(), until.subject)
+            for each in values_of(self._situation(), until.subject)
             if not until.name or each.name == until.name
         )
 
@@ -326,7 +331,7 @@ class TaskManager:
             return choose(
                 self._run.robot,
                 choice,
-                situation_of(self._facts()),
+                conditions_of(self._situation()),
                 lambda text: None if is_ahead else note("decided", text),
                 explore=self._explore,
             )
@@ -340,7 +345,7 @@ class TaskManager:
         return self._run.robot.components_for(self.tasks.functions_of(rests))
 
     def _note_switch(self, record: TaskRecord, each: Try, *, is_hit: bool) -> None:
-        seconds = time.time() - self._since
+        seconds = boot_time() - self._since
         self._run.switches.note(seconds, is_hit=is_hit)
         how = "it was prepared" if is_hit else "it was not prepared"
         text = f"switched to action '{each.name}' in {seconds:.3f} s: {how}"
@@ -351,21 +356,16 @@ class TaskManager:
     def _save(self) -> None:
         """Let components and the next manager know what they need, if that is new."""
         self.reports = self._reported()
-        run, before = self._run, (self._run.tasks, *self._run.placed.values())
-        run.tasks = msgspec.msgpack.encode(self.tasks.saved)
-        self._give_turns()
-        if before == (run.tasks, *run.placed.values()):
-            return
-        try:
-            run.tell(run.placed.values())
-        except RunError as error:  # an agent that is lost is told when it is back
-            run.journal.note("failed", f"not all agents know the tasks: {error}")
+        run, saved = self._run, msgspec.msgpack.encode(self.tasks.saved)
+        desired = replace(self._with_turns(), tasks=saved)
+        if desired != run.desired:
+            run.commit(desired, "tasks go on")
 
     def _reported(self) -> tuple[TaskReport, ...]:
         def serving(each: Try) -> tuple[str, ...]:
             return tuple(self._serving.architectures(each.action.functions))
 
-        return task_reports(self.tasks, self._ahead, serving, time.time())
+        return task_reports(self.tasks, self._ahead, serving, boot_time())
 
     def _say(self, text: str) -> None:
         self._run.journal.note("decided", text)

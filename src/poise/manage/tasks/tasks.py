@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable, Iterator
 
 from msgspec.structs import replace
 
+from poise.clock import wall_time_at
 from poise.errors import UsageError
 from poise.manage.tasks.progress import (
     OVER,
@@ -45,6 +46,9 @@ class Tasks:
         Decides between the steps of a choice.
     say
         Takes each change, for people.
+    wall
+        Returns the time of day [s since 1970] of a `now` of the methods, for people.
+        `now` itself is a time [s] that never steps.
 
     Attributes
     ----------
@@ -58,11 +62,13 @@ class Tasks:
         say: Callable[[str], object] = lambda _: None,
         choose: Choose = lambda *_: 0,
         saved: Saved | None = None,
+        wall: Callable[[float], float] = wall_time_at,
     ) -> None:
         self._robot = robot
         self._tasks = {each.name: each for each in robot.tasks}
         self._choose = choose
         self._say = say
+        self._wall = wall
         self.saved = saved or Saved()
         self._blocked: dict[str, str] = {}
         self._ended: list[ActionEnded] = []
@@ -91,12 +97,13 @@ class Tasks:
             raise UsageError(
                 f"task '{name}' runs already; `poise task cancel {name}` ends it"
             )
+        at = self._wall(now)
         record = TaskRecord(
             name=name,
             priority=self._tasks[name].priority if priority is None else priority,
             order=self._next(),
-            began=now,
-            since=now,
+            began=at,
+            since=at,
             progress=self._steps(name).begin(),
         )
         over = [r for r in self.records if r.state in OVER]
@@ -337,7 +344,7 @@ class Tasks:
         is_new = record.state != state
         record.state, record.why = state, why
         if is_new:
-            record.since = now
+            record.since = self._wall(now)
         if state not in {"going", "waiting"}:  # `announce` says these
             self._say_of(record, _SAYINGS[state])
 

@@ -26,7 +26,7 @@ import zenoh
 from msgspec.msgpack import encode
 
 from poise import threads
-from poise.clock import SystemClock
+from poise.clock import SystemClock, time_asleep, wall_time
 from poise.endpoint import Endpoint
 from poise.errors import RunError, Unavailable, UsageError
 from poise.priority import ahead, go_first, goes_first
@@ -197,7 +197,8 @@ class Agent:
         )
         return Surroundings(
             clock=self._clock,
-            wall=time.time,
+            wall=wall_time,
+            asleep=time_asleep,
             random=random.Random(),  # noqa: S311, no secret
             say=self._say,
             publish=lambda status: statuses.put(encode(status)),

@@ -9,13 +9,12 @@ from pathlib import Path
 
 import msgspec
 
+from poise.clock import boot_id
 from poise.errors import UsageError
 from poise.runtime.agent.supervision.agent_state import AgentState
 from poise.wire.records.requests import PROTOCOL
 
 log = logging.getLogger(__name__)
-
-_BOOT = Path("/proc/sys/kernel/random/boot_id")
 
 
 class AgentFolder:
@@ -30,7 +29,7 @@ class AgentFolder:
     def __init__(self, folder: Path) -> None:
         self._path = folder / "state"
         self._lock = os.open(folder / "lock", os.O_RDWR | os.O_CREAT, 0o600)
-        self._boot = _BOOT.read_text().strip()
+        self._boot = boot_id()
         self._kept = AgentState()
         self.trouble = ""
         try:

@@ -14,8 +14,12 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from poise import threads
-from poise.runtime.file_age import age_of, stamp
-from poise.wire.records.checkpoints import CheckpointCopy, checkpoint_path
+from poise.wire.records.checkpoints import (
+    CheckpointCopy,
+    age_of,
+    checkpoint_path,
+    set_age,
+)
 from poise.wire.records.deployment import Deployment
 
 log = logging.getLogger(__name__)
@@ -41,7 +45,7 @@ class CheckpointFiles:
         self._sent: dict[tuple[str, int], tuple[int, int]] = {}
         self._ended = threading.Event()
         self._has_work = threading.Event()
-        self._modified: dict[tuple[str, int], int] = {}
+        self._modified: dict[tuple[str, int], float] = {}
         self._thread = threads.daemon(self._main, "checkpoints", again=True)
 
     def start(self) -> None:
@@ -77,7 +81,7 @@ class CheckpointFiles:
         """Keep a copy for a component that is to start here; raises OSError."""
         path = checkpoint_path(self._folder, copy.component, copy.epoch)
         path.write_bytes(copy.data or b"")
-        stamp(path, copy.age)
+        set_age(path, copy.age)
 
     def age(self, component: str, epoch: int) -> float | None:
         """Return the age of a checkpoint [s]; None: there is none. No disk is used."""
@@ -98,7 +102,7 @@ class CheckpointFiles:
             with contextlib.suppress(OSError):  # there is none yet
                 found = path.stat()
                 at = found.st_ino, found.st_mtime_ns
-                self._modified[component, epoch] = found.st_mtime_ns
+                self._modified[component, epoch] = found.st_mtime
                 before = sent.get((component, epoch))
                 if at == before:
                     continue
@@ -108,6 +112,6 @@ class CheckpointFiles:
                     component=component,
                     epoch=epoch,
                     data=None if is_same else path.read_bytes(),
-                    age=age_of(found.st_mtime_ns),
+                    age=age_of(found.st_mtime),
                 )
                 self._sent[component, epoch] = at

@@ -8,7 +8,6 @@ container is shown in the status and stops nothing else (`Supervised`).
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
 from typing import NamedTuple, TypeVar
 
 from msgspec import structs
@@ -26,6 +25,7 @@ from poise.runtime.agent.supervision.health import HealthRecords
 from poise.runtime.agent.supervision.migration_relay import MigrationRelay
 from poise.runtime.agent.supervision.supervisor import Supervisor, part_of
 from poise.runtime.agent.surroundings import ContainerControl, Reply, Surroundings
+from poise.wire.failure_detector import Contacts
 from poise.wire.records.checkpoints import CheckpointCopy
 from poise.wire.records.container import FromContainer, Order
 from poise.wire.records.migration import StepsFailed
@@ -97,12 +97,13 @@ class AgentCore:
             world.wall,
         )
         self.heartbeats = HeartbeatExchange(
-            setup.robot,
             setup.computer,
+            Contacts(setup.robot, setup.computer, world.key),
             self.fence,
             world.clock,
-            world.key,
             world.heartbeats,
+            self.supervisor.extend_lease,
+            world.asleep,
         )
         self.heartbeats.begin_again(left.agents, left.is_leased)
         self._last = self._status()
@@ -152,8 +153,7 @@ class AgentCore:
 
     def on_orphan(self, container: str, pid: int, control: ContainerControl) -> bool:
         """Adopt a container of an earlier agent; return whether that is done."""
-        adopt = partial(self.supervisor.adopt, container, pid, control)
-        return self._about(container, adopt) or False
+        return self._about(container, self._adopt, container, pid, control) or False
 
     def on_silence(self, silence: Silence) -> None:
         """Note that a container does not respond, or that it responds again."""
@@ -214,6 +214,11 @@ class AgentCore:
 
     def _about(self, container: str, work: Callable[..., T], *args: object) -> T | None:
         return self.supervised.attempt(part_of(container), work, *args)
+
+    def _adopt(self, container: str, pid: int, control: ContainerControl) -> bool:
+        if control.is_lease_past():
+            self.heartbeats.note_lapsed()
+        return self.supervisor.adopt(container, pid, control)
 
     def _attend(self, asked: ManagerRequest, reply: Reply) -> None:
         request, refusal = asked.request, self.fence.refusal(asked.token)
@@ -319,5 +324,6 @@ class AgentCore:
             health=supervisor.records(usage),
             clocks=self.heartbeats.clocks,
             cut_off=self.fence.cut_off,
+            unmanaged=self.fence.unmanaged,
             links=self.heartbeats.links(),
         )

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 
+from poise.clock import wall_time
 from poise.wire.records.requests import Claim, ManagerId, Refused
 
 
@@ -37,6 +37,8 @@ class Fence:
         Whether the lease has ended, and no manager has said since what runs elsewhere.
     cut_off
         Since when `look` knows that [s since 1970]; 0: it is not so.
+    unmanaged
+        Since when `look` knows of no manager that is there [s since 1970]; 0: one is.
     """
 
     def __init__(
@@ -47,7 +49,7 @@ class Fence:
         say: Callable[[str], object],
         manager: ManagerId | None = None,
         token: int = 0,
-        wall: Callable[[], float] = time.time,
+        wall: Callable[[], float] = wall_time,
     ) -> None:
         self._wake = wake
         self._wall = wall
@@ -55,6 +57,7 @@ class Fence:
         self.arrivals = 0
         self.is_cut_off = False
         self.cut_off = 0.0
+        self.unmanaged = wall()
         self._robot = robot
         self._computer = computer
         self._gone: set[str] = set() if manager is None else {manager.key}
@@ -70,6 +73,7 @@ class Fence:
         is_gone = manager is None or manager.key in self._gone
         self._present = None if is_gone else manager
         if self._present != before:
+            self.unmanaged = self._wall() if is_gone else 0.0
             if before is not None:
                 self._say(f"{before} is gone; containers go on")
             if self._present is not None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Mapping
+from math import inf
 
 from poise.clock import Clock
 from poise.runtime.agent.clock_offset import ClockOffset
@@ -15,7 +16,13 @@ from poise.runtime.agent.fence import Fence
 from poise.runtime.agent.lease import Lease
 from poise.runtime.agent.surroundings import Hear, HeartbeatTransport, NextBeat
 from poise.wire.control_session import endpoint_of
-from poise.wire.failure_detector import ASK_AFTER, ASK_EVERY, Contacts
+from poise.wire.failure_detector import (
+    ASK_AFTER,
+    ASK_EVERY,
+    LEASE,
+    UNCUT_LEASE,
+    Contacts,
+)
 from poise.wire.heartbeats import Address
 from poise.wire.records.clocks import ClockStatus
 from poise.wire.records.heartbeats import MANAGER, Heartbeat, LinkQuality
@@ -23,6 +30,8 @@ from poise.wire.records.heartbeats import MANAGER, Heartbeat, LinkQuality
 _STALLED = 0.3
 """An agent that did not run for so long [s] asks before it judges who is silent."""
 _GRACE = 0.15
+_NAP = 0.05
+"""A computer that was suspended for so long [s] has lost its lease."""
 _CLOCKS_EVERY = 1.0
 """What is known of clocks is worked out this often [s]."""
 _AT_FIRST = 2.0
@@ -34,12 +43,17 @@ class HeartbeatExchange:
 
     Parameters
     ----------
+    contacts
+        Whom this start of the agent hears.
     fence
         Says whom it obeys; is told when the lease has ended.
-    key
-        Of this start of the agent.
     transport
         As in `Surroundings.heartbeats`.
+    extend
+        Called with the moment when the lease ends [s, CLOCK_BOOTTIME], with each
+        heartbeat and claim; infinite: there is no other computer, or no heartbeat.
+    asleep
+        As in `Surroundings`.
 
     Attributes
     ----------
@@ -51,12 +65,13 @@ class HeartbeatExchange:
 
     def __init__(
         self,
-        robot: str,
         computer: str,
+        contacts: Contacts,
         fence: Fence,
         clock: Clock,
-        key: str,
         transport: Callable[[Hear, NextBeat], HeartbeatTransport | None],
+        extend: Callable[[float], None],
+        asleep: Callable[[], float],
     ) -> None:
         self.agents: Mapping[str, str] = {}
         self.is_leased = False
@@ -64,7 +79,10 @@ class HeartbeatExchange:
         self._computer = computer
         self._fence = fence
         self._clock = clock
-        self._contacts = Contacts(robot, computer, key)
+        self._extend = extend
+        self._asleep = asleep
+        self._slept = asleep()
+        self._contacts = contacts
         self._lease = Lease(self._contacts)
         self._offsets: dict[str, ClockOffset] = {}
         self._clocks_due = 0.0
@@ -84,15 +102,17 @@ class HeartbeatExchange:
     def begin_again(self, agents: Mapping[str, str], is_leased: bool) -> None:  # noqa: FBT001, as kept
         """Go on in the place of an agent that was killed."""
         manager = self._fence.manager
-        if manager is not None and agents:
-            since = self._clock.now() if is_leased else None
-            self.begin(manager.key, agents, since, is_leased=is_leased)
+        if manager is not None:
+            # nobody has heard this one yet, and there is a lease's time for that
+            self._grace_until = self._clock.now() + LEASE
+            began = -inf if is_leased else None
+            self.begin(manager.key, agents, began, is_leased=is_leased)
 
     def begin(
         self,
         key: str,
         agents: Mapping[str, str],
-        since: float | None = None,
+        began: float | None = None,
         *,
         is_leased: bool,
     ) -> None:
@@ -104,7 +124,7 @@ class HeartbeatExchange:
             The manager's.
         agents, is_leased
             As in `Claim`.
-        since
+        began
             As for `Lease.begin`.
         """
         self.agents, self.is_leased = agents, is_leased
@@ -116,16 +136,27 @@ class HeartbeatExchange:
         with self._lock:
             is_new = key != self._claimed_by
             self._claimed_by = key
-            self._lease.begin(others.keys(), since)
+            self._lease.begin(others.keys(), began)
             if is_new:
                 self._contacts.forget(MANAGER)
                 self._targets.clear()
             self._targets |= {name: (e.host, e.port) for name, e in others.items()}
+            self._extend(self._until(self._clock.now()) + self._slept)
         is_first = self._began is None and (is_leased or bool(others))
         if self._heartbeats is not None and is_first:
             self._began = self._clock.now()
             self._heartbeats.send_to(self._targets)
             self._heartbeats.start()
+
+    def note_lapsed(self) -> None:
+        """Note that a container of an earlier agent was without a lease already.
+
+        If no heartbeat can extend that lease, the container's components may run
+        elsewhere by now.
+        """
+        if not self.is_leased:
+            self._fence.cut()
+            self._extend(-inf)
 
     def links(self) -> Mapping[str, LinkQuality]:
         """Return how the ways to the other computers are, where that matters."""
@@ -159,13 +190,9 @@ class HeartbeatExchange:
             return self._beat_at(self._clock.now())
 
     def _beat_at(self, now: float) -> tuple[Heartbeat, float]:
-        if now - self._looked_at > _STALLED:  # it could hear nobody meanwhile
-            self._grace_until = now + _GRACE
-        self._looked_at = now
+        self._judge(now)
         self._note_clocks(now)
         is_managed = self._fence.is_managed()
-        if is_managed and not self._fence.is_cut_off and self._has_ended(now):
-            self._fence.cut()
         is_late = ASK_AFTER < self._lease.age(now) < 2 * ASK_AFTER
         beat = self._contacts.next_beat(
             now,
@@ -183,7 +210,36 @@ class HeartbeatExchange:
             found = {name: each.at(now) for name, each in sorted(self._offsets.items())}
             self.clocks = {name: clock for name, clock in found.items() if clock}
 
-    def _has_ended(self, now: float) -> bool:
+    def _judge(self, now: float) -> None:
+        """Tell the containers when the lease ends, or that it has ended."""
+        stalled, slept = now - self._looked_at, self._asleep()
+        self._looked_at = now
+        if stalled > _STALLED:  # it could hear nobody meanwhile
+            self._grace_until = max(self._grace_until, now + _GRACE)
+        has_slept, self._slept = slept > self._slept + _NAP, max(slept, self._slept)
+        if not self._fence.is_cut_off and (has_slept or self._has_ended(now, stalled)):
+            self._fence.cut()
+        self._extend(self._until(now) + self._slept)
+
+    def _has_ended(self, now: float, stalled: float) -> bool:
+        if not self.is_leased:
+            return stalled > UNCUT_LEASE
         if self._lease.is_revoked(self._computer, self._fence.token):
             return True
-        return now >= self._grace_until and not self._lease.is_held(now)
+        return now >= self._grace_until and self._until(now) <= now
+
+    def _until(self, now: float) -> float:
+        """Return when leased components must stop [s]: they look themselves.
+
+        While there is no manager nothing is started elsewhere: then it is enough that
+        the agent runs.
+        """
+        if self._heartbeats is None or self.agents.keys() <= {self._computer}:
+            return inf
+        if self._fence.is_cut_off:
+            return -inf
+        if not self.is_leased:
+            return now + UNCUT_LEASE
+        if self._fence.is_managed() or now < self._grace_until:
+            return self._lease.until(now)
+        return now + LEASE

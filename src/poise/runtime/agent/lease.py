@@ -1,14 +1,18 @@
-"""Whether an agent's leased components may be active. Pure: moments are passed in.
+"""Until when an agent's leased components may be active. Pure: moments are passed in.
 
 While an agent is cut off, its manager may start its components elsewhere. So an agent
 holds a lease, which heartbeats extend: of its manager, or of another agent that hears
-the manager. Without either it goes on only if nothing can have been started elsewhere:
-the manager has ended, or all other agents are heard, so that the manager reaches none.
+the manager. Without either it goes on only while all other agents hear it: then the
+manager reaches none of them, and can have started nothing there.
+
+What counts is when that was *sent* which the others have heard. An agent that was
+stalled finds old heartbeats when it goes on, and extends nothing by them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
+from math import inf
 
 from poise.wire.failure_detector import LEASE, Contacts
 from poise.wire.records.heartbeats import MANAGER
@@ -28,24 +32,26 @@ class Lease:
         self._others: Collection[str] = ()
         self._began: float | None = None
 
-    def begin(self, others: Collection[str], now: float | None = None) -> None:
+    def begin(self, others: Collection[str], began: float | None = None) -> None:
         """Be claimed by a manager that knows these other agents of the robot.
 
         Parameters
         ----------
-        now
-            When an agent goes on with what one before it was told [s]; None: as soon as
-            the manager is heard.
+        began
+            When it was extended, while the manager has heard nothing [s]; None: when
+            the manager is heard first.
         """
         self._others = others
-        self._began = now
+        self._began = began
 
     def managed(self, now: float) -> float | None:
         """Return how long ago it sent what its manager has heard [s]; None: unknown."""
         manager = self._contacts.get(MANAGER)
-        if manager is None:
-            return None if self._began is None else now - self._began
-        return now - (manager.began if manager.acked is None else manager.acked)
+        if manager is not None and manager.acked is not None:
+            return now - manager.acked
+        if self._began is not None:
+            return now - self._began
+        return None if manager is None else now - manager.began
 
     def age(self, now: float) -> float:
         """Return how long ago the lease was extended [s]; 0 before it begins."""
@@ -58,7 +64,11 @@ class Lease:
             for other in others
             if other.acked is not None and other.last.managed is not None
         ]
-        return min([direct, *ages])
+        return min([direct, *ages, self._unheard(now)])
+
+    def until(self, now: float) -> float:
+        """Return when it ends, for all that is known at `now` [s]."""
+        return now - self.age(now) + LEASE
 
     def revoked(self) -> Mapping[str, int]:
         """Return whose fencing tokens the manager has revoked, to repeat it."""
@@ -76,14 +86,8 @@ class Lease:
             for side in sides
         )
 
-    def is_held(self, now: float) -> bool:
-        """Return whether it is in force, or not needed, while there is a manager."""
-        return self.age(now) < LEASE or all(
-            self._is_heard_by(other, now) for other in self._others
-        )
-
-    def _is_heard_by(self, other: str, now: float) -> bool:
-        contact = self._contacts.get(other)
-        if contact is None or contact.acked is None:
-            return False
-        return now - contact.acked < LEASE
+    def _unheard(self, now: float) -> float:
+        """Return how long ago it sent what all other agents have heard [s]."""
+        contacts = map(self._contacts.get, self._others)
+        heard = [c.acked if c is not None else None for c in contacts]
+        return max((now - at if at is not None else inf for at in heard), default=0.0)

@@ -52,6 +52,18 @@ class ContainerControl(Protocol):
     def signal(self, number: Signals) -> None:
         """Send its process a signal; harmless when that has ended."""
 
+    def extend_lease(self, until: float) -> None:
+        """Let its leased components act until then [s, CLOCK_BOOTTIME].
+
+        Called from any thread; without effect before it is born.
+        """
+
+    def is_lease_past(self) -> bool:
+        """Return whether its leased components may not act any more, or not yet.
+
+        OSError or RuntimeError: no memory is free.
+        """
+
     def heartbeat(self) -> int | None:
         """Return how often its control thread has run; None before it is born."""
 
@@ -167,6 +179,9 @@ class Surroundings(Struct, frozen=True, kw_only=True):
     ----------
     wall
         Returns the time [s since 1970]; for records that people read.
+    asleep
+        Returns for how long the computer has been suspended in all [s]: `clock` stands
+        still meanwhile.
     random
         Spreads restarts over time.
     say
@@ -189,6 +204,7 @@ class Surroundings(Struct, frozen=True, kw_only=True):
 
     clock: Clock
     wall: Callable[[], float]
+    asleep: Callable[[], float]
     random: Random
     say: Callable[[str], object]
     publish: Callable[[AgentStatus], object]

@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib
 import logging
 import math
-import time
 from collections.abc import Hashable
 from pathlib import Path
 from traceback import (
@@ -18,6 +17,7 @@ from traceback import (
 from msgspec.structs import replace
 
 import poise
+from poise.clock import wall_time
 from poise.errors import PoiseError
 from poise.wire.records.status import ErrorCount
 
@@ -92,7 +92,7 @@ class Errors:
         if key not in self._distinct and len(self._distinct) >= MOST_DISTINCT:
             key = next(reversed(self._distinct))
         before = self._distinct.get(key) or ErrorCount(
-            where=where, text=self.last, first=time.time(), count=0
+            where=where, text=self.last, first=wall_time(), count=0
         )
         self._distinct[key] = replace(before, count=before.count + 1)
 

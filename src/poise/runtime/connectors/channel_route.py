@@ -8,7 +8,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any, NoReturn
 
-from poise.errors import CalleeError, CallError, Timeout
+from poise.errors import CalleeError, CallError, Timeout, Unavailable
 from poise.runtime._calls import ServedCall, call_remote, time_left
 from poise.runtime.component.error_report import Sparing
 from poise.runtime.component.ports import Port
@@ -22,6 +22,7 @@ from poise.runtime.execution.clocks import RemoteClock
 from poise.runtime.execution.connector_counters import Counts
 from poise.runtime.execution.data_age import Stamped
 from poise.runtime.execution.exclusion import Redirected, current_chain
+from poise.runtime.execution.lease import LeaseEnd, LeaseEnded, check_lease
 from poise.runtime.execution.mailbox import Feed
 from poise.wire import frame
 from poise.wire.codec import Codec, WireError, codec
@@ -43,7 +44,13 @@ _LONGEST = 1e9
 
 
 class ChannelRoute:
-    """A way to a component in another container."""
+    """A way to a component in another container.
+
+    Parameters
+    ----------
+    source, lease
+        The name of the component that sends, and until when it may; None: always.
+    """
 
     def __init__(
         self,
@@ -52,8 +59,12 @@ class ChannelRoute:
         limit: float,
         credit: Credit,
         remote: RemoteClock,
+        source: str = "",
+        lease: LeaseEnd | None = None,
     ) -> None:
         self._channel = channel
+        self._source = source
+        self._lease = lease
         self._remote = remote
         self._limit = limit
         self._credit = credit
@@ -65,6 +76,10 @@ class ChannelRoute:
         """Return whether the receiving end is there."""
         return self._channel.is_ready()
 
+    def give_up(self) -> None:
+        """Wait no more for a computer that is cut off."""
+        self._channel.give_up()
+
     def close(self) -> None:
         """Close the channel."""
         self._channel.close()
@@ -75,6 +90,7 @@ class ChannelRoute:
 
     def push(self, method: Method | None, value: object) -> int:
         """Send a message or one-way call."""
+        check_lease(self._lease, self._source)
         if method is None:
             kind, tag, coder = Kind.MESSAGE, self._tag, self._codec
         else:
@@ -105,6 +121,7 @@ class ChannelRoute:
         """Return a function that calls a method in another container."""
         request, limit, counts = self._channel.request, self._limit, sender.counts
         name, remote = sender.name, self._remote
+        source, lease = self._source, self._lease
         bind, arguments, tag = method.bind, method.arguments, method.tag
         decode = method.result.decode
         if sender.chains is not None:
@@ -112,6 +129,7 @@ class ChannelRoute:
             decode = sender.chains.taking(with_stamps(method.result).decode, remote)
 
         def call(*args: Any, **kwargs: Any) -> Any:  # noqa: ANN401, the method's own
+            check_lease(lease, source)
             started = time.monotonic()
             chain, left = current_chain(), time_left(limit)
             if left <= 0.0:
@@ -158,12 +176,16 @@ def receiving(
     feed: Feed,
     issuer: CreditIssuer,
     remote: RemoteClock,
+    lease: LeaseEnd | None = None,
 ) -> Handler:
-    """Return the handler of the frames that come to a target."""
+    """Return the handler of the frames that come to a target.
+
+    No call is run after the end of `lease`; None: it has none.
+    """
     connector, counts = spec.name, feed.counts
     known = methods(port.type) if port.kind == "provides" else {}
     answers = {
-        tag: _answering(target, method, spec, counts, remote)
+        tag: _answering(target, method, spec, counts, remote, lease)
         for tag, method in known.items()
     }
     tag, coder = message_tag(port.type), codec(port.type) if not known else _NOTHING
@@ -199,7 +221,7 @@ def receiving(
             answer = (answers.get(received.tag) or _refuse(port))(received, remote.most)
         except Redirected:
             answer = segments(_NOTHING, None, _MOVED)
-        except (CalleeError, Timeout, WireError) as error:
+        except (CalleeError, LeaseEnded, Timeout, WireError) as error:
             if isinstance(error, WireError):
                 tell(error)
             answer = _failure(error)
@@ -253,6 +275,7 @@ def _answering(
     spec: ConnectorSpec,
     counts: Counts,
     remote: RemoteClock,
+    lease: LeaseEnd | None,
 ) -> ServedCall:
     """Return what answers the calls of a method."""
     arguments, result, tag = method.arguments, method.result, method.tag
@@ -269,6 +292,7 @@ def _answering(
         counts=counts,
         translate=raise_callee_error,
         is_over=caller.is_gone,
+        lease=lease,
     )
 
 
@@ -276,6 +300,8 @@ def _raise_failure(answer: Frame) -> NoReturn:
     type_name, message, text = answer.value(frame.FAILURE)
     if not text and type_name == "Timeout":
         raise Timeout(message)
+    if not text and type_name == "Unavailable":
+        raise Unavailable(message)
     if not text and type_name == "WireError":
         raise WireError(f"the other end refused the call: {message}")
     error = CalleeError(type_name, message, text)
@@ -283,7 +309,8 @@ def _raise_failure(answer: Frame) -> NoReturn:
     raise error
 
 
-def _failure(error: CalleeError | Timeout | WireError) -> Pieces:
+def _failure(error: CalleeError | LeaseEnded | Timeout | WireError) -> Pieces:
     if isinstance(error, CalleeError):
         return frame.failure(error.type_name, error.message, error.traceback)
-    return frame.failure(type(error).__name__, str(error))
+    kind = Unavailable if isinstance(error, LeaseEnded) else type(error)
+    return frame.failure(kind.__name__, str(error))

@@ -77,6 +77,9 @@ class DirectRoute:
         """Note at the target that all has come."""
         self._target.note_marker(self._connector, number)
 
+    def give_up(self) -> None:
+        """No-op: no computer lies between."""
+
     def close(self) -> None:
         """No-op: it holds nothing."""
 

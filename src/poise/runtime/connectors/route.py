@@ -51,6 +51,10 @@ class Route(Protocol):
         """Send a marker behind all that was pushed; raises as `push`."""
         ...
 
+    def give_up(self) -> None:
+        """Wait no more for a computer that is cut off, also in a `push` under way."""
+        ...
+
     def close(self) -> None:
         """Release its resources at once; harmless when repeated."""
         ...

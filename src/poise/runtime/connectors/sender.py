@@ -14,7 +14,6 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -24,11 +23,13 @@ from poise.runtime.component.error_report import Sparing
 from poise.runtime.component.ports import Port
 from poise.runtime.connectors.chain_stamps import SentChains
 from poise.runtime.connectors.interface import Method, methods
+from poise.runtime.connectors.message_buffer import MessageBuffer
 from poise.runtime.connectors.proxy import Proxy, oneway_function, refusing
 from poise.runtime.connectors.route import Route
 from poise.runtime.connectors.tap import Observers, observed_call, observed_send
 from poise.runtime.execution.connector_counters import Counts
 from poise.runtime.execution.exclusion import Exclusion
+from poise.runtime.execution.lease import LeaseEnded
 from poise.runtime.execution.reentrant import stepping_out
 from poise.wire.codec import WireError
 
@@ -36,8 +37,6 @@ log = logging.getLogger(__name__)
 
 _WHILE_MOVING = 2
 """The number of routes while the target moves: one to either incarnation."""
-MOST_BUFFERED = 5_000
-"""Messages that a sender buffers while a component moves; then publishers wait."""
 _ASK_FIRST, _ASK_LAST = 0.005, 0.1
 """A sender without room asks for it after this time, and then ever less often [s]."""
 
@@ -81,7 +80,7 @@ class Sender:
         self._exclusion = exclusion
         self._routes: dict[str, Route] = {}
         self._current: Route | None = None
-        self._buffer: deque[tuple[Method | None, object, float]] | None = None
+        self._buffer: MessageBuffer | None = None
         self._source_is_inactive = self._target_moves = False
         self._is_claimed = self._is_draining = False
         self._lock = threading.Lock()
@@ -138,15 +137,17 @@ class Sender:
         """Send or buffer a message or one-way call; what cannot go out is counted.
 
         Waits while the target has no room, up to the limit; a re-entrant source lets
-        others in meanwhile.
+        others in meanwhile. Raises LeaseEnded when the source may not send.
         """
         if self._exclusion is None or self._is_free():
             self._send(value, method)
         else:
             stepping_out(self._exclusion, self._send)(value, method)
 
-    def buffer_for_move(self) -> None:
+    def buffer_for_move(self, keep: int | None = None) -> None:
         """Buffer messages from now on: the target moves. Harmless when repeated.
+
+        From a target that is cut off it holds back the `keep` newest only.
 
         Raises
         ------
@@ -157,7 +158,7 @@ class Sender:
             if len(self._routes) < _WHILE_MOVING:
                 raise RunError(f"connector {self.name}: its target does not move")
             self._target_moves = True
-            self._begin_to_buffer()
+            self._begin_to_buffer().keep(keep)
 
     def buffer_until_active(self) -> None:
         """Buffer messages until `send_buffered`: the source is not active yet."""
@@ -249,7 +250,7 @@ class Sender:
             is_free = self._is_free()
             if is_free:
                 if self._buffer is not None:
-                    self._buffer.append((method, value, began))
+                    self._buffer.add((method, value, began))
                     return
                 route = self._claim()
         if is_free:
@@ -265,7 +266,7 @@ class Sender:
             with self._lock:
                 if self._wait(self._is_free, min(pause, left)):
                     if self._buffer is not None:
-                        self._buffer.append((method, value, began))
+                        self._buffer.add((method, value, began))
                         return
                     route = self._claim()
                     break
@@ -281,7 +282,7 @@ class Sender:
     def _is_free(self) -> bool:
         """Return whether a message may be sent or buffered now."""
         if self._buffer is not None:
-            return len(self._buffer) < MOST_BUFFERED
+            return self._buffer.has_room()
         if self._is_claimed:
             return False
         return self._current is None or self._current.has_room()
@@ -326,10 +327,11 @@ class Sender:
             text = "connector %s: no room for %g s, a message is dropped%s"
             log.warning(text, self.name, self._limit, more)
 
-    def _begin_to_buffer(self) -> None:
+    def _begin_to_buffer(self) -> MessageBuffer:
         if self._buffer is None:
-            self._buffer = deque()
+            self._buffer = MessageBuffer(self.counts)
             self._changed.notify_all()
+        return self._buffer
 
     def _drain(self) -> None:
         """Send what was buffered, if nothing speaks against it, and buffer no more."""
@@ -356,10 +358,10 @@ class Sender:
                 if self._is_claimed:
                     continue
                 route = self._claim()
-                method, value, began = self._buffer.popleft()
+                method, value, began = self._buffer.take()
             try:
                 self._push(route, method, value, began)
-            except WireError as error:  # its publisher has gone on
+            except (LeaseEnded, WireError) as error:  # its publisher has gone on
                 self.counts.drops += 1
                 log.warning("connector %s: a message is dropped: %s", self.name, error)
 
@@ -375,6 +377,8 @@ class Sender:
             self.counts.add_message(size)
             if size:  # within a container they wait only where they end
                 self.counts.wait.add(time.monotonic() - began)
+        except LeaseEnded:  # its publisher is to know
+            raise
         except CallError as error:
             self.counts.drops += 1
             log.debug("connector %s: %s", self.name, error)

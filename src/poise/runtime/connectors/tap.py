@@ -17,6 +17,7 @@ from typing import Any
 
 import msgspec
 
+from poise.clock import wall_time
 from poise.wire.records.taps import SHOWN_ITEMS, Passed, TapReading
 
 MOST_TIMES = 10_000
@@ -57,18 +58,18 @@ class Observer:
 
     def note(self, value: Callable[[], object]) -> None:
         """Note that something went out; its content is asked for when it is due."""
-        now = time.time()
+        at, now = wall_time(), time.monotonic()
         with self._lock:
             if len(self._times) >= MOST_TIMES:
                 self._missing += 1
                 return
-            self._times.append(now)
+            self._times.append(at)
             if now < self._due or len(self._passed) >= MOST_PASSED:
                 return
             # half a gap early is in time, or a jitter would leave every second out
             self._due = max(self._due, now - self._every / 2) + self._every
         plain = Plain(self._items)
-        passed = Passed(now, plain.of(value()), plain.is_whole)
+        passed = Passed(at, plain.of(value()), plain.is_whole)
         with self._lock:
             self._passed.append(passed)
 

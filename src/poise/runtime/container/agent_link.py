@@ -80,19 +80,19 @@ class AgentLink:
         """When `look` is to be called next [s]."""
         return float("inf") if self._connection else self._ask_at
 
-    def look(self, limit: float) -> None:
+    def look(self) -> None:
         """Ask to be adopted when there is no agent, and it is time.
 
         Raises
         ------
         Unavailable
-            There has been none for `limit` [s].
+            There has been none for `ORPHAN_LIMIT`.
         """
         now = self._clock.now()
         if self._connection is not None or now < self._ask_at:
             return
-        if now - self._lost_at > limit:
-            raise Unavailable(f"there was no agent for {limit:g} s")
+        if now - self._lost_at > ORPHAN_LIMIT:
+            raise Unavailable(f"there was no agent for {ORPHAN_LIMIT:g} s")
         self._ask_at = now + _PAUSE
         self._ask()
 

@@ -27,11 +27,13 @@ from poise.errors import PoiseError, RunError, Timeout, Unavailable
 from poise.priority import as_usual, go_first
 from poise.runtime.component.error_report import told
 from poise.runtime.component.implementation import search_also
-from poise.runtime.container.agent_link import ORPHAN_LIMIT, AgentLink
+from poise.runtime.container.agent_link import AgentLink
 from poise.runtime.container.component_import import prepare
 from poise.runtime.container.descendants import Orphans
 from poise.runtime.execution.clocks import ComputerClock
+from poise.runtime.execution.lease import LeaseEnd
 from poise.runtime.hosting.checkpoints import Checkpoints
+from poise.runtime.hosting.fenced_commands import freeze_fenced
 from poise.runtime.hosting.runner import Runner
 from poise.runtime.hosting.stats_page import ComponentKey, StatsPage
 from poise.runtime.hosting.taps import Taps
@@ -41,12 +43,7 @@ from poise.runtime.waker import Waker, wait_readable
 from poise.wire.codec import WireError
 from poise.wire.connections.connection_server import ConnectionServer
 from poise.wire.records.clocks import Clocks
-from poise.wire.records.container import (
-    RESTART_LIMIT,
-    ContainerFailure,
-    Outcome,
-    ToContainer,
-)
+from poise.wire.records.container import ContainerFailure, Outcome, ToContainer
 from poise.wire.records.deployment import ComponentSpec, ContainerSpec
 from poise.wire.records.migration import MigrationSteps
 from poise.wire.records.status import ComponentStatus, ContainerStatus
@@ -117,6 +114,7 @@ class Container:
         self._stop_limit = _STOP_LIMIT
         self._waker = Waker()
         self._stats_page = StatsPage(stats_page)
+        self._lease = LeaseEnd(stats_page)
 
     def run(self) -> None:
         """Work until the agent says to end, or is gone for too long.
@@ -157,7 +155,8 @@ class Container:
         orphans = Orphans()
         while not self._stopping:
             self._stats_page.beat()
-            self._link.look(self._orphan_limit())
+            self._link.look()
+            freeze_fenced(self._runners.values())
             beat_at = self._clock.now() + BEAT_EVERY
             look_at = min(report_at, beat_at, self._link.look_at)
             if unjoined:
@@ -200,15 +199,6 @@ class Container:
                 raise Unavailable("the agent ended while it started")
             return isinstance(told, ContainerSpec) or waker in ready
         return bool(ready)
-
-    def _orphan_limit(self) -> float:
-        """Return how long to go on without an agent [s].
-
-        What is leased may then be active elsewhere.
-        """
-        components = self._wanted.components if self._wanted else ()
-        is_leased = any(component.leased for component in components)
-        return min(RESTART_LIMIT, ORPHAN_LIMIT) if is_leased else ORPHAN_LIMIT
 
     def _raise_on_hang(self) -> None:
         for (name, _), runner in self._runners.items():
@@ -318,9 +308,14 @@ class Container:
                 self._broken[key] = spec, _failed(key, "start", why)
             else:
                 self._runners[key] = runner = prepared.result()
+                runner.lease = lease = self._lease if spec.leased else None
                 if spec.checkpoint:
                     runner.checkpoints = Checkpoints(
-                        self._folder, *key, spec.checkpoint, self._clock
+                        self._folder,
+                        *key,
+                        spec.checkpoint,
+                        self._clock,
+                        lease,
                     )
                 runner.start()
         return bool(done)

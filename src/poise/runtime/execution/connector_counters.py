@@ -16,11 +16,12 @@ class Counts(_calls.Counts):
         self.errors += 1
 
     def status(
-        self, name: str, kind: ConnectorKind, end: Side, *, ready: bool
+        self, name: str, key: str, kind: ConnectorKind, end: Side, *, ready: bool
     ) -> ConnectorStatus:
         """Return the numbers as a record."""
         return ConnectorStatus(
             name=name,
+            key=key,
             kind=kind,
             end=end,
             ready=ready,

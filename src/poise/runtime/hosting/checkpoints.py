@@ -15,12 +15,12 @@ from msgspec import Struct
 from poise.clock import Clock
 from poise.errors import RunError
 from poise.runtime.component.component import Component
-from poise.runtime.file_age import age_of, stamp
+from poise.runtime.execution.lease import LeaseEnd, check_lease
 from poise.runtime.migration.state_check import check_fits, describe_type, type_taken_by
 from poise.wire import frame
 from poise.wire.codec import Codec, codec
 from poise.wire.frame import Kind
-from poise.wire.records.checkpoints import LARGEST, checkpoint_path
+from poise.wire.records.checkpoints import LARGEST, age_of, checkpoint_path, set_age
 
 
 class _Checkpoint(Struct, frozen=True):
@@ -40,6 +40,8 @@ class Checkpoints:
     ----------
     folder
         The agent's.
+    lease
+        Nothing is kept after its end; None: always.
     every
         How often [s].
 
@@ -52,11 +54,19 @@ class Checkpoints:
     """
 
     def __init__(
-        self, folder: Path, component: str, epoch: int, every: float, clock: Clock
+        self,
+        folder: Path,
+        component: str,
+        epoch: int,
+        every: float,
+        clock: Clock,
+        lease: LeaseEnd | None = None,
     ) -> None:
         self._path = checkpoint_path(folder, component, epoch)
         self._every = every
         self._clock = clock
+        self._lease = lease
+        self._component = component
         self._before = b""
         self.due = float("inf")
         self.cost = 0.0
@@ -72,7 +82,8 @@ class Checkpoints:
         ------
         Exception
             Whatever its `snapshot` raises; or the state is too large, cannot be
-            written, or took longer than the interval. The one before is kept.
+            written, or took longer than the interval; LeaseEnded. The one before is
+            kept.
         """
         began = self._clock.now()
         self.due = began + self._every
@@ -87,13 +98,14 @@ class Checkpoints:
                 f"its state of {len(data) / 2**20:.0f} MiB is too large for a "
                 f"checkpoint: {LARGEST >> 20} MiB are the limit"
             )
+        check_lease(self._lease, self._component)
         if data == self._before:
             with contextlib.suppress(OSError):  # it is as old as this moment
-                stamp(self._path)
+                set_age(self._path)
         else:
             new = self._path.with_suffix(".new")
             new.write_bytes(data)
-            stamp(new)
+            set_age(new)
             new.replace(self._path)
             self._before = data
         self.cost = self._clock.now() - began
@@ -117,7 +129,7 @@ class Checkpoints:
         """
         try:
             data = self._path.read_bytes()
-            age = age_of(self._path.stat().st_mtime_ns)
+            age = age_of(self._path.stat().st_mtime)
         except FileNotFoundError:
             return None
         kept: _Checkpoint = frame.parse(data).value(_CHECKPOINT)

@@ -69,7 +69,7 @@ class CommandLine(Component):
         except (OSError, ValueError, subprocess.SubprocessError) as error:
             raise self._not_started(error) from None
         self._context.count_process(self._process.pid)
-        self._is_stopping = False
+        self._is_stopping = self._is_frozen = False
         threads.daemon(self._pass_output_on, "output").start()
         self._watcher = threads.daemon(self._watch, "command")
         self._watcher.start()
@@ -82,10 +82,17 @@ class CommandLine(Component):
             (signal.SIGKILL, _KILL_LIMIT),
         ):
             self._signal(number)
+            self._signal(signal.SIGCONT)
             self._watcher.join(limit)
             if not self._watcher.is_alive():
                 break
         self._context.count_process(0)
+
+    def freeze(self, *, is_frozen: bool) -> None:
+        """Stop the process, or let it go on; harmless when repeated."""
+        if is_frozen != self._is_frozen:
+            self._is_frozen = is_frozen
+            self._signal(signal.SIGSTOP if is_frozen else signal.SIGCONT)
 
     def environment(self) -> dict[str, str]:
         """Return what the process finds in its environment."""

@@ -11,13 +11,13 @@ import logging
 import os
 import sys
 import threading
-import time
 from collections.abc import Iterator
 from hashlib import blake2s
 from io import TextIOBase
 from pathlib import Path
 from typing import TextIO
 
+from poise.clock import wall_time
 from poise.wire.records.output import OutputLine, OutputLines, ReadOutput
 
 LARGEST = 256 << 10
@@ -53,7 +53,7 @@ class OutputFile:
         component = getattr(_here, "component", self._container)
         with self._lock:
             # no two lines at one moment, so that none is told twice or never
-            self._at = max(self._at + 1, time.time_ns())
+            self._at = max(self._at + 1, int(wall_time() * 1e9))
             line = f"{self._at}\t{component}\t{text[:LONGEST]}\n"
             try:
                 self._size += os.write(self._fd, line.encode(errors="replace"))
@@ -115,7 +115,7 @@ def keep_output(folder: Path, container: str) -> None:
 
 def read_output(folder: Path, asked: ReadOutput) -> OutputLines:
     """Return what the containers of a folder have written."""
-    until = time.time_ns() - _BEING_WRITTEN
+    until = int(wall_time() * 1e9) - _BEING_WRITTEN
     # a set: a file that is put aside meanwhile is read twice
     found = {
         line

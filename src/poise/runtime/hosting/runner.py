@@ -8,7 +8,6 @@ others run on theirs, under the component's exclusion. `ExecutionGate` pauses bo
 from __future__ import annotations
 
 import logging
-from collections import deque
 from collections.abc import Callable
 from contextlib import nullcontext
 from functools import partial
@@ -19,29 +18,31 @@ from poise.clock import ComponentClock
 from poise.errors import Timeout
 from poise.priority import ahead
 from poise.runtime._calls import ComponentCounters, Histogram
-from poise.runtime.component.component import Component, Context, Verb, create
+from poise.runtime.component.component import Component, Context, create
 from poise.runtime.component.error_report import Errors
 from poise.runtime.component.ports import ports_of, timers_of
 from poise.runtime.connectors.endpoints import Endpoints
 from poise.runtime.connectors.interface import methods
 from poise.runtime.execution.data_age import DataAges, Stamped
 from poise.runtime.execution.exclusion import Exclusion, Redirected, new_chain
+from poise.runtime.execution.lease import LeaseEnd, LeaseEnded
 from poise.runtime.execution.mailbox import Inbox
 from poise.runtime.execution.timers import Releases, Timers
 from poise.runtime.hosting.checkpoints import Checkpoints
 from poise.runtime.hosting.execution_gate import ExecutionGate
 from poise.runtime.hosting.life_cycle import ENDED, LifeCycle
 from poise.runtime.hosting.output import write_as
+from poise.runtime.hosting.task_news import TaskNews
 from poise.wire.codec import codec
 from poise.wire.records.deployment import Aim, ComponentSpec
-from poise.wire.records.status import ActionEnd, ComponentStatus, State, TaskWish
+from poise.wire.records.status import ComponentStatus, State
 
 log = logging.getLogger(__name__)
 
-_MOST_WISHES = 16
-"""So many wishes are told again and again, in case nobody heard them."""
 _PATIENCE = 1.0
 """How long a timer or message waits to enter before it looks at the goal [s]."""
+_FENCED = 0.02
+"""A component whose lease has ended looks so often whether it was extended [s]."""
 
 
 class Runner:
@@ -62,6 +63,8 @@ class Runner:
         Why its container is to end; empty: it is not.
     checkpoints
         What keeps and restores its state; None: nothing does.
+    lease
+        When it may not act any more; None: it is not leased.
     """
 
     def __init__(
@@ -74,6 +77,7 @@ class Runner:
         self.spec = spec
         self.exclusion = Exclusion(spec.name)
         self.ports = ports_of(implementation)
+        self._news = TaskNews(on_change)
         self.component = create(
             implementation,
             Context(
@@ -84,7 +88,7 @@ class Runner:
                 measure=self._measure,
                 count_process=self._count_process,
                 give_up=self._give_up,
-                wish=self._wish,
+                wish=self._news.wish,
             ),
         )
         self.counters = ComponentCounters()
@@ -96,7 +100,7 @@ class Runner:
             self.exclusion,
             self.counters,
             self.ages,
-            {port: partial(self._note_end, port) for port in spec.ends},
+            {port: partial(self._news.note_end, port) for port in spec.ends},
         )
         self.life_cycle = LifeCycle()
         self.gate = ExecutionGate(
@@ -115,13 +119,11 @@ class Runner:
         # one that comes to take over from another goes on with its action
         is_new = spec.goal == "active" or spec.fresh
         self._turn_taken = 0 if is_new else spec.turn
-        self._ends: dict[str, ActionEnd] = {}
-        self._wishes: deque[TaskWish] = deque(maxlen=_MOST_WISHES)
-        self._num_wishes = 0
         self._thread = threads.daemon(self._main, spec.name[:15])
         self.asked_at = clock.now()
         self.reason_to_end = ""
         self.checkpoints: Checkpoints | None = None
+        self.lease: LeaseEnd | None = None
         self._start = 0.0
         self._snapshot = 0
 
@@ -160,9 +162,14 @@ class Runner:
         if handler is not None:
             return f"'{handler[0]}' runs", now - handler[1]
         due = self.timers.next_due()
-        if due is None or due > now or self.gate.is_paused:
+        if due is None or due > now or self.gate.is_paused or self.is_fenced:
             return "", 0.0
         return "a timer is due and cannot run", now - due
+
+    @property
+    def is_fenced(self) -> bool:
+        """Whether its lease has ended."""
+        return self.lease is not None and self.lease.is_past()
 
     @property
     def is_paused(self) -> bool:
@@ -195,10 +202,15 @@ class Runner:
             has_state=type(self.component).snapshot is not Component.snapshot,
             requires=self._ports_that("requires"),
             subscribes=self._ports_that("subscribes"),
+            keeps={
+                port.name: port.queue.size
+                for port in self.ports.values()
+                if port.queue is not None and port.queue.policy == "keep"
+            },
             timers=self.timers.status(now),
             chains=self.ages.status(),
-            ends=tuple(self._ends.copy().values()),
-            wishes=tuple(self._wishes.copy()),
+            ends=self._news.ends(),
+            wishes=self._news.wishes(),
             measures={n: h.summary() for n, h in list(self._measures.items())},
         )
 
@@ -218,18 +230,6 @@ class Runner:
         self.reason_to_end = f"component '{self.spec.name}': {reason}"
         self._on_change()
 
-    def _note_end(self, port: str, done: object) -> None:
-        before = self._ends.get(port)
-        count = before.count + 1 if before else 1
-        self._ends[port] = ActionEnd(port=port, count=count, done=bool(done))
-        self._on_change()
-
-    def _wish(self, verb: Verb, task: str) -> None:
-        self._num_wishes += 1
-        wish = TaskWish(number=self._num_wishes, verb=verb, task=task)
-        self._wishes.append(wish)
-        self._on_change()
-
     def _main(self) -> None:
         write_as(self.spec.name)
         self.counters.begin()
@@ -243,7 +243,9 @@ class Runner:
 
     def _go_to_goal(self) -> None:
         step = self.life_cycle.next_step()
-        if step is not None:
+        if step is not None and step[0] == "activate" and self.is_fenced:
+            self.life_cycle.wait_while_active(_FENCED)
+        elif step is not None:
             self._take(*step)
         elif self.life_cycle.goal == "active":
             self._work()
@@ -272,8 +274,10 @@ class Runner:
         # a user's hook may raise anything
         except (Exception, SystemExit) as error:  # noqa: BLE001
             self._errors.note(hook, error, self.clock.now())
-            self._clean_up_after(hook)
-            state = "failed"
+            # one that may say no farewell keeps its state
+            if hook != "deactivate" or not isinstance(error, LeaseEnded):
+                self._clean_up_after(hook)
+                state = "failed"
         if state == "active":
             if self.checkpoints is not None:
                 self.checkpoints.begin()
@@ -367,7 +371,10 @@ class Runner:
                 # the incarnation that took over does the work; the container ends us
                 self.life_cycle.wait_while_active(_PATIENCE)
                 continue
-            return True
+            if not self.is_fenced:
+                return True
+            self.exclusion.leave()
+            self.life_cycle.wait_while_active(_FENCED)
         return False
 
     def _run(

@@ -62,8 +62,9 @@ class OpenEndpoints:
         end: Side = "target" if self.sender is None else "source"
         if self.spec.kind == "direct":
             end = "both"
+        spec = self.spec
         return self.counts.status(
-            self.spec.name, self.spec.kind, end, ready=self.is_ready()
+            spec.name, spec.key, spec.kind, end, ready=self.is_ready()
         )
 
 
@@ -101,7 +102,7 @@ class Wiring:
         """
         wanted = {spec.key: spec for spec in specs}
         self._close_readdressed(wanted)
-        known = {ends.sender for ends in self._open.values()}
+        known = {ends.sender for ends in self.endpoints()}
         troubles: dict[tuple[str, int], str] = {}
         for key, spec in wanted.items():
             here = _ends_here(spec, runners)
@@ -115,9 +116,8 @@ class Wiring:
                 text = f"connector {spec.name}: {told(error)}"
                 troubles.update(dict.fromkeys(here, text))
         self._buffer_amid_a_move(known)
-        for key in list(self._open):
-            if key not in wanted:
-                self._open.pop(key).closing.close()
+        for key in self._open.keys() - wanted.keys():
+            self.shut(key)
         return troubles
 
     def sender(self, connector: str) -> Sender:
@@ -137,6 +137,11 @@ class Wiring:
             if ends.sender and connector in {ends.spec.name, ends.spec.key}:
                 return ends.sender
         raise UsageError(f"no connector '{connector}' begins in this container")
+
+    def shut(self, key: str) -> None:
+        """Take nothing more over a connector until `apply` joins it again."""
+        if ends := self._open.pop(key, None):
+            ends.closing.close()
 
     def unjoined(self) -> frozenset[str]:
         """Return the keys of the connectors whose other end is not there."""
@@ -162,14 +167,14 @@ class Wiring:
         """Close connectors to an agent that was started again, at another port."""
         for key, ends in list(self._open.items()):
             if key in wanted and wanted[key].address != ends.spec.address:
-                self._open.pop(key).closing.close()
+                self.shut(key)
 
     def _buffer_amid_a_move(self, known: AbstractSet[Sender | None]) -> None:
         """Buffer over new connectors to a component that moves.
 
         The container was restarted, and its first incarnation was told to buffer.
         """
-        for ends in self._open.values():
+        for ends in self.endpoints():
             sender = ends.sender
             if sender is not None and sender not in known:
                 with contextlib.suppress(RunError):  # its target does not move
@@ -219,7 +224,13 @@ class Wiring:
                 credit.request,
             )
             ends.route = ChannelRoute(
-                channel, port, spec.limit, credit, ends.remote_clock
+                channel,
+                port,
+                spec.limit,
+                credit,
+                ends.remote_clock,
+                spec.source,
+                source.lease,
             )
         ends.sender = sender
         ends.counts = sender.counts
@@ -233,7 +244,13 @@ class Wiring:
         issuer = CreditIssuer(spec.name, feed, ends.counts)
         ends.closing.callback(issuer.close)
         handler = receiving(
-            spec, target.endpoints, port, feed, issuer, ends.remote_clock
+            spec,
+            target.endpoints,
+            port,
+            feed,
+            issuer,
+            ends.remote_clock,
+            target.lease,
         )
         if spec.record:
             file = InputFile(Path(spec.record))

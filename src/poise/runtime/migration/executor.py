@@ -105,10 +105,7 @@ class MigrationExecutor:
     def _take(self, step: Step, migration: int, deadline: float) -> None:
         match step.name:
             case "buffer":
-                for name in step.connectors:
-                    sender = self._wiring.sender(name)
-                    sender.buffer_for_move()
-                    sender.send_marker(migration)
+                self._buffer(step, migration)
             case "release to targets" | "release to sources":
                 for key in step.connectors:
                     self._wiring.sender(key).switch(key)
@@ -120,11 +117,24 @@ class MigrationExecutor:
             case "drain channels":
                 markers = dict.fromkeys(step.connectors, migration)
                 left = max(0.0, deadline - time.monotonic())
+                for key in step.late:
+                    self._wiring.shut(key)
                 self._runner(step).endpoints.wait_markers(markers, left)
         if step.role is not None:
             participant = self._participant(self._runner(step), step.role, migration)
             with participant.phases.taking(step.name, step.phase):
                 participant.take(step, deadline)
+
+    def _buffer(self, step: Step, migration: int) -> None:
+        for name in step.connectors:
+            sender = self._wiring.sender(name)
+            sender.buffer_for_move()
+            sender.send_marker(migration)
+        for key, keep in step.late.items():
+            sender = self._wiring.sender(key)
+            sender.buffer_for_move(keep)
+            if route := sender.routes().get(key):
+                route.give_up()
 
     def _runner(self, step: Step) -> Runner:
         try:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Collection
 
 from poise.errors import PoiseError, RunError
 from poise.priority import as_usual
@@ -53,7 +54,7 @@ class Participant:
             case "await idle":
                 runner.gate.wait_idle(min(step.limit, _left(deadline)))
             case "pause":
-                self._pause(_left(deadline))
+                self._pause(step.late, _left(deadline))
             case "drain mailbox":
                 text = "did not handle all messages that wait"
                 text = f"component '{runner.spec.name}' {text}"
@@ -96,14 +97,20 @@ class Participant:
         if self._sender is not None:
             self._sender.refuse(reason)
 
-    def _pause(self, limit: float) -> None:
+    def _pause(self, late: Collection[str], limit: float) -> None:
+        senders = list(self._runner.endpoints.senders.values())
+        for sender in senders:
+            for key, route in sender.routes().items():
+                if key in late:  # the component itself may be sending there
+                    route.give_up()
         try:
             self._runner.gate.pause_for_migration(_PAUSE_SHARE * limit)
         except PoiseError as error:
             self._refuse(str(error))
             raise
-        for sender in list(self._runner.endpoints.senders.values()):
-            sender.send_marker(self.migration)
+        for sender in senders:
+            if sender.routes().keys().isdisjoint(late):
+                sender.send_marker(self.migration)
 
     def _activate(self, limit: float) -> None:
         runner = self._runner

@@ -52,7 +52,7 @@ from poise.wire.codec import codec
 from poise.wire.connections.channel import Channel
 from poise.wire.frame import Kind
 
-CONNECT_LIMIT = 3.0
+CONNECT_LIMIT = 1.5
 """A source that does not offer its state within this time is gone [s]."""
 
 REQUEST_LIMIT = 5.0

@@ -21,6 +21,7 @@ from poise.priority import ahead, first
 from poise.runtime.connectors.channel_route import entry_codec
 from poise.runtime.execution.data_age import Stamped
 from poise.runtime.execution.exclusion import new_chain
+from poise.runtime.execution.lease import check_lease
 from poise.runtime.hosting.runner import Runner
 from poise.runtime.migration.state_check import describe_type
 from poise.wire import frame
@@ -120,6 +121,8 @@ class StateSender:
                     self._wait_decided(limit)
                     # a request whose answer got lost gets the same delta again
                     transfer = self._taken = self._taken or self._all()
+                # a snapshot may take long
+                check_lease(self._runner.lease, self._runner.spec.name)
                 return frame.segments(TRANSFER, transfer, Kind.RESULT)
         except Exception as error:  # noqa: BLE001, a user's snapshot may raise anything
             return frame.failure(type(error).__qualname__, str(error))

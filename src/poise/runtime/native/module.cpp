@@ -9,6 +9,7 @@
 #include <limits>
 
 #include "counters/counters.h"
+#include "counters/lease_end.h"
 #include "calls/deadline.h"
 #include "calls/direct_call.h"
 #include "counters/page_sampler.h"
@@ -166,16 +167,23 @@ NB_MODULE(_calls, module) {
           nb::arg("source").none(), nb::arg("target").none())
       .def("leave", [](Counts& counts) { counts.entered.leave(); });
 
+  nb::class_<LeaseEnd>(module, "LeaseEnd", "Until when leased components may act (lease_end.h).")
+      .def(nb::init<int>(), nb::arg("memory"))
+      .def_prop_rw("at", &LeaseEnd::at, &LeaseEnd::set)
+      .def("is_past", &LeaseEnd::is_past);
+
   nb::class_<ServedCall>(module, "ServedCall", "Answers the calls of one method (served_call.h).")
       .def(nb::init<nb::object, nb::object, nb::object, nb::object, double, nb::object,
-                    nb::object, nb::object>(),
+                    nb::object, nb::object, nb::object>(),
            nb::arg("decode"), nb::arg("method"), nb::arg("encode"), nb::arg("exclusion"),
            nb::arg("limit"), nb::arg("counts"), nb::arg("translate"), nb::arg("is_over"),
+           nb::arg("lease") = nb::none(),
            nb::sig("def __init__(self, decode: " CALLABLE
                    "[[poise.wire.codec.Bytes, memoryview], tuple[typing.Any, ...]], "
                    "method: " ANY_CALLABLE ", encode: " CALLABLE "[[typing.Any], " PIECES "], "
                    "exclusion: Exclusion, limit: float, counts: Counts, "
-                   "translate: " TRANSLATE ", is_over: " CALLABLE "[[], bool]) -> None"))
+                   "translate: " TRANSLATE ", is_over: " CALLABLE "[[], bool], "
+                   "lease: LeaseEnd | None = None) -> None"))
       .def("__call__", &ServedCall::answer, nb::arg("frame"), nb::arg("ahead") = 0.0,
            nb::sig("def __call__(self, frame: " FRAME ", ahead: float = 0.0) -> " PIECES));
   module.def("call_remote", &call_remote, nb::arg("chain"), nb::arg("limit"), nb::arg("what"),

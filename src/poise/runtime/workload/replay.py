@@ -22,7 +22,8 @@ from poise.runtime.component.ports import Published, Required, every
 from poise.runtime.connectors.interface import methods
 from poise.runtime.workload.message_generator import maker
 from poise.wire.codec import codec
-from poise.wire.records.recorded import Input, Recorded
+from poise.wire.recording_file import load
+from poise.wire.records.recorded import Input
 
 TICK = 0.005
 """Messages go out at multiples of this [s]."""
@@ -72,7 +73,7 @@ class Replay(Component):
     def configure(self) -> None:
         """Read the recording, if there is one."""
         recording = self.parameters.get("recording")
-        inputs = read_recorded(Path(recording)) if recording else []
+        inputs = load(Path(recording)).inputs if recording else []
         self._streams = [
             self._generated(name, part.generated)
             if part.generated
@@ -145,8 +146,3 @@ class Replay(Component):
 def parts_of(parameters: Mapping[str, Any]) -> dict[str, PlayedPort]:
     """Return what a player's parameters say of its ports."""
     return msgspec.convert(parameters["ports"], dict[str, PlayedPort])
-
-
-def read_recorded(path: Path) -> list[Input]:
-    """Return what was published while a recording was made; raises as `open` does."""
-    return msgspec.msgpack.decode(path.read_bytes(), type=Recorded).inputs

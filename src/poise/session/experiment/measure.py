@@ -7,6 +7,7 @@ import time
 
 from msgspec.structs import replace
 
+from poise.clock import wall_time
 from poise.errors import PoiseError, RunError
 from poise.manage.agent_connections.statuses import Statuses, components_of
 from poise.manage.observe.chains import chain_reports
@@ -50,7 +51,7 @@ def measure(
     """
     known = under(robot, condition)
     trial = Trial(arm.name, condition.name, seed)
-    blank = TrialResult(trial=trial, at=time.time(), host_load=os.getloadavg()[0])
+    blank = TrialResult(trial=trial, at=wall_time(), host_load=os.getloadavg()[0])
     try:
         placed = place(
             known, task, method=arm.method.format(seed=seed), seed=seed, fewer=True

@@ -13,8 +13,9 @@ from poise.endpoint import Endpoint
 from poise.errors import RunError
 from poise.model.robot import Robot
 from poise.session.callbacks import Say
-from poise.session.launch.emulated_agents import UNCUT_LEASE, agent_of, emulated_agents
+from poise.session.launch.emulated_agents import agent_of, emulated_agents
 from poise.wire.control_session import LEASE, locator
+from poise.wire.failure_detector import UNCUT_LEASE
 from poise.wire.records.samples import SAMPLE_EVERY
 
 _TOLERATED = 0.1
@@ -56,6 +57,11 @@ class Computers:
         self._watch: StarvationWatch | None = None
         self._clock = SystemClock()
         self._began = 0.0
+
+    @property
+    def outlive_manager(self) -> bool:
+        """Whether agents and containers go on when this process is killed."""
+        return not self._agents
 
     @property
     def faster(self) -> Mapping[str, float]:
@@ -135,7 +141,7 @@ def computers_of(
         return
     with emulated_agents(robot, folder, say, sample_every=sample_every) as agents:
         yield Computers(
-            _endpoints(agents.emulation.computers),
+            agent_locators(agents.emulation.computers),
             agents.emulation.without,
             agents.processes,
             agents.emulation.computers,
@@ -151,12 +157,13 @@ def _kept(kept: EmulatedSet, say: Say) -> Iterator[Computers]:
         say(f"  {fault}")
     try:
         yield Computers(
-            _endpoints(kept.computers), state.without, emulated=kept.computers
+            agent_locators(kept.computers), state.without, emulated=kept.computers
         )
     finally:
         for computer in kept.computers.values():
             computer.end_started()
 
 
-def _endpoints(computers: Mapping[str, EmulatedComputer]) -> dict[str, str]:
+def agent_locators(computers: Mapping[str, EmulatedComputer]) -> dict[str, str]:
+    """Return the zenoh endpoints of the agents of emulated computers."""
     return {name: locator(agent_of(computer)) for name, computer in computers.items()}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import os
 import signal
 import subprocess
 import sys
@@ -18,6 +17,7 @@ from poise.errors import PoiseError, RunError
 from poise.model.robot import Robot
 from poise.session.callbacks import Check, Say
 from poise.session.running_robots.running import Running
+from poise.session.state_folder import state_folder
 
 _LOOK_EVERY = 0.05
 _LARGE_LOG = 1_000_000
@@ -52,12 +52,6 @@ class DetachedFailure(RunError):
     def __init__(self, message: str, exit_code: int) -> None:
         super().__init__(message)
         self.exit_code = exit_code
-
-
-def state_folder() -> Path:
-    """Return the folder of the logs of this user's robots."""
-    state = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state"
-    return Path(state) / "poise"
 
 
 def up_detached(

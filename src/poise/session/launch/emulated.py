@@ -7,6 +7,7 @@ from collections.abc import Iterator
 
 from poise.emulate import EmulatedSet, find_set
 from poise.errors import UsageError
+from poise.manage.control_socket.agent_addresses import forget
 from poise.model.robot import Robot
 from poise.session.callbacks import Say, log
 from poise.session.launch.emulated_agents import emulated_agents
@@ -43,4 +44,7 @@ def emulated(robot: Robot, *, say: Say = log.info) -> Iterator[EmulatedSet]:
         scratch_folder("poise-run-") as folder,
         emulated_agents(robot, folder / "computers", say, keep=True),
     ):
-        yield find_set(robot.name)
+        try:
+            yield find_set(robot.name)
+        finally:
+            forget(robot.name)  # what runs there ends, with a manager or without

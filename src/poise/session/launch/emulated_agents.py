@@ -27,11 +27,9 @@ from poise.session.callbacks import Say
 from poise.session.launch.printer import STDERR, Printer, relay
 from poise.units import counted
 from poise.wire.control_session import LEASE
+from poise.wire.failure_detector import UNCUT_LEASE
 from poise.wire.records.samples import SAMPLE_EVERY
 
-UNCUT_LEASE = 10.0
-"""The lease of agents that nothing can cut off from their manager, but that may have to
-wait for CPU [s]."""
 _LOOK_EVERY = 0.02
 """While an agent has ended, it is looked whether it may start so often [s]."""
 

@@ -16,6 +16,8 @@ from msgspec import Struct
 from poise.clock import SystemClock
 from poise.errors import RobotError, RunError
 from poise.manage.agent_connections.agents import Agents
+from poise.manage.agent_connections.statuses import containers_left
+from poise.manage.control_socket.agent_addresses import AgentAddresses, forget, note
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.deploy.stop import stop
 from poise.manage.journal import Journal
@@ -156,10 +158,19 @@ def started(  # noqa: PLR0913 - each is a choice of the caller
         )
         if begin is None:
             say(f"starting {counted(len(placement), 'component')}")
+        if computers.outlive_manager:
+            note(AgentAddresses(robot.name, computers.endpoints))
+            stack.callback(_forget_if_ended, robot.name, agents, computers.endpoints)
         stack.enter_context(_running(run, check, begin or RunningComponents.start))
         stack.callback(at_work.clear)
         at_work.set()
         yield Started(run, computers, world)
+
+
+def _forget_if_ended(robot: str, agents: Agents, computers: Iterable[str]) -> None:
+    """Forget where the agents are, unless something may still run there."""
+    if not containers_left(agents.statuses(), computers):
+        forget(robot)
 
 
 def _is_at_work(

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 
 from msgspec import Struct
 
 from poise import plan
+from poise.clock import boot_time
 from poise.errors import RobotError
 from poise.estimate.success.learning import WELL
 from poise.manage.tasks.learned_choice import choose
@@ -51,7 +51,7 @@ def first_phase(
         There is no placement; the message says why.
     """
     started = Tasks(robot, say, lambda c, _: choose(robot, c, WELL, say))
-    now = time.time()
+    now = boot_time()
     for name in tasks:
         started.start(name, now)
     started.arbitrate(now)

@@ -9,7 +9,7 @@ from rich.console import RenderableType
 
 from poise import plan
 from poise.errors import UsageError
-from poise.estimate.success import Situation
+from poise.estimate.success import Conditions
 from poise.estimate.success.learning import WELL, actions_in, learned
 from poise.model.robot import Robot
 from poise.plan.solvers.portfolio import METHODS as SOLVERS
@@ -136,7 +136,7 @@ def place(  # noqa: PLR0913 - each is a choice of the user
     budget: float | None = None,
     seed: int = 0,
     fewer: bool = False,
-    situation: Situation = WELL,
+    conditions: Conditions = WELL,
     explore: bool = False,
     at_once: bool = False,
 ) -> Placement:
@@ -157,7 +157,7 @@ def place(  # noqa: PLR0913 - each is a choice of the user
         Of the search, and of what is drawn to explore.
     fewer
         Whether architectures of low priority are put aside when not all fits.
-    situation
+    conditions
         For which success was learned (`poise.note_outcome`).
     explore
         Whether alternatives are tried in proportion to what they promise; the robot
@@ -177,7 +177,11 @@ def place(  # noqa: PLR0913 - each is a choice of the user
         A component can run nowhere, or an architecture has no home.
     """
     robot = learned(
-        robot, actions_in(robot, task), situation=situation, explore=explore, seed=seed
+        robot,
+        actions_in(robot, task),
+        conditions=conditions,
+        explore=explore,
+        seed=seed,
     ).robot
     if task is None or at_once:
         name = task or ALL

@@ -17,8 +17,9 @@ from poise.model.robot import (
     ConnectorEnd,
     Robot,
 )
-from poise.runtime.workload.replay import PlayedPort, read_recorded
+from poise.runtime.workload.replay import PlayedPort
 from poise.session.recordings.tapped_robot import interface_type, message_type
+from poise.wire.recording_file import load
 
 PLAYER = "player-of-workload"
 
@@ -108,8 +109,8 @@ def played(robot: Robot) -> Played:
 
 def _recorded(robot: Robot, recording: str) -> dict[str, PlayedPort]:
     try:
-        inputs = read_recorded(Path(recording))
-    except (OSError, msgspec.DecodeError) as error:
+        inputs = load(Path(recording)).inputs
+    except UsageError as error:
         raise UsageError(
             f"workload: recording {recording} cannot be replayed: {error}. "
             "`poise run --record` writes one"

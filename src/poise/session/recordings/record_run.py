@@ -8,19 +8,20 @@ from pathlib import Path
 
 from msgspec import Struct
 
-from poise.manage.observe.recording import Recording, save
+from poise.manage.observe.recording import RecordingFile
 from poise.model.robot import Robot
 from poise.runtime.connectors.recorded_inputs import read_inputs
 from poise.session.callbacks import Say
 from poise.session.recordings.tapped_robot import Tapped, tapped
-from poise.wire.records.recorded import Recorded
+from poise.wire.recording_file import append
+from poise.wire.records.recorded import Input, Recorded
 
 
 class Kept(Struct, frozen=True):
-    """What is to run, and who takes its samples."""
+    """What is to run, and what records it; None: nothing does."""
 
     robot: Robot
-    samples: Recording
+    recorder: RecordingFile | None = None
 
 
 @contextlib.contextmanager
@@ -36,33 +37,31 @@ def keeping(
     placed
         The components that run.
     """
-    samples = Recording()
     if file is None:
-        yield Kept(robot, samples)
+        yield Kept(robot)
         return
     inputs = file.with_name(f"{file.name}.inputs")
     inputs.unlink(missing_ok=True)
     tap = tapped(robot, placed, inputs)
+    recorder = RecordingFile(file, robot.name)
     try:
-        yield Kept(tap.robot, samples)
+        yield Kept(tap.robot, recorder)
     finally:
+        recorder.close()
+        say(str(recorder))
         there = read_inputs(inputs) if inputs.exists() else []
-        recorded = Recorded(robot=robot.name, samples=samples.take(), inputs=there)
-        save(recorded, file)
+        append(Recorded(robot=robot.name, inputs=there), file)
         inputs.unlink(missing_ok=True)
-        say(_summary(recorded, tap, file))
+        say(_summary(there, tap, file))
 
 
-def _summary(recorded: Recorded, tap: Tapped, file: Path) -> str:
-    samples = f"recorded {len(recorded.samples)} samples"
+def _summary(inputs: list[Input], tap: Tapped, file: Path) -> str:
     if not tap.sources and not tap.callers:
-        return f"{samples} to {file}; nothing goes between architectures"
-    if not recorded.inputs:
-        return (
-            f"{samples} to {file}; what came is in {file}.inputs on the robot, if any"
-        )
-    calls = sum(each.tag is not None for each in recorded.inputs)
-    messages = len(recorded.inputs) - calls
+        return "nothing goes between architectures"
+    if not inputs:
+        return f"what came is in {file}.inputs on the robot, if any"
+    calls = sum(each.tag is not None for each in inputs)
+    messages = len(inputs) - calls
     found = [
         f"{count} {what} of {', '.join(names)}"
         for count, what, names in (
@@ -71,4 +70,4 @@ def _summary(recorded: Recorded, tap: Tapped, file: Path) -> str:
         )
         if names
     ]
-    return f"{samples}, {' and '.join(found)} to {file}"
+    return f"recorded {' and '.join(found)} to {file}"

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from poise.errors import UsageError
 from poise.manage.observe.estimates import DemandEstimate, Estimates
-from poise.manage.observe.recording import load
 from poise.model.robot import Robot
 from poise.session.callbacks import Say, log
 from poise.session.profiling.stored_profiles import read_profile
 from poise.session.recordings.export import Which, export, rows
+from poise.wire.recording_file import parts_of
+from poise.wire.records.samples import AgentSample
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -34,16 +36,16 @@ class RecordedRun:
 
     def __init__(self, file: str | PathLike[str]) -> None:
         self.file = Path(file)
-        self._recorded = load(self.file)
+        self._robot = next(parts_of(self.file)).robot
 
     @property
     def robot(self) -> str:
         """The robot's name."""
-        return self._recorded.robot
+        return self._robot
 
     def rows(self, of: Which = "components") -> list[dict[str, Any]]:
         """Return a row for every component, or end of a connector, in every sample."""
-        return list(rows(self._recorded.samples, of))
+        return list(rows(self._samples(), of))
 
     def to_pandas(self, of: Which = "components") -> pd.DataFrame:
         """Return `rows` as a data frame; pandas must be installed."""
@@ -53,7 +55,7 @@ class RecordedRun:
 
     def export(self, to: str | PathLike[str], of: Which = "components") -> int:
         """Write `rows` to a .csv or .parquet file; return how many there are."""
-        return export(self._recorded.samples, Path(to), of)
+        return export(self._samples(), Path(to), of)
 
     def replay(self, robot: Robot, *, say: Say = log.info) -> list[DemandEstimate]:
         """Return what the robot's components needed at the end, by their estimates.
@@ -77,7 +79,7 @@ class RecordedRun:
             )
         emulated = all(computer.address is None for computer in robot.computers)
         estimates = Estimates(robot, read_profile(robot), emulated=emulated)
-        samples = self._recorded.samples
+        samples = list(self._samples())
         began = min((sample.at for sample in samples), default=0.0)
 
         for sample in sorted(samples, key=lambda each: each.at):
@@ -87,3 +89,7 @@ class RecordedRun:
                     f"of a core, {drift.before:.1%} before"
                 )
         return estimates.demand_estimates()
+
+    def _samples(self) -> Iterator[AgentSample]:
+        for part in parts_of(self.file):
+            yield from part.samples

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from rich.console import RenderableType
+from rich.text import Text
 
 from poise.manage.agent_connections.statuses import components_of, connectors_of
 from poise.session.render.shared_tables.columns import NamedRows, table
@@ -19,11 +20,18 @@ def listing(robots: Robots) -> Iterator[RenderableType]:
         if status is None:
             yield f"robot '{name}' gives no status: it may be starting"
             continue
-        yield f"robot '{name}', task '{status.task}'"
+        if status.by_agents:
+            yield Text(status.deviations[0].what, style="red")
+        else:
+            yield f"robot '{name}', task '{status.task}'"
         states = {c.name: c.state for c in components_of(status.computers)}
         rows = table("component", "computer", "state")
+        unknown = status.not_known()
         for component, computer in sorted(status.placement.items()):
-            rows.add_row(component, computer, states.get(component, "not there"))
+            state = states.get(component, "not there")
+            rows.add_row(
+                component, computer, "unknown" if computer in unknown else state
+            )
         yield rows
         kinds = {end.name: end.kind for end in connectors_of(status.computers)}
         joined = NamedRows("connector", "kind")

@@ -18,7 +18,7 @@ from poise.session.render.shared_tables.clocks import clock_tables
 from poise.session.render.shared_tables.columns import table
 from poise.session.render.shared_tables.connectors import connector_tables
 from poise.session.render.shared_tables.tasks import task_lines
-from poise.units import counted, format_bytes
+from poise.units import counted, format_bytes, format_seconds
 from poise.wire.records.status import ComponentStatus
 
 
@@ -28,13 +28,17 @@ def status_parts(status: RobotStatus) -> Iterator[RenderableType]:
     yield from task_lines(status.tasks)
     if switches := str(status.prefetch):
         yield f"switches from action to action: {switches}"
-    yield f"managed by {status.manager}"
+    yield f"{'last ' if status.by_agents else ''}managed by {status.manager}"
     for computer, report in sorted(status.computers.items()):
         if report.manager is not None and report.manager != status.manager:
             yield f"[yellow]the agent of '{computer}' obeys {report.manager}[/]"
+    yield from map(Text, status.under_way)
     for each in status.deviations:
         yield Text(f"{each.what} (noticed {_clock(each.since)})", style="red")
-    if not status.deviations:
+    unknown = status.not_known()
+    if unknown:
+        yield f"[red]not known how these are now: {', '.join(sorted(unknown))}[/]"
+    elif not status.deviations:
         faults = counted(status.faults, "fault")
         lately = f"; {faults} since the start (below)" if status.faults else ""
         yield f"everything is as the robot file says{lately}"
@@ -58,9 +62,9 @@ def status_parts(status: RobotStatus) -> Iterator[RenderableType]:
 def component_table(answer: RobotStatus) -> Table:
     """Return where components are and what they need, by computer."""
     rows = table("component", "computer", "state", "CPU", "profile", folds=1)
+    unknown = answer.not_known()
     for computer, component, standing in _each(answer):
-        is_known = computer not in answer.out_of_reach
-        state: str = component.state if is_known else "unknown"
+        state: str = "unknown" if computer in unknown else component.state
         is_prepared = answer.prefetch.prepared.get(component.name) == computer
         if state == "inactive" and is_prepared:
             state = "prepared"
@@ -69,9 +73,19 @@ def component_table(answer: RobotStatus) -> Table:
 
 
 def computer_table(answer: RobotStatus) -> Table:
-    """Return what agents and containers use of each computer, and what restarted."""
-    rows = table("computer", "CPU", "memory", "containers", "restarts")
-    for name, computer in sorted(answer.computers.items()):
+    """Return what agents and containers use of each computer, and what restarted.
+
+    Where that is not known now, it says how old it is.
+    """
+    unknown, columns = answer.not_known(), ["containers", "restarts"]
+    columns += ["reported"] if unknown else []
+    rows = table("computer", "CPU", "memory", *columns)
+    for name in sorted({*answer.computers, *unknown}):
+        computer, age = answer.computers.get(name), answer.ages.get(name)
+        heard = "" if age is None else f"{format_seconds(age)} ago"
+        if computer is None:
+            rows.add_row(name, *["not known"] * 4, "never")
+            continue
         running = [h for h in computer.health if h.state != "stopped"]
         rows.add_row(
             name,
@@ -79,6 +93,7 @@ def computer_table(answer: RobotStatus) -> Table:
             format_bytes(computer.memory),
             str(len(running)),
             str(sum(health.restarts for health in computer.health)),
+            *[heard] * bool(unknown),
         )
     return rows
 

@@ -9,11 +9,12 @@ from poise.errors import PoiseError
 from poise.manage.agent_connections.statuses import connectors_of
 from poise.manage.control_socket.location import running_here
 from poise.manage.control_socket.records import RobotStatus
+from poise.manage.control_socket.without_manager import robots_without_manager
 from poise.session.running_robots.running import Running
 
 Thing = Literal["robots", "tasks", "computers", "components", "connectors"]
 Robots = Mapping[str, RobotStatus | None]
-"""Name -> status; None: it is starting, or its manager does not answer."""
+"""Name -> status, by its agents where no manager answers; None: it is starting."""
 
 
 def robots_here(name: str | None = None) -> Robots:
@@ -29,12 +30,13 @@ def robots_here(name: str | None = None) -> Robots:
     if name is not None:
         return {name: Running(name).status()}
     found: dict[str, RobotStatus | None] = {}
-    for each in running_here():
+    managed = running_here()
+    for each in managed:
         try:
             found[each] = Running(each).status()
         except PoiseError:
             found[each] = None
-    return found
+    return found | robots_without_manager(but=managed)
 
 
 def names_of(robots: Robots, what: Thing) -> Iterator[str]:

@@ -27,6 +27,7 @@ from poise.manage.control_socket.records import (
     StopReport,
     TapCommand,
 )
+from poise.manage.control_socket.without_manager import NoManager
 from poise.manage.journal import JournalEntry
 from poise.manage.migration.report import MigrationReport
 from poise.manage.observe.chains import ChainReport
@@ -34,6 +35,7 @@ from poise.session.render.moves import Outcome, outcome_sentence
 from poise.session.render.printable import Printable
 from poise.session.render.status import status_parts
 from poise.session.running_robots.tasks import RunningTasks
+from poise.session.running_robots.without_manager import stop_agents
 from poise.wire.records.taps import SHOWN_ITEMS, TapReading
 
 _LOOK_EVERY = 0.25
@@ -41,6 +43,7 @@ _LOOK_EVERY = 0.25
 __all__ = [
     "ChainReport",
     "JournalEntry",
+    "NoManager",
     "RolledBack",
     "Running",
     "Status",
@@ -74,8 +77,8 @@ class Status(Printable, RobotStatus, frozen=True, tag="RobotStatus", kw_only=Tru
 class Running:
     """A robot that is up.
 
-    Every method raises `UsageError` when the robot's manager refuses, and `RunError`
-    when it gives no answer.
+    Every method raises `UsageError` when the robot's manager refuses, `RunError` when
+    it gives no answer, and `NoManager` when the robot goes on without one.
 
     Parameters
     ----------
@@ -92,8 +95,16 @@ class Running:
         return RunningTasks(self.name)
 
     def status(self) -> Status:
-        """Return where components run, and how they and their computers are."""
-        status = ask(self.name, StatusCommand(), RobotStatus)
+        """Return where components run, and how they and their computers are.
+
+        Without a manager it is `by_agents`; only where they are not known, it raises.
+        """
+        try:
+            status = ask(self.name, StatusCommand(), RobotStatus)
+        except NoManager as error:
+            if error.status is None:
+                raise
+            status = error.status
         return Status(**asdict(status))
 
     def move(
@@ -238,12 +249,22 @@ class Running:
     def stop(self) -> None:
         """Stop the robot, and wait until it has stopped.
 
+        One whose manager is gone is stopped by its agents.
+
         Raises
         ------
         RunError
             Something still runs on a computer that is out of reach.
+        NoManager
+            A manager is there, and does not answer.
         """
-        remaining = ask(self.name, StopCommand(), StopReport).remaining
+        try:
+            remaining = ask(self.name, StopCommand(), StopReport).remaining
+        except NoManager as error:
+            if error.left is None:
+                raise
+            stop_agents(error.left)
+            return
         if remaining:
             raise RunError("\n".join(remaining))
 

@@ -22,8 +22,8 @@ _LOOK_EVERY = 0.05
 class RunningTasks:
     """The tasks of a running robot.
 
-    Every method raises `UsageError` when the robot's manager refuses, and `RunError`
-    when it gives no answer.
+    Every method raises `UsageError` when the robot's manager refuses, `RunError` when
+    it gives no answer, and `NoManager` when the robot goes on without one.
     """
 
     def __init__(self, robot: str | None) -> None:

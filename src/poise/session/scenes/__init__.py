@@ -10,10 +10,16 @@ from poise.session.scenes.cut_link import CutLinkScene, cut_link
 from poise.session.scenes.lost_computer import LostComputerScene, lose_computer
 from poise.session.scenes.manager_killed import ManagerKilledScene, kill_manager
 from poise.session.scenes.overload import OverloadScene, overload
+from poise.session.scenes.relayed import RelayScene, cut_one_link, freeze_agent
 from poise.session.scenes.tasks import TasksScene, tasks
 
 Played = (
-    OverloadScene | LostComputerScene | CutLinkScene | ManagerKilledScene | TasksScene
+    OverloadScene
+    | LostComputerScene
+    | CutLinkScene
+    | RelayScene
+    | ManagerKilledScene
+    | TasksScene
 )
 Play = Callable[[Robot, Say, Check], Played]
 
@@ -21,6 +27,8 @@ SCENES: Mapping[str, tuple[str, Play]] = {
     "overload": ("adapt", overload),
     "lost-computer": ("adapt", lose_computer),
     "cut-link": ("counted", cut_link),
+    "cut-one-link": ("relay", cut_one_link),
+    "frozen-agent": ("relay", freeze_agent),
     "manager-killed": ("counted", kill_manager),
     "tasks": ("tasks", tasks),
 }

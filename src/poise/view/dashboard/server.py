@@ -11,6 +11,7 @@ from pathlib import Path
 from nicegui import app, background_tasks, run, ui
 from nicegui.events import GenericEventArguments
 
+from poise.clock import wall_time
 from poise.view.dashboard.dialogs import PageActions
 from poise.view.dashboard.guard import Guard, is_loopback
 from poise.view.dashboard.state import Page, PageState, Updates
@@ -79,7 +80,7 @@ class Dashboard:
                 return
             differ = updates.next(self._page, time.monotonic())
             if differ is not None:
-                robot_map.run_method("show", differ, time.time(), updates.is_whole)
+                robot_map.run_method("show", differ, wall_time(), updates.is_whole)
 
         ui.timer(EVERY, push)
 

@@ -240,7 +240,7 @@ def _components(status: Status) -> Iterator[tuple[str, dict[str, Any]]]:
         if (need := needs.get(name)) is not None:
             each["cpu"], each["starved"] = _round(need.mean), _round(need.starved)
             each["sure"] = None if need.error is None else _round(need.error)
-        if each["at"] in status.out_of_reach:
+        if each["at"] in status.not_known():
             each["state"] = "unknown"
         yield name, each
 
@@ -248,12 +248,13 @@ def _components(status: Status) -> Iterator[tuple[str, dict[str, Any]]]:
 def _computers(
     status: Status, components: Records
 ) -> Iterator[tuple[str, dict[str, Any]]]:
-    for name in sorted({*status.computers, *status.placement.values()}):
+    unknown = status.not_known()
+    for name in sorted({*status.computers, *status.placement.values(), *unknown}):
         agent, load = status.computers.get(name), status.loads.get(name)
         here = [each for each in components.values() if each["at"] == name]
         sure = [each.get("sure") or 0.0 for each in here]
         each: dict[str, Any] = {
-            "state": "out of reach" if name in status.out_of_reach else "",
+            "state": "out of reach" if name in unknown else "",
             "need": _round(sum(each.get("cpu", 0.0) for each in here)),
             "sure": _round(math.hypot(*sure)),
             "memory": agent.memory if agent else 0,

@@ -86,6 +86,11 @@ class _Connections:
         self._open.discard(connection)
         connection.close()
 
+    def end(self) -> None:
+        """Let their users find all closed; from any thread."""
+        for connection in list(self._open):
+            connection.end()
+
     def close_older(self) -> None:
         """Close those that were idle since the last time.
 
@@ -227,6 +232,14 @@ class Channel:
             on_sent()
         finally:
             self._ordering.release()
+
+    def give_up(self) -> None:
+        """Take the other computer for lost: messages wait for it no more.
+
+        One that is being sent fails; `is_ready` finds out when it is back.
+        """
+        self._is_lost = self._address.gateway is not None
+        self._messages.end()
 
     def close(self) -> None:
         """Send no more; connections in use are closed when their call is over."""

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import os
 from hashlib import blake2s
 from pathlib import Path
 
 from msgspec import Struct
+
+from poise.clock import boot_time
 
 LARGEST = 64 << 20
 """A larger state is not kept [bytes]."""
@@ -32,3 +35,22 @@ def checkpoint_path(folder: Path, component: str, epoch: int) -> Path:
     """Return the file of an incarnation's last checkpoint."""
     name = blake2s(f"{component} {epoch}".encode(), digest_size=8).hexdigest()
     return folder / f"{name}.checkpoint"
+
+
+def set_age(path: Path, age: float = 0.0) -> None:
+    """Let a checkpoint be so old [s]; raises OSError.
+
+    Its file's time of change is on the clock of `boot_time`, for the time of day may
+    step.
+    """
+    os.utime(path, (boot_time() - age,) * 2)
+
+
+def age_of(modified: float) -> float:
+    """Return how old a checkpoint is [s] by the ``st_mtime`` of its file.
+
+    Of one from before the computer started last, it is what is sure: the time since
+    then.
+    """
+    now = boot_time()
+    return now - modified if modified <= now else now

@@ -10,10 +10,6 @@ from poise.wire.records.migration import MigrationSteps, StepsDone, StepsFailed
 from poise.wire.records.status import ContainerStatus
 from poise.wire.records.taps import Tap, TapReading
 
-RESTART_LIMIT = 10.0
-"""An agent that was killed is started again within this time [s], or its computer
-counts as lost."""
-
 
 class ContainerFailure(Struct, frozen=True, tag=True):
     """The last words of a container that cannot go on."""

@@ -43,11 +43,14 @@ STEPS: Mapping[StepName, tuple[Role | None, Phase]] = {
     # wait until it has just finished its work: a pause that begins then delays nobody;
     # succeeds at its limit, too
     "await idle": ("source", "prepare"),
-    # send a marker over connectors, and buffer all messages after it
+    # send a marker over connectors, and buffer all messages after it; where data is
+    # late, send no marker, and buffer only what the subscriber would keep
     "buffer": (None, "quiesce"),
-    # finish the calls in progress, start no more, and send markers
+    # finish the calls in progress, start no more, and send markers but where
+    # data is late
     "pause": ("source", "quiesce"),
-    # wait until the markers have arrived at a component over connectors
+    # wait until the markers have arrived at a component over connectors; take no more
+    # where data is late
     "drain channels": (None, "quiesce"),
     # handle all messages that wait; no more come
     "drain mailbox": ("source", "quiesce"),
@@ -88,6 +91,9 @@ class Step(Struct, frozen=True, omit_defaults=True):
         transfer their state. From a source of the same component a target takes state,
         buffered messages and timers; from others what `adapt` (`ComponentSpec`) makes
         of their states.
+    late
+        Keys of connectors whose link is cut, for `buffer`, `pause` and `drain
+        channels`, and how many messages their subscribers keep.
     limit
         For `await idle` [s].
     """
@@ -97,6 +103,7 @@ class Step(Struct, frozen=True, omit_defaults=True):
     epoch: int = 0
     connectors: tuple[str, ...] = ()
     sources: Mapping[str, tuple[int, str]] = {}
+    late: Mapping[str, int] = {}
     limit: float = 0.0
 
     @property

@@ -82,6 +82,8 @@ class ConnectorStatus(Struct, frozen=True, kw_only=True):
 
     Parameters
     ----------
+    key
+        What both ends call it, by their epochs: another one after every move.
     end
         Where calls and messages begin (``source``), where they end (``target``), or
         ``both`` in one container: then all is counted once.
@@ -110,6 +112,7 @@ class ConnectorStatus(Struct, frozen=True, kw_only=True):
     """
 
     name: str
+    key: str = ""
     kind: ConnectorKind
     end: Side
     ready: bool
@@ -190,6 +193,8 @@ class ComponentStatus(Struct, frozen=True, kw_only=True):
         Size of its snapshot, if that was taken [bytes].
     requires, subscribes
         Its ports over which it calls others, and those to which messages come.
+    keeps
+        Of the latter, those that keep only the newest messages, and how many.
     chains
         Those that it is part of, and not the beginning.
     ends
@@ -213,6 +218,7 @@ class ComponentStatus(Struct, frozen=True, kw_only=True):
     has_state: bool = False
     requires: tuple[str, ...] = ()
     subscribes: tuple[str, ...] = ()
+    keeps: Mapping[str, int] = {}
     timers: tuple[TimerStatus, ...] = ()
     chains: tuple[ChainStatus, ...] = ()
     ends: tuple[ActionEnd, ...] = ()
@@ -252,7 +258,9 @@ class Fault(Struct, frozen=True, kw_only=True):
     number
         Counts the faults of one agent, from 1.
     at
-        When [s since the epoch], by that computer's clock.
+        When [s since the epoch], by that computer's clock; for people.
+    uptime
+        For how long its agent had run then [s].
     restarts
         How often the container was started again before.
     is_over
@@ -263,6 +271,7 @@ class Fault(Struct, frozen=True, kw_only=True):
     message: str
     number: int = 0
     at: float = 0.0
+    uptime: float = 0.0
     restarts: int = 0
     is_over: bool = False
 
@@ -336,6 +345,9 @@ class AgentStatus(Struct, frozen=True, kw_only=True):
     cut_off
         Since when its leased components are inactive, because its lease has ended
         [s since 1970]; 0: they are not.
+    unmanaged
+        Since when it knows of no manager that is there: that one went, or the agent
+        started [s since 1970]; 0: one is there.
     links
         How the ways to other computers are, by name.
     """
@@ -360,4 +372,5 @@ class AgentStatus(Struct, frozen=True, kw_only=True):
     health: tuple[ContainerHealth, ...] = ()
     clocks: Mapping[str, ClockStatus] = {}
     cut_off: float = 0.0
+    unmanaged: float = 0.0
     links: Mapping[str, LinkQuality] = {}

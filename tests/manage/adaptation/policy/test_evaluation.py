@@ -8,9 +8,9 @@ import msgspec
 import pytest
 
 from poise.estimate.online import Drift, Estimate
-from poise.manage.adaptation.facts import Facts
 from poise.manage.adaptation.policy.evaluation import Policies, Symptom
 from poise.manage.adaptation.policy.subjects import values_of
+from poise.manage.adaptation.situation import Situation
 from poise.manage.observe.chains import ChainAge
 from poise.model.policy.policy import Policy
 from poise.model.policy.shipped import shipped
@@ -18,19 +18,21 @@ from poise.model.policy.values import SUBJECTS, Subject
 from tests.manage.adaptation.conftest import Make
 
 
-def seen(facts: Facts, *names: str) -> list[str]:
+def seen(situation: Situation, *names: str) -> list[str]:
     """Return what the shipped policies of these names say at once."""
     policies = [
         msgspec.structs.replace(policy, lasts=0.0)
         for policy in shipped()
         if policy.name in names
     ]
-    found = Policies(policies).look(partial(values_of, facts), 0.0)
+    found = Policies(policies).look(partial(values_of, situation), 0.0)
     return [symptom.what for symptom in found]
 
 
-def test_a_full_computer_whose_components_are_late_is_overloaded(facts: Make) -> None:
-    loaded = facts(background={"left": 0.2}, missed=("a",))
+def test_a_full_computer_whose_components_are_late_is_overloaded(
+    situation: Make,
+) -> None:
+    loaded = situation(background={"left": 0.2}, missed=("a",))
     (found,) = seen(loaded, "overload")
     assert found == (
         "computer 'left' is overloaded: 0.5 cores of 0.5 cores are used, 0.2 cores of "
@@ -38,21 +40,21 @@ def test_a_full_computer_whose_components_are_late_is_overloaded(facts: Make) ->
     )
 
 
-def test_a_full_computer_that_keeps_its_deadlines_is_not(facts: Make) -> None:
-    assert not seen(facts(background={"left": 0.2}), "overload")
+def test_a_full_computer_that_keeps_its_deadlines_is_not(situation: Make) -> None:
+    assert not seen(situation(background={"left": 0.2}), "overload")
 
 
-def test_a_late_component_on_an_idle_computer_is_no_overload(facts: Make) -> None:
-    assert not seen(facts(missed=("a",)), "overload")
+def test_a_late_component_on_an_idle_computer_is_no_overload(situation: Make) -> None:
+    assert not seen(situation(missed=("a",)), "overload")
 
 
-def test_a_timer_that_misses_deadlines_is_named(facts: Make) -> None:
-    assert seen(facts(missed=("b",)), "deadlines") == [
+def test_a_timer_that_misses_deadlines_is_named(situation: Make) -> None:
+    assert seen(situation(missed=("b",)), "deadlines") == [
         "timer 'tick' of component 'b' on 'left' missed 5 of 10 deadlines within 1 s"
     ]
 
 
-def test_a_drift_is_named_when_it_takes_a_reserve(facts: Make) -> None:
+def test_a_drift_is_named_when_it_takes_a_reserve(situation: Make) -> None:
     """Both components on `left` drift to 0.3 of its 0.5 cores."""
     grown = tuple(
         msgspec.structs.replace(
@@ -64,9 +66,9 @@ def test_a_drift_is_named_when_it_takes_a_reserve(facts: Make) -> None:
                 drift=Drift(before=0.2, after=0.3, at=0.0),
             ),
         )
-        for each in facts().demand_estimates
+        for each in situation().demand_estimates
     )
-    drifted = msgspec.structs.replace(facts(), demand_estimates=grown)
+    drifted = msgspec.structs.replace(situation(), demand_estimates=grown)
     (found,) = seen(drifted, "drift")
     assert found == (
         "the components on 'left' need 0.13 cores more than it has beside other "
@@ -88,8 +90,8 @@ OLD = ChainAge(
 )
 
 
-def test_a_chain_says_which_step_takes_how_long(facts: Make) -> None:
-    late = msgspec.structs.replace(facts(), chains=(OLD,))
+def test_a_chain_says_which_step_takes_how_long(situation: Make) -> None:
+    late = msgspec.structs.replace(situation(), chains=(OLD,))
     (found,) = seen(late, "chains")
     assert found == (
         "the data of chain 'c' was older than 100 ms at 8 of 10 uses by 'b' within 1 "
@@ -97,26 +99,26 @@ def test_a_chain_says_which_step_takes_how_long(facts: Make) -> None:
     )
 
 
-def test_a_chain_that_was_late_once_is_not_named(facts: Make) -> None:
+def test_a_chain_that_was_late_once_is_not_named(situation: Make) -> None:
     once = msgspec.structs.replace(OLD, missed=1)
-    assert not seen(msgspec.structs.replace(facts(), chains=(once,)), "chains")
+    assert not seen(msgspec.structs.replace(situation(), chains=(once,)), "chains")
 
 
-def test_a_lost_computer_is_named(facts: Make) -> None:
-    lost = msgspec.structs.replace(facts(), lost=frozenset({"right"}))
+def test_a_lost_computer_is_named(situation: Make) -> None:
+    lost = msgspec.structs.replace(situation(), lost=frozenset({"right"}))
     assert seen(lost, "lost-computer") == ["computer 'right' is out of reach"]
 
 
 LATE = Policy(name="p", for_each="timer", when="late", do="replan", say="{name}")
 
 
-def look(policies: Policies, facts: Facts, now: float) -> tuple[Symptom, ...]:
+def look(policies: Policies, situation: Situation, now: float) -> tuple[Symptom, ...]:
     """Look once."""
-    return policies.look(partial(values_of, facts), now)
+    return policies.look(partial(values_of, situation), now)
 
 
-def test_only_what_lasts_counts(facts: Make) -> None:
-    policies, late, well = Policies([LATE]), facts(missed=("a",)), facts()
+def test_only_what_lasts_counts(situation: Make) -> None:
+    policies, late, well = Policies([LATE]), situation(missed=("a",)), situation()
     assert not look(policies, late, 10.0)
     assert not look(policies, late, 10.4)
     (found,) = look(policies, late, 10.5)
@@ -126,9 +128,9 @@ def test_only_what_lasts_counts(facts: Make) -> None:
     assert not look(policies, late, 10.7)  # it begins again
 
 
-def test_nothing_is_done_again_until_it_has_cooled_down(facts: Make) -> None:
+def test_nothing_is_done_again_until_it_has_cooled_down(situation: Make) -> None:
     policy = msgspec.structs.replace(LATE, lasts=0.0, cool_down=60.0)
-    policies, late = Policies([policy]), facts(missed=("a", "b"))
+    policies, late = Policies([policy]), situation(missed=("a", "b"))
     first, second = look(policies, late, 0.0)
     assert policies.due((first, second), 0.0) == (first, second)
     policies.note_acted([first], 0.0)
@@ -136,14 +138,16 @@ def test_nothing_is_done_again_until_it_has_cooled_down(facts: Make) -> None:
     assert policies.due((first, second), 60.0) == (first, second)
 
 
-def test_what_is_off_says_nothing(facts: Make) -> None:
+def test_what_is_off_says_nothing(situation: Make) -> None:
     off = msgspec.structs.replace(LATE, lasts=0.0, off=True)
-    assert not look(Policies([off]), facts(missed=("a",)), 0.0)
+    assert not look(Policies([off]), situation(missed=("a",)), 0.0)
 
 
 @pytest.mark.parametrize("subject", SUBJECTS)
-def test_every_subject_has_values_of_its_record(facts: Make, subject: Subject) -> None:
-    late = msgspec.structs.replace(facts(missed=("a",)), chains=(OLD,))
+def test_every_subject_has_values_of_its_record(
+    situation: Make, subject: Subject
+) -> None:
+    late = msgspec.structs.replace(situation(missed=("a",)), chains=(OLD,))
     for values in values_of(late, subject):
         assert isinstance(values, SUBJECTS[subject])
         assert msgspec.convert(msgspec.to_builtins(values), SUBJECTS[subject]) == values

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import time
 from pathlib import Path
 
 import pytest
 from msgspec.structs import replace
 
-from poise.manage.adaptation.facts import Facts
 from poise.manage.adaptation.loop import Adaptation
-from poise.manage.adaptation.shortages.put_aside import CALM
+from poise.manage.adaptation.shortages.take_back import CALM
+from poise.manage.adaptation.situation import Situation
 from poise.model.robot import Architecture, ComponentEntry, Computer, Robot
 from poise.wire.records.status import AgentStatus, ContainerHealth, Fault
 from tests.manage.adaptation.shortages.test_put_aside import HIGH, Robbed, robot_with
@@ -29,7 +28,7 @@ class Crashing(Robbed):
             computers=tuple(Computer(name=n, capacity=SPECS) for n in names),
             architectures=free,
         )
-        super().__init__(robot, computers=names)
+        super().__init__(robot)
         self.crashing: set[str] = {"left"}
         self.faults: dict[str, tuple[Fault, ...]] = {}
         self.now = 0.0
@@ -37,7 +36,7 @@ class Crashing(Robbed):
             self.run, self.facts_of_crash, self.aside, clock=lambda: self.now
         )
 
-    def facts_of_crash(self) -> Facts:
+    def facts_of_crash(self) -> Situation:
         """Return that the container crashes, if it is there."""
         fault = Fault(container="low-task", message="ended with exit code 3", number=1)
         at = self.run.placement().get("low", "")
@@ -59,7 +58,7 @@ class Crashing(Robbed):
         }
         if at in self.crashing:
             statuses[at] = status
-        return replace(self.facts(), statuses=statuses)
+        return replace(self.situation(), statuses=statuses)
 
     def look(self, times: int = 1, every: float = 1.0) -> None:
         """Let the loop look so many times."""
@@ -83,7 +82,7 @@ def test_it_runs_on_the_other_computer() -> None:
 def test_a_new_manager_knows_where_it_crashed_under_the_one_before() -> None:
     robbed = Crashing(robot_with())
     robbed.faults["right"] = tuple(
-        Fault(container="low-task", message="", at=time.time()) for _ in range(5)
+        Fault(container="low-task", message="", uptime=0.0) for _ in range(5)
     )
     robbed.look()
     assert robbed.run.placement() == HIGH

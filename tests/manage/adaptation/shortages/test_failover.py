@@ -19,50 +19,50 @@ def with_first(robot: Robot, **fields: object) -> Robot:
     return replace(robot, architectures=(whole,))
 
 
-def test_what_may_run_elsewhere_begins_again_there(facts: Make, two: Robot) -> None:
+def test_what_may_run_elsewhere_begins_again_there(situation: Make, two: Robot) -> None:
     linked = replace(two, links=(Link(between=("left", "right")),))
-    found = fail_over(facts(APART, robot=linked), {"left"})
+    found = fail_over(situation(APART, robot=linked), {"left"})
     assert found.placement == {"a": "right"}
     assert not found.missing
 
 
-def test_nothing_moves_when_nothing_ran_there(facts: Make) -> None:
-    found = fail_over(facts({"a": "left", "b": "left"}), {"right"})
+def test_nothing_moves_when_nothing_ran_there(situation: Make) -> None:
+    found = fail_over(situation({"a": "left", "b": "left"}), {"right"})
     assert found.placement == {}
     assert found.missing == {}
 
 
-def test_what_its_device_holds_there_is_missing(facts: Make, two: Robot) -> None:
+def test_what_its_device_holds_there_is_missing(situation: Make, two: Robot) -> None:
     robot = replace(
         with_first(two, devices=("laser",)),
         devices=(Device(name="laser", computer="left"),),
     )
-    found = fail_over(facts(APART, robot=robot), {"left"})
+    found = fail_over(situation(APART, robot=robot), {"left"})
     assert found.placement == {}
     assert found.missing == {"a": "it may run on left only"}
 
 
-def test_what_may_not_move_is_missing(facts: Make, two: Robot) -> None:
+def test_what_may_not_move_is_missing(situation: Make, two: Robot) -> None:
     robot = with_first(two, movable=False)
-    found = fail_over(facts(APART, robot=robot), {"left"})
+    found = fail_over(situation(APART, robot=robot), {"left"})
     assert found.missing == {"a": "it is not movable (robot file)"}
 
 
-def test_what_does_not_fit_beside_the_others_is_missing(facts: Make) -> None:
-    found = fail_over(facts(APART, background={"right": 0.2}), {"left"})
+def test_what_does_not_fit_beside_the_others_is_missing(situation: Make) -> None:
+    found = fail_over(situation(APART, background={"right": 0.2}), {"left"})
     assert found.placement == {}
     assert found.missing["a"].startswith("it fits nowhere beside what runs: ")
 
 
-def test_what_runs_elsewhere_stays(facts: Make, two: Robot) -> None:
+def test_what_runs_elsewhere_stays(situation: Make, two: Robot) -> None:
     """Also where it could not be placed now."""
     robot = with_first(two, only=("left",))
-    found = fail_over(facts(APART, robot=robot), {"right"})
+    found = fail_over(situation(APART, robot=robot), {"right"})
     assert found.placement == {"b": "left"}
 
 
 def test_of_what_does_not_fit_whole_architectures_are_dropped_by_priority(
-    facts: Make, two: Robot
+    situation: Make, two: Robot
 ) -> None:
     """Each needs more than half of what is left beside the other."""
     (work,) = two.architectures
@@ -78,16 +78,16 @@ def test_of_what_does_not_fit_whole_architectures_are_dropped_by_priority(
         for name, priority in (("a", 2), ("b", 1))
     )
     robot = replace(two, architectures=parts, connectors=())
-    found = fail_over(facts({"a": "left", "b": "left"}, robot=robot), {"left"})
+    found = fail_over(situation({"a": "left", "b": "left"}, robot=robot), {"left"})
     assert found.placement == {"a": "right"}
     assert found.missing["b"].startswith("it fits nowhere beside what runs: ")
     assert found.waits_for_room
 
 
-def test_what_belongs_to_another_layer_is_missing(facts: Make, two: Robot) -> None:
+def test_what_belongs_to_another_layer_is_missing(situation: Make, two: Robot) -> None:
     (work,) = two.architectures
     robot = replace(two, architectures=(replace(work, layer="reactive", home="left"),))
-    found = fail_over(facts({"a": "left", "b": "left"}, robot=robot), {"left"})
+    found = fail_over(situation({"a": "left", "b": "left"}, robot=robot), {"left"})
     assert found.placement == {}
     assert set(found.missing.values()) == {
         "it belongs to the reactive layer, which stays"

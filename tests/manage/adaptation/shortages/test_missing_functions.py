@@ -46,7 +46,7 @@ class Loop:
         self.now = 0.0
         self._loop = Adaptation(
             self.robbed.run,
-            lambda: replace(self.robbed.facts(), lost=self.lost),
+            lambda: replace(self.robbed.situation(), lost=self.lost),
             self.robbed.aside,
             acts=acts,
             clock=lambda: self.now,
@@ -134,14 +134,16 @@ def test_needed_functions_come_back_together_or_not_at_all() -> None:
     robot = replace(robot, tasks=(replace(task, needs=("high", "low")),))
     robbed = Robbed(robot, {})
     for now in range(100):  # 0.4 are left, but for both 0.8 would have to be
-        facts = robbed.facts(0.4)
-        missing = missing_functions(facts)
-        robbed.aside.take_back(facts, float(now), is_calm=True, missing=missing)
+        situation = robbed.situation(0.4)
+        missing = frozenset(missing_functions(situation))
+        situation = replace(situation, missing=missing)
+        robbed.respond(robbed.taking_back, situation, float(now))
     assert robbed.run.placement() == {}
     for now in range(100, 900):
-        facts = robbed.facts()
-        missing = missing_functions(facts)
-        robbed.aside.take_back(facts, float(now), is_calm=True, missing=missing)
+        situation = robbed.situation()
+        missing = frozenset(missing_functions(situation))
+        situation = replace(situation, missing=missing)
+        robbed.respond(robbed.taking_back, situation, float(now))
     assert robbed.run.placement() == BOTH
 
 
@@ -157,14 +159,16 @@ def test_needed_functions_come_back_together_or_not_at_all() -> None:
 def test_a_function_is_there_when_all_of_an_architecture_is(
     placement: dict[str, str], lost: Iterable[str], missing: set[str]
 ) -> None:
-    facts = replace(Robbed(robot_with(), placement).facts(), lost=frozenset(lost))
-    assert missing_functions(facts) == missing
+    situation = replace(
+        Robbed(robot_with(), placement).situation(), lost=frozenset(lost)
+    )
+    assert missing_functions(situation) == missing
 
 
 def test_what_is_missing_is_said_once() -> None:
     robbed = Robbed(robot_with(), HIGH)
     needs = Needs(robbed.journal)
     for now in range(10):
-        assert not needs.look(robbed.facts(), float(now))
+        assert not needs.look(robbed.situation(), float(now))
     entries = [e.what for e in robbed.journal.entries()]
     assert entries.count("task 'work' goes on without function 'low'") == 1

@@ -10,19 +10,18 @@ from msgspec.structs import replace
 
 from poise.errors import UsageError
 from poise.manage.adaptation.decision import decide
-from poise.manage.adaptation.facts import Facts
+from poise.manage.adaptation.policy.evaluation import Symptom
+from poise.manage.adaptation.responder import Responder
 from poise.manage.adaptation.shortages.failover import fail_over
-from poise.manage.adaptation.shortages.put_aside import (
-    CALM,
-    FIRST,
-    PutAside,
-    not_running,
-)
+from poise.manage.adaptation.shortages.put_aside import FIRST, PutAside, not_running
+from poise.manage.adaptation.shortages.take_back import CALM, TakeBack
+from poise.manage.adaptation.situation import Situation
 from poise.manage.agent_connections.agents import Agents
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.journal import Journal
 from poise.manage.observe.loads import Load
-from poise.model.policy.values import TimerValues
+from poise.model.policy.policy import Policy
+from poise.model.policy.values import ComputerValues, TimerValues
 from poise.model.robot import (
     Action,
     Architecture,
@@ -69,23 +68,19 @@ def robot_with(high: int = 10, low: int = 1, layer: str = "sequencing") -> Robot
 class Robbed:
     """A robot that runs, and what is put aside of it."""
 
-    def __init__(
-        self,
-        robot: Robot,
-        placement: Mapping[str, str] = BOTH,
-        computers: tuple[str, ...] = ("left",),
-    ) -> None:
-        self.agents = FakeAgents(*computers)
+    def __init__(self, robot: Robot, placement: Mapping[str, str] = BOTH) -> None:
+        self.agents = FakeAgents(*(computer.name for computer in robot.computers))
         self.journal = Journal(":memory:")
         agents = cast("Agents", self.agents)
         self.run = RunningComponents(robot, placement, agents, self.journal, "/run")
         self.run.start()
         self.aside = PutAside(self.run, lambda: robot.task("work"), "not all fits")
+        self.taking_back = TakeBack(self.run, self.aside)
 
-    def facts(self, background: float = 0.0, *late: str) -> Facts:
-        """Return facts with a load of other programs, and late components."""
+    def situation(self, background: float = 0.0, *late: str) -> Situation:
+        """Return situation with a load of other programs, and late components."""
         load = Load(capacity=1.0, used=min(1.0, background), background=background)
-        return Facts(
+        return Situation(
             robot=self.run.robot,
             task="work",
             placement=self.run.placement(),
@@ -105,7 +100,16 @@ class Robbed:
     def take_back(self, now: float, background: float = 0.0) -> bool:
         """Look, and take back what fits."""
         self.aside.look()
-        return self.aside.take_back(self.facts(background), now, is_calm=True)
+        return self.respond(self.taking_back, self.situation(background), now)
+
+    def respond(self, responder: Responder, situation: Situation, now: float) -> bool:
+        """Let a responder do what it wants; return whether it wanted something."""
+        situation = replace(situation, now=now)
+        change = responder.respond(situation, self.run.desired)
+        if change is not None:
+            self.journal.note("decided", change.why)
+            change.carry_out()
+        return change is not None
 
     def sentences(self) -> list[str]:
         """Return what the journal says of architectures."""
@@ -153,8 +157,14 @@ def test_other_programs_count_for_more_before_it_is_taken_back() -> None:
 def test_nothing_is_taken_back_while_something_is_wrong() -> None:
     robbed = Robbed(robot_with(), HIGH)
     robbed.aside.look()
+    bad = Symptom(
+        policy=Policy(name="p", for_each="computer", when="full", do="replan"),
+        what="it is full",
+        values=ComputerValues(name="left", used=1.0),
+    )
+    wrong = replace(robbed.situation(), symptoms=(bad,))
     for now in range(100):
-        assert not robbed.aside.take_back(robbed.facts(), now, is_calm=False)
+        assert not robbed.respond(robbed.taking_back, wrong, now)
     assert not robbed.take_back(100.0)  # it is calm since now
     assert robbed.take_back(100.0 + CALM)
 
@@ -187,7 +197,7 @@ def test_other_layers_are_never_put_aside(layer: str) -> None:
 
 
 def test_an_overload_that_no_placement_helps_puts_the_lowest_aside() -> None:
-    decision = decide(Robbed(robot_with()).facts(0.3, "high", "low"))
+    decision = decide(Robbed(robot_with()).situation(0.3, "high", "low"))
     assert decision.acts
     assert decision.why == "not all fits without 'low-task' (priority 1)"
     assert decision.proposal is not None
@@ -196,20 +206,20 @@ def test_an_overload_that_no_placement_helps_puts_the_lowest_aside() -> None:
 
 
 def test_nothing_is_put_aside_while_the_higher_keep_their_deadlines() -> None:
-    decision = decide(Robbed(robot_with()).facts(0.3, "low"))
+    decision = decide(Robbed(robot_with()).situation(0.3, "low"))
     assert not decision.acts
     assert decision.why.startswith("no placement can help")
 
 
 def test_of_equal_priorities_none_is_put_aside() -> None:
-    decision = decide(Robbed(robot_with(1, 1)).facts(0.3, "high", "low"))
+    decision = decide(Robbed(robot_with(1, 1)).situation(0.3, "high", "low"))
     assert not decision.acts
     assert decision.why.startswith("no placement can help")
 
 
 @pytest.mark.parametrize("layer", ["reactive", "deliberative"])
 def test_an_overload_puts_no_other_layer_aside(layer: str) -> None:
-    decision = decide(Robbed(robot_with(layer=layer)).facts(0.3, "high", "low"))
+    decision = decide(Robbed(robot_with(layer=layer)).situation(0.3, "high", "low"))
     assert not decision.acts
 
 
@@ -243,18 +253,18 @@ def test_a_lost_computer_puts_lower_priorities_aside_for_higher_ones() -> None:
         computers=(*robot.computers, right),
         architectures=(high, low, middle),
     )
-    facts = Facts(
+    situation = Situation(
         robot=robot,
         task="work",
         placement={"high": "right", "middle": "left", "low": "left"},
         lost=frozenset({"right"}),
     )
-    found = fail_over(facts, {"right"})
+    found = fail_over(situation, {"right"})
     assert (found.placement, found.aside) == ({"high": "left"}, ("low-task",))
     assert not found.missing
     # the lowest itself gets only what is left
     swapped = replace(
-        facts, placement={"low": "right", "middle": "left", "high": "left"}
+        situation, placement={"low": "right", "middle": "left", "high": "left"}
     )
     found = fail_over(swapped, {"right"})
     assert (found.placement, found.aside) == ({}, ())
@@ -264,12 +274,12 @@ def test_a_lost_computer_puts_lower_priorities_aside_for_higher_ones() -> None:
 def test_of_what_was_lost_the_higher_is_restarted_when_not_all_fits() -> None:
     robot = robot_with()
     left = Computer(name="small", capacity={"cpu": 0.5, "memory": 1e9})
-    facts = Facts(
+    situation = Situation(
         robot=replace(robot, computers=(*robot.computers, left)),
         task="work",
         placement=BOTH,
         lost=frozenset({"left"}),
     )
-    found = fail_over(facts, {"left"})
+    found = fail_over(situation, {"left"})
     assert found.placement == {"high": "small"}
     assert set(found.missing) == {"low"}

@@ -15,7 +15,8 @@ from poise.runtime.agent.agent_folder import AgentFolder
 from poise.runtime.agent.supervision.agent_state import AgentState
 from poise.wire.records.deployment import Deployment
 from poise.wire.records.requests import Claim, Refused
-from tests.runtime.agent.test_agent import Manager, children, manager_id, wait_gone
+from tests.processes import children_of
+from tests.runtime.agent.test_agent import Manager, manager_id, wait_gone
 
 pytestmark = pytest.mark.slow
 
@@ -47,7 +48,7 @@ def test_the_next_agent_adopts_what_a_killed_one_left(
     manager.deploy("quiet", "stubborn")
     pids = {name: manager.wait_active(name).pid for name in ("quiet", "stubborn")}
     if not with_zygote:
-        (zygote,) = children(manager.process.pid)
+        (zygote,) = children_of(manager.process.pid)
         os.kill(manager.process.pid, signal.SIGSTOP)  # else it ends by itself
         os.kill(zygote, signal.SIGKILL)
     restart_agent(manager)
@@ -172,7 +173,7 @@ def test_containers_end_when_no_agent_comes(
     manager.deploy("quiet", "stubborn")
     pids = [manager.wait_active(name).pid for name in ("quiet", "stubborn")]
     os.kill(pids[1], signal.SIGSTOP)  # the zygote kills that one
-    pids += children(manager.process.pid)
+    pids += children_of(manager.process.pid)
     kill_agent(manager)
     for pid in pids:
         wait_gone(pid)

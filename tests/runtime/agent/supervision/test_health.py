@@ -18,3 +18,12 @@ def test_counts_the_restarts_of_the_last_minute() -> None:
         now[0] = moment
         (record,) = health.records({})
         assert (record.restarts, record.restarts_lately) == (3, lately)
+
+
+def test_a_fault_says_how_long_its_agent_had_run_whatever_the_time_of_day() -> None:
+    now = [100.0]
+    health = HealthRecords(clock=lambda: now[0])
+    now[0] = 107.0
+    health.note_fault("c", "broke")
+    (fault,) = health.faults()
+    assert fault.uptime == 7.0

@@ -15,7 +15,7 @@ from poise.cli.completion import in_file
 from poise.cli.interrupts import Interrupts
 from poise.cli.options import AsJson, busy, print_json
 from poise.errors import UsageError
-from poise.estimate.success import Situation
+from poise.estimate.success import Conditions
 from poise.estimate.success.learning import actions_in, learned
 from poise.model import load
 from poise.model.robot import Robot
@@ -124,9 +124,11 @@ def plan_command(
         """Return the robot with what was learned of alternatives for a task."""
         if robot is None:
             return None
-        situation = Situation(lost=tuple(without or ()))
+        conditions = Conditions(lost=tuple(without or ()))
         actions = actions_in(robot, task)
-        found = learned(robot, actions, situation=situation, explore=explore, seed=seed)
+        found = learned(
+            robot, actions, conditions=conditions, explore=explore, seed=seed
+        )
         for sentence in found.says:
             say(sentence)
         return found.robot

@@ -106,12 +106,12 @@ def _show(row: Listed, beliefs: list[Belief], console: Console) -> None:
         console.print("nothing is learned of its success yet")
         return
     shown = table(
-        "action", "situation", "success", "90 % between", "of", "hash", folds=1
+        "action", "conditions", "success", "90 % between", "of", "hash", folds=1
     )
     for each in beliefs:
         shown.add_row(
             each.action,
-            str(each.situation),
+            str(each.conditions),
             f"{each.mean:.0%} ± {each.deviation:.0%}",
             f"{each.low:.0%} and {each.high:.0%}",
             str(each.done + each.failed),

@@ -69,7 +69,15 @@ class DemoReport(Struct, frozen=True, kw_only=True):
 def demo_command(
     as_json: AsJson = False,
     scene: Annotated[
-        Literal["overload", "lost-computer", "cut-link", "manager-killed", "tasks"]
+        Literal[
+            "overload",
+            "lost-computer",
+            "cut-link",
+            "cut-one-link",
+            "frozen-agent",
+            "manager-killed",
+            "tasks",
+        ]
         | None,
         typer.Option(help="Show instead how a running robot adapts, or runs tasks."),
     ] = None,
@@ -96,8 +104,9 @@ def demo_command(
     minute, and draws both drives in poise-demo.svg.
 
     With --scene, a small robot adapts by itself: another program overloads one of its
-    computers, a computer loses power, or the manager is killed amid a move; or three
-    tasks share functions, and one pauses another.
+    computers, a computer loses power or is cut off, one link of three is cut, an agent
+    is stopped, or the manager is killed amid a move; or three tasks share functions,
+    and one pauses another.
 
     With --experiment, T-Rot serves again and again under each way to place and each
     condition: loads, a slow link, a component that overruns. Ctrl-C ends it, and the

@@ -146,16 +146,26 @@ def crash_command(computer: Computer, robot: Robot = None) -> None:
     find_set(robot).crash(computer)
 
 
-def freeze_command(computer: Computer, robot: Robot = None) -> None:
+def freeze_command(
+    computer: Computer,
+    agent: Annotated[
+        bool, typer.Option("--agent", help="Stop its agent only, not its containers.")
+    ] = False,
+    robot: Robot = None,
+) -> None:
     """Stop all processes of a computer, as when its kernel hangs, until `boot`.
 
-    Example: poise emulate freeze vision
+    Examples
+    --------
+    poise emulate freeze vision
+
+    poise emulate freeze vision --agent
     """
-    find_set(robot).freeze(computer)
+    find_set(robot).freeze(computer, agent=agent)
 
 
 def boot_command(computer: Computer, robot: Robot = None) -> None:
-    """Bring a crashed or frozen computer back; after a crash its agent starts.
+    """Bring a crashed or frozen computer or agent back; after a crash its agent starts.
 
     Example: poise emulate boot vision
     """

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import time
 from pathlib import Path
 from typing import Annotated
@@ -15,13 +16,20 @@ from poise.cli.options import AsJson, print_json
 from poise.errors import UsageError
 from poise.manage.journal import KINDS, JournalEntry, read_journal
 from poise.session.render.printable import console_to
+from poise.session.state_folder import find_journal
 
 _LOOK_EVERY = 0.2
 _COLOURS = {"wrong": "red", "failed": "red", "right": "green", "decided": "bold"}
 
 
 def journal_command(
-    file: Annotated[Path, typer.Argument(help="What `poise up --journal` writes.")],
+    file: Annotated[
+        Path | None,
+        typer.Argument(help="Another journal than the last robot's, or `--robot`'s."),
+    ] = None,
+    robot: Annotated[
+        str | None, typer.Option(help="The robot whose last journal is shown.")
+    ] = None,
     kind: Annotated[
         list[str] | None, typer.Option(help=f"Only these: {', '.join(KINDS)}.")
     ] = None,
@@ -43,9 +51,9 @@ def journal_command(
 
     Examples
     --------
-    poise journal journal.sqlite --kind decided --kind wrong --facts
+    poise journal --kind decided --kind wrong --facts
 
-    poise journal journal.sqlite --about vision --follow
+    poise journal results/journal.jsonl --about vision --follow
     """
     if unknown := set(kind or ()) - set(KINDS):
         raise UsageError(f"--kind {unknown.pop()}: it is one of {', '.join(KINDS)}")
@@ -56,6 +64,11 @@ def journal_command(
         named = about is None or about in entry.what
         return named and (not kind or entry.kind in kind)
 
+    if file is not None and robot is not None:
+        raise UsageError("give a file or --robot, not both")
+    if file is None:
+        file = find_journal(robot)
+        sys.stderr.write(f"journal of robot '{file.parent.name}': {file}\n")
     entries = read_journal(file)
     chosen = [entry for entry in entries if fits(entry)]
     chosen = chosen[-last:] if last else chosen
@@ -64,11 +77,11 @@ def journal_command(
         return
     console = console_to()
     _show(console, chosen, facts=facts)
+    after = entries[-1].number if entries else 0
     while follow:
         time.sleep(_LOOK_EVERY)
-        after = entries[-1].number if entries else 0
         if new := read_journal(file, after):
-            entries = new
+            after = new[-1].number
             _show(console, [entry for entry in new if fits(entry)], facts=facts)
 
 

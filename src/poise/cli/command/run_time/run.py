@@ -84,7 +84,7 @@ def run_command(
                 chosen,
                 seconds=seconds,
                 placement=placed,
-                journal=report / "journal.sqlite" if report else None,
+                journal=report / "journal.jsonl" if report else None,
                 record=record,
                 adapt=adapt,
                 say=say,

@@ -9,15 +9,17 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from msgspec.structs import asdict
 
 import poise
+from poise.cli.command.run_time.progress import telling_progress
 from poise.cli.completion import running
 from poise.cli.options import AsJson, busy, print_json
 from poise.errors import UsageError
 from poise.model import load
 from poise.session.render.moves import Outcome, outcome_lines, what_if_lines
 from poise.session.render.printable import console_to
-from poise.session.running_robots.running import RolledBack, Running
+from poise.session.running_robots.running import NoManager, RolledBack, Running, Status
 
 Robot = Annotated[
     str | None,
@@ -28,15 +30,29 @@ Robot = Annotated[
 ]
 
 
-def status_command(robot: Robot = None, as_json: AsJson = False) -> None:
+def status_command(
+    robot: Robot = None,
+    file: Annotated[
+        Path | None,
+        typer.Option(help="Robot file: ask its agents, for want of a manager here."),
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
     """Show where a running robot's components are, and how they and connectors do.
 
-    The exit code is 1 when anything is not as the robot file says.
+    Of a robot without a manager it shows what its agents say; with --file also of one
+    that was started from elsewhere. The exit code is 1 when anything is not as the
+    robot file says, and 4 without a manager.
 
     Example: poise status
     """
-    status = Running(robot).status()
+    if file is None:
+        status = Running(robot).status()
+    else:
+        status = Status(**asdict(poise.status_without_manager(load(file))))
     print_json(status) if as_json else console_to().print(status)
+    if status.by_agents:
+        raise typer.Exit(NoManager.exit_code)
     if status.deviations:
         raise typer.Exit(1)
 
@@ -82,7 +98,8 @@ def move_command(
         if seen.breaks:
             raise typer.Exit(1)
         return
-    _act(lambda: running.move(component, computer, force=force), as_json=as_json)
+    with telling_progress(running):
+        _act(lambda: running.move(component, computer, force=force), as_json=as_json)
 
 
 def replace_command(
@@ -114,7 +131,11 @@ def replace_command(
     Example: poise replace localiser trot.navigator.scan_matcher:ScanMatcher
     """
     running = Running(robot)
-    _act(lambda: running.replace(what, by, adapt=adapt, fresh=fresh), as_json=as_json)
+    with telling_progress(running):
+        _act(
+            lambda: running.replace(what, by, adapt=adapt, fresh=fresh),
+            as_json=as_json,
+        )
 
 
 def balance_command(
@@ -150,8 +171,9 @@ def stop_command(
 ) -> None:
     """Stop a running robot, and wait until it has stopped.
 
-    A move under way is rolled back. The exit code is 1 when something still runs. With
-    --file it needs no manager: it ends all containers on the computers of the robot.
+    A move under way is rolled back. The exit code is 1 when something still runs. What
+    a killed manager left is ended by its agents. With --file that needs nothing else:
+    all containers on the computers of the robot end.
 
     Example: poise stop
     """

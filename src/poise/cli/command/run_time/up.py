@@ -31,7 +31,8 @@ def up_command(
     ] = None,
     placement: AnyMethod = None,
     journal: Annotated[
-        Path | None, typer.Option(help="File for the journal (SQLite).")
+        Path | None,
+        typer.Option(help="File for the journal; else `poise journal` finds it."),
     ] = None,
     metrics: Annotated[
         int | None,

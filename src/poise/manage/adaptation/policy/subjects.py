@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping
 
 from poise.manage.adaptation.bad_links import link_values
 from poise.manage.adaptation.decision import shortages_of
-from poise.manage.adaptation.facts import Facts
+from poise.manage.adaptation.situation import Situation
 from poise.model.policy.values import (
     ChainValues,
     ComponentValues,
@@ -18,20 +18,20 @@ from poise.model.policy.values import (
 )
 
 
-def values_of(facts: Facts, subject: Subject) -> tuple[Values, ...]:
+def values_of(situation: Situation, subject: Subject) -> tuple[Values, ...]:
     """Return the values of all subjects of a kind."""
-    return tuple(_READ[subject](facts))
+    return tuple(_READ[subject](situation))
 
 
-def _computers(facts: Facts) -> Iterator[Values]:
-    shortages = shortages_of(facts)
-    for computer in facts.robot.computers:
-        load = facts.loads.get(computer.name)
-        status = facts.statuses.get(computer.name)
-        here = [n for n, at in facts.placement.items() if at == computer.name]
+def _computers(situation: Situation) -> Iterator[Values]:
+    shortages = shortages_of(situation)
+    for computer in situation.robot.computers:
+        load = situation.loads.get(computer.name)
+        status = situation.statuses.get(computer.name)
+        here = [n for n, at in situation.placement.items() if at == computer.name]
         yield ComputerValues(
             name=computer.name,
-            lost=computer.name in facts.lost,
+            lost=computer.name in situation.lost,
             capacity=computer.total("cpu"),
             used=load.used if load else 0.0,
             background=load.background if load else 0.0,
@@ -39,15 +39,15 @@ def _computers(facts: Facts) -> Iterator[Values]:
             starved=max(
                 (
                     each.estimate.starved
-                    for each in facts.demand_estimates
+                    for each in situation.demand_estimates
                     if each.computer == computer.name
                 ),
                 default=0.0,
             ),
-            late=sum(e.late for e in facts.misses if e.computer == computer.name),
+            late=sum(e.late for e in situation.misses if e.computer == computer.name),
             drifted=sum(
                 e.estimate.drift is not None and e.computer == computer.name
-                for e in facts.demand_estimates
+                for e in situation.demand_estimates
             ),
             short=shortages[computer.name],
             memory=status.memory if status else 0.0,
@@ -55,22 +55,22 @@ def _computers(facts: Facts) -> Iterator[Values]:
         )
 
 
-def _components(facts: Facts) -> Iterator[Values]:
+def _components(situation: Situation) -> Iterator[Values]:
     states = {
         (computer, component.name): (component, container)
-        for computer, status in facts.statuses.items()
+        for computer, status in situation.statuses.items()
         for container in status.containers
         for component in container.components
     }
     memory = {
         (computer, health.name): health.memory
-        for computer, status in facts.statuses.items()
+        for computer, status in situation.statuses.items()
         for health in status.health
     }
-    demands = {each.component: each.estimate for each in facts.demand_estimates}
-    for architecture in facts.robot.architectures:
+    demands = {each.component: each.estimate for each in situation.demand_estimates}
+    for architecture in situation.robot.architectures:
         for entry in architecture.components:
-            if (computer := facts.placement.get(entry.name)) is None:
+            if (computer := situation.placement.get(entry.name)) is None:
                 continue
             demand = demands.get(entry.name)
             component, container = states.get((computer, entry.name), (None, None))
@@ -91,8 +91,8 @@ def _components(facts: Facts) -> Iterator[Values]:
             )
 
 
-def _containers(facts: Facts) -> Iterator[Values]:
-    for computer, status in facts.statuses.items():
+def _containers(situation: Situation) -> Iterator[Values]:
+    for computer, status in situation.statuses.items():
         for health in status.health:
             yield ContainerValues(
                 name=health.name,
@@ -105,8 +105,8 @@ def _containers(facts: Facts) -> Iterator[Values]:
             )
 
 
-def _chains(facts: Facts) -> Iterator[Values]:
-    for each in facts.chains:
+def _chains(situation: Situation) -> Iterator[Values]:
+    for each in situation.chains:
         yield ChainValues(
             name=each.chain,
             component=each.last,
@@ -122,22 +122,22 @@ def _chains(facts: Facts) -> Iterator[Values]:
         )
 
 
-def _robots(facts: Facts) -> Iterator[Values]:
+def _robots(situation: Situation) -> Iterator[Values]:
     yield RobotValues(
-        name=facts.robot.name,
-        lost=len(facts.lost),
-        late=sum(each.late for each in facts.misses),
-        used=sum(load.used for load in facts.loads.values()),
-        calls=sum(each.calls + each.messages for each in facts.traffic.values()),
+        name=situation.robot.name,
+        lost=len(situation.lost),
+        late=sum(each.late for each in situation.misses),
+        used=sum(load.used for load in situation.loads.values()),
+        calls=sum(each.calls + each.messages for each in situation.traffic.values()),
     )
 
 
-_READ: Mapping[Subject, Callable[[Facts], Iterator[Values]]] = {
+_READ: Mapping[Subject, Callable[[Situation], Iterator[Values]]] = {
     "computer": _computers,
     "link": link_values,
     "component": _components,
     "container": _containers,
-    "timer": lambda facts: iter(facts.misses),
+    "timer": lambda situation: iter(situation.misses),
     "chain": _chains,
     "robot": _robots,
 }

@@ -5,14 +5,12 @@ Each computer is tried once. What is pinned stays, and its agent goes on restart
 
 from __future__ import annotations
 
-import time
-
 from poise.errors import RunError
-from poise.manage.adaptation.facts import Facts
 from poise.manage.adaptation.move_limits import MoveLimits
 from poise.manage.adaptation.policy.evaluation import Symptom
 from poise.manage.adaptation.shortages.free_room import room_for_components
 from poise.manage.adaptation.shortages.put_aside import PutAside
+from poise.manage.adaptation.situation import Situation
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.migration.report import TransitionStep
 from poise.manage.migration.transition_run import start_together
@@ -36,7 +34,9 @@ class CrashLoops:
         self._limits = limits
         self._crashed: dict[str, dict[str, float]] = {}
 
-    def restart_elsewhere(self, symptom: Symptom, facts: Facts, now: float) -> None:
+    def restart_elsewhere(
+        self, symptom: Symptom, situation: Situation, now: float
+    ) -> None:
         """Restart a container where it has not crashed; else put it aside.
 
         Raises
@@ -55,39 +55,39 @@ class CrashLoops:
                 stays = f"component '{name}' stays on '{symptom.computer}'"
                 goes_on = "its agent goes on restarting it"
                 raise RunError(f"{stays}: {pinned[name]}; {goes_on}")
-        before = _crashed_before(container, facts, now) | self._crashed.get(
+        before = _crashed_before(container, situation, now) | self._crashed.get(
             container, {}
         )
         crashed = {at: when for at, when in before.items() if now - when < FORGET_AFTER}
         crashed[symptom.computer] = now
         self._crashed[container] = crashed
-        while where := room_for_components(facts, names, crashed):
+        while where := room_for_components(situation, names, crashed):
             steps = [
-                TransitionStep(name, facts.placement[name], at)
+                TransitionStep(name, situation.placement[name], at)
                 for name, at in where.items()
             ]
             self._limits.note(steps, now)
-            if start_together(run, where, facts.lost):
+            if start_together(run, where, situation.lost):
                 return
             if lost := set(where.values()) - run.computers():
                 away = " and ".join(f"'{name}'" for name in sorted(lost))
                 raise RunError(f"{away} is out of reach meanwhile")
             crashed |= dict.fromkeys(where.values(), now)
         del self._crashed[container]
-        self._put(names, symptom, facts, sorted(crashed), now)
+        self._put(names, symptom, situation, sorted(crashed), now)
 
     def _put(
         self,
         names: list[str],
         symptom: Symptom,
-        facts: Facts,
+        situation: Situation,
         crashed: list[str],
         now: float,
     ) -> None:
         """Put an architecture aside for good, and say what happened and the way out."""
         computers = " and ".join(f"'{computer}'" for computer in crashed)
         container = symptom.values.name
-        health = facts.statuses[symptom.computer].health
+        health = situation.statuses[symptom.computer].health
         fault = next((h.last_fault for h in health if h.name == container), None)
         way_out = "it is taken back when its code has changed, or by `poise balance`"
         said = f" (the last time: {fault.message})" if fault else ""
@@ -100,12 +100,14 @@ class CrashLoops:
         put([architecture.name], f"{why}; {way_out}", now)
 
 
-def _crashed_before(container: str, facts: Facts, now: float) -> dict[str, float]:
+def _crashed_before(
+    container: str, situation: Situation, now: float
+) -> dict[str, float]:
     """Return where agents saw it crash as often, under an earlier manager, and when."""
     found = {}
-    for computer, status in facts.statuses.items():
+    for computer, status in situation.statuses.items():
         ages = [
-            time.time() - fault.at
+            status.uptime - fault.uptime
             for fault in status.faults
             if fault.container == container and not fault.is_over
         ]

@@ -1,16 +1,26 @@
-"""Where components of lost computers restart. Pure."""
+"""Restarts the components of lost computers elsewhere."""
 
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping
+from functools import partial
 
 from msgspec import Struct
 
-from poise.manage.adaptation.facts import Facts, Homes
+from poise.manage.adaptation.move_limits import MoveLimits
+from poise.manage.adaptation.responder import Change
 from poise.manage.adaptation.shortages.free_room import placed_beside
+from poise.manage.adaptation.shortages.put_aside import PutAside
+from poise.manage.adaptation.situation import Homes, Situation
+from poise.manage.deploy.desired import Desired
+from poise.manage.deploy.running_components import RunningComponents
+from poise.manage.migration.transition_run import start_together
 from poise.model.check.allowed_computers import allowed_computers
 from poise.model.pinned import pinned_components
 from poise.model.robot import Architecture
+
+_ROOM_EVERY = 5.0
+"""Whether components of a lost computer fit meanwhile is tried this often [s]."""
 
 
 class Failover(Struct, frozen=True, kw_only=True):
@@ -34,7 +44,62 @@ class Failover(Struct, frozen=True, kw_only=True):
     aside: tuple[str, ...] = ()
 
 
-def fail_over(facts: Facts, lost: Collection[str]) -> Failover:
+class FailOver:
+    """Restarts elsewhere what was on lost computers, once for each loss."""
+
+    purpose = "restart what was on lost computers"
+
+    def __init__(self, run: RunningComponents, put_aside: PutAside) -> None:
+        self._run = run
+        self._put_aside = put_aside
+        self._limits = MoveLimits()
+        self._missing: set[str] = set()
+        self._tries_again = float("inf")
+
+    def respond(self, situation: Situation, desired: Desired) -> Change | None:
+        """Return where components restart, and what makes room for them."""
+        now = situation.now
+        if self._limits.rests(now):
+            return None
+        lost = {each.values.name for each in situation.about("fail over")}
+        stranded = {n for n, c in situation.placement.items() if c in lost}
+        self._missing &= stranded
+        if stranded <= self._missing and now < self._tries_again:
+            return None
+        found = fail_over(situation, lost)
+        before, self._missing = self._missing, set(found.missing)
+        self._tries_again = now + _ROOM_EVERY if found.waits_for_room else float("inf")
+        for name, why in sorted(found.missing.items()):
+            if name not in before:
+                where = desired.placed[name].computer
+                what = f"component '{name}' of '{where}' is missing: {why}"
+                self._run.journal.note("wrong", what)
+        if not found.placement and not found.aside:
+            return None
+        return Change(
+            why=_sentence(found.placement) if found.placement else "",
+            facts={"placement": found.placement},
+            carry_out=partial(self._restart, found, lost, now),
+        )
+
+    def _restart(self, found: Failover, lost: Collection[str], now: float) -> None:
+        if found.aside:
+            why = "components of a lost computer that have a higher priority need room"
+            self._put_aside.put(found.aside, why, now)
+        if found.placement:
+            if start_together(self._run, found.placement, lost):
+                self._limits.forget_nothing()
+            else:
+                self._limits.note_nothing(now)
+
+
+def _sentence(placement: Mapping[str, str]) -> str:
+    where = ", ".join(f"'{c}' on '{at}'" for c, at in sorted(placement.items()))
+    what = "components of a lost computer restart, from checkpoints or without state"
+    return f"{what}: {where}"
+
+
+def fail_over(situation: Situation, lost: Collection[str]) -> Failover:
     """Return where the components of lost computers can run; all others stay.
 
     Parameters
@@ -42,11 +107,11 @@ def fail_over(facts: Facts, lost: Collection[str]) -> Failover:
     lost
         Computers that are out of reach.
     """
-    allowed = allowed_computers(facts.robot)
-    pinned = pinned_components(facts.robot)
+    allowed = allowed_computers(situation.robot)
+    pinned = pinned_components(situation.robot)
     missing: dict[str, str] = {}
     homes: dict[str, tuple[str, ...]] = {}
-    for name, computer in facts.placement.items():
+    for name, computer in situation.placement.items():
         choices = tuple(sorted(allowed[name] - set(lost)))
         if computer not in lost:
             homes[name] = (computer,)
@@ -57,18 +122,21 @@ def fail_over(facts: Facts, lost: Collection[str]) -> Failover:
             missing[name] = f"it may run on {here} only"
         else:
             homes[name] = choices
-    stranded = {name for name in homes if facts.placement[name] in lost}
+    stranded = {name for name in homes if situation.placement[name] in lost}
     if not stranded:
         return Failover(placement={}, missing=missing)
-    result = placed_beside(facts, homes)
+    result = placed_beside(situation, homes)
     if not result.feasible:
-        return _by_priority(facts, homes, stranded, missing)
+        return _by_priority(situation, homes, stranded, missing)
     where = {name: result.placement[name] for name in stranded}
     return Failover(placement=where, missing=missing)
 
 
 def _by_priority(
-    facts: Facts, homes: Homes, stranded: Collection[str], missing: Mapping[str, str]
+    situation: Situation,
+    homes: Homes,
+    stranded: Collection[str],
+    missing: Mapping[str, str],
 ) -> Failover:
     """Return what fits of the stranded, the highest priority first.
 
@@ -78,16 +146,18 @@ def _by_priority(
     placement: dict[str, str] = {}
     aside: tuple[str, ...] = ()
     missing = dict(missing)
-    for architecture in sorted(facts.robot.architectures, key=lambda a: -a.priority):
+    for architecture in sorted(
+        situation.robot.architectures, key=lambda a: -a.priority
+    ):
         names = {c.name for c in architecture.components} & set(stranded)
         if not names:
             continue
         wanted = {name: homes[name] for name in names}
         why = ""
-        for lower in _more_and_more(facts, architecture.priority, kept):
+        for lower in _more_and_more(situation, architecture.priority, kept):
             gone = {c.name for a in lower for c in a.components}
             left = {name: at for name, at in kept.items() if name not in gone}
-            result = placed_beside(facts, {**left, **wanted})
+            result = placed_beside(situation, {**left, **wanted})
             if result.feasible:
                 where = {name: result.placement[name] for name in names}
                 placement |= where
@@ -106,13 +176,13 @@ def _by_priority(
 
 
 def _more_and_more(
-    facts: Facts, priority: int, kept: Homes
+    situation: Situation, priority: int, kept: Homes
 ) -> Iterator[tuple[Architecture, ...]]:
     """Yield which of the running architectures of less priority make room."""
     lower = sorted(
         (
             a
-            for a in facts.robot.architectures
+            for a in situation.robot.architectures
             if a.layer == "sequencing"
             and a.priority < priority
             and any(c.name in kept for c in a.components)

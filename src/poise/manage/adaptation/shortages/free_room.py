@@ -8,14 +8,14 @@ from msgspec.structs import replace
 
 from poise import plan
 from poise.errors import RobotError
-from poise.manage.adaptation.facts import Facts, Homes
 from poise.manage.adaptation.replan import SOLVE_FOR, with_present_demands
+from poise.manage.adaptation.situation import Homes, Situation
 from poise.model.check.allowed_computers import allowed_computers
 from poise.model.robot import ComponentEntry, Robot
 
 
 def placed_beside(
-    facts: Facts, homes: Homes, *, is_cautious: bool = False
+    situation: Situation, homes: Homes, *, is_cautious: bool = False
 ) -> plan.Result:
     """Return where components fit; those without homes do not count.
 
@@ -30,8 +30,8 @@ def placed_beside(
     RobotError
         A component can run nowhere.
     """
-    problem = plan.problem_of(_what_is_left(facts, homes, is_cautious=is_cautious))
-    fixed = {a.name for a in facts.robot.architectures if a.layer != "sequencing"}
+    problem = plan.problem_of(_what_is_left(situation, homes, is_cautious=is_cautious))
+    fixed = {a.name for a in situation.robot.architectures if a.layer != "sequencing"}
     bundles = tuple(
         replace(bundle, required=bundle.name in fixed)
         for bundle in problem.architectures
@@ -41,7 +41,7 @@ def placed_beside(
 
 
 def room_for_components(
-    facts: Facts, components: Collection[str], not_on: Collection[str] = ()
+    situation: Situation, components: Collection[str], not_on: Collection[str] = ()
 ) -> Mapping[str, str]:
     """Return where components fit beside all others; empty: they do not.
 
@@ -50,26 +50,26 @@ def room_for_components(
     not_on
         Computers where they must not be.
     """
-    allowed = allowed_computers(facts.robot)
+    allowed = allowed_computers(situation.robot)
     homes: dict[str, tuple[str, ...]] = {
-        n: (at,) for n, at in facts.placement.items() if at not in facts.lost
+        n: (at,) for n, at in situation.placement.items() if at not in situation.lost
     }
     for name in components:
-        homes[name] = tuple(sorted(allowed[name] - facts.lost - set(not_on)))
+        homes[name] = tuple(sorted(allowed[name] - situation.lost - set(not_on)))
         if not homes[name]:
             return {}
     try:
-        result = placed_beside(facts, homes, is_cautious=True)
+        result = placed_beside(situation, homes, is_cautious=True)
     except RobotError:
         return {}
     return {n: at for n, at in result.placement.items() if n in components}
 
 
-def _what_is_left(facts: Facts, homes: Homes, *, is_cautious: bool) -> Robot:
+def _what_is_left(situation: Situation, homes: Homes, *, is_cautious: bool) -> Robot:
     """Return the robot without what is lost, each component held to its homes."""
-    robot = with_present_demands(facts.robot, facts.demand_estimates)
+    robot = with_present_demands(situation.robot, situation.demand_estimates)
     used = {computer for choices in homes.values() for computer in choices}
-    left = facts.computers_left(is_cautious=is_cautious)
+    left = situation.computers_left(is_cautious=is_cautious)
     computers = tuple(c for c in left if c.name in used)
     names = {computer.name for computer in computers}
     kept = robot.with_components(lambda component: _homed(component, homes))

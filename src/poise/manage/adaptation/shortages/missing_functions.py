@@ -6,11 +6,11 @@ placed on computers within reach.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterable
 from collections.abc import Set as AbstractSet
 
-from poise.manage.adaptation.facts import Facts
+from poise.clock import wall_time
+from poise.manage.adaptation.situation import Situation
 from poise.manage.journal import Journal
 from poise.manage.observe.deviations import Deviation
 from poise.model.policy.policy import LASTS
@@ -24,13 +24,13 @@ class Needs:
         self._since: dict[str, float] = {}
         self._said: dict[str, Deviation] = {}
 
-    def look(self, facts: Facts, now: float) -> AbstractSet[str]:
+    def look(self, situation: Situation, now: float) -> AbstractSet[str]:
         """Say what is missing or back; return what is needed and is missing.
 
         What comes back within moments, as by a fail-over, does not count.
         """
-        missing, task = missing_functions(facts), facts.task
-        needed = {n for t in facts.robot.tasks if t.name == task for n in t.needs}
+        missing, task = missing_functions(situation), situation.task
+        needed = {n for t in situation.robot.tasks if t.name == task for n in t.needs}
         if needed & self._said.keys() & missing:  # it has stopped the others
             missing = (missing & needed) | self._said.keys() & missing
         self._since = {name: self._since.get(name, now) for name in missing}
@@ -43,7 +43,7 @@ class Needs:
             what = f"task '{task}' goes on without function '{name}'"
             if name in needed:
                 what = f"{lacking(task, {name})}"
-            self._said[name] = Deviation(what=what, computer="", since=time.time())
+            self._said[name] = Deviation(what=what, computer="", since=wall_time())
             self._journal.note("wrong", what)
         return lasting & needed
 
@@ -58,8 +58,8 @@ def lacking(task: str, functions: Iterable[str]) -> str:
     return f"task '{task}' needs function {names}, which is missing"
 
 
-def missing_functions(facts: Facts) -> AbstractSet[str]:
+def missing_functions(situation: Situation) -> AbstractSet[str]:
     """Return the functions of the task that nothing provides now."""
-    there = {n for n, at in facts.placement.items() if at not in facts.lost}
-    provided = {a.function for a in facts.robot.whole(there)}
-    return {*facts.robot.functions_of(facts.task)} - provided
+    there = {n for n, at in situation.placement.items() if at not in situation.lost}
+    provided = {a.function for a in situation.robot.whole(there)}
+    return {*situation.robot.functions_of(situation.task)} - provided

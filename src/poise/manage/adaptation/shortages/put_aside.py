@@ -6,20 +6,16 @@ it, too.
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from collections.abc import Set as AbstractSet
-from itertools import groupby, islice, product
+from collections.abc import Callable, Iterable, Mapping
 
 from msgspec import Struct, structs
 
+from poise.clock import wall_time
 from poise.errors import UsageError
 from poise.estimate.profile.code_version import version_of
-from poise.manage.adaptation.facts import Facts
-from poise.manage.adaptation.shortages.free_room import room_for_components
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.migration.report import TransitionStep
-from poise.manage.migration.transition_run import start_together, transit
+from poise.manage.migration.transition_run import transit
 from poise.manage.observe.deviations import Deviation
 from poise.model.robot import Architecture, Robot, Task
 
@@ -29,13 +25,8 @@ LONGEST = 300.0
 """It never has to stay aside for longer [s]."""
 FORGET_AFTER = 600.0
 """After so long at work [s] it counts as put aside for the first time again."""
-CALM = 5.0
-"""Nothing must have been wrong for this time before one is taken back [s]."""
-_MOST_CHOICES = 8
-"""The most combinations of alternatives of needed functions that are tried."""
-_TRY_AGAIN = 2.0
-"""When there is no room, that is looked at again after this time [s]; then after twice
-as long, up to `LONGEST`, until a computer is lost or back."""
+_LOOK_AT_CODE = 2.0
+"""Whether the code of what crashed is another is looked at so often [s]."""
 
 
 class _Aside(Struct):
@@ -72,12 +63,9 @@ class PutAside:
         self._stays: dict[str, tuple[float, float]] = {}
         self._crashed: dict[str, str] = {}
         self._look_at_code = 0.0
-        self._try_at = 0.0
-        self._try_again = _TRY_AGAIN
-        self._lost: frozenset[str] = frozenset()
-        self._calm_since: float | None = None
-        self._held: set[str] = set()
-        self._hold_at = 0.0
+        self._has_news = False
+        self.held: set[str] = set()
+        """The architectures that stopped because their task lacks another function."""
 
     def put(self, names: Iterable[str], why: str, now: float) -> bool:
         """Stop architectures; return whether that went well.
@@ -116,36 +104,32 @@ class PutAside:
             self.note(names, why, now)
         return committed
 
-    def hold(self, facts: Facts, why: str, now: float) -> bool:
-        """Stop what else a task runs that lacks a needed function.
-
-        What is back within moments goes on: architectures with a component on a lost
-        computer stay as they are. Returns whether something was stopped.
-        """
-        there = {n: at for n, at in facts.placement.items() if at not in facts.lost}
-        functions = facts.robot.functions_of(facts.task)
-        held = [
-            a
-            for a in facts.robot.whole(there)
-            if a.layer == "sequencing" and a.function in functions
-        ]
-        if not held or now < self._hold_at:
-            return False
-        self._hold_at = now + _TRY_AGAIN
-        names = {c.name for a in held for c in a.components}
-        if not self._stop({name: there[name] for name in names}):
-            return False
-        for architecture in held:
-            self._held.add(architecture.name)
-            self._stay(architecture.name, now, first=0.0)
-            self._add(architecture.name, why)
-        return True
-
     def note(self, names: Iterable[str], why: str, now: float) -> None:
         """Remember and say that architectures were stopped."""
         for name in names:
             self._stay(name, now, first=FIRST)
             self._add(name, why)
+
+    def hold(
+        self,
+        architectures: Iterable[Architecture],
+        components: Mapping[str, str],
+        why: str,
+        now: float,
+    ) -> None:
+        """Stop architectures until what their task lacks is back."""
+        if self._stop(components):
+            for architecture in architectures:
+                self.held.add(architecture.name)
+                self._stay(architecture.name, now, first=0.0)
+                self._add(architecture.name, why)
+
+    def note_started(self, names: Iterable[str], now: float) -> None:
+        """Remember that architectures run again."""
+        self.held.difference_update(names)
+        for name in names:
+            stay = self._stays.get(name, (now, FIRST / 2))[1]
+            self._stays[name] = now, stay
 
     def bar(self, name: str) -> None:
         """Take an architecture that crashes back only with other code, or `forgive`."""
@@ -159,7 +143,7 @@ class PutAside:
             self._run.journal.note("decided", what)
         self._crashed.clear()
         self._stays.clear()
-        self._try_at = 0.0
+        self._has_news = True
 
     def look(self) -> None:
         """Note what does not run, and what runs again."""
@@ -186,79 +170,15 @@ class PutAside:
             for name, each in sorted(self._known.copy().items())
         )
 
-    def take_back(
-        self,
-        facts: Facts,
-        now: float,
-        *,
-        is_calm: bool,
-        missing: AbstractSet[str] = frozenset(),
-    ) -> bool:
-        """Start what fits again beside what runs, the highest priority first.
-
-        What runs stays where it is. Returns whether something was started.
-
-        Parameters
-        ----------
-        missing
-            Needed functions that are missing: nothing is taken back but all of them.
-        is_calm
-            Whether nothing is wrong now.
-        """
-        if facts.lost != self._lost:
-            self._lost = facts.lost
-            self._try_at, self._try_again = now, _TRY_AGAIN
-        if not is_calm or self._calm_since is None:
-            self._calm_since = now if is_calm else None
-        if self._calm_since is None or now - self._calm_since < CALM:
-            return False
+    def due(self, now: float) -> list[Architecture]:
+        """Return what may be started again, the highest priority first."""
         self._forgive_mended(now)
-        due = [a for a in self._aside() if self._is_due(a.name, now)]
-        if not due or now < self._try_at:
-            return False
-        choices = self._choices(due, missing)
-        if not choices:
-            return False
-        for architectures in choices:
-            names = {c.name for a in architectures for c in a.components}
-            if where := room_for_components(facts, names):
-                return self._start(architectures, where, now)
-        self._try_at = now + self._try_again
-        self._try_again = min(2 * self._try_again, LONGEST)
-        return False
+        return [a for a in self._aside() if self._is_due(a.name, now)]
 
-    def _choices(
-        self, due: list[Architecture], missing: AbstractSet[str]
-    ) -> list[Sequence[Architecture]]:
-        """Return what may be taken back together, the best first."""
-        if not missing:
-            held = [a for a in due if a.name in self._held]
-            return [*([held] if held else []), *([each] for each in due)]
-        needed = sorted((a for a in due if a.function in missing), key=_function)
-        of_each = [list(group) for _, group in groupby(needed, _function)]
-        if len(of_each) < len(missing):
-            return []
-        return [*islice(product(*of_each), _MOST_CHOICES)]
-
-    def _start(
-        self,
-        architectures: Sequence[Architecture],
-        where: Mapping[str, str],
-        now: float,
-    ) -> bool:
-        names = [architecture.name for architecture in architectures]
-        what = " and ".join(f"architecture '{name}'" for name in names)
-        text = f"there is room: {what} taken back"
-        self._run.journal.note("decided", text, placement=where)
-        self._try_at, self._try_again = now + _TRY_AGAIN, _TRY_AGAIN
-        if not start_together(self._run, where):
-            self.note(names, "it could not be started", now)
-            return False
-        self._held.difference_update(names)
-        for name in names:
-            stay = self._stays.get(name, (now, FIRST / 2))[1]
-            self._stays[name] = now, stay
-        return True
+    def take_news(self) -> bool:
+        """Return whether something may start since the last time that could not."""
+        has_news, self._has_news = self._has_news, False
+        return has_news
 
     def _stop(self, components: Mapping[str, str]) -> bool:
         steps = tuple(
@@ -282,11 +202,11 @@ class PutAside:
         """Look, now and then, whether the code of what crashed is another."""
         if now < self._look_at_code:
             return
-        self._look_at_code = now + _TRY_AGAIN
+        self._look_at_code = now + _LOOK_AT_CODE
         for name, code in list(self._crashed.items()):
             if self._code_of(self._run.robot.architecture(name)) != code:
                 del self._crashed[name]
-                self._try_at = 0.0
+                self._has_news = True
                 what = f"the code of architecture '{name}' has changed"
                 self._run.journal.note("seen", what)
 
@@ -302,7 +222,7 @@ class PutAside:
 
     def _add(self, name: str, why: str) -> None:
         before = self._known.get(name)
-        self._known[name] = _Aside(why, before.since if before else time.time())
+        self._known[name] = _Aside(why, before.since if before else wall_time())
         if before is None or before.why != why:
             self._run.journal.note("wrong", _sentence(name, why))
 
@@ -327,10 +247,6 @@ def not_running(robot: Robot, task: str, placed: Iterable[str]) -> list[Architec
         ),
         key=lambda a: (-a.priority, -a.quality),
     )
-
-
-def _function(architecture: Architecture) -> str:
-    return architecture.function
 
 
 def _sentence(name: str, why: str) -> str:

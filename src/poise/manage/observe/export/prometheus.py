@@ -79,7 +79,7 @@ class MetricsServer:
             where = "{}:{}".format(*address)
             raise RunError(f"metrics cannot be served on {where}: {error}") from error
         self._server.daemon_threads = True
-        self._thread = threads.daemon(self._server.serve_forever, "metrics")
+        self._thread = threads.daemon(self._server.serve_forever, "metrics", again=True)
         self._thread.start()
 
     @property

@@ -24,7 +24,6 @@ log = logging.getLogger(__name__)
 
 ADOPT_LIMIT = 5.0
 """A container of an earlier agent asks to be adopted within this time [s]."""
-_BOOT = Path("/proc/sys/kernel/random/boot_id")
 
 
 class AdoptedContainers:

@@ -68,6 +68,10 @@ class ContainerProcess:
         if self.is_deaf:
             self.kill()
 
+    def extend_lease(self, until: float) -> None:
+        """Let its leased components act until then, as `ContainerControl` does."""
+        self._control.extend_lease(until)
+
     def close(self) -> None:
         """Let go of what leads to it."""
         self._control.close()
@@ -119,6 +123,24 @@ class ContainerProcess:
             self._why_ended = what.reason
             return None
         return what
+
+    def leased_at_work(self, since: float) -> list[str]:
+        """Return the leased components that it says are active, if it said so lately.
+
+        Parameters
+        ----------
+        since
+            Of what it said before, or does not say because it is starved or stopped,
+            nothing is known [s].
+        """
+        if self.status is None or self.status.at < since:
+            return []
+        leased = {(c.name, c.epoch) for c in self.spec.components if c.leased}
+        return sorted(
+            c.name
+            for c in self._components()
+            if c.state == "active" and (c.name, c.epoch) in leased
+        )
 
     def keep_limits(self, now: float) -> None:
         """Kill it when it takes too long to end, or to respond."""

@@ -7,7 +7,7 @@ import os
 import signal
 import socket
 
-from poise.runtime._calls import PageSampler
+from poise.runtime._calls import LeaseEnd, PageSampler
 from poise.wire import record_channel
 from poise.wire.records.container import FromContainer, ToContainer
 
@@ -33,6 +33,7 @@ class ControlLink:
         self._connection = connection
         self._reader = record_channel.RecordReader(connection)
         self._stats_page = stats_page
+        self._lease: LeaseEnd | None = None
 
     def fileno(self) -> int:
         """Return the descriptor to wait for; negative: it is closed."""
@@ -47,6 +48,7 @@ class ControlLink:
         """Take note of its process; OSError or RuntimeError: no memory is free."""
         self.pid = pid
         self.page = PageSampler(self._stats_page, pid)
+        self._lease = LeaseEnd(self._stats_page)
 
     def send(self, record: ToContainer) -> None:
         """Tell it something; raises as `record_channel.send`."""
@@ -57,6 +59,18 @@ class ControlLink:
         if self.pid:
             with contextlib.suppress(ProcessLookupError):  # its end is reported
                 os.kill(self.pid, number)
+
+    def extend_lease(self, until: float) -> None:
+        """Let its leased components act until then [s, CLOCK_BOOTTIME].
+
+        Called from any thread; without effect before it is born.
+        """
+        if self._lease is not None:
+            self._lease.at = until
+
+    def is_lease_past(self) -> bool:
+        """Return whether its leased components may not act; raises as `note_born`."""
+        return LeaseEnd(self._stats_page).is_past()
 
     def heartbeat(self) -> int | None:
         """Return how often its control thread has run; None before it is born."""

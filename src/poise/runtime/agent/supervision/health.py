@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping
 
 from msgspec import structs
 
+from poise.clock import wall_time
 from poise.wire.records.status import ContainerHealth, ContainerState, Fault
 
 _MOST_FAULTS = 100
@@ -33,10 +34,11 @@ class HealthRecords:
     def __init__(
         self,
         clock: Callable[[], float] = time.monotonic,
-        wall: Callable[[], float] = time.time,
+        wall: Callable[[], float] = wall_time,
     ) -> None:
         self._clock = clock
         self._wall = wall
+        self._born = clock()
         self._restarts: dict[str, deque[float]] = {}
         self._faults: deque[Fault] = deque(maxlen=_MOST_FAULTS)
         self._number = 0
@@ -69,6 +71,7 @@ class HealthRecords:
             message=message,
             number=self._number,
             at=self._wall(),
+            uptime=self._clock() - self._born,
             restarts=known.restarts if known else 0,
             is_over=is_over,
         )

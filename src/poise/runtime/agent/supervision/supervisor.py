@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Iterator, Mapping
+from math import inf
 from random import Random
 
 from msgspec import structs
@@ -30,6 +31,10 @@ from poise.wire.records.deployment import ContainerSpec, Deployment
 from poise.wire.records.status import ContainerHealth, ContainerStatus
 
 log = logging.getLogger(__name__)
+
+FENCE_GRACE = 0.5
+"""A component that still runs so long after its agent found the lease ended is killed
+with its container [s]."""
 
 
 class Supervisor:
@@ -67,7 +72,9 @@ class Supervisor:
         self.wanted: Deployment | None = None
         self.cpu_of_ended = 0.0
         self.trouble = ""
-        self.is_cut_off = False
+        self.lease_end = -inf
+        self._is_cut_off = False
+        self._cut_off_at = inf
         self._host = host
         self._clock = clock
         self._supervised = supervised
@@ -76,6 +83,23 @@ class Supervisor:
         self._checkpoint_age = checkpoint_age
         self._backoffs: dict[str, BackOff] = {}
         self._is_ending = False
+
+    @property
+    def is_cut_off(self) -> bool:
+        """Whether the lease has ended: leased components are to be inactive."""
+        return self._is_cut_off
+
+    @is_cut_off.setter
+    def is_cut_off(self, is_cut_off: bool) -> None:
+        if is_cut_off != self._is_cut_off:
+            self._cut_off_at = self._clock.now() if is_cut_off else inf
+        self._is_cut_off = is_cut_off
+
+    def extend_lease(self, until: float) -> None:
+        """Let leased components act until then [s, CLOCK_BOOTTIME]; on any thread."""
+        self.lease_end = until
+        for process in list(self.processes.values()):
+            process.extend_lease(until)
 
     def take(self, wanted: Deployment) -> None:
         """Work towards a deployment from now on."""
@@ -139,6 +163,7 @@ class Supervisor:
             try:
                 self._host.settle(process.spec, pid)
                 process.note_born(pid)
+                self.extend_lease(self.lease_end)
             except (OSError, RuntimeError) as error:  # no memory is free
                 process.give_up(f"its counters cannot be read: {error}")
 
@@ -176,6 +201,7 @@ class Supervisor:
             self._host.settle(specs[name], pid)
         self.health.enter(name, "running")
         self.processes[name] = process
+        self.extend_lease(self.lease_end)
         return True
 
     def note_silence(self, silence: Silence) -> None:
@@ -225,7 +251,10 @@ class Supervisor:
             if name not in self.processes and not self.trouble:
                 yield max(self._backoffs[name].again_at, again_at(part_of(name)))
         for name, process in self.processes.items():
-            yield max(min(process.kill_at, process.hung_at), again_at(part_of(name)))
+            due = min(process.kill_at, process.hung_at)
+            if not process.is_deaf and process.leased_at_work(self._cut_off_at):
+                due = min(due, self._cut_off_at + FENCE_GRACE)
+            yield max(due, again_at(part_of(name)))
 
     def _step(self, name: str, spec: ContainerSpec | None) -> None:
         now, process = self._clock.now(), self.processes.get(name)
@@ -233,6 +262,7 @@ class Supervisor:
             if spec is None and self.wanted is not None:
                 process.stop(now)
             process.keep_limits(now)
+            self._fence(process, now)
             if spec is not None:
                 self._tell(process, spec)
         elif spec is not None and not self.trouble and not self._awaits(name):
@@ -246,6 +276,16 @@ class Supervisor:
         if process.pid and process.spec.spare != spec.spare:
             self._host.settle(spec, process.pid)
         process.tell(spec)
+
+    def _fence(self, process: ContainerProcess, now: float) -> None:
+        """Kill a container whose code goes on though it has no lease any more."""
+        if now < self._cut_off_at + FENCE_GRACE or process.is_deaf:
+            return
+        if at_work := process.leased_at_work(self._cut_off_at):
+            names = ", ".join(f"'{name}'" for name in at_work)
+            process.give_up(
+                f"{names} still ran {FENCE_GRACE:g} s after the computer's lease ended"
+            )
 
     def _start(self, spec: ContainerSpec) -> None:
         try:

@@ -88,7 +88,7 @@ const Fields& fields() {
 
 ServedCall::ServedCall(nb::object decode, nb::object method, nb::object encode, nb::object exclusion,
                        double limit, nb::object counts, nb::object translate,
-                       nb::object is_over)
+                       nb::object is_over, nb::object lease)
     : decode_(std::move(decode)),
       method_(std::move(method)),
       encode_(std::move(encode)),
@@ -96,8 +96,11 @@ ServedCall::ServedCall(nb::object decode, nb::object method, nb::object encode, 
       counts_(std::move(counts)),
       translate_(std::move(translate)),
       is_over_(std::move(is_over)),
+      lease_(std::move(lease)),
       exclusion_of_(inside_of<Exclusion>(exclusion_, "a ServedCall takes an Exclusion")),
       counts_of_(inside_of<Counts>(counts_, "a ServedCall takes a Counts")),
+      lease_of_(lease_.is_none() ? nullptr
+                                 : &inside_of<LeaseEnd>(lease_, "a ServedCall takes a LeaseEnd")),
       limit_(limit) {}
 
 nb::object ServedCall::answer(nb::handle frame, double ahead) {
@@ -115,6 +118,7 @@ nb::object ServedCall::answer(nb::handle frame, double ahead) {
     thread_chain = chain;
     const Inside inside(exclusion_of_, chain, until);
     refuse_late(until, wall_now());
+    refuse_fenced();
     if ((holding.waited() || inside.waited()) && nb::cast<bool>(is_over_()))
       refuse(nb::str("its caller is gone"));
     const Deadline deadline(until);
@@ -147,6 +151,14 @@ void ServedCall::refuse_late(Moment until, Moment now) const {
   if (now < until) return;
   const double late = 1e-9 * static_cast<double>(now - until);
   refuse(nb::str("its caller's limit passed {:.3g} s ago").format(late));
+}
+
+void ServedCall::refuse_fenced() const {
+  if (!lease_of_ || !lease_of_->is_past()) return;
+  const nb::object type = nb::module_::import_("poise.runtime.execution.lease").attr("LeaseEnded");
+  const nb::object error = type(exclusion_of_.what().c_str());
+  PyErr_SetObject(type.ptr(), error.ptr());
+  throw nb::python_error();
 }
 
 void ServedCall::refuse(const nb::object& why) const {

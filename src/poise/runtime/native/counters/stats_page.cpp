@@ -16,6 +16,7 @@ constexpr std::uint64_t index_mask = (1u << index_bits) - 1;
 struct alignas(64) StatsMemory::Head {
   Shared<std::uint64_t> used;
   Shared<std::uint64_t> heartbeat;
+  Shared<double> lease_end;
 };
 
 static std::system_error system_error(const char* what) {
@@ -61,6 +62,10 @@ bool StatsMemory::is_still(std::size_t index, std::uint64_t id) const {
 std::uint64_t StatsMemory::heartbeat() const { return head_->heartbeat.get(); }
 
 void StatsMemory::beat() { head_->heartbeat.add(1); }
+
+double StatsMemory::lease_end() const { return head_->lease_end.get(); }
+
+void StatsMemory::set_lease_end(double at) { head_->lease_end.set(at); }
 
 std::size_t StatsMemory::used() const {
   return std::min(static_cast<std::size_t>(head_->used.get()), size_);

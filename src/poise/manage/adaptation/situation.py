@@ -1,4 +1,4 @@
-"""What the loop of adaptation knows of a running robot at one moment."""
+"""What the manager knows of a running robot at one moment."""
 
 from __future__ import annotations
 
@@ -8,9 +8,11 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from poise.estimate.profile import ConnectorProfile
+from poise.manage.adaptation.policy.evaluation import Symptom
 from poise.manage.observe.chains import ChainAge
 from poise.manage.observe.estimates import DemandEstimate
 from poise.manage.observe.loads import Load
+from poise.model.policy.policy import Do
 from poise.model.policy.values import TimerValues
 from poise.model.robot import Computer, Robot
 from poise.wire.records.status import AgentStatus
@@ -21,7 +23,7 @@ _WANTS_MORE = 1.5
 """What other programs want on a full computer, as a multiple of what they get there."""
 
 
-class Facts(Struct, frozen=True, kw_only=True):
+class Situation(Struct, frozen=True, kw_only=True):
     """One moment of a running robot.
 
     Parameters
@@ -48,6 +50,12 @@ class Facts(Struct, frozen=True, kw_only=True):
         Component -> the downtime of its last move [s].
     bad_links
         The links about which policies want a new plan, by name.
+    now
+        The moment, by a clock that never goes back [s].
+    symptoms
+        What policies have seen for long enough.
+    missing
+        Functions that the task needs, and that nothing provides.
     """
 
     robot: Robot
@@ -62,8 +70,15 @@ class Facts(Struct, frozen=True, kw_only=True):
     traffic: Mapping[str, ConnectorProfile] = {}
     downtimes: Mapping[str, float] = {}
     bad_links: frozenset[str] = frozenset()
+    now: float = 0.0
+    symptoms: tuple[Symptom, ...] = ()
+    missing: frozenset[str] = frozenset()
 
-    def within_reach(self) -> Facts:
+    def about(self, do: Do) -> tuple[Symptom, ...]:
+        """Return the symptoms about which something is to be done."""
+        return tuple(each for each in self.symptoms if each.policy.do == do)
+
+    def within_reach(self) -> Situation:
         """Return the same without what is out of reach: nothing moves from or to it."""
         if not self.lost:
             return self
@@ -97,7 +112,7 @@ class Facts(Struct, frozen=True, kw_only=True):
         """Return the robot with `computers_left`."""
         return replace(self.robot, computers=self.computers_left())
 
-    def situation(self) -> dict[str, float]:
+    def amounts(self) -> dict[str, float]:
         """Return what decides on a placement: CPU that is left, and needed [cores].
 
         And which links are bad, at any amount.

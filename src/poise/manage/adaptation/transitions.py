@@ -1,0 +1,164 @@
+"""Changes the placement after a symptom, and when a computer is back."""
+
+from __future__ import annotations
+
+from functools import partial
+
+from msgspec.structs import replace
+
+from poise.manage.adaptation.actions import saw
+from poise.manage.adaptation.decision import Decision, decide
+from poise.manage.adaptation.move_limits import MoveLimits
+from poise.manage.adaptation.policy.evaluation import Key, Policies, Symptom
+from poise.manage.adaptation.responder import Change
+from poise.manage.adaptation.shortages.put_aside import PutAside
+from poise.manage.adaptation.shortages.take_back import CALM
+from poise.manage.adaptation.situation import Situation
+from poise.manage.adaptation.what_if import alternatives
+from poise.manage.deploy.desired import Desired
+from poise.manage.deploy.running_components import RunningComponents
+from poise.manage.migration.report import TransitionReport, TransitionStep
+from poise.manage.migration.transition_run import transit
+
+
+class Transitions:
+    """The transitions that the loop made, and what limits the next one.
+
+    Attributes
+    ----------
+    downtimes
+        Component -> the downtime of its last move [s].
+    """
+
+    def __init__(
+        self, run: RunningComponents, policies: Policies, put_aside: PutAside
+    ) -> None:
+        self.run = run
+        self.limits = MoveLimits()
+        self.downtimes: dict[str, float] = {}
+        self._policies = policies
+        self._put_aside = put_aside
+
+    def due(self, symptoms: tuple[Symptom, ...], now: float) -> tuple[Symptom, ...]:
+        """Return the symptoms about which something may be done now."""
+        return self._policies.due(symptoms, now)
+
+    def carry_out(
+        self, steps: tuple[TransitionStep, ...], now: float
+    ) -> TransitionReport:
+        """Take the steps, and remember that."""
+        self.limits.note(steps, now)
+        report = transit(self.run, steps)
+        self.downtimes |= {m.what: m.downtime for m in report.moves}
+        return report
+
+    def change(
+        self, decision: Decision, due: tuple[Symptom, ...], situation: Situation
+    ) -> Change:
+        """Return a decision that acts, as a change."""
+        return Change(
+            why=decision.why,
+            facts={
+                "decision": decision,
+                "alternatives": alternatives(situation),
+                "policies": saw(due),
+                "loads": situation.loads,
+            },
+            carry_out=partial(self._act, decision, due, situation.now),
+        )
+
+    def _act(self, decision: Decision, due: tuple[Symptom, ...], now: float) -> None:
+        proposal = decision.proposal
+        self._policies.note_acted(due, now)
+        report = self.carry_out(proposal.steps if proposal else (), now)
+        if report.committed and proposal:
+            self._put_aside.note(proposal.aside, decision.why, now)
+
+    def why_not(self, decision: Decision, now: float) -> str:
+        """Return why a decision is not carried out; empty: it is."""
+        steps = decision.proposal.steps if decision.proposal else ()
+        if not decision.acts:
+            return decision.why
+        if not self.limits.may_move(len(steps), now):
+            return f"the {len(steps)} moves it takes are over the budget of a minute"
+        return ""
+
+
+class Replan:
+    """Decides on another placement while something is wrong that one may mend."""
+
+    purpose = "plan again"
+
+    def __init__(self, transitions: Transitions) -> None:
+        self._transitions = transitions
+        self._said: dict[Key, str] = {}
+
+    def respond(self, situation: Situation, _desired: Desired) -> Change | None:
+        """Return the transition to a better placement, if that is worth it."""
+        limits, now = self._transitions.limits, situation.now
+        bad = situation.about("replan")
+        self._said = {
+            each.key: self._said.get(each.key, "") for each in situation.symptoms
+        }
+        if not bad:
+            limits.forget_nothing()
+            return None
+        links = (s.values.name for s in bad if s.policy.for_each == "link")
+        situation = replace(situation, bad_links=frozenset(links))
+        due = self._transitions.due(bad, now)
+        if not due or limits.rests(now, situation.amounts()):
+            return None
+        decision = decide(situation, limits.barred(now))
+        why_not = self._transitions.why_not(decision, now)
+        if not why_not:
+            return self._transitions.change(decision, due, situation)
+        limits.note_nothing(now, situation.amounts())
+        self._say_why_not(why_not, decision, situation)
+        return None
+
+    def _say_why_not(self, why: str, decision: Decision, situation: Situation) -> None:
+        """Journal why nothing is done, once for each reason while symptoms last."""
+        if any(said != why for said in self._said.values()):
+            self._said = dict.fromkeys(self._said, why)
+            others = alternatives(situation)
+            note = self._transitions.run.journal.note
+            note("seen", why, decision=decision, alternatives=others)
+
+
+class UseAgain:
+    """Thinks once about each computer that is back, when nothing is wrong.
+
+    By then what components need there, and beside it, has been measured again.
+    """
+
+    purpose = "use computers that are back"
+
+    def __init__(self, transitions: Transitions) -> None:
+        self._transitions = transitions
+        self._lost: frozenset[str] = frozenset()
+        self._back: dict[str, float] = {}
+
+    def respond(self, situation: Situation, _desired: Desired) -> Change | None:
+        """Return a transition that uses what is back, if that is worth it."""
+        limits, now = self._transitions.limits, situation.now
+        self._back |= dict.fromkeys(self._lost - situation.lost, now)
+        self._lost = situation.lost
+        back = [
+            name
+            for name, at in self._back.items()
+            if now - at >= CALM and name not in situation.lost
+        ]
+        if not back or situation.about("replan") or limits.rests(now):
+            return None
+        for name in back:
+            del self._back[name]
+        decision = decide(situation, limits.barred(now))
+        why_not = self._transitions.why_not(decision, now)
+        is_better = decision.acts or decision.proposal is not None
+        why = decision.why if is_better else "all that runs has what it needs"
+        names = " and ".join(f"'{name}'" for name in back)
+        note = self._transitions.run.journal.note
+        note("seen", f"{names} may be used again: {why}")
+        if not decision.acts or why_not:
+            return None
+        return self._transitions.change(decision, (), situation)

@@ -1,0 +1,211 @@
+"""A file that grows by records, on a thread of its own: a slow disk delays nobody."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import threading
+import time
+from collections import deque
+from pathlib import Path
+
+from poise import threads
+from poise.units import counted
+
+_RETRY_AFTER = 1.0
+"""What could not be written is tried again after this time [s]."""
+_SLOW_AFTER = 2.0
+"""A disk that has not answered for this time [s] is said to be the trouble."""
+_MOST_AT_ONCE = 1 << 20
+"""At least one record, and up to so much, is written at once [bytes]."""
+_CLOSE_LIMIT = 2.0
+
+
+class BackgroundFile:
+    """Appends records to a file. Its methods never raise, and any thread may use them.
+
+    A record is in the file whole or not at all, unless the process is killed while the
+    kernel takes it. So a reader finds all but the last few milliseconds.
+
+    Parameters
+    ----------
+    path
+        Created when it does not exist. It may be removed or renamed meanwhile: another
+        one of its name is begun.
+    name, unit
+        Of the file and of a record, for sentences: "the journal", "entry".
+    most
+        So much waits for the disk at most; further records are dropped [bytes].
+    largest, files
+        A file that would grow beyond `largest` [bytes] is renamed to ``path.1``, that
+        one to ``path.2``, and so on; the oldest of `files` is removed. 0: it may grow.
+
+    Attributes
+    ----------
+    missing
+        How many records were dropped.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        name: str,
+        unit: str,
+        *,
+        most: int,
+        largest: int = 0,
+        files: int = 1,
+    ) -> None:
+        self.path = path
+        self.missing = 0
+        self._what, self._unit = f"{name} {path}", unit
+        self._most, self._largest, self._files = most, largest, files
+        self._waiting: deque[bytes] = deque()
+        self._size = 0
+        self._changed = threading.Condition()
+        self._is_closing = False
+        self._fd = -1
+        self._error = ""
+        self._began: float | None = None
+        self._thread = threads.daemon(self._main, name, again=True)
+
+    def start(self) -> None:
+        """Begin to write."""
+        self._thread.start()
+
+    def add(self, record: bytes) -> None:
+        """Write a record soon; it is dropped and counted when too many wait."""
+        with self._changed:
+            if self._is_closing or self._size + len(record) > self._most:
+                self.missing += 1
+                return
+            self._waiting.append(record)
+            self._size += len(record)
+            self._changed.notify_all()
+
+    @property
+    def trouble(self) -> str:
+        """Why records are not written, and how many are missing; empty: all is well."""
+        began, error = self._began, self._error
+        if not error and began and time.monotonic() - began > _SLOW_AFTER:
+            error = f"its disk has not answered for {_SLOW_AFTER:g} s"
+        if error:
+            return (
+                f"{self._what} cannot be written: {error}{self._lacks(', and so far')}"
+            )
+        return self._what + lacks if (lacks := self._lacks("")) else ""
+
+    def flush(self, limit: float = _CLOSE_LIMIT) -> bool:
+        """Wait up to `limit` [s] until nothing waits; return whether that is so."""
+        with self._changed:
+            return self._changed.wait_for(
+                lambda: not self._waiting or bool(self._error), limit
+            ) and not bool(self._waiting)
+
+    def close(self) -> None:
+        """Write what waits, within 2 s; what then still waits is missing."""
+        with self._changed:
+            self._is_closing = True
+            self._changed.notify_all()
+        if self._thread.is_alive():
+            self._thread.join(_CLOSE_LIMIT)
+        with self._changed:
+            self.missing += len(self._waiting)
+            self._waiting.clear()
+            self._size = 0
+
+    def _lacks(self, how: str) -> str:
+        missing = self.missing
+        return f"{how} lacks {counted(missing, self._unit)}" if missing else ""
+
+    def _main(self) -> None:
+        while records := self._next():
+            self._began = time.monotonic()
+            try:
+                self._append(b"".join(records))
+            except OSError as error:
+                self._note(str(error.strerror or error))
+                if not self._wait_to_retry():
+                    break
+            else:
+                self._note_written(len(records))
+            finally:
+                self._began = None
+        if self._fd >= 0:
+            os.close(self._fd)
+
+    def _next(self) -> list[bytes]:
+        """Return what is to be written next; nothing: it is to be closed.
+
+        In trouble that is one record, for which there may be room.
+        """
+        with self._changed:
+            self._changed.wait_for(lambda: self._waiting or self._is_closing)
+            found: list[bytes] = []
+            size = 0
+            for record in self._waiting:
+                if found and (self._error or size + len(record) > _MOST_AT_ONCE):
+                    break
+                found.append(record)
+                size += len(record)
+            return found
+
+    def _wait_to_retry(self) -> bool:
+        """Wait a moment; return whether to try once more."""
+        with self._changed:
+            if self._is_closing:
+                return False
+            self._changed.wait_for(lambda: self._is_closing, _RETRY_AFTER)
+            return True
+
+    def _note(self, error: str) -> None:
+        with self._changed:
+            self._error, self._began = error, None
+            self._changed.notify_all()
+
+    def _note_written(self, count: int) -> None:
+        with self._changed:
+            for _ in range(min(count, len(self._waiting))):
+                self._size -= len(self._waiting.popleft())
+            if not self._waiting:
+                self._error = ""
+            self._changed.notify_all()
+
+    def _append(self, data: bytes) -> None:
+        """Write all of it, or raise OSError and leave the file as it was."""
+        fd = self._opened()
+        size = os.fstat(fd).st_size
+        if self._largest and size and size + len(data) > self._largest:
+            self._rotate()
+            fd = self._opened()
+            size = 0
+        done = os.write(fd, data)
+        if done < len(data):  # the next one would say that the disk is full
+            if os.fstat(fd).st_size == size + done:
+                os.ftruncate(fd, size)
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    def _opened(self) -> int:
+        """Return the file, unless another one has its name by now."""
+        if self._fd >= 0:
+            with contextlib.suppress(OSError):
+                there, mine = self.path.stat(), os.fstat(self._fd)
+                if (there.st_dev, there.st_ino) == (mine.st_dev, mine.st_ino):
+                    return self._fd
+            os.close(self._fd)
+            self._fd = -1
+        flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC
+        self._fd = os.open(self.path, flags, 0o600)
+        return self._fd
+
+    def _rotate(self) -> None:
+        paths = [self.path, *numbered(self.path, self._files)]
+        for older, newer in zip(reversed(paths), reversed(paths[:-1]), strict=False):
+            with contextlib.suppress(FileNotFoundError):
+                newer.replace(older)
+
+
+def numbered(path: Path, files: int) -> list[Path]:
+    """Return the names that a file gets later: of `files` files, without its own."""
+    return [path.with_name(f"{path.name}.{number}") for number in range(1, files)]

@@ -1,0 +1,150 @@
+"""What should run on the robot: one frozen record, which `commit` replaces.
+
+Nothing else says what should run. The reconciler compares it with what agents report;
+any thread may read the record that is in force.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Mapping
+
+from msgspec import Struct
+from msgspec.structs import replace
+
+from poise.manage.deploy.incarnation import Incarnation
+from poise.wire.records.deployment import Goal
+
+
+class Desired(Struct, frozen=True, kw_only=True):
+    """What should run on all computers of a robot.
+
+    Parameters
+    ----------
+    placed
+        Component -> its authoritative incarnation.
+    coming
+        Incarnations of a change under way: targets of a migration, or what starts.
+        They become authoritative when the change is committed.
+    configured_ahead
+        Targets of migrations to come: being configured, and joined to nothing.
+    prepared
+        Component -> its idle incarnation: configured, inactive and joined to nothing,
+        to be active soon.
+    held
+        Components that stay inactive, whatever their goal: another manager may run
+        them on a computer that this one has not claimed.
+    spare
+        Computer -> CPU for what is being prepared there [cores].
+    tasks
+        What the next manager needs to go on with the tasks; agents keep it.
+    generation
+        The number of this record: higher than any that an agent has seen.
+    is_stopped
+        Whether nothing is to run; the rest of the record then says what ran last.
+    """
+
+    placed: Mapping[str, Incarnation] = {}
+    coming: tuple[Incarnation, ...] = ()
+    configured_ahead: tuple[Incarnation, ...] = ()
+    prepared: Mapping[str, Incarnation] = {}
+    held: frozenset[str] = frozenset()
+    spare: Mapping[str, float] = {}
+    tasks: bytes = b""
+    generation: int = 0
+    is_stopped: bool = False
+
+    def incarnations(self) -> tuple[Incarnation, ...]:
+        """Return all that should be in some container."""
+        if self.is_stopped:
+            return ()
+        busy = self.placed.keys() | {each.component for each in self.coming}
+        idle = (each for name, each in self.prepared.items() if name not in busy)
+        wanted = (*self.placed.values(), *self.coming, *self.configured_ahead, *idle)
+        return tuple(
+            each.with_goal("inactive") if each.component in self.held else each
+            for each in wanted
+        )
+
+    def placement(self) -> dict[str, str]:
+        """Return component -> computer of what is authoritative."""
+        return {name: each.computer for name, each in self.placed.items()}
+
+    def settled(self) -> dict[str, Incarnation]:
+        """Return the components that no change is about."""
+        changing = {each.component for each in self.coming}
+        return {
+            name: each
+            for name, each in self.placed.items()
+            if each.goal == "active" and name not in changing | self.held
+        }
+
+    def starting(self, coming: Iterable[Incarnation]) -> Desired:
+        """Return this with a change under way, instead of any other."""
+        coming = tuple(coming)
+        return replace(self.configured(coming), coming=coming)
+
+    def configuring(self, targets: Iterable[Incarnation]) -> Desired:
+        """Return this with targets of a migration to come."""
+        return replace(self, configured_ahead=(*self.configured_ahead, *targets))
+
+    def configured(self, targets: Iterable[Incarnation]) -> Desired:
+        """Return this without targets of a migration that begins, or never will."""
+        keys = {(each.component, each.epoch) for each in targets}
+        ahead = (e for e in self.configured_ahead if (e.component, e.epoch) not in keys)
+        return replace(self, configured_ahead=tuple(ahead))
+
+    def placing(self, incarnations: Iterable[Incarnation]) -> Desired:
+        """Return this with incarnations that are authoritative from now on."""
+        new = {each.component: each for each in incarnations}
+        return replace(
+            self,
+            placed={**self.placed, **new},
+            prepared={n: e for n, e in self.prepared.items() if n not in new},
+            coming=(),
+        )
+
+    def without(self, components: Collection[str]) -> Desired:
+        """Return this without components, whatever they do."""
+        return replace(
+            self,
+            placed={n: e for n, e in self.placed.items() if n not in components},
+            prepared={n: e for n, e in self.prepared.items() if n not in components},
+            coming=tuple(e for e in self.coming if e.component not in components),
+        )
+
+    def preparing(self, incarnations: Iterable[Incarnation]) -> Desired:
+        """Return this with incarnations that are idle from now on."""
+        new = {each.component: each for each in incarnations}
+        return replace(self, prepared={**self.prepared, **new})
+
+    def aiming(self, goal: Goal, components: Collection[str]) -> Desired:
+        """Return this with another goal for placed components."""
+        placed = {
+            name: each.with_goal(goal) if name in components else each
+            for name, each in self.placed.items()
+        }
+        return replace(self, placed=placed)
+
+    def released(self) -> Desired:
+        """Return this without any change under way: what was placed goes on."""
+        return replace(
+            self.aiming("active", self.placed.keys()), coming=(), configured_ahead=()
+        )
+
+
+def difference(before: Desired, after: Desired) -> list[str]:
+    """Return what a commit changes, one entry for each incarnation."""
+    if before.is_stopped != after.is_stopped:
+        return ["nothing is to run" if after.is_stopped else "all is to run"]
+    old, new = (
+        {(each.component, each.epoch): each for each in record.incarnations()}
+        for record in (before, after)
+    )
+    gone = (f"- {each}" for key, each in old.items() if key not in new)
+    come = (f"+ {each}" for key, each in new.items() if key not in old)
+    aims = (
+        f"{old[key]} -> {each.goal}"
+        for key, each in new.items()
+        if key in old and old[key].goal != each.goal
+    )
+    return [*gone, *come, *aims]

@@ -1,0 +1,97 @@
+"""What another manager may run on computers that this one has not claimed. Pure.
+
+A manager that does not reach all agents cannot know what is at work on the others: on
+the far side of a cut another manager may have started there what is inactive here. So
+it holds such components: they stay inactive, with their state, until it has claimed
+these computers, or a person says that it takes over.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Mapping, Sequence
+
+from msgspec.structs import replace
+
+from poise.manage.deploy.adoption import Found
+from poise.manage.deploy.desired import Desired
+from poise.model.check.allowed_computers import allowed_computers
+from poise.model.pinned import leased_components
+from poise.model.robot import Robot
+
+
+def components_to_hold(
+    robot: Robot,
+    found: Sequence[Found],
+    claimed: Collection[str],
+    fenced: Collection[str],
+) -> frozenset[str]:
+    """Return the components that may be at work on a computer that is not claimed.
+
+    Parameters
+    ----------
+    found
+        What the claimed agents work towards.
+    fenced
+        Computers whose lease had ended when they were claimed: what may move is
+        inactive there, and may have been started elsewhere.
+    """
+    missing = {computer.name for computer in robot.computers} - set(claimed)
+    goals: dict[str, set[str]] = {}
+    for each in found:
+        goal = "inactive" if each.computer in fenced else each.spec.goal
+        goals.setdefault(each.name, set()).add(goal)
+    allowed = allowed_computers(robot)
+    return frozenset(
+        name
+        for name in leased_components(robot)
+        if not missing.isdisjoint(allowed[name]) and "active" not in goals.get(name, ())
+    )
+
+
+def where_held(
+    robot: Robot,
+    starts: Mapping[str, str],
+    held: Collection[str],
+    claimed: Collection[str],
+) -> dict[str, str]:
+    """Return component -> computer of what starts.
+
+    What is held counts as placed on a computer that is not claimed.
+    """
+    allowed = allowed_computers(robot)
+    return {
+        name: min(set(allowed[name]) - set(claimed)) if name in held else at
+        for name, at in starts.items()
+    }
+
+
+def joined_by(
+    desired: Desired, robot: Robot, found: Iterable[Found], claimed: Collection[str]
+) -> Desired:
+    """Return what should run when one more computer is claimed.
+
+    What is at work there goes on there, unless this manager runs it elsewhere. When no
+    computer is missing any more, what is held is active again where it is.
+
+    Parameters
+    ----------
+    found
+        What the agent of that computer works towards.
+    claimed
+        All computers that are claimed now.
+    """
+    placed, held = dict(desired.placed), set(desired.held)
+    for each in sorted(found, key=lambda f: f.spec.epoch):
+        before = placed.get(each.name)
+        is_here = before is not None and before.computer == each.computer
+        if (
+            before is not None
+            and each.spec.goal == "active"
+            and (is_here or each.name in held)
+        ):
+            placed[each.name] = each.incarnation
+            held.discard(each.name)
+    missing = {computer.name for computer in robot.computers} - set(claimed)
+    allowed = allowed_computers(robot)
+    freed = {name for name in held if missing.isdisjoint(allowed[name])}
+    return replace(desired, placed=placed, held=frozenset(held - freed))

@@ -1,0 +1,193 @@
+"""Brings agents to what should run, whatever they were told before.
+
+Each step compares what every agent reports with what should run on its computer, and
+takes the smallest step: it claims an agent that does not obey, or tells one what has
+changed. It waits for nothing and raises nothing. What an agent refuses, or does not
+answer in time, is a deviation, and is tried again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Protocol
+
+from msgspec import structs
+
+from poise.clock import Clock
+from poise.manage.agent_connections.requests import Reply
+from poise.manage.agent_connections.statuses import Statuses
+from poise.wire.records.deployment import Deployment
+from poise.wire.records.requests import Accepted, Claimed, Refused
+from poise.wire.records.status import AgentStatus
+
+ANSWER_LIMIT = 2.0
+"""An agent answers a claim or deployment within this time [s]."""
+APPLY_LIMIT = 1.0
+"""It reports within this time that it works towards what it accepted [s]; else it is
+told again, which is harmless."""
+TRY_AGAIN = 1.0
+"""An agent that refused or did not answer is asked again after this time [s]."""
+
+
+class ReconciledAgents(Protocol):
+    """What the reconciler needs of the manager's connections to agents."""
+
+    def statuses(self) -> Statuses:
+        """Return what each agent reported last."""
+        ...
+
+    def out_of_reach(self) -> Mapping[str, float]:
+        """Return the agents that are not reached."""
+        ...
+
+    def obey(self, computer: str) -> bool:
+        """Return whether an agent is reached and obeys this manager."""
+        ...
+
+    def begin_claim(self, computer: str) -> Reply:
+        """Ask an agent to obey this manager; do not wait."""
+        ...
+
+    def end_claim(self, computer: str, reply: Reply) -> None:
+        """Take note that an agent accepted a claim."""
+        ...
+
+    def begin_deploy(self, computer: str, deployment: Deployment) -> Reply:
+        """Tell an agent what should run; do not wait."""
+        ...
+
+
+class _AskedAgent:
+    """What was asked of one agent."""
+
+    def __init__(self) -> None:
+        self.told: Deployment | None = None
+        self.pid = 0
+        self.told_at = self.again_at = float("-inf")
+        self.reply: Reply | None = None
+        self.is_claim = False
+        self.trouble = ""
+        self.refusal = ""
+
+
+class Reconciler:
+    """Compares and tells; for the manager's thread.
+
+    Parameters
+    ----------
+    on_claimed
+        Called with a computer and what its agent works towards, when it was claimed.
+
+    Attributes
+    ----------
+    troubles
+        Computer -> what its agent refuses or does not answer, for people; replaced as a
+        whole, so that any thread may read it.
+    """
+
+    def __init__(
+        self,
+        agents: ReconciledAgents,
+        clock: Clock,
+        on_claimed: Callable[[str, Deployment | None], object],
+    ) -> None:
+        self._agents = agents
+        self._clock = clock
+        self._on_claimed = on_claimed
+        self._known: dict[str, _AskedAgent] = {}
+        self.troubles: Mapping[str, str] = {}
+
+    def step(self, wanted: Mapping[str, Deployment]) -> None:
+        """Take the smallest step towards what should run, on all computers."""
+        statuses, away = self._agents.statuses(), self._agents.out_of_reach()
+        for computer, deployment in wanted.items():
+            status = None if computer in away else statuses.get(computer)
+            self._bring(computer, deployment, status)
+        self.troubles = {n: a.trouble for n, a in self._known.items() if a.trouble}
+
+    def is_current(self, computer: str, status: AgentStatus) -> bool:
+        """Return whether a status speaks of what its agent was told last."""
+        agent = self._known.get(computer)
+        told = agent.told if agent else None
+        return told is not None and status.generation >= told.generation
+
+    def refusal(self, computer: str) -> str:
+        """Return why an agent refuses what it was told last; empty: it does not."""
+        agent = self._known.get(computer)
+        return agent.refusal if agent else ""
+
+    def forget(self, computer: str) -> None:
+        """Tell an agent again what should run, though nothing has changed."""
+        self._known.pop(computer, None)
+
+    def _bring(
+        self, computer: str, wanted: Deployment, status: AgentStatus | None
+    ) -> None:
+        agent, now = self._known.setdefault(computer, _AskedAgent()), self._clock.now()
+        if agent.reply is not None:
+            self._take(computer, agent, now)
+        if status is None:  # it is told when it is back
+            agent.trouble = agent.refusal = ""
+            agent.told = None
+            return
+        if not self._agents.obey(computer):
+            agent.told = None
+            if agent.reply is None and now >= agent.again_at:
+                agent.reply = self._agents.begin_claim(computer)
+                agent.is_claim, agent.told_at = True, now
+            return
+        if agent.is_claim and agent.reply is not None:
+            return
+        if self._is_told(agent, wanted, status, now) or (
+            agent.told is not None
+            and now < agent.again_at
+            and _same(agent.told, wanted)
+        ):
+            return
+        agent.told, agent.pid, agent.told_at = wanted, status.pid, now
+        agent.refusal = ""
+        agent.reply = self._agents.begin_deploy(computer, wanted)
+        agent.is_claim = False
+        self._take(computer, agent, now)
+
+    def _is_told(
+        self, agent: _AskedAgent, wanted: Deployment, status: AgentStatus, now: float
+    ) -> bool:
+        told = agent.told
+        if told is None or agent.pid != status.pid or not _same(told, wanted):
+            return False
+        if agent.reply is not None:
+            return True
+        if agent.refusal:
+            return False
+        return status.generation >= told.generation or now < agent.told_at + APPLY_LIMIT
+
+    def _take(self, computer: str, agent: _AskedAgent, now: float) -> None:
+        """Take in an agent's answer, if it is there or late."""
+        reply = agent.reply
+        is_late = now >= agent.told_at + ANSWER_LIMIT
+        if reply is None or not (reply.is_done or is_late):
+            return
+        agent.reply = None
+        answer = reply.answer
+        if isinstance(answer, Accepted | Claimed):
+            agent.trouble = agent.refusal = ""
+            agent.again_at = now + APPLY_LIMIT if agent.is_claim else float("-inf")
+            if isinstance(answer, Claimed):
+                self._agents.end_claim(computer, reply)
+                self._on_claimed(computer, answer.deployment)
+            return
+        agent.again_at = now + TRY_AGAIN
+        if answer is None and not is_late:
+            return  # its connection broke: that it is lost is known in a moment
+        why = f"did not answer within {ANSWER_LIMIT:g} s"
+        if answer is not None:
+            reason = answer.reason if isinstance(answer, Refused) else str(answer)
+            why = f"refused: {reason}"
+            agent.refusal = f"the agent of '{computer}' {why}"
+        agent.trouble = f"the agent of '{computer}' {why}"
+
+
+def _same(told: Deployment, wanted: Deployment) -> bool:
+    """Return whether two deployments say the same, whenever that is."""
+    return structs.replace(told, generation=wanted.generation) == wanted

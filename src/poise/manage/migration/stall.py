@@ -1,0 +1,60 @@
+"""Whether a migration's targets still come nearer to being ready."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Collection
+
+from poise.errors import RunError
+from poise.manage.agent_connections.statuses import components_of
+from poise.manage.deploy.incarnation import Incarnation
+from poise.manage.deploy.running_components import RunningComponents
+
+STALL_LIMIT = 2.0
+"""A preparation that makes no progress for so long has failed [s]."""
+
+
+class Stall:
+    """Notices when nothing goes on any more. Use it for one preparation.
+
+    Parameters
+    ----------
+    clock
+        A time that never goes back [s].
+    """
+
+    def __init__(
+        self,
+        run: RunningComponents,
+        targets: Collection[Incarnation],
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._run = run
+        self._targets = targets
+        self._missing: list[str] = []
+        self._clock = clock
+        self._since = clock()
+
+    def look(self) -> None:
+        """Raise RunError when nothing came nearer for `STALL_LIMIT`.
+
+        Users' code that is imported or configured may take longer.
+        """
+        now, missing = self._clock(), self._run.missing(self._targets)
+        if missing != self._missing or self._is_configuring():
+            self._missing, self._since = missing, now
+        elif now > self._since + STALL_LIMIT:
+            text = f"nothing goes on since {STALL_LIMIT:g} s"
+            raise RunError(f"{text}: {'; '.join(missing)}")
+
+    def _is_configuring(self) -> bool:
+        """Return whether a target is being started, imported or configured."""
+        current, container_of = self._run.current(), self._run.layout.container_of
+        wanted = {(t.component, t.epoch) for t in self._targets}
+        places = {(t.computer, container_of(t.component)) for t in self._targets}
+        states = {(c.name, c.epoch): c.state for c in components_of(current)}
+        return any(states.get(each) == "unconfigured" for each in wanted) or any(
+            health.state == "starting" and (computer, health.name) in places
+            for computer, status in current.items()
+            for health in status.health
+        )

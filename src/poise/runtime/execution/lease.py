@@ -1,0 +1,31 @@
+"""The lease of a container's components, which fence themselves when it ends.
+
+While an agent is cut off, stopped or killed, the manager may start its movable
+components elsewhere. So the agent writes into the container's stats page when their
+lease ends (`poise.runtime._calls.LeaseEnd`). A leased component looks before each
+handler, and before each message or call that leaves or enters its container: nobody has
+to tell it.
+"""
+
+from __future__ import annotations
+
+from poise.errors import Unavailable
+from poise.runtime._calls import LeaseEnd
+
+__all__ = ["LeaseEnd", "LeaseEnded", "check_lease"]
+
+
+class LeaseEnded(Unavailable):
+    """A leased component may neither send, call, be called nor keep its state."""
+
+    def __init__(self, component: str) -> None:
+        super().__init__(
+            f"component '{component}' is inactive: the lease of its computer has "
+            "ended, so it may be active elsewhere"
+        )
+
+
+def check_lease(lease: LeaseEnd | None, component: str) -> None:
+    """Raise LeaseEnded when a component's lease has ended; None: it is not leased."""
+    if lease is not None and lease.is_past():
+        raise LeaseEnded(component)

@@ -1,0 +1,108 @@
+"""Robots without a manager, because that was killed or is cut off: seen, and ended."""
+
+from __future__ import annotations
+
+from poise.clock import SystemClock
+from poise.emulate import set_for
+from poise.endpoint import Endpoint
+from poise.errors import RunError, UsageError
+from poise.manage.agent_connections.agents import Agents
+from poise.manage.agent_connections.statuses import containers_left
+from poise.manage.control_socket.agent_addresses import AgentAddresses, forget
+from poise.manage.control_socket.records import RobotStatus
+from poise.manage.control_socket.without_manager import ask_agents
+from poise.manage.deploy.running_components import STOP_LIMIT
+from poise.model.robot import Robot
+from poise.session.launch.computers import agent_locators
+from poise.wire.control_session import locator
+from poise.wire.records.deployment import Deployment
+
+REACH_LIMIT = 5.0
+"""Agents are reached within this time [s], or count as out of reach."""
+
+
+def status_without_manager(robot: Robot) -> RobotStatus:
+    """Return what the agents at the addresses of a robot say, whoever manages it.
+
+    Raises
+    ------
+    UsageError
+        Its computers have no addresses, and none are kept for it.
+    RunError
+        No agent says that something runs.
+    """
+    addresses = _addresses(robot)
+    status = ask_agents(addresses)
+    if status is None:
+        places = ", ".join(addresses.endpoints.values()).replace("tcp/", "")
+        raise RunError(
+            f"robot '{robot.name}' does not run: no agent at {places} says that it "
+            "runs something of it"
+        )
+    return status
+
+
+def stop_without_manager(robot: Robot) -> None:
+    """End all containers of a robot on its computers.
+
+    Raises
+    ------
+    UsageError
+        Its computers have no addresses, and none are kept for it.
+    RunError
+        A manager is at work, or a computer is out of reach.
+    """
+    stop_agents(_addresses(robot))
+
+
+def stop_agents(addresses: AgentAddresses) -> None:
+    """End all containers of a robot's agents, which obey no manager that is there.
+
+    Raises
+    ------
+    RunError
+        A manager is at work, or a computer is out of reach.
+    """
+    ends = addresses.endpoints
+    with Agents(addresses.robot, ends, SystemClock()) as agents:
+        agents.wait_news(lambda: agents.reached() == ends.keys(), REACH_LIMIT)
+        reached = agents.reached()
+        agents.claim(reached)
+        _end_all(agents, reached)
+    missing = ", ".join(sorted(ends.keys() - reached))
+    if missing:
+        raise RunError(
+            f"out of reach: {missing}; what runs there goes on. "
+            f"Stopped: {', '.join(sorted(reached)) or 'nothing'}"
+        )
+    forget(addresses.robot)
+
+
+def _end_all(agents: Agents, computers: set[str]) -> None:
+    generations = {n: s.generation + 1 for n, s in agents.statuses().items()}
+    for name in sorted(computers):
+        nothing = Deployment(generation=generations[name], containers=())
+        agents.begin_deploy(name, nothing)
+
+    def left() -> list[str]:
+        now = agents.statuses()
+        told = {n: s for n, s in now.items() if s.generation >= generations[n]}
+        return containers_left(told, computers)
+
+    if not agents.wait_news(lambda: not left(), STOP_LIMIT):
+        raise RunError(f"{', '.join(left())} still ran {STOP_LIMIT:g} s after the stop")
+
+
+def _addresses(robot: Robot) -> AgentAddresses:
+    """Return where a robot's agents are, by its file or on computers kept for it."""
+    real = {c.name: c.address for c in robot.computers if c.address}
+    if real:
+        ends = {name: locator(Endpoint.parse(at)) for name, at in real.items()}
+        return AgentAddresses(robot.name, ends)
+    kept = set_for(robot)
+    if kept is None:
+        raise UsageError(
+            f"robot '{robot.name}' has no computer with an address, and `poise "
+            "emulate` keeps none for it: what ran on emulated ones has ended"
+        )
+    return AgentAddresses(robot.name, agent_locators(kept.computers))

@@ -1,0 +1,97 @@
+"""Responders are asked in order, and one that raises stops none of the others."""
+
+from __future__ import annotations
+
+import pytest
+
+from poise.manage.adaptation.loop import Adaptation
+from poise.manage.adaptation.responder import Change, Responder
+from poise.manage.adaptation.situation import Situation
+from poise.manage.deploy.desired import Desired
+from poise.testing.clock import VirtualClock
+from tests.manage.adaptation.shortages.test_put_aside import Robbed, robot_with
+
+PURPOSES = [
+    "restart what was on lost computers",
+    "stop a task that lacks what it needs",
+    "carry out policies",
+    "start again what was put aside",
+    "plan again",
+    "use computers that are back",
+]
+
+
+class Asked:
+    """Notes that it was asked, and what a test says then."""
+
+    def __init__(self, replaces: Responder) -> None:
+        self.purpose = replaces.purpose
+        self.times = 0
+        self.error: Exception | None = None
+        self.change: Change | None = None
+
+    def respond(self, situation: Situation, desired: Desired) -> Change | None:
+        del situation, desired
+        self.times += 1
+        if self.error is not None:
+            raise self.error
+        return self.change
+
+
+class Rig:
+    """A loop with such responders."""
+
+    def __init__(self) -> None:
+        self.robbed, self.clock = Robbed(robot_with()), VirtualClock()
+        self.tick = self.robbed.run.tick
+        self.tick._clock = self.clock
+        self.loop = Adaptation(
+            self.robbed.run,
+            self.robbed.situation,
+            self.robbed.aside,
+            clock=self.clock.now,
+        )
+        self.asked = [Asked(each) for each in self.loop.responders]
+        self.loop.responders = tuple(self.asked)
+
+
+def test_the_table_says_who_is_asked_in_which_order() -> None:
+    robbed = Robbed(robot_with())
+    loop = Adaptation(robbed.run, robbed.situation, robbed.aside)
+    assert [each.purpose for each in loop.responders] == PURPOSES
+
+
+@pytest.mark.parametrize("number", range(len(PURPOSES)))
+def test_one_that_raises_is_said_and_the_others_are_asked(number: int) -> None:
+    rig = Rig()
+    rig.asked[number].error = KeyError("odd")
+    for _ in range(2):
+        rig.loop.look()
+    times = [each.times for each in rig.asked]
+    assert times == [1 if each == number else 2 for each in range(len(PURPOSES))]
+    (deviation,) = rig.tick.deviations()
+    assert f"the manager cannot {PURPOSES[number]} (KeyError" in deviation.what
+    rig.asked[number].error = None
+    rig.clock.sleep(2.0)
+    rig.loop.look()
+    assert rig.tick.deviations() == []
+
+
+def test_the_first_that_wants_a_change_is_the_last_that_is_asked() -> None:
+    rig, done = Rig(), list[str]()
+    rig.asked[2].change = Change(why="so", carry_out=lambda: done.append("it"))
+    rig.loop.look()
+    assert done == ["it"]
+    assert [each.times for each in rig.asked] == [1, 1, 1, 0, 0, 0]
+    assert rig.robbed.journal.entries()[-1].what == "so"
+
+
+def test_a_change_that_fails_backs_off_and_lets_the_next_act() -> None:
+    def fail() -> None:
+        raise KeyError("odd")
+
+    rig = Rig()
+    rig.asked[0].change = Change(carry_out=fail)
+    rig.loop.look()
+    rig.loop.look()
+    assert [each.times for each in rig.asked] == [1, 2, 2, 2, 2, 2]

@@ -1,0 +1,155 @@
+"""What a manager holds that another one may run on computers it has not claimed."""
+
+from __future__ import annotations
+
+from typing import cast
+
+import pytest
+from msgspec.structs import replace
+
+from poise.estimate.profile.code_version import version_of
+from poise.manage.agent_connections.agents import Agents
+from poise.manage.deploy.deployment_plan import DeploymentPlan
+from poise.manage.deploy.incarnation import Incarnation
+from poise.manage.deploy.lost_computers import LostComputers
+from poise.manage.deploy.running_components import RunningComponents
+from poise.manage.deploy.takeover import start_or_take_over
+from poise.manage.journal import Journal
+from poise.model.robot import Robot
+from poise.wire.records.deployment import Deployment, Goal
+from tests.manage.conftest import FakeAgents
+
+PLACEMENT = {"grabber": "left", "thinker": "right"}
+GRABBER = Incarnation(component="grabber", computer="left")
+THINKER = Incarnation(component="thinker", computer="right", epoch=4)
+
+
+class Cut:
+    """A robot that a manager takes over which reaches one of its two computers.
+
+    Parameters
+    ----------
+    reached
+        That computer.
+    left
+        What an earlier manager told the agents.
+    fenced
+        Whether the reached computer's lease had ended.
+    """
+
+    def __init__(
+        self, robot: Robot, reached: str, *left: Incarnation, fenced: bool = False
+    ) -> None:
+        self.agents = FakeAgents("left", "right")
+        plan = DeploymentPlan(robot, "/run", code_version=version_of)
+        gateways = {"left": "left:7000", "right": "right:7000"}
+        self.told: dict[str, Deployment] = plan.specs(left, 5, gateways)
+        for computer, deployment in self.told.items():
+            self.agents.begin_deploy(computer, deployment)
+        if fenced:
+            status = self.agents.statuses()[reached]
+            self.agents.report(replace(status, cut_off=1.0))
+        self.agents.gone = {"left", "right"} - {reached}
+        self.journal = Journal(":memory:")
+        agents = cast("Agents", self.agents)
+        self.run = RunningComponents(robot, PLACEMENT, agents, self.journal, "/run")
+
+    def take_over(self, *, by_force: bool = False) -> None:
+        start_or_take_over(self.run, by_force=by_force)
+        self.lost = LostComputers(self.run)
+
+    def goals(self, component: str) -> list[tuple[str, int, Goal]]:
+        """Return what reached agents are told of a component: where, epoch, goal."""
+        return sorted(
+            {
+                (each.computer, each.epoch, each.goal)
+                for each in self.run.desired.incarnations()
+                if each.component == component and each.computer not in self.agents.gone
+            }
+        )
+
+    def heal(self, *found: Incarnation, robot: Robot) -> None:
+        """Let all computers be reached, the missing one with what runs there."""
+        (computer,) = self.agents.gone
+        plan = DeploymentPlan(robot, "/run", code_version=version_of)
+        self.agents.left_with[computer] = plan.specs(found, 9, {})[computer]
+        self.agents.strangers.add(computer)
+        self.agents.gone.clear()
+        for _ in range(3):
+            self.run.reconcile()
+            self.lost.note()
+
+
+def test_what_was_fenced_is_not_activated_while_a_computer_is_missing(
+    robot: Robot,
+) -> None:
+    cut = Cut(robot, "right", GRABBER, THINKER, fenced=True)
+    cut.take_over()
+    assert cut.goals("thinker") == [("right", 4, "inactive")]
+    (held,) = (d for d in cut.lost.deviations() if d.component == "thinker")
+    assert "another manager may run it on 'left'" in held.what
+    assert "--take-over" in held.what
+
+
+def test_what_is_at_work_goes_on(robot: Robot) -> None:
+    cut = Cut(robot, "right", GRABBER, THINKER)
+    cut.take_over()
+    assert cut.goals("thinker") == [("right", 4, "active")]
+    assert "thinker" not in cut.run.desired.held
+
+
+def test_what_is_lacking_is_not_started_twice(robot: Robot) -> None:
+    cut = Cut(robot, "left", GRABBER, THINKER)
+    cut.take_over()
+    assert cut.goals("thinker") == []
+    assert "thinker" in cut.run.desired.held
+
+
+@pytest.mark.parametrize("goal", ["stay", "inactive"])
+def test_one_side_of_a_migration_is_not_activated_alone(
+    robot: Robot, goal: Goal
+) -> None:
+    cut = Cut(robot, "right", GRABBER, THINKER.with_goal(goal))
+    cut.take_over()
+    assert cut.goals("thinker") == [("right", 4, "inactive")]
+
+
+def test_a_person_may_say_that_nobody_else_runs_it(robot: Robot) -> None:
+    cut = Cut(robot, "right", GRABBER, THINKER, fenced=True)
+    cut.take_over(by_force=True)
+    assert cut.goals("thinker") == [("right", 4, "active")]
+    assert cut.lost.computers() == {"left"}
+
+
+def test_nothing_of_a_computer_that_was_never_claimed_counts_as_lost(
+    robot: Robot,
+) -> None:
+    cut = Cut(robot, "right", GRABBER, THINKER)
+    cut.take_over()
+    assert cut.lost.computers() == frozenset()
+
+
+def test_what_the_other_side_ran_goes_on_there_with_its_state(robot: Robot) -> None:
+    cut = Cut(robot, "right", GRABBER, THINKER, fenced=True)
+    cut.take_over()
+    there = Incarnation(component="thinker", computer="left", epoch=7)
+    cut.heal(replace(GRABBER, epoch=3), there, robot=robot)
+    assert cut.goals("thinker") == [("left", 7, "active")]
+    assert cut.goals("grabber") == [("left", 3, "active")]
+    assert cut.run.next_epoch("thinker") == 8
+    assert not cut.run.desired.held
+
+
+def test_what_nobody_ran_goes_on_where_it_was(robot: Robot) -> None:
+    cut = Cut(robot, "right", GRABBER, THINKER, fenced=True)
+    cut.take_over()
+    cut.heal(GRABBER, robot=robot)
+    assert cut.goals("thinker") == [("right", 4, "active")]
+
+
+def test_what_was_taken_over_by_force_wins(robot: Robot) -> None:
+    cut = Cut(robot, "right", GRABBER, THINKER, fenced=True)
+    cut.take_over(by_force=True)
+    there = Incarnation(component="thinker", computer="left", epoch=7)
+    cut.heal(GRABBER, there, robot=robot)
+    assert cut.goals("thinker") == [("right", 4, "active")]

@@ -1,0 +1,163 @@
+"""The reconciler brings agents to what should run, step by step, and never raises."""
+
+from __future__ import annotations
+
+from typing import cast
+
+import pytest
+from msgspec import structs
+
+from poise.errors import RunError
+from poise.manage.agent_connections.agents import Agents
+from poise.manage.agent_connections.requests import Reply
+from poise.manage.deploy.reconciler import ANSWER_LIMIT, APPLY_LIMIT, TRY_AGAIN
+from poise.manage.deploy.running_components import RunningComponents
+from poise.manage.journal import Journal
+from poise.model.robot import Robot
+from poise.testing.clock import VirtualClock
+from poise.wire.records.deployment import Deployment
+from tests.manage.conftest import FakeAgents
+
+PLACEMENT = {"grabber": "left", "thinker": "right"}
+
+
+class Silent(FakeAgents):
+    """Agents of which some give no answer until a test says so."""
+
+    def __init__(self) -> None:
+        super().__init__("left", "right")
+        self.mute: set[str] = set()
+
+    def begin_deploy(self, computer: str, deployment: Deployment) -> Reply:
+        if computer in self.mute:
+            self.deployed.append((computer, deployment))
+            return Reply()
+        return super().begin_deploy(computer, deployment)
+
+
+class Rig:
+    """A robot that runs, on a clock that a test sets."""
+
+    def __init__(self, robot: Robot) -> None:
+        self.clock, self.agents = VirtualClock(), Silent()
+        self.journal = Journal(":memory:")
+        agents = cast("Agents", self.agents)
+        self.run = RunningComponents(
+            robot, PLACEMENT, agents, self.journal, "/run", clock=self.clock
+        )
+        self.run.start()
+        self.run.goes_on_without_lost = True
+        self.agents.deployed.clear()
+        self.agents.claimed.clear()
+
+    def told(self) -> list[str]:
+        """Return which agents were told something since the last time."""
+        told = [computer for computer, _ in self.agents.deployed]
+        self.agents.deployed.clear()
+        return told
+
+    def rest(self, name: str) -> None:
+        """Let a component be inactive from now on."""
+        self.run.commit(self.run.desired.aiming("inactive", [name]), "a test")
+
+    def later(self, seconds: float) -> list[str]:
+        """Return which agents are told something after a time."""
+        self.clock.sleep(seconds)
+        self.run.reconcile()
+        return self.told()
+
+
+@pytest.fixture
+def rig(robot: Robot) -> Rig:
+    return Rig(robot)
+
+
+def test_agents_are_told_only_what_has_changed_for_them(rig: Rig) -> None:
+    rig.rest("thinker")
+    assert rig.told() == ["right"]
+    assert rig.later(10.0) == []
+
+
+def test_an_agent_that_refuses_is_told_again_later_and_that_is_said(rig: Rig) -> None:
+    rig.agents.refusing.add("right")
+    rig.rest("thinker")
+    why = "the agent of 'right' refused: not today"
+    assert rig.run.reconciler.troubles == {"right": why}
+    with pytest.raises(RunError, match="not today"):
+        rig.run.wait([rig.run.placed["thinker"]], 0.0)
+    rig.agents.refusing.clear()
+    assert rig.later(TRY_AGAIN / 2) == []
+    assert rig.later(TRY_AGAIN) == ["right"]
+    assert rig.run.reconciler.troubles == {}
+
+
+def test_an_agent_that_is_late_holds_up_no_other(rig: Rig) -> None:
+    rig.agents.mute.add("right")
+    rig.rest("thinker")
+    rig.rest("grabber")
+    rig.run.wait([rig.run.placed["grabber"]], 0.0)
+    assert rig.run.reconciler.troubles == {}
+    rig.told()
+    assert rig.later(ANSWER_LIMIT) == []
+    why = f"the agent of 'right' did not answer within {ANSWER_LIMIT:g} s"
+    assert rig.run.reconciler.troubles == {"right": why}
+    rig.agents.mute.clear()
+    assert rig.later(TRY_AGAIN) == ["right"]
+
+
+def test_what_an_agent_accepted_and_does_not_work_towards_is_told_again(
+    rig: Rig,
+) -> None:
+    rig.agents.deaf.add("right")
+    rig.rest("thinker")
+    assert rig.told() == ["right"]
+    assert rig.later(APPLY_LIMIT / 2) == []
+    assert rig.later(APPLY_LIMIT) == ["right"]
+
+
+def test_what_is_newer_overtakes_what_waits_for_an_answer(rig: Rig) -> None:
+    rig.agents.mute.add("right")
+    rig.rest("thinker")
+    rig.agents.mute.clear()
+    rig.run.commit(rig.run.desired.aiming("active", ["thinker"]), "again")
+    assert rig.told() == ["right", "right"]
+    rig.run.wait([rig.run.placed["thinker"]], 0.0)
+
+
+def test_an_agent_that_obeys_another_is_claimed_first(rig: Rig) -> None:
+    rig.agents.strangers.add("right")
+    rig.rest("thinker")
+    assert (rig.agents.claimed, rig.told()) == (["right"], [])
+    assert rig.later(0.0) == ["right"]
+
+
+def test_one_that_refuses_a_claim_is_asked_again_later(rig: Rig) -> None:
+    rig.agents.strangers.add("right")
+    rig.agents.refusing.add("right")
+    for _ in range(3):
+        assert rig.later(0.1) == []
+    assert rig.agents.claimed == ["right"]
+    assert "right" in rig.run.reconciler.troubles
+    assert rig.later(TRY_AGAIN) == []
+    assert rig.agents.claimed == ["right", "right"]
+
+
+def test_an_agent_that_has_not_reported_since_it_is_back_is_waited_for(
+    rig: Rig,
+) -> None:
+    rig.agents.forget("right")
+    rig.rest("thinker")
+    assert (rig.agents.claimed, rig.told()) == ([], [])
+
+
+def test_a_restarted_agent_is_told_though_nothing_has_changed(rig: Rig) -> None:
+    status = rig.agents.statuses()["right"]
+    rig.agents.report(structs.replace(status, pid=99))
+    assert rig.later(0.0) == ["right"]
+
+
+def test_each_commit_is_journalled_with_what_changes(rig: Rig) -> None:
+    rig.rest("thinker")
+    entry = rig.journal.entries()[-1]
+    assert (entry.kind, entry.what) == ("desired", "a test")
+    assert entry.facts["changes"] == ["thinker/0 on right (active) -> inactive"]

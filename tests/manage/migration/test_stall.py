@@ -1,0 +1,89 @@
+"""When a preparation has come to a standstill, by a clock that the test moves."""
+
+from __future__ import annotations
+
+from typing import cast
+from unittest.mock import Mock
+
+import pytest
+
+from poise.errors import RunError
+from poise.manage.deploy.incarnation import Incarnation
+from poise.manage.deploy.running_components import RunningComponents
+from poise.manage.migration.stall import STALL_LIMIT, Stall
+from poise.wire.records.status import (
+    AgentStatus,
+    ComponentStatus,
+    ContainerHealth,
+    ContainerStatus,
+    State,
+)
+
+TARGET = Incarnation(component="mid", computer="c", epoch=1, goal="inactive")
+STARTING = ContainerHealth(name="main", state="starting", since=0.0)
+
+
+class Preparation:
+    """A preparation that misses what the test says, at a time that it says."""
+
+    def __init__(self) -> None:
+        self.now = 0.0
+        self.run = Mock(**{"layout.container_of.return_value": "main"})
+        self.misses("connector 'a.out-mid.in' is not joined")
+        self.is_at("inactive")
+        run = cast("RunningComponents", self.run)
+        self.stall = Stall(run, [TARGET], lambda: self.now)
+        self.stall.look()
+
+    def misses(self, *what: str) -> None:
+        self.run.missing.return_value = list(what)
+
+    def is_at(self, state: State, *health: ContainerHealth) -> None:
+        component = ComponentStatus(name="mid", epoch=1, state=state)
+        container = ContainerStatus(name="main", pid=1, components=(component,))
+        self.run.current.return_value = {
+            "c": AgentStatus(
+                computer="c",
+                generation=1,
+                uptime=0,
+                cpu=0,
+                containers=(container,),
+                health=health,
+            )
+        }
+
+    def look_after(self, seconds: float) -> None:
+        self.now += seconds
+        self.stall.look()
+
+
+def test_a_preparation_without_progress_ends_and_says_what_is_missing() -> None:
+    preparation = Preparation()
+    preparation.look_after(STALL_LIMIT)
+    with pytest.raises(RunError, match=r"since 2 s: connector 'a.out-mid.in' is not"):
+        preparation.look_after(0.1)
+
+
+def test_a_preparation_that_misses_something_else_goes_on() -> None:
+    preparation = Preparation()
+    preparation.look_after(STALL_LIMIT - 0.1)
+    preparation.misses("connector 'b.out-mid.in' is not joined")
+    preparation.look_after(0.1)
+    preparation.look_after(STALL_LIMIT)
+    with pytest.raises(RunError, match=r"'b\.out-mid\.in'"):
+        preparation.look_after(0.1)
+
+
+def test_users_code_may_take_longer_to_be_configured() -> None:
+    preparation = Preparation()
+    preparation.is_at("unconfigured")
+    preparation.look_after(10 * STALL_LIMIT)
+    preparation.is_at("inactive")
+    with pytest.raises(RunError):
+        preparation.look_after(STALL_LIMIT + 0.1)
+
+
+def test_a_container_may_take_longer_to_start() -> None:
+    preparation = Preparation()
+    preparation.is_at("inactive", STARTING)
+    preparation.look_after(10 * STALL_LIMIT)

@@ -1,0 +1,120 @@
+"""A recording grows on the disk while it is made, and not in memory."""
+
+from __future__ import annotations
+
+import logging
+import os
+import resource
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from poise.errors import RunError
+from poise.manage.observe import recording
+from poise.manage.observe.recording import Recording, RecordingFile
+from poise.wire.recording_file import append, load
+from poise.wire.records.recorded import Recorded
+from poise.wire.records.samples import AgentSample, ComponentSample, ContainerSample
+from tests.waiting import wait_until
+
+
+def sample(at: float) -> AgentSample:
+    parts = tuple(ComponentSample(f"c{n}", 0, at, 0.0, 1, 1) for n in range(10))
+    return AgentSample("a", at, 0.0, (ContainerSample("x", 1, at, at, 1, parts, ()),))
+
+
+def test_what_came_is_in_the_file(tmp_path: Path) -> None:
+    recorder = RecordingFile(tmp_path / "it", "r")
+    for number in range(3):
+        recorder.add(sample(number))
+    recorder.close()
+    recorded = load(tmp_path / "it")
+    assert recorded.robot == "r"
+    assert recorded.samples == [sample(number) for number in range(3)]
+    assert str(recorder) == f"recorded 3 samples to {tmp_path / 'it'}"
+
+
+def test_a_recording_that_was_there_is_replaced(tmp_path: Path) -> None:
+    for robot in ("one", "two"):
+        RecordingFile(tmp_path / "it", robot).close()
+    assert load(tmp_path / "it").robot == "two"
+
+
+@pytest.mark.slow
+def test_200_000_samples_take_no_memory_and_each_is_written_or_counted(
+    tmp_path: Path,
+) -> None:
+    recorder = RecordingFile(tmp_path / "it", "r")
+    recorder.add(sample(0))
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    for number in range(1, 200_000):
+        recorder.add(sample(number))
+    grown = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
+    recorder.close()
+    assert grown < 100_000  # KiB: three times what may wait for the disk
+    kept = load(tmp_path / "it").samples
+    assert len(kept) + recorder.file.missing == recorder.count == 200_000
+
+
+_KILLED = """
+import sys
+from pathlib import Path
+from poise.manage.observe.recording import RecordingFile
+from tests.manage.observe.test_recording import sample
+recorder = RecordingFile(Path(sys.argv[1]), "r")
+number = 0
+while True:
+    recorder.add(sample(number))
+    recorder.file.flush()
+    number += 1
+"""
+
+
+@pytest.mark.slow
+def test_it_can_be_read_after_a_kill(tmp_path: Path) -> None:
+    path = tmp_path / "it"
+    root = Path(__file__).parents[3]
+    with subprocess.Popen([sys.executable, "-c", _KILLED, str(path)], cwd=root) as made:
+        wait_until(lambda: path.exists() and path.stat().st_size > 100_000)
+        made.send_signal(signal.SIGKILL)
+    kept = load(path).samples
+    assert [each.at for each in kept] == list(range(len(kept)))
+    assert len(kept) > 10
+
+
+@pytest.mark.parametrize("cut", [1, 3, 50])
+def test_half_a_record_at_the_end_is_left_out_and_said(
+    tmp_path: Path, cut: int, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = tmp_path / "it"
+    for number in range(2):
+        append(Recorded(robot="r", samples=[sample(number)]), path)
+    whole = path.stat().st_size
+    os.truncate(path, whole // 2 + cut)
+    with caplog.at_level(logging.WARNING):
+        assert load(path).samples == [sample(0)]
+    assert "ends within a record" in caplog.text
+
+
+def test_where_none_can_be_written_is_an_error_before_the_robot_starts(
+    tmp_path: Path,
+) -> None:
+    with pytest.raises(RunError, match="cannot be written: No such file"):
+        RecordingFile(tmp_path / "nowhere" / "it", "r")
+
+
+def test_of_too_many_samples_the_last_wait_and_it_is_said(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(recording, "MOST", 2)
+    waiting = Recording()
+    for number in range(5):
+        waiting.add(sample(number))
+    assert [each.at for each in waiting.take()] == [3, 4]
+    assert waiting.take() == []
+    assert waiting.trouble == (
+        "3 samples of agents came while the manager was busy, and are lost"
+    )

@@ -1,0 +1,39 @@
+"""An exception that ends a thread of the manager is seen."""
+
+from __future__ import annotations
+
+from poise.manage.journal import Journal
+from poise.manage.observe.thread_failures import ThreadFailures
+from poise.threads import SHOWN_FOR
+
+
+def test_a_failure_is_journalled_with_its_traceback_and_shown_for_a_minute() -> None:
+    now = [100.0]
+    journal = Journal(":memory:")
+    failures = ThreadFailures(journal, lambda: now[0])
+    failures.note("metrics", KeyError("cpu"))
+    now[0] += SHOWN_FOR - 1
+    failures.note("control", OSError("no descriptor"))
+    first, second = (entry.what for entry in journal.entries())
+    assert "thread 'metrics' of the manager's process failed (KeyError" in first
+    assert [each.what for each in failures.deviations()] == [first, second]
+    assert "KeyError: 'cpu'" in journal.entries()[0].facts["traceback"]
+    now[0] += 2
+    assert [each.what for each in failures.deviations()] == [second]
+
+
+def test_a_thread_that_fails_again_and_again_is_shown_once() -> None:
+    journal = Journal(":memory:")
+    failures = ThreadFailures(journal)
+    for number in range(30):
+        failures.note("keeper", ValueError(number))
+    (shown,) = failures.deviations()
+    assert "ValueError: 29" in shown.what
+    assert len(journal.entries()) == 30
+
+
+def test_threads_without_number_are_shown_up_to_a_bound() -> None:
+    failures = ThreadFailures(Journal(":memory:"))
+    for number in range(30):
+        failures.note(f"client {number}", ValueError(number))
+    assert len(failures.deviations()) == 20

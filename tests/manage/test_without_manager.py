@@ -1,0 +1,107 @@
+"""What is said of a robot by its agents alone."""
+
+from __future__ import annotations
+
+from msgspec.structs import replace
+
+from poise.manage.control_socket.agent_addresses import AgentAddresses
+from poise.manage.control_socket.without_manager import status_by_agents
+from poise.wire.records.requests import ManagerId
+from poise.wire.records.status import (
+    AgentStatus,
+    ComponentStatus,
+    ContainerHealth,
+    ContainerStatus,
+    State,
+)
+
+AGENTS = AgentAddresses("r", {"main": "tcp/10.0.0.1:7447", "eye": "tcp/10.0.0.2:7447"})
+LAST = ManagerId(key="b", user="ann", host="desk", pid=7, since=50.0)
+EARLIER = ManagerId(key="a", user="bob", host="lab", pid=3, since=20.0)
+NOW = 100.0
+
+
+def agent(name: str, unmanaged: float, **components: State) -> AgentStatus:
+    """Return the status of an agent that obeyed the last manager."""
+    found = tuple(ComponentStatus(name=n, state=s) for n, s in components.items())
+    containers = (ContainerStatus(name="one", pid=1, components=found),)
+    return AgentStatus(
+        computer=name,
+        generation=1,
+        uptime=9.0,
+        cpu=1.0,
+        manager=LAST,
+        unmanaged=unmanaged,
+        containers=containers if found else (),
+    )
+
+
+def test_it_has_no_manager_once_its_last_agent_misses_it() -> None:
+    statuses = {"main": agent("main", 80.0, a="active"), "eye": agent("eye", 90.0)}
+    found = status_by_agents(AGENTS, statuses, NOW)
+    assert found is not None
+    assert found.by_agents
+    (only,) = found.deviations
+    assert only.what.startswith("robot 'r' runs without a manager (since ")
+    assert only.since == 90.0
+    assert found.manager == LAST
+    assert not found.not_known()
+
+
+def test_a_robot_of_which_nothing_runs_is_not_there() -> None:
+    assert status_by_agents(AGENTS, {}, NOW) is None
+    idle = {"main": agent("main", 80.0), "eye": agent("eye", 80.0)}
+    assert status_by_agents(AGENTS, idle, NOW) is None
+
+
+def test_one_that_is_managed_from_elsewhere_is_not_called_without_a_manager() -> None:
+    statuses = {
+        "main": agent("main", 0.0, a="active"),
+        "eye": replace(agent("eye", 30.0, b="active"), manager=EARLIER),
+    }
+    found = status_by_agents(AGENTS, statuses, NOW)
+    assert found is not None
+    assert "has another manager: user ann on desk" in found.deviations[0].what
+    assert "without a manager" not in found.deviations[0].what
+
+
+def test_an_agent_that_gives_no_answer_leaves_its_computer_unknown() -> None:
+    found = status_by_agents(AGENTS, {"main": agent("main", 80.0, a="active")}, NOW)
+    assert found is not None
+    assert found.not_known() == {"eye"}
+    assert "the agent of 'eye' (10.0.0.2:7447) gave no answer" in (
+        found.deviations[1].what
+    )
+
+
+def test_a_component_is_where_it_is_active_and_not_where_it_is_prepared() -> None:
+    for first, second in (("active", "inactive"), ("inactive", "active")):
+        statuses = {
+            "main": agent("main", 80.0, a=first),  # type: ignore[arg-type]
+            "eye": agent("eye", 80.0, a=second),  # type: ignore[arg-type]
+        }
+        found = status_by_agents(AGENTS, statuses, NOW)
+        assert found is not None
+        assert found.placement == {"a": "main" if first == "active" else "eye"}
+
+
+def test_what_agents_know_to_be_wrong_is_said() -> None:
+    health = ContainerHealth(name="one", state="restarting", since=70.0, reason="")
+    main = agent("main", 80.0, a="failed")
+    main = replace(main, cut_off=60.0, health=(health,))
+    found = status_by_agents(AGENTS, {"main": main, "eye": agent("eye", 80.0)}, NOW)
+    assert found is not None
+    sentences = [each.what for each in found.deviations[1:]]
+    assert sentences == [
+        "movable components on 'main' are inactive: its lease has ended",
+        "container 'one' on 'main' is restarting",
+        "component 'a' on 'main' is failed",
+    ]
+
+
+def test_a_manager_that_is_silent_is_named_with_since_when_agents_miss_it() -> None:
+    statuses = {"main": agent("main", 80.0, a="active"), "eye": agent("eye", 90.0)}
+    found = status_by_agents(AGENTS, statuses, NOW, "process 7 is stopped")
+    assert found is not None
+    what = found.deviations[0].what
+    assert what.startswith("process 7 is stopped (its agents miss it since ")

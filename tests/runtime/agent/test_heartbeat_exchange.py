@@ -1,0 +1,131 @@
+"""Until when an agent lets its leased components act."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from math import inf
+
+import pytest
+
+from poise.runtime.agent.fence import Fence
+from poise.runtime.agent.heartbeat_exchange import HeartbeatExchange
+from poise.runtime.agent.surroundings import Hear, NextBeat
+from poise.testing.clock import VirtualClock
+from poise.wire.failure_detector import LEASE, UNCUT_LEASE, Contacts
+from poise.wire.heartbeats import Address
+from poise.wire.records.requests import Claim, ManagerId
+
+AGENTS = {"left": "tcp/127.0.0.1:1", "right": "tcp/127.0.0.1:2"}
+MANAGER = ManagerId(key="k", user="ann", host="desk", pid=7, since=0.0)
+
+
+class Transport:
+    """Sends nothing: a test lets heartbeats go out by itself."""
+
+    def __init__(self, hear: Hear, next_beat: NextBeat) -> None:
+        self.hear, self.next_beat = hear, next_beat
+
+    def start(self) -> None:
+        pass
+
+    def send_to(self, targets: Mapping[str, Address]) -> None:
+        pass
+
+    def close(self) -> None:
+        pass
+
+
+class Rig:
+    """The heartbeats of an agent, which a test lets go out by itself."""
+
+    def __init__(self) -> None:
+        self.clock = VirtualClock()
+        self.clock.sleep(100.0)
+        self.asleep = 0.0
+        self.ends: list[float] = []
+        self.fence = Fence("robot", "left", lambda: None, lambda _: None)
+        self.fence.claim(Claim(MANAGER), 1)
+        self.exchange = HeartbeatExchange(
+            "left",
+            Contacts("robot", "left", "key"),
+            self.fence,
+            self.clock,
+            Transport,
+            self.ends.append,
+            lambda: self.asleep,
+        )
+
+    def beat(self, after: float) -> float:
+        """Return until when components may act, from now [s]."""
+        self.clock.sleep(after)
+        self.exchange._next_beat()
+        return self.ends[-1] - self.asleep - self.clock.now()
+
+
+@pytest.fixture
+def rig() -> Rig:
+    return Rig()
+
+
+def test_components_of_the_only_computer_pay_nothing(rig: Rig) -> None:
+    rig.exchange.begin("k", {"left": AGENTS["left"]}, is_leased=True)
+    assert rig.ends == [inf]
+
+
+def test_where_nothing_is_cut_it_is_enough_that_the_agent_runs(rig: Rig) -> None:
+    rig.exchange.begin("k", AGENTS, is_leased=False)
+    assert rig.beat(0.1) == pytest.approx(UNCUT_LEASE)
+    assert rig.beat(9.0) == pytest.approx(UNCUT_LEASE)
+    assert rig.beat(11.0) == -inf
+    assert rig.fence.is_cut_off
+
+
+def test_the_next_agent_extends_nothing_before_it_is_heard(rig: Rig) -> None:
+    rig.exchange.begin_again(AGENTS, is_leased=True)
+    assert rig.ends == [-inf]
+    assert rig.beat(0.1) == -inf
+    assert not rig.fence.is_cut_off
+    rig.beat(LEASE)
+    rig.beat(0.2)  # it stood still, and has listened
+    assert rig.fence.is_cut_off
+
+
+@pytest.mark.parametrize("is_leased", [True, False])
+def test_what_ended_while_no_agent_was_there_is_not_extended_by_the_next_one_alone(
+    rig: Rig,
+    is_leased: bool,  # noqa: FBT001, a parameter
+) -> None:
+    rig.exchange.begin_again(AGENTS, is_leased=is_leased)
+    assert not rig.fence.is_cut_off
+    rig.exchange.note_lapsed()
+    assert rig.ends[-1] == rig.beat(0.1) == -inf
+
+
+def test_an_agent_goes_on_by_itself_only_while_it_runs_and_no_manager_may_be_there(
+    rig: Rig,
+) -> None:
+    rig.exchange.begin_again(AGENTS, is_leased=True)
+    rig.fence._ended.add("k")
+    rig.beat(0.1)
+    assert rig.beat(LEASE) == -inf  # it stood still for so long: first it listens
+    assert rig.beat(0.2) == pytest.approx(LEASE)
+    assert rig.beat(3.0) == -inf
+    assert rig.beat(0.2) == pytest.approx(LEASE)
+    assert not rig.fence.is_cut_off
+
+
+def test_a_computer_that_was_suspended_has_lost_its_lease(rig: Rig) -> None:
+    rig.exchange.begin("k", AGENTS, is_leased=True)
+    assert rig.beat(0.1) == pytest.approx(LEASE)
+    rig.asleep = 60.0
+    # what its containers read ended while it slept
+    assert rig.ends[-1] < rig.clock.now() + rig.asleep
+    assert rig.beat(0.01) == -inf
+    assert rig.fence.is_cut_off
+
+
+def test_the_next_agent_of_a_robot_without_others_lets_components_go_on(
+    rig: Rig,
+) -> None:
+    rig.exchange.begin_again({}, is_leased=False)
+    assert rig.ends == [inf]
