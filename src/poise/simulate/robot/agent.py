@@ -8,7 +8,7 @@ from collections.abc import Callable
 import msgspec
 import zenoh
 
-from poise.clock import SystemClock
+from poise.clock import SystemClock, time_asleep
 from poise.endpoint import Endpoint
 from poise.runtime.agent.agent_setup import AgentSetup
 from poise.runtime.agent.core import AgentCore
@@ -139,6 +139,7 @@ class SimulatedAgent:
         return Surroundings(
             clock=clock,
             wall=process.computer.wall,
+            asleep=time_asleep,
             random=process.random,
             say=self._say,
             publish=publish,

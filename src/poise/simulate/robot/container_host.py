@@ -85,6 +85,15 @@ class SimulatedControl:
         self._beats += not self._container.process.is_paused
         return self._beats
 
+    def extend_lease(self, until: float) -> None:
+        """Write the end of the lease into the container's page."""
+        self._container.lease_end = until
+
+    def is_lease_past(self) -> bool:
+        """Return whether the page says that the lease has ended."""
+        process = self._container.process
+        return process.computer.boottime() >= self._container.lease_end
+
     def close(self) -> None:
         """Hear no more of it."""
         self._is_closed = True
