@@ -78,3 +78,11 @@ def test_passes_over_times_that_contradict_each_other() -> None:
     clock.add(1.0, 5.0, 4.0, 2.0)
     clock.add(2.0, 5.0, 5.0, 1.0)
     assert clock.at(2.0) is None
+
+
+def test_knows_nothing_when_trips_that_overtook_each_other_contradict_all() -> None:
+    """The trip that began later came first; then the other's clock was set by 100 s."""
+    clock = ClockOffset()
+    clock.add(5.0, 105.0, 105.0, 5.01)  # 99.99 s to 100 s ahead
+    clock.add(3.0, 203.0, 203.0, 5.02)  # 197.98 s to 200 s ahead
+    assert clock.at(5.1) is None

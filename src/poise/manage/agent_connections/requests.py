@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import queue
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
-from queue import Empty, SimpleQueue
+from queue import Empty
 from typing import TypeVar
 
 import msgspec
@@ -150,7 +151,7 @@ class AgentRequests:
         asked
             By any key: the computer, what its agent is asked, and the limit [s].
         """
-        replies: SimpleQueue[tuple[K, zenoh.Reply | None]] = SimpleQueue()
+        replies: queue.SimpleQueue[tuple[K, zenoh.Reply | None]] = queue.SimpleQueue()
         pending, deadline = set(asked), self._clock.now() + _LAST_REPLY
         deadline += max((limit for _, _, limit in asked.values()), default=0.0)
         for key, (computer, request, limit) in asked.items():
@@ -204,7 +205,7 @@ class AgentRequests:
 
 
 def _note(
-    replies: SimpleQueue[tuple[K, zenoh.Reply | None]],
+    replies: queue.SimpleQueue[tuple[K, zenoh.Reply | None]],
     key: K,
     reply: zenoh.Reply | None = None,
 ) -> None:

@@ -46,7 +46,7 @@ class ClockOffset:
                 self._forget_until(began)
                 break
             low, high = max(low, least - wide), min(high, most + wide)
-        if low == float("-inf"):
+        if not self._bounds:  # heartbeats that overtook each other contradict all
             return None
         return ClockStatus(
             offset=(low + high) / 2,

@@ -1,0 +1,1 @@
+"""Models of containers, their components and what those do."""

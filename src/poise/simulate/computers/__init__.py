@@ -1,0 +1,1 @@
+"""The computers of a simulated robot: processes, clocks, CPU and disks."""

@@ -1,0 +1,1 @@
+"""What lies between computers: links, datagrams, and sessions like zenoh's."""

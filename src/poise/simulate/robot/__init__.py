@@ -1,0 +1,1 @@
+"""A simulated robot: the real manager and agents, with all that they need."""
