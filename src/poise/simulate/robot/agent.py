@@ -160,7 +160,7 @@ class SimulatedAgent:
     def _note_manager(self, sample: zenoh.Sample) -> None:
         key = str(sample.key_expr).rpartition("/")[2]
         is_there = sample.kind == zenoh.SampleKind.PUT
-        self.core.fence.note_liveliness(key, is_there=is_there)
+        self.core.heartbeats.note_liveliness(key, is_there=is_there)
         self.wake()
 
     def _wait(self, moment: float) -> None:
