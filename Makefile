@@ -5,7 +5,7 @@ BIN := .venv/bin
 export PYTHONDONTWRITEBYTECODE :=
 NATIVE := $(shell find src CMakeLists.txt -name '*.cpp' -o -name '*.h' -o -name CMakeLists.txt)
 
-.PHONY: setup demo quick test exhaustive soak coverage lint stubs sanitize docs clean
+.PHONY: setup demo quick test exhaustive simulate soak coverage lint stubs sanitize docs clean
 setup: .venv/.ready
 
 .venv/.ready: pyproject.toml $(NATIVE)
@@ -40,6 +40,10 @@ FOR ?= 1h
 soak: setup
 	@$(BIN)/python -m tests.chaos $(CHAOS)
 	@$(BIN)/python -m tests.soak $(FOR)
+
+# a robot in virtual time, broken by 200 seeds: make simulate, make simulate FOR=2h
+simulate: setup
+	@$(BIN)/python -m tests.simulate $(if $(filter command line,$(origin FOR)),$(FOR),200)
 
 # lines and branches of src/poise that no test reaches, in all processes
 coverage: setup

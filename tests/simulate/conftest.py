@@ -31,7 +31,7 @@ def scenario() -> Scenario:
     return small_scenario()
 
 
-def small_scenario() -> Scenario:
+def small_scenario(seconds: float = 10.0) -> Scenario:
     """Return the robot of the fixture `scenario`, for other interpreters, too."""
     computers = tuple(
         Computer(name=name, capacity={"cpu": 2.0, "memory": 1e9}) for name in "abc"
@@ -65,7 +65,7 @@ def small_scenario() -> Scenario:
         ),
     )
     placement = {"camera": "a", "filter": "b", "mind": "b", "arm": "c"}
-    return Scenario(robot=robot, placement=placement, tasks=("work",), seconds=10.0)
+    return Scenario(robot=robot, placement=placement, tasks=("work",), seconds=seconds)
 
 
 def _component(name: str) -> ComponentEntry:
