@@ -7,6 +7,7 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+from poise import threads
 from poise.errors import PoiseError
 from poise.session.running_robots.running import Running
 
@@ -27,7 +28,7 @@ def telling_progress(running: Running) -> Iterator[None]:
                 return
             sys.stderr.writelines(f"{each}\n" for each in sentences)
 
-    telling = threading.Thread(target=tell, name="progress", daemon=True)
+    telling = threads.daemon(tell, "progress")
     telling.start()
     try:
         yield
