@@ -122,6 +122,7 @@ class Contacts:
         now: float,
         *,
         managed: float | None = 0.0,
+        manager: str = "",
         is_cut_off: bool = False,
         asks: Iterable[str] = (),
         revoked: Mapping[str, int] | None = None,
@@ -143,6 +144,7 @@ class Contacts:
                 if now - contact.heard_at < _FORGOTTEN
             },
             managed=managed,
+            manager=manager,
             is_cut_off=is_cut_off,
             asks=tuple(asks),
             revoked=revoked or {},

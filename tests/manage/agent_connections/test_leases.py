@@ -18,6 +18,7 @@ from poise.wire.records.heartbeats import MANAGER, Heartbeat
 AGENTS = ("left", "right", "third")
 AHEAD = {MANAGER: 0.0, "left": 1e3, "right": -70.0, "third": 5e5}
 """How far each clock is ahead of the test's [s]."""
+MINE, ANOTHER = "the manager", "another manager"
 STEP = 0.025
 DELAY = 0.01
 JITTER = 0.06
@@ -29,9 +30,10 @@ class World:
     def __init__(self) -> None:
         self.now = 0.0
         self.contacts = {n: Contacts("robot", n, f"key of {n}") for n in AHEAD}
+        self.obeys = dict.fromkeys(AGENTS, MINE)
         self.leases = {name: Lease(self.contacts[name]) for name in AGENTS}
         for name, lease in self.leases.items():
-            lease.begin([other for other in AGENTS if other != name])
+            lease.begin([other for other in AGENTS if other != name], MINE)
         self.manager = Reachability(self.contacts[MANAGER], SURELY_ENDED)
         self.cut: set[tuple[str, str]] = set()
         self.stalled: set[str] = set()
@@ -73,7 +75,8 @@ class World:
         if name == MANAGER:
             self.manager.look(AGENTS, at)
         managed = 0.0 if name == MANAGER else self.leases[name].managed(at)
-        beat = self.contacts[name].next_beat(at, managed=managed)
+        manager = self.obeys.get(name, "")
+        beat = self.contacts[name].next_beat(at, managed=managed, manager=manager)
         arrives = self.now + DELAY + self.jitter * self._chance.random()
         self._on_way += [
             (arrives, other, beat)
@@ -187,7 +190,7 @@ def test_the_lease_of_an_agent_that_was_never_heard_ends_after_its_loss(
 def test_the_next_agent_holds_a_lease_only_once_the_manager_has_heard_it() -> None:
     contacts, now = Contacts("robot", "left", "next"), 100.0
     lease = Lease(contacts)
-    lease.begin(["right"], began=-inf)
+    lease.begin(["right"], MINE, began=-inf)
     assert lease.until(now) == -inf
     manager = Contacts("robot", MANAGER, "manager")
     contacts.note(manager.next_beat(5.0), now)  # it may have been under way for long
@@ -268,3 +271,24 @@ def test_what_may_be_started_elsewhere_is_active_nowhere(
                     num_started += 1
                     assert name in cut_off, (seed, world.now, name)
     assert num_started > 0
+
+
+def test_an_agent_that_obeys_another_manager_extends_no_lease() -> None:
+    """The manager of `left` hears of it no more, and may start elsewhere what runs."""
+    world = World()
+    world.run(1.0)
+    world.sever("left", MANAGER)
+    world.run(1.0)
+    assert world.is_held("left")  # the others relay
+    world.obeys |= {"right": ANOTHER, "third": ANOTHER}
+    world.run(1.0)
+    assert not world.is_held("left")
+
+
+def test_agents_whose_manager_has_ended_leave_the_lease_as_it_is() -> None:
+    world = World()
+    world.run(1.0)
+    world.isolate(MANAGER)
+    world.obeys |= dict.fromkeys(AGENTS, "")
+    world.run(2.0)
+    assert world.is_held("left")

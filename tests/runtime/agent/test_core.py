@@ -112,12 +112,13 @@ class Adopted:
     def __init__(self) -> None:
         self.watched: list[int] = []
         self.is_closed = False
+        self.is_waiting = False
 
     def awaits(self, _container: str) -> bool:
         return False
 
     def is_settled(self) -> bool:
-        return True
+        return not self.is_waiting
 
     def watch(self, pid: int) -> bool:
         self.watched.append(pid)
@@ -171,6 +172,7 @@ class World:
         self.asleep = 0.0
         self.transports: list[Transport] = []
         self.host, self.adoption, self.disk = Host(), Adopted(), Disk()
+        self.adoption.is_waiting = transport is not None  # something was left
         self.statuses: list[AgentStatus] = []
         self.said: list[str] = []
         self.appeared_at: list[float] = []
@@ -421,6 +423,7 @@ def leased_by(world: World, *, lapsed: bool) -> Process:
     process = Process()
     process.is_lapsed = lapsed
     assert world.core.on_orphan("see", 100, process)
+    world.adoption.is_waiting = False
     return process
 
 
@@ -469,7 +472,15 @@ def test_what_had_no_lease_any_more_when_it_was_adopted_gets_none() -> None:
     assert process.lease_end == -inf
     world.run(0.1)
     assert world.core.fence.cut_off == 1e9
-    assert world.core.fence.token == 3
+    assert world.core.fence.token == 2  # its manager need not claim it again
+
+
+def test_where_no_container_was_left_nothing_leased_runs_before_it_is_told() -> None:
+    """What the agent kept may run elsewhere by now."""
+    world = World(other_agents())
+    world.run(0.1)
+    assert world.core.fence.is_cut_off
+    assert world.core.supervisor.is_cut_off
 
 
 def test_a_computer_that_was_suspended_has_no_lease() -> None:

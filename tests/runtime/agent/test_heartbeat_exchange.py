@@ -194,3 +194,15 @@ def test_a_claim_while_the_lease_lasts_interrupts_nothing(rig: Rig) -> None:
     heard(rig, 1)
     rig.exchange.begin("l", AGENTS, is_leased=True)
     assert rig.beat(0.1) > 0
+
+
+def test_what_ran_here_without_an_agent_waits_for_what_the_manager_says(
+    rig: Rig,
+) -> None:
+    """It may run elsewhere by now, and heartbeats do not say so."""
+    rig.exchange.begin_again(AGENTS, is_leased=True)
+    rig.exchange.note_lapsed()
+    heard(rig, 1)
+    assert rig.beat(0.1) == -inf
+    rig.fence.note_told()
+    assert rig.beat(0.01) > 0

@@ -106,6 +106,8 @@ class AgentCore:
             world.asleep,
         )
         self.heartbeats.begin_again(left.agents, left.is_leased)
+        if world.adoption.is_settled():  # nothing has run here meanwhile
+            self.heartbeats.note_lapsed()
         self._last = self._status()
         self._reports = StatusReports(world.publish, world.clock, self._last)
         self._parts = self._table()

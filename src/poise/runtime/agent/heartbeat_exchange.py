@@ -101,7 +101,10 @@ class HeartbeatExchange:
             self._heartbeats.close()
 
     def begin_again(self, agents: Mapping[str, str], is_leased: bool) -> None:  # noqa: FBT001, as kept
-        """Go on in the place of an agent that was killed."""
+        """Go on in the place of an agent that was killed.
+
+        What it kept may run elsewhere by now: see `note_lapsed`.
+        """
         manager = self._fence.manager
         if manager is not None:
             # nobody has heard this one yet, and there is a lease's time for that
@@ -140,7 +143,7 @@ class HeartbeatExchange:
             self.agents, self.is_leased = agents, is_leased
             is_new = key != self._claimed_by
             self._claimed_by = key
-            self._lease.begin(others.keys(), began)
+            self._lease.begin(others.keys(), key, began)
             if is_new:
                 self._contacts.forget(MANAGER)
                 self._targets.clear()
@@ -153,13 +156,13 @@ class HeartbeatExchange:
             self._heartbeats.start()
 
     def note_lapsed(self) -> None:
-        """Note that a container of an earlier agent was without a lease already.
+        """Note that the lease ended while there was no agent here.
 
-        If no heartbeat can extend that lease, the container's components may run
-        elsewhere by now.
+        So leased components may run elsewhere by now: none is active here until the
+        manager says what runs.
         """
-        if not self.is_leased:
-            self._fence.cut()
+        if self.agents.keys() > {self._computer}:
+            self._fence.lapse()
             self._extend(-inf)
 
     def note_liveliness(self, key: str, *, is_there: bool) -> None:
@@ -214,6 +217,7 @@ class HeartbeatExchange:
         beat = self._contacts.next_beat(
             now,
             managed=self._lease.managed(now) if is_managed else None,
+            manager=self._claimed_by if is_managed else "",
             is_cut_off=self._fence.is_cut_off,
             asks=(MANAGER,) if is_late else (),
             revoked=self._lease.revoked(),

@@ -30,18 +30,23 @@ class Lease:
     def __init__(self, contacts: Contacts) -> None:
         self._contacts = contacts
         self._others: Collection[str] = ()
+        self._manager = ""
         self._began: float | None = None
 
-    def begin(self, others: Collection[str], began: float | None = None) -> None:
+    def begin(
+        self, others: Collection[str], manager: str, began: float | None = None
+    ) -> None:
         """Be claimed by a manager that knows these other agents of the robot.
 
         Parameters
         ----------
+        manager
+            Its key. Agents that obey another one say nothing of this one's lease.
         began
             When it was extended, while the manager has heard nothing [s]; None: when
             the manager is heard first.
         """
-        self._others = others
+        self._others, self._manager = others, manager
         self._began = began
 
     def managed(self, now: float) -> float | None:
@@ -62,7 +67,9 @@ class Lease:
         ages = [
             now - other.acked + other.last.managed
             for other in others
-            if other.acked is not None and other.last.managed is not None
+            if other.acked is not None
+            and other.last.managed is not None
+            and other.last.manager == self._manager
         ]
         return min([direct, *ages, self._unheard(now)])
 
@@ -89,5 +96,9 @@ class Lease:
     def _unheard(self, now: float) -> float:
         """Return how long ago it sent what all other agents have heard [s]."""
         contacts = map(self._contacts.get, self._others)
-        heard = [c.acked if c is not None else None for c in contacts]
+        mine = {"", self._manager}
+        heard = [
+            c.acked if c is not None and c.last.manager in mine else None
+            for c in contacts
+        ]
         return max((now - at if at is not None else inf for at in heard), default=0.0)

@@ -45,6 +45,9 @@ class Heartbeat(Struct, frozen=True, array_like=True):
     managed
         How long ago it sent what its manager has heard [s]; None: not known. Of a
         manager: 0.
+    manager
+        The key of the manager that it obeys; empty: that one has ended, or there was
+        none yet.
     is_cut_off
         Whether its lease has ended, so that its leased components are inactive.
     asks
@@ -61,6 +64,7 @@ class Heartbeat(Struct, frozen=True, array_like=True):
     sent: float
     heard: Mapping[str, Echo] = {}
     managed: float | None = None
+    manager: str = ""
     is_cut_off: bool = False
     asks: tuple[str, ...] = ()
     revoked: Mapping[str, int] = {}

@@ -16,7 +16,7 @@ from poise.wire.records.migration import MigrationSteps, StepsDone, StepsFailed
 from poise.wire.records.output import OutputLines, ReadOutput
 from poise.wire.records.taps import Tap, TapReading
 
-PROTOCOL = 9
+PROTOCOL = 10
 """Manager, agents and containers of different protocol versions refuse each other."""
 
 
