@@ -95,6 +95,7 @@ class FakeAgents:
         self.hearers: dict[str, str] = {}
         self.revoked: list[str] = []
         self.returns = False
+        self.back = ""
         self.claimed: list[str] = []
         self.is_forced = False
         self.later: ManagerId | None = None
@@ -195,6 +196,7 @@ class FakeAgents:
     def wait_news(self, is_enough: Callable[[], bool], limit: float) -> bool:  # noqa: ARG002, it does not wait
         if self.returns:
             self.gone.clear()
+        self.gone.discard(self.back)
         return is_enough()
 
     def begin_claim(self, computer: str) -> Reply:

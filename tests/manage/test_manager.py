@@ -128,7 +128,7 @@ def test_other_commands_are_carried_out_while_a_target_is_configured(
     moving = managed.manager.submit(COMMAND)
     managed.manager.work(0.0)
     (sentence,) = managed.manager.status().under_way
-    assert sentence.startswith("component 'thinker' from 'right' to 'left' is prepared")
+    assert sentence.startswith("component 'thinker' from 'right' to 'left' has been in")
     assert "is unconfigured, not yet inactive" in sentence
     other = managed.manager.submit(MoveCommand("grabber", "nowhere", dry=True))
     managed.manager.work(0.0)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, cast
 
 import pytest
+from msgspec.structs import replace
 
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.journal import Journal
@@ -32,7 +33,7 @@ def test_a_connector_is_not_said_to_be_joined_because_its_end_is_moved(
     run.start()
     seen = Watch(run)
     agents.unjoined = (RAW,)
-    run.reconciler.forget("left")
+    agents.report(replace(agents.statuses()["left"], pid=9))  # so it is told again
     run.reconcile()
     seen.look()
     what = f"connector '{RAW.name}' from 'left' does not reach 'left'"

@@ -95,7 +95,8 @@ PARTS: dict[str, Callable[[Buggy], tuple[object, str]]] = {
     "wait for news": lambda b: (b.manager.tasks, "has_news"),
     "see who manages the robot": lambda b: (b.manager._run.agents, "successor"),
     "look at itself": lambda b: (b.manager._troubles, "look"),
-    "bring agents to what should run": lambda b: (
+    "bring agents to what should run": lambda b: (b.manager._run, "gateways"),
+    "tell the agent of 'left' what should run": lambda b: (
         b.manager._run.reconciler,
         "step",
     ),

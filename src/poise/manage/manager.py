@@ -284,12 +284,16 @@ class Manager:
     def _wait_news(self, limit: float) -> bool:
         return self._run.agents.wait_news(self._has_news, limit)
 
+    def _has_news_of_tasks(self) -> bool:
+        backs_off = self._tick.backs_off("look after tasks")
+        return not backs_off and self.tasks.has_news()
+
     def _has_news(self) -> bool:
         """Return whether something is to be done at once."""
         return (
             self.is_stopping
             or not self._commands.empty()
-            or self.tasks.has_news()
+            or self._has_news_of_tasks()
             or any(planned.is_over() for _, planned, _ in self._planned)
         )
 

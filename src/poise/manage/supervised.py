@@ -71,8 +71,7 @@ class SupervisedTick:
         TakenOver
             The robot is another manager's: that is no failure.
         """
-        failure = self._failures.get(part)
-        if failure is not None and self._clock.now() < failure.again_at:
+        if self.backs_off(part):
             return None
         try:
             result = work()
@@ -82,10 +81,14 @@ class SupervisedTick:
             if not (isinstance(error, PoiseError) and self._is_ending()):
                 self._note(part, error, changes=changes)
             return None
-        if failure is not None:
-            del self._failures[part]
+        if self._failures.pop(part, None) is not None:
             self._journal.note("right", f"the manager can {part} again")
         return result
+
+    def backs_off(self, part: str) -> bool:
+        """Return whether a part raised, and is not tried again yet."""
+        failure = self._failures.get(part)
+        return failure is not None and self._clock.now() < failure.again_at
 
     def deviations(self) -> list[Deviation]:
         """Return what does not work now; from any thread."""

@@ -170,7 +170,9 @@ def _measure(
         looks()
         up.computers.raise_if_ended()
         if lost := manager.lost():
-            raise RunError(run.unreached()[min(lost)])
+            lost_one = min(lost)
+            what = f"computer '{lost_one}' is out of reach"
+            raise RunError(run.unreached().get(lost_one, what))
 
     def look(_: float) -> None:
         now, statuses = time.monotonic(), run.agents.statuses()

@@ -93,14 +93,20 @@ class Up(Running):
             self._ended.set()
 
     def _keep_up(self) -> None:
-        world = self.started.world
+        run = self.started.run
         try:
             while not self._manager.is_stopping:
-                self._manager.work(_LOOK_EVERY)
-                if world is not None and world.has_ended():
-                    self._manager.end_estimates()
-        finally:
+                if not run.tick.run("carry on", self._work):
+                    run.clock.sleep(_LOOK_EVERY)
+        finally:  # it was asked for, or another manager has the robot
             self._manager.stop()
+
+    def _work(self) -> bool:
+        world = self.started.world
+        self._manager.work(_LOOK_EVERY)
+        if world is not None and world.has_ended():
+            self._manager.end_estimates()
+        return True
 
 
 @contextlib.contextmanager

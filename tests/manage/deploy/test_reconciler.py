@@ -82,13 +82,13 @@ def test_an_agent_that_refuses_is_told_again_later_and_that_is_said(rig: Rig) ->
     rig.agents.refusing.add("right")
     rig.rest("thinker")
     why = "the agent of 'right' refused: not today"
-    assert rig.run.reconciler.troubles == {"right": why}
+    assert rig.run.reconciler.troubles() == {"right": why}
     with pytest.raises(RunError, match="not today"):
         rig.run.wait([rig.run.placed["thinker"]], 0.0)
     rig.agents.refusing.clear()
     assert rig.later(TRY_AGAIN / 2) == []
     assert rig.later(TRY_AGAIN) == ["right"]
-    assert rig.run.reconciler.troubles == {}
+    assert rig.run.reconciler.troubles() == {}
 
 
 def test_an_agent_that_is_late_holds_up_no_other(rig: Rig) -> None:
@@ -96,11 +96,11 @@ def test_an_agent_that_is_late_holds_up_no_other(rig: Rig) -> None:
     rig.rest("thinker")
     rig.rest("grabber")
     rig.run.wait([rig.run.placed["grabber"]], 0.0)
-    assert rig.run.reconciler.troubles == {}
+    assert rig.run.reconciler.troubles() == {}
     rig.told()
     assert rig.later(ANSWER_LIMIT) == []
     why = f"the agent of 'right' did not answer within {ANSWER_LIMIT:g} s"
-    assert rig.run.reconciler.troubles == {"right": why}
+    assert rig.run.reconciler.troubles() == {"right": why}
     rig.agents.mute.clear()
     assert rig.later(TRY_AGAIN) == ["right"]
 
@@ -151,7 +151,7 @@ def test_one_that_refuses_a_claim_is_asked_again_later(rig: Rig) -> None:
     for _ in range(3):
         assert rig.later(0.1) == []
     assert rig.agents.claimed == ["right"]
-    assert "right" in rig.run.reconciler.troubles
+    assert "right" in rig.run.reconciler.troubles()
     assert rig.later(TRY_AGAIN) == []
     assert rig.agents.claimed == ["right", "right"]
 

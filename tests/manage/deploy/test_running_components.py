@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any, cast
 
 import pytest
+from msgspec import structs
 
 from poise.errors import RunError
 from poise.manage.agent_connections.agents import Agents
@@ -12,6 +13,7 @@ from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.deploy.stop import stop
 from poise.manage.journal import Journal
 from poise.model.robot import Robot
+from poise.testing.clock import VirtualClock
 from poise.wire.records.status import ComponentStatus, Fault
 from tests.manage.conftest import FakeAgents
 
@@ -214,3 +216,65 @@ def test_a_computer_that_has_not_reported_again_keeps_its_address(
     run.commit(run.desired.aiming("inactive", ["filter"]), "it ends")
     (container,) = agents.deployed[-1][1].containers
     assert [c.address for c in container.connectors] == ["right:7000/mind"]
+
+
+def test_what_is_out_of_reach_has_not_surely_ended(
+    robot: Robot, agents: FakeAgents
+) -> None:
+    """Its agent may not know yet that it should: something else must not start."""
+    run, _ = run_of(robot, agents)
+    run.start()
+    run.goes_on_without_lost = True
+    old = run.placed["thinker"]
+    agents.gone.add("right")
+    run.commit(run.desired.without(["thinker"]), "a test")
+    with pytest.raises(RunError, match="computer 'right' is out of reach"):
+        run.wait_ended(old)
+
+
+def test_what_cannot_be_computed_now_is_told_later(
+    robot: Robot, agents: FakeAgents, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run, _ = run_of(robot, agents)
+    run.clock = run.tick._clock = clock = VirtualClock()
+    run.start()
+    specs = run.layout.specs
+
+    def unreadable(*_: object) -> None:
+        raise OSError("a file of the code is being written")
+
+    monkeypatch.setattr(run.layout, "specs", unreadable)
+    run.commit(run.desired.aiming("inactive", ["thinker"]), "a test")
+    assert "a file of the code" in run.tick.deviations()[0].what
+    monkeypatch.setattr(run.layout, "specs", specs)
+    clock.sleep(2.0)
+    run.reconcile()
+    (container,) = agents.deployed[-1][1].containers
+    assert container.components[0].goal == "inactive"
+
+
+def test_only_what_runs_or_comes_may_fail_a_wait(
+    robot: Robot, agents: FakeAgents
+) -> None:
+    """A target that is configured ahead may fail: its own migration says so."""
+    run, _ = run_of(robot, agents)
+    run.start()
+    ahead = structs.replace(run.placed["grabber"], epoch=7, goal="inactive")
+    agents.states["grabber"] = ComponentStatus(name="grabber", epoch=7, state="failed")
+    run.commit(run.desired.configuring([ahead]), "a test")
+    run.watch(0.0)
+
+
+def test_a_stop_ends_what_is_back_though_not_all_is(
+    robot: Robot, agents: FakeAgents
+) -> None:
+    third = structs.replace(robot.computers[0], name="third")
+    agents.report(structs.replace(agents.statuses()["left"], computer="third"))
+    robot = structs.replace(robot, computers=(*robot.computers, third))
+    run, _ = run_of(robot, agents)
+    run.start()
+    agents.gone |= {"right", "third"}
+    agents.back = "right"
+    with pytest.raises(RunError, match="computer 'third' is out of reach"):
+        stop(run)
+    assert not agents.statuses()["right"].containers

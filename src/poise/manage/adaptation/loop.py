@@ -95,12 +95,13 @@ class Adaptation:
     def look(self) -> None:
         """Look at the robot once, and let the first responder act that wants to."""
         situation = self._analysed(self._situation())
-        self._report(situation.symptoms)
-        self._put_aside.look()
+        tick = self._run.tick
+        tick.run("report symptoms", partial(self._report, situation.symptoms))
+        tick.run("see what is put aside", self._put_aside.look)
         if self._acts:
             for responder in self.responders:
                 respond = partial(self._respond, responder, situation)
-                if self._run.tick.run(responder.purpose, respond, changes=True):
+                if tick.run(responder.purpose, respond, changes=True):
                     return
 
     def _situation(self) -> Situation:

@@ -135,6 +135,7 @@ class Agents(AgentReports):
                 and computer not in self._lost
                 and computer not in self._silent
                 and status.token == token
+                and self._claimed.get(computer) == token
             )
 
     def successor(self) -> ManagerId | None:
@@ -219,7 +220,8 @@ class Agents(AgentReports):
         """Claim an agent; one that was cut off learns late that its manager ended."""
         if not self.wait_news(lambda: computer in self.statuses(), SEND_LIMIT):
             raise RunError(f"the agent of '{computer}' has not reported yet")
-        before = self.statuses()[computer].manager
+        status = self.statuses().get(computer)
+        before = status.manager if status is not None else None
         is_late = bool(self._claimed) or (before is not None and has_ended(before))
         until = self._clock.now() + (_LATE if is_late else 0.0)
         while True:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Mapping
+from functools import partial
 
 from msgspec import structs
 
@@ -23,6 +24,7 @@ from poise.manage.deploy.other_side import joined_by
 from poise.manage.deploy.reconciler import Reconciler
 from poise.manage.journal import Journal
 from poise.manage.supervised import SupervisedTick
+from poise.model.check.allowed_computers import allowed_computers
 from poise.model.robot import Robot
 from poise.wire.records.deployment import Deployment
 
@@ -150,7 +152,8 @@ class DesiredState:
         """Go on with what an earlier manager left, in place of what was planned."""
         self._epochs = dict(last_epochs)
         # that of one on a computer that is out of reach is not known, and lower
-        self._last_epoch = max(s.generation for s in self.agents.statuses().values())
+        statuses = self.agents.statuses().values()
+        self._last_epoch = max((s.generation for s in statuses), default=0)
         desired = Desired(placed=dict(kept), tasks=tasks, held=held)
         self.commit(desired, "taking the robot over")
 
@@ -174,7 +177,7 @@ class DesiredState:
 
     def why_held(self, component: str) -> str:
         """Return why a component stays inactive, for people."""
-        missing = {computer.name for computer in self.robot.computers} - self.claimed
+        missing = allowed_computers(self.robot)[component] - self.claimed
         names = " or ".join(f"'{name}'" for name in sorted(missing))
         return (
             f"component '{component}' waits: another manager may run it on {names}, "
@@ -185,7 +188,6 @@ class DesiredState:
     def _reconcile(self) -> None:
         now = self.desired, dict(self.gateways())
         if now != self._deployed_for:
-            self._deployed_for = now
             self._deployments = {
                 computer: structs.replace(spec, tasks=self.desired.tasks)
                 for computer, spec in self.layout.specs(
@@ -195,7 +197,10 @@ class DesiredState:
                     self.desired.spare,
                 ).items()
             }
-        self.reconciler.step(self._deployments)
+            self._deployed_for = now
+        for computer, deployment in self._deployments.items():
+            tell = partial(self.reconciler.step, computer, deployment)
+            self.tick.run(f"tell the agent of '{computer}' what should run", tell)
         if self._found:
             self._join_found()
 
@@ -209,7 +214,7 @@ class DesiredState:
 
     def _join_found(self) -> None:
         """Adopt what is at work on computers that were claimed for the first time."""
-        found, self._found = self._found, {}
+        found = dict(self._found)
         for each in found_in(found):
             self._epochs[each.name] = max(
                 self._epochs.get(each.name, self._last_epoch), each.spec.epoch
@@ -220,4 +225,5 @@ class DesiredState:
         desired = structs.replace(
             desired, generation=max(last, self.desired.generation) + 1
         )
+        self._found = {}
         self.commit(desired, f"what is at work on {names} goes on there")

@@ -13,6 +13,7 @@ from poise.errors import RunError
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.observe.deviations import Deviation
 from poise.units import counted
+from poise.wire.records.status import AgentStatus
 
 _MOMENT = 1.0
 """A command waits so long for a computer that has just been cut off [s]."""
@@ -55,7 +56,7 @@ class LostComputers:
         for computer in sorted(self._lost_at.keys() & obeying):
             status = run.agents.statuses().get(computer)
             if status is not None and run.reconciler.is_current(computer, status):
-                self._note_back(computer)
+                self._note_back(computer, status)
         self._note_refusals()
 
     def computers(self) -> frozenset[str]:
@@ -130,13 +131,12 @@ class LostComputers:
         back = f"computer '{computer}' was cut off, or its agent was restarted"
         run.journal.note("wrong", run.unreached().get(computer, back))
 
-    def _note_back(self, computer: str) -> None:
+    def _note_back(self, computer: str, status: AgentStatus) -> None:
         run = self._run
         self._obeying.add(computer)
         del self._lost_at[computer], self._lost_moments[computer]
         was_cut_off = computer in self._was_cut_off
         self._was_cut_off.discard(computer)
-        status = run.agents.statuses()[computer]
         pid_before, self._pids[computer] = self._pids.get(computer), status.pid
         what = f"computer '{computer}' is reached again"
         if pid_before is None:
@@ -151,7 +151,7 @@ class LostComputers:
 
     def _note_refusals(self) -> None:
         """Journal what an agent refuses, or does not answer, when that is new."""
-        run, troubles = self._run, self._run.reconciler.troubles
+        run, troubles = self._run, self._run.reconciler.troubles()
         for computer in self._refused.keys() - troubles.keys():
             del self._refused[computer]
         for computer, why in troubles.items():

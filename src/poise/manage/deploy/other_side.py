@@ -70,7 +70,8 @@ def joined_by(
 ) -> Desired:
     """Return what should run when one more computer is claimed.
 
-    What is at work there goes on there, unless this manager runs it elsewhere. When no
+    What is at work there goes on there, unless this manager runs it, or another
+    architecture of its function. When no
     computer is missing any more, what is held is active again where it is.
 
     Parameters
@@ -81,17 +82,25 @@ def joined_by(
         All computers that are claimed now.
     """
     placed, held = dict(desired.placed), set(desired.held)
+    provided = {
+        a.function
+        for a in robot.architectures
+        if not placed.keys().isdisjoint(c.name for c in a.components)
+    }
+    allowed = allowed_computers(robot)
     for each in sorted(found, key=lambda f: f.spec.epoch):
         before = placed.get(each.name)
         is_here = before is not None and before.computer == each.computer
-        if (
-            before is not None
-            and each.spec.goal == "active"
-            and (is_here or each.name in held)
+        is_lacking = (
+            before is None
+            and each.computer in allowed.get(each.name, ())
+            and robot.architecture_of(each.name).function not in provided
+        )
+        if each.spec.goal == "active" and (
+            is_here or is_lacking or (before is not None and each.name in held)
         ):
             placed[each.name] = each.incarnation
             held.discard(each.name)
     missing = {computer.name for computer in robot.computers} - set(claimed)
-    allowed = allowed_computers(robot)
     freed = {name for name in held if missing.isdisjoint(allowed[name])}
     return replace(desired, placed=placed, held=frozenset(held - freed))

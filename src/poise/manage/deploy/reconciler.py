@@ -78,11 +78,6 @@ class Reconciler:
     on_claimed
         Called with a computer and what its agent works towards, when it was claimed.
 
-    Attributes
-    ----------
-    troubles
-        Computer -> what its agent refuses or does not answer, for people; replaced as a
-        whole, so that any thread may read it.
     """
 
     def __init__(
@@ -95,15 +90,17 @@ class Reconciler:
         self._clock = clock
         self._on_claimed = on_claimed
         self._known: dict[str, _AskedAgent] = {}
-        self.troubles: Mapping[str, str] = {}
 
-    def step(self, wanted: Mapping[str, Deployment]) -> None:
-        """Take the smallest step towards what should run, on all computers."""
-        statuses, away = self._agents.statuses(), self._agents.out_of_reach()
-        for computer, deployment in wanted.items():
-            status = None if computer in away else statuses.get(computer)
-            self._bring(computer, deployment, status)
-        self.troubles = {n: a.trouble for n, a in self._known.items() if a.trouble}
+    def step(self, computer: str, wanted: Deployment) -> None:
+        """Take the smallest step towards what should run on a computer."""
+        away = self._agents.out_of_reach()
+        status = None if computer in away else self._agents.statuses().get(computer)
+        self._bring(computer, wanted, status)
+
+    def troubles(self) -> dict[str, str]:
+        """Return computer -> what its agent refuses or does not answer, for people."""
+        known = self._known.copy()
+        return {name: each.trouble for name, each in known.items() if each.trouble}
 
     def is_current(self, computer: str, status: AgentStatus) -> bool:
         """Return whether a status speaks of what its agent was told last."""
@@ -115,10 +112,6 @@ class Reconciler:
         """Return why an agent refuses what it was told last; empty: it does not."""
         agent = self._known.get(computer)
         return agent.refusal if agent else ""
-
-    def forget(self, computer: str) -> None:
-        """Tell an agent again what should run, though nothing has changed."""
-        self._known.pop(computer, None)
 
     def _bring(
         self, computer: str, wanted: Deployment, status: AgentStatus | None
@@ -138,6 +131,8 @@ class Reconciler:
             return
         if agent.is_claim and agent.reply is not None:
             return
+        if self.is_current(computer, status) and not agent.refusal:
+            agent.trouble = ""  # it took what it did not answer
         if self._is_told(agent, wanted, status, now) or (
             agent.told is not None
             and now < agent.again_at

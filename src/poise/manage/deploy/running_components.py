@@ -60,6 +60,8 @@ class RunningComponents(DesiredState):
         """Called at all news while agents are waited for; may raise to end that."""
         self.faults_before = last_numbers(agents.statuses())
         self._faults_before_commit = self.faults_before
+        self.has_taken_over = False
+        """Whether it was at work under another manager before."""
         self.goes_on_without_lost = False
         """Whether a lost computer is a deviation; else it ends what waits."""
 
@@ -211,9 +213,15 @@ class RunningComponents(DesiredState):
         Raises
         ------
         RunError
-            It still ran after `STOP_LIMIT`.
+            It still ran after `STOP_LIMIT`, or its computer is out of reach.
         """
-        if not self.agents.wait_news(lambda: self.has_ended(gone), STOP_LIMIT):
+
+        def has_ended() -> bool:
+            self.reconcile()
+            self.raise_on_unreached([gone])  # there it may still run
+            return self.has_ended(gone)
+
+        if not self.agents.wait_news(has_ended, STOP_LIMIT):
             raise RunError(
                 f"component '{gone.component}' still runs on '{gone.computer}' "
                 f"{STOP_LIMIT:g} s after it was to end"
@@ -289,7 +297,8 @@ class RunningComponents(DesiredState):
             for end in connector.between
             if end.component in where
         }
-        return peers | {each.computer for each in wanted}
+        sources = {where[name] for name in names & where.keys()}
+        return peers | sources | {each.computer for each in wanted}
 
     def _running(self) -> list[str]:
         """Return the containers that still run, for all that is known."""
@@ -311,10 +320,14 @@ class RunningComponents(DesiredState):
 
     def _raise_on_trouble(self) -> bool:
         self.look()
-        prepared = {(name, each.epoch) for name, each in self.prepared.items()}
+        desired = self.desired
+        judged = {
+            (each.component, each.epoch)
+            for each in (*desired.placed.values(), *desired.coming)
+        }
         for computer, component in located(self.agents.statuses()):
-            is_prepared = (component.name, component.epoch) in prepared
-            if component.state == "failed" and not is_prepared:
+            is_judged = (component.name, component.epoch) in judged
+            if component.state == "failed" and is_judged:
                 what = f"component '{component.name}' on '{computer}' failed"
                 self.journal.note("failed", what)
                 raise RunError(f"{what}:\n{component.error}")

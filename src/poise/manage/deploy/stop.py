@@ -30,8 +30,10 @@ def stop(run: RunningComponents) -> None:
         deactivate_callers(run)
     away = {computer.name for computer in run.robot.computers} - run.computers()
     run.end_all("the robot is stopped")
-    if away and agents.wait_news(lambda: away <= run.computers(), RETURN_LIMIT):
-        run.end_all("computers that are back are stopped")
+    if away:
+        agents.wait_news(lambda: away <= run.computers(), RETURN_LIMIT)
+        if not away.isdisjoint(run.computers()):
+            run.end_all("computers that are back are stopped")
     text = "; ".join(
         f"{sentence}; `poise stop --file FILE` ends it once '{name}' is reached"
         for name, sentence in run.unreached().items()

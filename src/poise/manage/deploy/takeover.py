@@ -69,6 +69,7 @@ def start_or_take_over(
         run.claimed |= {computer.name for computer in run.robot.computers}
     held = frozenset[str]()
     if not by_force:
+        statuses = run.agents.statuses()  # a lease may have ended meanwhile
         fenced = {name for name, status in statuses.items() if status.cut_off}
         held = components_to_hold(run.robot, found, run.claimed, fenced)
     try:
@@ -91,6 +92,7 @@ def _take_over(
     last = max(deployments.values(), key=lambda d: d.generation, default=None)
     tasks = last.tasks if last else b""
     # what comes back from now on is claimed and told then
+    run.has_taken_over = True
     run.goes_on_without_lost = True
     planned = run.placement()
     if tasks and not is_rule:
@@ -176,9 +178,10 @@ def _is_committed(
                 unknown[where] = outcome.reason
             elif outcome.is_committed:
                 return True
-        asked = unknown.keys() & _targets(found)
+        asked = set(unknown)
         if run.clock.now() >= until:
             break
+    asked &= _targets(found)
     for where in sorted(asked):
         why = f"{unknown[where]}: it is ended, for it may have gone on with the move"
         run.journal.note("decided", f"amid a migration, {why}")

@@ -310,7 +310,8 @@ class Migration:
 
     def _why_not_active(self, source: Incarnation, found: ComponentStatus) -> str:
         container = self._run.layout.container_of(source.component)
-        health = self._run.current()[source.computer].health
+        status = self._run.current().get(source.computer)
+        health = status.health if status is not None else ()
         of_container = next((h for h in health if h.name == container), None)
         return (
             f"{explain(source, found, of_container)}: its state cannot be transferred"

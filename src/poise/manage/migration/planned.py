@@ -60,6 +60,8 @@ class Planned:
 
     def is_over(self) -> bool:
         """Return whether they are configured, or will not be."""
+        if self._reason:
+            return True
         try:
             return self._is_configured()
         except RunError as error:
@@ -70,7 +72,7 @@ class Planned:
         """Return what is waited for, in words; from any thread."""
         since = time.monotonic() - self._began
         waits = "; ".join(self._missing)
-        return f"{self._report.way} is prepared since {since:.0f} s: {waits}"
+        return f"{self._report.way} has been in preparation for {since:.0f} s: {waits}"
 
     def run(self) -> MigrationReport:
         """Migrate, or not; never raises for what goes wrong on the way."""

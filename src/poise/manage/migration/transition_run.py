@@ -51,10 +51,9 @@ def start_together(
     new = [_with_checkpoint(run, each) for each in new]
     old = [run.placed[name] for name in placement.keys() & run.placed.keys()]
     lost = {each.computer for each in old}.intersection(lost)
-    before = run.desired
     # one of the lost that comes back meanwhile must keep what it has
     ends = [each for each in old if each.computer not in lost]
-    desired = before.without([each.component for each in ends])
+    desired = run.desired.without([each.component for each in ends])
     inactive = [each.with_goal("inactive") for each in new]
     try:
         run.commit(desired.starting(inactive), "start components together")
@@ -64,7 +63,9 @@ def start_together(
         _revoke_leases(run, lost)
     except RunError as error:
         run.journal.note("failed", f"components did not start: {error}")
-        run.commit(before, "components did not start: all is as it was")
+        # computers may have been joined meanwhile: what is desired then stays
+        back = run.desired.starting(()).placing(ends)
+        run.commit(back, "components did not start: all is as it was")
         return False
     # where they were, they have no lease any more
     run.commit(run.desired.placing(new), "components start together")

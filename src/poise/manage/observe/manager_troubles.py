@@ -73,8 +73,9 @@ class ManagerTroubles:
 
     def deviations(self) -> list[Deviation]:
         """Return what is wrong now; from any thread."""
-        jumped = [self._jumped[1]] if self._jumped is not None else []
-        return [*self._troubles.copy().values(), *jumped]
+        jumped = self._jumped
+        found = [*self._troubles.copy().values()]
+        return [*found, jumped[1]] if jumped is not None else found
 
     def _note(self, number: int, trouble: str) -> None:
         """Journal that a trouble begins, and ends, but not each of its counts."""

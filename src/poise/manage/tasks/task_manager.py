@@ -257,7 +257,8 @@ class TaskManager:
             run.journal.note("decided", f"there is no memory to let {names} rest")
         gone += [n for n in stops if run.placed[n].computer in away]
         if gone:
-            run.commit(run.desired.without(gone), "there is no memory to keep it idle")
+            why = "it cannot stay idle: no memory, or its computer is out of reach"
+            run.commit(run.desired.without(gone), why)
         return [name for name in stops if name not in gone]
 
     def _fail(self, new: list[Turn], begins: Iterable[str], why: str) -> None:

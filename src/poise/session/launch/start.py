@@ -214,6 +214,8 @@ def _running(
         begin(run)
         yield
     except BaseException:
+        if run.has_taken_over and not run.is_over.is_set():
+            run.leave()  # a robot at work goes on, whatever becomes of this manager
         # the first error is the one to raise; what it leaves on real computers is said
         try:
             stop(run)
