@@ -153,3 +153,23 @@ def test_what_was_taken_over_by_force_wins(robot: Robot) -> None:
     there = Incarnation(component="thinker", computer="left", epoch=7)
     cut.heal(GRABBER, there, robot=robot)
     assert cut.goals("thinker") == [("right", 4, "active")]
+
+
+def test_what_was_moved_away_from_the_other_side_before_does_not_come_back(
+    robot: Robot,
+) -> None:
+    """Its agent was killed, and has kept what it was told long ago."""
+    cut = Cut(robot, "right", GRABBER, THINKER.with_goal("stay"))
+    cut.take_over()
+    there = Incarnation(component="thinker", computer="left", epoch=3)
+    cut.heal(GRABBER, there, robot=robot)
+    assert cut.goals("thinker") == [("right", 4, "active")]
+
+
+def test_what_runs_only_on_the_other_side_goes_on_there(robot: Robot) -> None:
+    cut = Cut(robot, "right", THINKER)
+    cut.take_over()
+    placed = cut.run.desired.without(["grabber"])
+    cut.run.commit(placed, "no task is known to need it")
+    cut.heal(replace(GRABBER, epoch=3), robot=robot)
+    assert cut.goals("grabber") == [("left", 3, "active")]

@@ -180,6 +180,8 @@ def test_a_claim_after_the_lease_ended_lets_nothing_run_until_it_is_said_what(
     """What the agent was told before may run elsewhere by now."""
     rig.exchange.begin_again(AGENTS, is_leased=True)
     assert rig.beat(0.1) == -inf
+    assert not rig.exchange.is_held()
+    rig.fence.lapse()  # as the agent does then, when it is claimed
     rig.exchange.begin("k", AGENTS, is_leased=True)
     heard(rig, 1)
     assert rig.beat(0.1) == -inf
@@ -192,8 +194,10 @@ def test_a_claim_after_the_lease_ended_lets_nothing_run_until_it_is_said_what(
 def test_a_claim_while_the_lease_lasts_interrupts_nothing(rig: Rig) -> None:
     rig.exchange.begin("k", AGENTS, is_leased=True)
     heard(rig, 1)
-    rig.exchange.begin("l", AGENTS, is_leased=True)
-    assert rig.beat(0.1) > 0
+    rig.exchange.note_liveliness("k", is_there=False)
+    for _ in range(30):
+        rig.beat(0.1)
+    assert rig.exchange.is_held()
 
 
 def test_what_ran_here_without_an_agent_waits_for_what_the_manager_says(

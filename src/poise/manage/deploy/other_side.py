@@ -88,19 +88,21 @@ def joined_by(
         if not placed.keys().isdisjoint(c.name for c in a.components)
     }
     allowed = allowed_computers(robot)
+    missing = {computer.name for computer in robot.computers} - set(claimed)
     for each in sorted(found, key=lambda f: f.spec.epoch):
         before = placed.get(each.name)
-        is_here = before is not None and before.computer == each.computer
+        # of what is only held here, the later incarnation counts
+        is_later = before is not None and (
+            before.computer in {each.computer, *missing}
+            or (each.name in held and each.spec.epoch > before.epoch)
+        )
         is_lacking = (
             before is None
             and each.computer in allowed.get(each.name, ())
             and robot.architecture_of(each.name).function not in provided
         )
-        if each.spec.goal == "active" and (
-            is_here or is_lacking or (before is not None and each.name in held)
-        ):
+        if each.spec.goal == "active" and (is_later or is_lacking):
             placed[each.name] = each.incarnation
             held.discard(each.name)
-    missing = {computer.name for computer in robot.computers} - set(claimed)
     freed = {name for name in held if missing.isdisjoint(allowed[name])}
     return replace(desired, placed=placed, held=frozenset(held - freed))

@@ -226,8 +226,11 @@ class AgentCore:
         request, refusal = asked.request, self.fence.refusal(asked.token)
         wanted = self.supervisor.wanted
         if isinstance(request, Claim):
+            is_held = self.heartbeats.is_held()
             refused = self.fence.claim(request, asked.token)
             if refused is None:
+                if not is_held:  # what ran here may run elsewhere by now
+                    self.fence.lapse()
                 self.heartbeats.begin(
                     request.manager.key, request.agents, is_leased=request.is_leased
                 )

@@ -137,9 +137,6 @@ class HeartbeatExchange:
             if name != self._computer
         }
         with self._lock:
-            now = self._clock.now()
-            if began is None and self.is_leased and self._until(now) <= now:
-                self._fence.lapse()  # what ran here may run elsewhere by now
             self.agents, self.is_leased = agents, is_leased
             is_new = key != self._claimed_by
             self._claimed_by = key
@@ -154,6 +151,12 @@ class HeartbeatExchange:
             self._began = self._clock.now()
             self._heartbeats.send_to(self._targets)
             self._heartbeats.start()
+
+    def is_held(self) -> bool:
+        """Return whether leased components may act now."""
+        with self._lock:
+            now = self._clock.now()
+            return self._until(now) > now
 
     def note_lapsed(self) -> None:
         """Note that the lease ended while there was no agent here.

@@ -45,6 +45,7 @@ class ContainerProcess:
         self, spec: ContainerSpec, control: ContainerControl, pid: int = 0
     ) -> None:
         self.name = spec.name
+        self._is_adopted = bool(pid)
         self.spec = spec
         self._control = control
         self.pid = 0
@@ -71,6 +72,19 @@ class ContainerProcess:
     def extend_lease(self, until: float) -> None:
         """Let its leased components act until then, as `ContainerControl` does."""
         self._control.extend_lease(until)
+
+    def is_fenced(self) -> bool:
+        """Return whether its leased components may not act; False before its birth."""
+        return bool(self.pid) and self._control.is_lease_past()
+
+    def runs_only(self, wanted: ContainerSpec | None) -> bool:
+        """Return whether it says of no component that is not wanted."""
+        if wanted is None:
+            return False
+        if self.status is None:  # one that was adopted may run anything
+            return not self._is_adopted
+        known = {(each.name, each.epoch) for each in wanted.components}
+        return all((each.name, each.epoch) in known for each in self._components())
 
     def close(self) -> None:
         """Let go of what leads to it."""

@@ -96,10 +96,21 @@ class Supervisor:
         self._is_cut_off = is_cut_off
 
     def extend_lease(self, until: float) -> None:
-        """Let leased components act until then [s, CLOCK_BOOTTIME]; on any thread."""
+        """Let leased components act until then [s, CLOCK_BOOTTIME]; on any thread.
+
+        A container whose lease had ended has it again when it runs nothing but what is
+        wanted: it may not have taken in yet what the manager said last.
+        """
         self.lease_end = until
+        wanted = self.wanted.containers if self.wanted else ()
+        specs = {each.name: each for each in wanted}
         for process in list(self.processes.values()):
-            process.extend_lease(until)
+            if (
+                until == -inf
+                or not process.is_fenced()
+                or process.runs_only(specs.get(process.name))
+            ):
+                process.extend_lease(until)
 
     def take(self, wanted: Deployment) -> None:
         """Work towards a deployment from now on."""
