@@ -10,6 +10,7 @@ from signal import SIGKILL, SIGTERM, Signals
 from typing import Any
 
 import pytest
+from msgspec import structs
 
 from poise.errors import Unavailable
 from poise.runtime.agent.agent_setup import AgentSetup
@@ -473,6 +474,18 @@ def test_what_had_no_lease_any_more_when_it_was_adopted_gets_none() -> None:
     world.run(0.1)
     assert world.core.fence.cut_off == 1e9
     assert world.core.fence.token == 2  # its manager need not claim it again
+
+
+@pytest.mark.parametrize("ended", [True, False])
+def test_a_manager_that_may_be_only_cut_off_is_not_succeeded_without_a_pause(
+    *, ended: bool
+) -> None:
+    """It may start elsewhere what runs here, until the next one says what runs."""
+    world = World()
+    world.ask(Claim(MANAGER), 1)
+    world.core.fence.note_liveliness(MANAGER.key, is_there=False, has_ended=ended)
+    world.ask(Claim(structs.replace(MANAGER, key="later")), 2)
+    assert world.core.fence.is_cut_off is not ended
 
 
 def test_where_no_container_was_left_nothing_leased_runs_before_it_is_told() -> None:

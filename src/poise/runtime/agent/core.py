@@ -227,6 +227,7 @@ class AgentCore:
         wanted = self.supervisor.wanted
         if isinstance(request, Claim):
             is_held = self.heartbeats.is_held()
+            is_held = is_held and self.fence.succeeds(request.manager.key)
             refused = self.fence.claim(request, asked.token)
             if refused is None:
                 if not is_held:  # what ran here may run elsewhere by now

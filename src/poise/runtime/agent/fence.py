@@ -108,6 +108,14 @@ class Fence:
         self.is_cut_off = True
         self.cut_off = self.cut_off or self._wall()
 
+    def succeeds(self, key: str) -> bool:
+        """Return whether no other manager than this one can be at work.
+
+        One that may be only cut off may start elsewhere what runs here.
+        """
+        before = self.manager
+        return before is None or before.key == key or before.key in self._ended
+
     def note_liveliness(self, key: str, *, is_there: bool, has_ended: bool) -> None:
         """Note that a manager's liveliness token came or went; from any thread.
 
