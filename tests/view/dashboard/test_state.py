@@ -46,12 +46,14 @@ def look(
     agent = AgentStatus(
         computer=computer, generation=1, uptime=9.0, cpu=1.0, containers=(container,)
     )
+    other = "right" if computer == "left" else "left"
+    empty = AgentStatus(computer=other, generation=1, uptime=9.0, cpu=0.0)
     status = Status(
         robot="r",
         task="work",
         manager=ManagerId(key="k", user="ann", host="desk", pid=7, since=0.0),
         placement={"arm": computer, "lid-2": "right"},
-        computers={computer: agent},
+        computers={computer: agent, other: empty},
     )
     return Look(status=status)
 
@@ -91,7 +93,10 @@ def test_only_what_has_changed_is_sent() -> None:
     before, same = state.of(look(), 0.0), state.of(look(), 0.0)
     assert not changes(before, before)
     assert changes({}, before) == {part: r for part, r in before.items() if r}
-    after = state.of(look(computer="right"), 1.0)
+    status = look(computer="right").status
+    assert status is not None
+    right = {"right": status.computers["right"]}
+    after = state.of(Look(status=replace(status, computers=right)), 1.0)
     differ = changes(same, after)
     assert differ["components"]["arm"]["at"] == "right"
     assert "lid-2" not in differ["components"]
