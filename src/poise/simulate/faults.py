@@ -211,7 +211,7 @@ def _paused_by(robot: SimulatedRobot, fault: Fault) -> list[Process]:
 
 
 def _pause(robot: SimulatedRobot, fault: Fault) -> Mend:
-    standing = [p for p in _paused_by(robot, fault) if not p.is_paused]
+    standing = _paused_by(robot, fault)
     for process in standing:
         process.pause()
 

@@ -9,13 +9,16 @@ from msgspec.structs import replace
 
 from poise.estimate.profile.code_version import version_of
 from poise.manage.agent_connections.agents import Agents
+from poise.manage.deploy.adoption import found_in
 from poise.manage.deploy.deployment_plan import DeploymentPlan
+from poise.manage.deploy.desired import Desired
 from poise.manage.deploy.incarnation import Incarnation
 from poise.manage.deploy.lost_computers import LostComputers
+from poise.manage.deploy.other_side import joined_by
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.deploy.takeover import start_or_take_over
 from poise.manage.journal import Journal
-from poise.model.robot import Robot
+from poise.model.robot import Computer, Robot
 from poise.wire.records.deployment import Deployment, Goal
 from tests.manage.conftest import FakeAgents
 
@@ -173,3 +176,24 @@ def test_what_runs_only_on_the_other_side_goes_on_there(robot: Robot) -> None:
     cut.run.commit(placed, "no task is known to need it")
     cut.heal(replace(GRABBER, epoch=3), robot=robot)
     assert cut.goals("grabber") == [("left", 3, "active")]
+
+
+def test_what_was_fenced_when_it_was_claimed_later_waits_for_the_missing_computer(
+    robot: Robot,
+) -> None:
+    """Its manager, which is cut off with `far`, may have started it there."""
+    far = Computer(name="far", capacity={"cpu": 2.0, "memory": 1e9})
+    robot = replace(robot, computers=(*robot.computers, far))
+    plan = DeploymentPlan(robot, "/run", code_version=version_of)
+    found = found_in(plan.specs((GRABBER, THINKER), 5, {}))
+    both = {"left", "right"}
+
+    desired = joined_by(Desired(), robot, found, both, fenced=both)
+    assert desired.placed["thinker"] == THINKER
+    assert desired.held == {"thinker"}, "the grabber has its device here"
+
+    there = replace(THINKER, computer="far", epoch=7)
+    found = found_in(plan.specs((there,), 6, {}))
+    joined = joined_by(desired, robot, found, {*both, "far"})
+    assert joined.placed["thinker"] == there
+    assert not joined.held

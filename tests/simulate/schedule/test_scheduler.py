@@ -127,3 +127,34 @@ def test_the_monotonic_clock_stands_while_a_computer_is_suspended(
     scheduler.run(6.0)
     assert computer.monotonic() == pytest.approx(103.0)
     assert computer.boottime() == pytest.approx(106.0)
+
+
+def test_a_computer_that_is_suspended_twice_wakes_once(scheduler: Scheduler) -> None:
+    computer = Computer(scheduler, "a", boot=100.0)
+    process, shown = computer.start("program"), []
+
+    def look() -> None:
+        while True:
+            shown.append(computer.monotonic())
+            scheduler.wait(0.1)
+
+    process.spawn("reader", look)
+    scheduler.at(1.0, lambda: computer.suspend(3.0))
+    scheduler.at(2.0, lambda: computer.suspend(5.0))
+    scheduler.run(9.0)
+    assert shown == sorted(shown), "its clock never goes back"
+    assert computer.monotonic() == pytest.approx(103.0)
+
+
+def test_nothing_runs_on_a_suspended_computer(scheduler: Scheduler) -> None:
+    computer, ran = Computer(scheduler, "a"), []
+    paused = computer.start("paused")
+    paused.pause()
+    computer.suspend(3.0)
+    started = computer.start("started meanwhile")
+    for process in (paused, started):
+        process.spawn("worker", lambda: ran.append(scheduler.now))
+    scheduler.at(1.0, paused.resume)
+    scheduler.at(9.0, lambda: None)
+    scheduler.run(5.0)
+    assert ran == [3.0, 3.0]

@@ -27,6 +27,7 @@ from poise.manage.supervised import SupervisedTick
 from poise.model.check.allowed_computers import allowed_computers
 from poise.model.robot import Robot
 from poise.wire.records.deployment import Deployment
+from poise.wire.records.requests import Claimed
 
 
 class DesiredState:
@@ -84,7 +85,7 @@ class DesiredState:
         self.reconciler = Reconciler(agents, self.clock, self._note_claimed)
         self.claimed: set[str] = set()
         """The computers that this manager has claimed, and so knows what runs there."""
-        self._found: dict[str, Deployment] = {}
+        self._found: dict[str, Claimed] = {}
         self._gateways: dict[str, str] = {}
         self._deployments: Mapping[str, Deployment] = {}
         self._deployed_for: object = None
@@ -204,23 +205,26 @@ class DesiredState:
         if self._found:
             self._join_found()
 
-    def _note_claimed(self, computer: str, found: Deployment | None) -> None:
+    def _note_claimed(self, computer: str, answer: Claimed) -> None:
         """Take in what an agent works towards that was claimed."""
-        found = found or Deployment(generation=0, containers=())
+        found = answer.deployment or Deployment(generation=0, containers=())
         if computer in self.claimed:  # this manager knows what runs there
             found = structs.replace(found, containers=())
         self.claimed.add(computer)
-        self._found[computer] = found
+        self._found[computer] = structs.replace(answer, deployment=found)
 
     def _join_found(self) -> None:
         """Adopt what is at work on computers that were claimed for the first time."""
-        found = dict(self._found)
+        found = {c: a.deployment for c, a in self._found.items() if a.deployment}
+        fenced = {c for c, a in self._found.items() if a.is_cut_off}
         for each in found_in(found):
             self._epochs[each.name] = max(
                 self._epochs.get(each.name, self._last_epoch), each.spec.epoch
             )
         names = ", ".join(f"'{name}'" for name in sorted(found))
-        desired = joined_by(self.desired, self.robot, found_in(found), self.claimed)
+        desired = joined_by(
+            self.desired, self.robot, found_in(found), self.claimed, fenced
+        )
         last = max(each.generation for each in found.values())
         desired = structs.replace(
             desired, generation=max(last, self.desired.generation) + 1

@@ -66,13 +66,18 @@ def where_held(
 
 
 def joined_by(
-    desired: Desired, robot: Robot, found: Iterable[Found], claimed: Collection[str]
+    desired: Desired,
+    robot: Robot,
+    found: Iterable[Found],
+    claimed: Collection[str],
+    fenced: Collection[str] = (),
 ) -> Desired:
     """Return what should run when one more computer is claimed.
 
     What is at work there goes on there, unless this manager runs it, or another
-    architecture of its function. When no
-    computer is missing any more, what is held is active again where it is.
+    architecture of its function; held, when a computer is missing that may have begun
+    it since its lease ended. When no computer is missing any more, what is held is
+    active again where it is.
 
     Parameters
     ----------
@@ -80,6 +85,8 @@ def joined_by(
         What the agent of that computer works towards.
     claimed
         All computers that are claimed now.
+    fenced
+        As for `components_to_hold`.
     """
     placed, held = dict(desired.placed), set(desired.held)
     provided = {
@@ -87,7 +94,7 @@ def joined_by(
         for a in robot.architectures
         if not placed.keys().isdisjoint(c.name for c in a.components)
     }
-    allowed = allowed_computers(robot)
+    allowed, leased = allowed_computers(robot), leased_components(robot)
     missing = {computer.name for computer in robot.computers} - set(claimed)
     for each in sorted(found, key=lambda f: f.spec.epoch):
         before = placed.get(each.name)
@@ -103,6 +110,7 @@ def joined_by(
         )
         if each.spec.goal == "active" and (is_later or is_lacking):
             placed[each.name] = each.incarnation
-            held.discard(each.name)
+            is_fenced = each.computer in fenced and each.name in leased
+            (held.add if is_fenced else held.discard)(each.name)
     freed = {name for name in held if missing.isdisjoint(allowed[name])}
     return replace(desired, placed=placed, held=frozenset(held - freed))

@@ -57,6 +57,8 @@ class Computer:
         self._boot = boot
         self._rate = 1.0 + drift
         self._asleep = 0.0
+        self._suspended_at: float | None = None
+        self._wakes_at = 0.0
 
     def monotonic(self) -> float:
         """Return CLOCK_MONOTONIC [s], which stands while the computer is suspended."""
@@ -71,24 +73,35 @@ class Computer:
         return self.EPOCH + self.scheduler.now * self._rate + self.wall_ahead
 
     def start(self, name: str, parent: Process | None = None) -> Process:
-        """Start a process; it has no task yet."""
+        """Start a process; it has no task yet, and waits while all is suspended."""
         pid = FIRST_PID + self.scheduler.number()
         process = Process(self, f"{self.name}/{name}", pid, parent)
         self.processes[pid] = process
+        if self._suspended_at is not None:
+            process.pause()
         return process
 
     def suspend(self, seconds: float) -> None:
-        """Let the whole computer stand still for a while [s], as in suspend to RAM."""
-        standing = [p for p in self.processes.values() if not p.is_paused]
-        for process in standing:
-            process.pause()
+        """Let the whole computer stand still for a while [s], as in suspend to RAM.
 
-        def wake() -> None:
-            self._asleep += seconds * self._rate
-            for process in standing:
-                process.resume()
+        Of two that overlap, the later end counts.
+        """
+        now = self.scheduler.now
+        if self._suspended_at is None:
+            self._suspended_at = now
+            for process in self.processes.values():
+                process.pause()
+        self._wakes_at = max(self._wakes_at, now + seconds)
+        self.scheduler.at(now + seconds, self._wake)
 
-        self.scheduler.at(self.scheduler.now + seconds, wake)
+    def _wake(self) -> None:
+        now = self.scheduler.now
+        if self._suspended_at is None or now < self._wakes_at:
+            return
+        self._asleep += (now - self._suspended_at) * self._rate
+        self._suspended_at = None
+        for process in list(self.processes.values()):
+            process.resume()
 
 
 class Process:
@@ -116,6 +129,7 @@ class Process:
         self.parent = parent
         self.is_dead = False
         self.is_paused = False
+        self._num_pauses = 0
         self.awake_since = self.scheduler.now
         self.held: list[Task] = []
         self.on_end: list[Callable[[], object]] = []
@@ -139,12 +153,17 @@ class Process:
         return task
 
     def pause(self) -> None:
-        """Let it stand still, as SIGSTOP does."""
-        self.is_paused = True
-        self.on_pause(True)
+        """Let it stand still, as SIGSTOP does, until each pause is resumed."""
+        self._num_pauses += 1
+        if self._num_pauses == 1:
+            self.is_paused = True
+            self.on_pause(True)
 
     def resume(self) -> None:
-        """Let it go on."""
+        """Let it go on, unless another pause lasts."""
+        self._num_pauses -= 1
+        if self._num_pauses:
+            return
         self.is_paused, self.awake_since = False, self.scheduler.now
         self.on_pause(False)
         held, self.held = self.held, []

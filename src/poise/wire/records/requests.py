@@ -72,9 +72,12 @@ class Claimed(Struct, frozen=True, tag=True):
     ----------
     deployment
         What it works towards, as an earlier manager told it; None: nothing yet.
+    is_cut_off
+        Whether its lease has ended, or may have: what is leased may run elsewhere.
     """
 
     deployment: Deployment | None = None
+    is_cut_off: bool = False
 
 
 class Accepted(Struct, frozen=True, tag=True):
