@@ -7,6 +7,7 @@ least of interleaved rounds: what else runs only adds to it.
 
 from __future__ import annotations
 
+import argparse
 import os
 import time
 from collections.abc import Callable
@@ -26,6 +27,9 @@ def _nothing() -> None:
 
 def main() -> None:
     """Print each way to read a lease with its time [ns]."""
+    argparse.ArgumentParser(
+        prog="python -m benchmarks.lease", description=__doc__
+    ).parse_args()
     memory = new_memory()
     lease = LeaseEnd(memory)
     os.close(memory)

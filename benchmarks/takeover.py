@@ -37,7 +37,7 @@ from poise.manage.agent_connections.statuses import components_of
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.deploy.stop import stop
 from poise.manage.deploy.takeover import start_or_take_over
-from poise.manage.journal import Journal, read_journal
+from poise.manage.journal import Journal
 from poise.manage.migration.move import move
 from poise.model import load
 from poise.session.launch.computers import computers_of
@@ -159,7 +159,6 @@ def live(
 ) -> None:
     """Be a manager until it kills itself."""
     chance = random.Random(seed)
-    before = len(read_journal(folder / "journal.jsonl")) if seed % 1_000_003 else 0
     # some die while they take over
     doomed_from = seed if chance.random() < 0.15 else None
     with manager(endpoints, folder, doomed_from=doomed_from) as (run, agents, there):
@@ -167,7 +166,7 @@ def live(
         once = Counter(run.placed.keys())
         run.agents.wait_news(lambda: active(run) == once, _CONSISTENT)
         seen = active(run)
-        said = run.journal.entries()[before:]
+        said = run.journal.entries()
         out.send(
             TakenOver(
                 back=now - began,
