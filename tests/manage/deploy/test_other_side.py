@@ -9,9 +9,12 @@ from msgspec.structs import replace
 
 from poise.estimate.profile.code_version import version_of
 from poise.manage.agent_connections.agents import Agents
+from poise.manage.deploy.adoption import found_in
 from poise.manage.deploy.deployment_plan import DeploymentPlan
+from poise.manage.deploy.desired import Desired
 from poise.manage.deploy.incarnation import Incarnation
 from poise.manage.deploy.lost_computers import LostComputers
+from poise.manage.deploy.other_side import joined_by
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.deploy.takeover import start_or_take_over
 from poise.manage.journal import Journal
@@ -173,3 +176,27 @@ def test_what_runs_only_on_the_other_side_goes_on_there(robot: Robot) -> None:
     cut.run.commit(placed, "no task is known to need it")
     cut.heal(replace(GRABBER, epoch=3), robot=robot)
     assert cut.goals("grabber") == [("left", 3, "active")]
+
+
+@pytest.mark.parametrize("together", [True, False])
+def test_what_was_fenced_on_two_computers_goes_on_where_it_is_later(
+    robot: Robot, *, together: bool
+) -> None:
+    """The first that is claimed may have been cut off while the other one took over."""
+    middle = replace(robot.computers[0], name="middle")
+    robot = replace(robot, computers=(*robot.computers, middle))
+    plan = DeploymentPlan(robot, "/run", code_version=version_of)
+    old = replace(THINKER, computer="left", epoch=3)
+    told = plan.specs([old, THINKER], 5, {})
+    names = {"left", "right", "middle"}
+    desired, claimed = Desired(placed={}), {"middle"}
+    for joined in [{"left", "right"}] if together else [{"left"}, {"right"}]:
+        found = found_in({name: told[name] for name in joined})
+        missing = names - claimed - joined
+        desired = joined_by(desired, robot, found, claimed, missing, joined)
+        claimed |= joined
+        if missing:
+            assert desired.placed["thinker"].computer == "left"
+            assert desired.held == {"thinker"}
+    assert desired.placed["thinker"] == THINKER
+    assert not desired.held

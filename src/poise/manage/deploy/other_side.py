@@ -66,20 +66,30 @@ def where_held(
 
 
 def joined_by(
-    desired: Desired, robot: Robot, found: Iterable[Found], claimed: Collection[str]
+    desired: Desired,
+    robot: Robot,
+    found: Iterable[Found],
+    claimed: Collection[str],
+    missing: Collection[str],
+    fenced: Collection[str],
 ) -> Desired:
-    """Return what should run when one more computer is claimed.
+    """Return what should run when more computers are claimed.
 
     What is at work there goes on there, unless this manager runs it, or another
-    architecture of its function. When no
-    computer is missing any more, what is held is active again where it is.
+    architecture of its function. It is held there when a missing computer may run it,
+    as in `components_to_hold`. When none is missing that may run it, what is held is
+    active again where it is.
 
     Parameters
     ----------
     found
-        What the agent of that computer works towards.
+        What the agents of these computers work towards.
     claimed
-        All computers that are claimed now.
+        Computers that were claimed before.
+    missing
+        Those that are not claimed now, either.
+    fenced
+        As for `components_to_hold`.
     """
     placed, held = dict(desired.placed), set(desired.held)
     provided = {
@@ -88,12 +98,12 @@ def joined_by(
         if not placed.keys().isdisjoint(c.name for c in a.components)
     }
     allowed = allowed_computers(robot)
-    missing = {computer.name for computer in robot.computers} - set(claimed)
     for each in sorted(found, key=lambda f: f.spec.epoch):
         before = placed.get(each.name)
-        # of what is only held here, the later incarnation counts
+        # of what is only held here, the later incarnation counts; what was to start
+        # on a computer that was not claimed is not there
         is_later = before is not None and (
-            before.computer in {each.computer, *missing}
+            before.computer not in claimed
             or (each.name in held and each.spec.epoch > before.epoch)
         )
         is_lacking = (
@@ -103,6 +113,7 @@ def joined_by(
         )
         if each.spec.goal == "active" and (is_later or is_lacking):
             placed[each.name] = each.incarnation
-            held.discard(each.name)
-    freed = {name for name in held if missing.isdisjoint(allowed[name])}
+            is_fenced = each.computer in fenced and each.spec.leased
+            (held.add if is_fenced else held.discard)(each.name)
+    freed = {name for name in held if allowed[name].isdisjoint(missing)}
     return replace(desired, placed=placed, held=frozenset(held - freed))

@@ -76,15 +76,14 @@ class Reconciler:
     Parameters
     ----------
     on_claimed
-        Called with a computer and what its agent works towards, when it was claimed.
-
+        Called with a computer and its agent's answer, when it was claimed.
     """
 
     def __init__(
         self,
         agents: ReconciledAgents,
         clock: Clock,
-        on_claimed: Callable[[str, Deployment | None], object],
+        on_claimed: Callable[[str, Claimed], object],
     ) -> None:
         self._agents = agents
         self._clock = clock
@@ -170,7 +169,7 @@ class Reconciler:
             agent.again_at = now + APPLY_LIMIT if agent.is_claim else float("-inf")
             if isinstance(answer, Claimed):
                 self._agents.end_claim(computer, reply)
-                self._on_claimed(computer, answer.deployment)
+                self._on_claimed(computer, answer)
             return isinstance(answer, Claimed)
         agent.again_at = now + TRY_AGAIN
         if answer is None and not is_late:

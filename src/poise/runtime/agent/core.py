@@ -236,7 +236,7 @@ class AgentCore:
                     request.manager.key, request.agents, is_leased=request.is_leased
                 )
                 self._world.disk.resend()
-            reply(refused or Claimed(wanted))
+            reply(refused or Claimed(wanted, self.fence.is_cut_off))
         elif isinstance(request, Order):
             if refusal:
                 reply(StepsFailed(request.number, refusal))
