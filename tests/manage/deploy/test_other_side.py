@@ -9,7 +9,7 @@ from msgspec.structs import replace
 
 from poise.estimate.profile.code_version import version_of
 from poise.manage.agent_connections.agents import Agents
-from poise.manage.deploy.adoption import found_in
+from poise.manage.deploy.adoption import counting, found_in
 from poise.manage.deploy.deployment_plan import DeploymentPlan
 from poise.manage.deploy.desired import Desired
 from poise.manage.deploy.incarnation import Incarnation
@@ -200,3 +200,13 @@ def test_what_was_fenced_on_two_computers_goes_on_where_it_is_later(
             assert desired.held == {"thinker"}
     assert desired.placed["thinker"] == THINKER
     assert not desired.held
+
+
+def test_what_an_earlier_manager_held_is_no_target_of_a_migration(robot: Robot) -> None:
+    plan = DeploymentPlan(robot, "/run", code_version=version_of)
+    desired = Desired(placed={"thinker": THINKER}, held=frozenset({"thinker"}))
+    old = replace(THINKER, computer="left", epoch=3)
+    found = found_in(plan.specs([old, *desired.incarnations()], 5, {}))
+    assert {each.spec.goal for each in found} == {"active", "inactive"}
+    counts = counting(found, robot, is_committed=False)
+    assert counts["thinker"].incarnation == THINKER

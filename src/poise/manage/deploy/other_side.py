@@ -111,9 +111,9 @@ def joined_by(
             and each.computer in allowed.get(each.name, ())
             and robot.architecture_of(each.name).function not in provided
         )
-        if each.spec.goal == "active" and (is_later or is_lacking):
+        if each.goal == "active" and (is_later or is_lacking):
             placed[each.name] = each.incarnation
-            is_fenced = each.computer in fenced and each.spec.leased
+            is_fenced = each.spec.held or (each.computer in fenced and each.spec.leased)
             (held.add if is_fenced else held.discard)(each.name)
     freed = {name for name in held if allowed[name].isdisjoint(missing)}
     return replace(desired, placed=placed, held=frozenset(held - freed))

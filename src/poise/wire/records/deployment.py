@@ -72,6 +72,9 @@ class ComponentSpec(Struct, frozen=True, kw_only=True):
         Those that it is part of.
     leased
         Whether it is inactive while its agent is cut off: it may be active elsewhere.
+    held
+        Whether it is inactive only until it is known what runs elsewhere; it is no
+        target of a migration.
     ends
         The ports with which it says that an action is done, or has failed.
     turn, action
@@ -95,6 +98,7 @@ class ComponentSpec(Struct, frozen=True, kw_only=True):
     gently: bool = False
     chains: tuple[ChainPart, ...] = ()
     leased: bool = False
+    held: bool = False
     ends: tuple[str, ...] = ()
     turn: int = 0
     action: str = ""
