@@ -9,7 +9,7 @@ from msgspec.structs import replace
 
 from poise.estimate.profile.code_version import version_of
 from poise.manage.agent_connections.agents import Agents
-from poise.manage.deploy.adoption import found_in
+from poise.manage.deploy.adoption import counting, found_in
 from poise.manage.deploy.deployment_plan import DeploymentPlan
 from poise.manage.deploy.desired import Desired
 from poise.manage.deploy.incarnation import Incarnation
@@ -18,7 +18,7 @@ from poise.manage.deploy.other_side import joined_by
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.deploy.takeover import start_or_take_over
 from poise.manage.journal import Journal
-from poise.model.robot import Computer, Robot
+from poise.model.robot import Robot
 from poise.wire.records.deployment import Deployment, Goal
 from tests.manage.conftest import FakeAgents
 
@@ -178,22 +178,35 @@ def test_what_runs_only_on_the_other_side_goes_on_there(robot: Robot) -> None:
     assert cut.goals("grabber") == [("left", 3, "active")]
 
 
-def test_what_was_fenced_when_it_was_claimed_later_waits_for_the_missing_computer(
-    robot: Robot,
+@pytest.mark.parametrize("together", [True, False])
+def test_what_was_fenced_on_two_computers_goes_on_where_it_is_later(
+    robot: Robot, *, together: bool
 ) -> None:
-    """Its manager, which is cut off with `far`, may have started it there."""
-    far = Computer(name="far", capacity={"cpu": 2.0, "memory": 1e9})
-    robot = replace(robot, computers=(*robot.computers, far))
+    """The first that is claimed may have been cut off while the other one took over."""
+    middle = replace(robot.computers[0], name="middle")
+    robot = replace(robot, computers=(*robot.computers, middle))
     plan = DeploymentPlan(robot, "/run", code_version=version_of)
-    found = found_in(plan.specs((GRABBER, THINKER), 5, {}))
-    both = {"left", "right"}
-
-    desired = joined_by(Desired(), robot, found, both, fenced=both)
+    old = replace(THINKER, computer="left", epoch=3)
+    told = plan.specs([old, THINKER], 5, {})
+    names = {"left", "right", "middle"}
+    desired, claimed = Desired(placed={}), {"middle"}
+    for joined in [{"left", "right"}] if together else [{"left"}, {"right"}]:
+        found = found_in({name: told[name] for name in joined})
+        missing = names - claimed - joined
+        desired = joined_by(desired, robot, found, claimed, missing, joined)
+        claimed |= joined
+        if missing:
+            assert desired.placed["thinker"].computer == "left"
+            assert desired.held == {"thinker"}
     assert desired.placed["thinker"] == THINKER
-    assert desired.held == {"thinker"}, "the grabber has its device here"
+    assert not desired.held
 
-    there = replace(THINKER, computer="far", epoch=7)
-    found = found_in(plan.specs((there,), 6, {}))
-    joined = joined_by(desired, robot, found, {*both, "far"})
-    assert joined.placed["thinker"] == there
-    assert not joined.held
+
+def test_what_an_earlier_manager_held_is_no_target_of_a_migration(robot: Robot) -> None:
+    plan = DeploymentPlan(robot, "/run", code_version=version_of)
+    desired = Desired(placed={"thinker": THINKER}, held=frozenset({"thinker"}))
+    old = replace(THINKER, computer="left", epoch=3)
+    found = found_in(plan.specs([old, *desired.incarnations()], 5, {}))
+    assert {each.spec.goal for each in found} == {"active", "inactive"}
+    counts = counting(found, robot, is_committed=False)
+    assert counts["thinker"].incarnation == THINKER

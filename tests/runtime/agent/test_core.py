@@ -486,7 +486,7 @@ def test_a_manager_that_may_be_only_cut_off_is_not_succeeded_without_a_pause(
     world.core.fence.note_liveliness(MANAGER.key, is_there=False, has_ended=ended)
     answer = world.ask(Claim(structs.replace(MANAGER, key="later")), 2)
     assert world.core.fence.is_cut_off is not ended
-    assert answer == Claimed(is_cut_off=not ended), "and the later one holds it"
+    assert answer == Claimed(is_cut_off=not ended)
 
 
 def test_where_no_container_was_left_nothing_leased_runs_before_it_is_told() -> None:

@@ -11,7 +11,7 @@ from poise import Component
 from poise.clock import SystemClock
 from poise.runtime.hosting.runner import Runner
 from poise.runtime.migration.executor import MigrationExecutor
-from poise.wire.records.deployment import ComponentSpec
+from poise.wire.records.deployment import ComponentSpec, ContainerSpec
 from poise.wire.records.migration import (
     MigrationSteps,
     Step,
@@ -50,6 +50,12 @@ OFFER, PAUSE, SEND, ROLL_BACK = (
 
 
 RESUME, HALT = Step("resume", "one", 0), Step("halt")
+TOLD = ContainerSpec(
+    name="container",
+    folder="",
+    components=(ComponentSpec(name="one", goal="active", leased=True),),
+    connectors=(),
+)
 
 
 def batch(*steps: Step, migration: int = 1) -> MigrationSteps:
@@ -67,7 +73,7 @@ def test_steps_of_the_migration_before_are_not_taken(
     executor: MigrationExecutor, runner: Runner
 ) -> None:
     late = executor.receive(batch(OFFER, PAUSE))
-    executor.note_deployment()  # it rolled back, and the next migration begins
+    executor.note_deployment(TOLD)  # it rolled back, and the next migration begins
     runner.gate.begin_migration()
     assert isinstance(executor.receive(batch(OFFER, migration=2))(), StepsDone)
     outcome = late()
@@ -80,7 +86,7 @@ def test_a_source_is_not_resumed_by_the_migration_before(
     executor: MigrationExecutor, runner: Runner
 ) -> None:
     late = executor.receive(batch(ROLL_BACK))
-    executor.note_deployment()
+    executor.note_deployment(TOLD)
     runner.gate.begin_migration()
     moving = batch(OFFER, PAUSE, SEND, migration=2)
     assert isinstance(executor.receive(moving)(), StepsDone)
@@ -172,8 +178,21 @@ def test_a_halt_says_that_a_step_after_the_commit_was_begun(
     executor.receive(batch(RESUME))()
     assert executor.halt(batch(HALT)).is_committed
     assert executor.halt(batch(HALT)).is_committed  # as often as it is asked
-    executor.note_deployment()
+    executor.note_deployment(TOLD)
     assert not executor.halt(batch(HALT)).is_committed
+
+
+def test_the_end_of_a_lease_does_not_hide_that_a_step_after_the_commit_was_begun(
+    executor: MigrationExecutor,
+) -> None:
+    executor.note_deployment(TOLD)
+    executor.receive(batch(RESUME))()
+    late = executor.receive(batch(RESUME))
+    executor.note_deployment(TOLD.without_lease())
+    assert isinstance(late(), StepsFailed)
+    assert executor.halt(batch(HALT)).is_committed
+    executor.note_deployment(TOLD)  # said again to one that another agent adopts
+    assert executor.halt(batch(HALT)).is_committed
 
 
 def test_over_a_cut_link_no_marker_is_sent_and_nobody_is_waited_for(

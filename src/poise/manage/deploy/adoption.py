@@ -14,7 +14,7 @@ from poise.manage.deploy.deployment_plan import DeploymentPlan
 from poise.manage.deploy.incarnation import Incarnation
 from poise.model.check.allowed_computers import allowed_computers
 from poise.model.robot import Robot
-from poise.wire.records.deployment import ComponentSpec, Deployment
+from poise.wire.records.deployment import ComponentSpec, Deployment, Goal
 
 
 class Found(Struct, frozen=True, kw_only=True):
@@ -35,6 +35,11 @@ class Found(Struct, frozen=True, kw_only=True):
     def name(self) -> str:
         """The component's name."""
         return self.spec.name
+
+    @property
+    def goal(self) -> Goal:
+        """What it is to be, when nothing holds it."""
+        return "active" if self.spec.held else self.spec.goal
 
     @property
     def incarnation(self) -> Incarnation:
@@ -150,7 +155,7 @@ def counting(
     counts: dict[str, Found] = {}
     for each in sorted(found, key=lambda f: f.spec.epoch):
         before = counts.get(each.name)
-        is_target = before is not None and each.spec.goal == "inactive"
+        is_target = before is not None and each.goal == "inactive"
         if each.name not in gone and (not is_target or is_committed):
             counts[each.name] = each
     return counts
@@ -160,7 +165,7 @@ def _replaced(found: Sequence[Found], robot: Robot, *, is_committed: bool) -> se
     """Return the components of architectures whose function another one provides."""
     goals: dict[str, set[str]] = {}
     for each in found:
-        goals.setdefault(each.name, set()).add(each.spec.goal)
+        goals.setdefault(each.name, set()).add(each.goal)
     best: dict[str, int] = {}
     providers: dict[str, set[str]] = {}
     gone: set[str] = set()

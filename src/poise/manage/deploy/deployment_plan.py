@@ -266,6 +266,7 @@ class DeploymentPlan:
             gently=incarnation.gently,
             chains=self._parts.get(component.name, ()),
             leased=component.name in self.leased,
+            held=incarnation.held,
             ends=self._ends.get(component.name, ()),
             turn=incarnation.turn,
             action=incarnation.action,

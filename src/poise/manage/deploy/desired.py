@@ -61,7 +61,9 @@ class Desired(Struct, frozen=True, kw_only=True):
         idle = (each for name, each in self.prepared.items() if name not in busy)
         wanted = (*self.placed.values(), *self.coming, *self.configured_ahead, *idle)
         return tuple(
-            each.with_goal("inactive") if each.component in self.held else each
+            replace(each, goal="inactive", held=each.goal == "active")
+            if each.component in self.held
+            else each
             for each in wanted
         )
 

@@ -85,7 +85,7 @@ class DesiredState:
         self.reconciler = Reconciler(agents, self.clock, self._note_claimed)
         self.claimed: set[str] = set()
         """The computers that this manager has claimed, and so knows what runs there."""
-        self._found: dict[str, Claimed] = {}
+        self._joining: dict[str, Claimed] = {}
         self._gateways: dict[str, str] = {}
         self._deployments: Mapping[str, Deployment] = {}
         self._deployed_for: object = None
@@ -202,7 +202,7 @@ class DesiredState:
         for computer, deployment in self._deployments.items():
             tell = partial(self.reconciler.step, computer, deployment)
             self.tick.run(f"tell the agent of '{computer}' what should run", tell)
-        if self._found:
+        if self._joining:
             self._join_found()
 
     def _note_claimed(self, computer: str, answer: Claimed) -> None:
@@ -210,24 +210,25 @@ class DesiredState:
         found = answer.deployment or Deployment(generation=0, containers=())
         if computer in self.claimed:  # this manager knows what runs there
             found = structs.replace(found, containers=())
-        self.claimed.add(computer)
-        self._found[computer] = structs.replace(answer, deployment=found)
+        self._joining[computer] = structs.replace(answer, deployment=found)
 
     def _join_found(self) -> None:
         """Adopt what is at work on computers that were claimed for the first time."""
-        found = {c: a.deployment for c, a in self._found.items() if a.deployment}
-        fenced = {c for c, a in self._found.items() if a.is_cut_off}
+        found = {n: a.deployment for n, a in self._joining.items() if a.deployment}
+        fenced = {n for n, answer in self._joining.items() if answer.is_cut_off}
         for each in found_in(found):
             self._epochs[each.name] = max(
                 self._epochs.get(each.name, self._last_epoch), each.spec.epoch
             )
         names = ", ".join(f"'{name}'" for name in sorted(found))
+        missing = {c.name for c in self.robot.computers} - self.claimed - found.keys()
         desired = joined_by(
-            self.desired, self.robot, found_in(found), self.claimed, fenced
+            self.desired, self.robot, found_in(found), self.claimed, missing, fenced
         )
         last = max(each.generation for each in found.values())
         desired = structs.replace(
             desired, generation=max(last, self.desired.generation) + 1
         )
-        self._found = {}
+        self.claimed |= found.keys()
+        self._joining = {}
         self.commit(desired, f"what is at work on {names} goes on there")

@@ -25,6 +25,8 @@ class Incarnation(Struct, frozen=True, kw_only=True):
         Whether it is prepared with the CPU time that others leave.
     unjoined
         Whether no connector ends at it: it waits, and others do not reach it.
+    held
+        Whether it is inactive only because `Desired.held` names it.
     turn, action
         The number of the action that it is to end, which grows, and its name.
     """
@@ -38,6 +40,7 @@ class Incarnation(Struct, frozen=True, kw_only=True):
     fresh: bool = False
     gently: bool = False
     unjoined: bool = False
+    held: bool = False
     turn: int = 0
     action: str = ""
 

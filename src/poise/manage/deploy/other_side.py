@@ -70,21 +70,24 @@ def joined_by(
     robot: Robot,
     found: Iterable[Found],
     claimed: Collection[str],
-    fenced: Collection[str] = (),
+    missing: Collection[str],
+    fenced: Collection[str],
 ) -> Desired:
-    """Return what should run when one more computer is claimed.
+    """Return what should run when more computers are claimed.
 
     What is at work there goes on there, unless this manager runs it, or another
-    architecture of its function; held, when a computer is missing that may have begun
-    it since its lease ended. When no computer is missing any more, what is held is
+    architecture of its function. It is held there when a missing computer may run it,
+    as in `components_to_hold`. When none is missing that may run it, what is held is
     active again where it is.
 
     Parameters
     ----------
     found
-        What the agent of that computer works towards.
+        What the agents of these computers work towards.
     claimed
-        All computers that are claimed now.
+        Computers that were claimed before.
+    missing
+        Those that are not claimed now, either.
     fenced
         As for `components_to_hold`.
     """
@@ -94,13 +97,13 @@ def joined_by(
         for a in robot.architectures
         if not placed.keys().isdisjoint(c.name for c in a.components)
     }
-    allowed, leased = allowed_computers(robot), leased_components(robot)
-    missing = {computer.name for computer in robot.computers} - set(claimed)
+    allowed = allowed_computers(robot)
     for each in sorted(found, key=lambda f: f.spec.epoch):
         before = placed.get(each.name)
-        # of what is only held here, the later incarnation counts
+        # of what is only held here, the later incarnation counts; what was to start
+        # on a computer that was not claimed is not there
         is_later = before is not None and (
-            before.computer in {each.computer, *missing}
+            before.computer not in claimed
             or (each.name in held and each.spec.epoch > before.epoch)
         )
         is_lacking = (
@@ -108,9 +111,9 @@ def joined_by(
             and each.computer in allowed.get(each.name, ())
             and robot.architecture_of(each.name).function not in provided
         )
-        if each.spec.goal == "active" and (is_later or is_lacking):
+        if each.goal == "active" and (is_later or is_lacking):
             placed[each.name] = each.incarnation
-            is_fenced = each.computer in fenced and each.name in leased
+            is_fenced = each.spec.held or (each.computer in fenced and each.spec.leased)
             (held.add if is_fenced else held.discard)(each.name)
-    freed = {name for name in held if missing.isdisjoint(allowed[name])}
+    freed = {name for name in held if allowed[name].isdisjoint(missing)}
     return replace(desired, placed=placed, held=frozenset(held - freed))

@@ -76,8 +76,7 @@ class Reconciler:
     Parameters
     ----------
     on_claimed
-        Called with a computer and what its agent answered, when it was claimed.
-
+        Called with a computer and its agent's answer, when it was claimed.
     """
 
     def __init__(

@@ -130,7 +130,7 @@ def _at_work(run: RunningComponents, found: Sequence[Found]) -> dict[str, str]:
     """
     allowed, planned = allowed_computers(run.robot), run.placement()
     away = {c.name for c in run.robot.computers} - run.claimed
-    works = {e.name: e.computer for e in found if e.spec.goal != "inactive"}
+    works = {e.name: e.computer for e in found if e.goal != "inactive"}
     homes: dict[str, tuple[str, ...]] = {}
     for architecture in run.robot.architectures:
         names = [component.name for component in architecture.components]
@@ -207,7 +207,7 @@ def _halted(
 
 def _targets(found: Sequence[Found]) -> set[tuple[str, str]]:
     """Return the containers of targets: nothing goes on there before the commit."""
-    return {(e.computer, e.container) for e in found if e.spec.goal == "inactive"}
+    return {(e.computer, e.container) for e in found if e.goal == "inactive"}
 
 
 def _end_containers(

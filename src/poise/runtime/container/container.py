@@ -240,7 +240,7 @@ class Container:
         elif isinstance(what, MigrationSteps):
             self._step_threads.submit(self._take_steps, self._steps.receive(what))
         else:
-            self._steps.note_deployment()
+            self._steps.note_deployment(what)
             self._wanted = what
             with as_usual():
                 self._apply(what)

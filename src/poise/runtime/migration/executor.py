@@ -21,6 +21,7 @@ from poise.runtime.migration.participant import Participant
 from poise.runtime.waker import poll_until
 from poise.wire.connections.connection_server import ConnectionServer
 from poise.wire.migration_phases import Role
+from poise.wire.records.deployment import ContainerSpec
 from poise.wire.records.migration import (
     MigrationSteps,
     Step,
@@ -48,15 +49,19 @@ class MigrationExecutor:
         self._beginning = threading.Lock()
         self._num_deployments = 0
         self._is_committed = False
+        self._told: ContainerSpec | None = None
 
-    def note_deployment(self) -> None:
+    def note_deployment(self, spec: ContainerSpec) -> None:
         """Refuse the steps that were received until now: a deployment says what is so.
 
         The next migration of the same component may follow, and needs none of them.
+        When a lease ends, or an agent starts again, no manager says so: then it stays
+        known how far the steps got.
         """
         with self._beginning:
             self._num_deployments += 1
-            self._is_committed = False
+            if self._told is None or not self._told.is_told_by(spec):
+                self._told, self._is_committed = spec, False
 
     def halt(self, batch: MigrationSteps) -> StepsDone:
         """Refuse the steps that were received until now; return how far they got."""

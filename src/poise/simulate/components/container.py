@@ -96,7 +96,7 @@ class SimulatedContainer:
     def hear(self, record: ToContainer) -> None:
         """Take what its agent says; on a task or action of its process."""
         if isinstance(record, ContainerSpec):
-            self.migration.note_deployment()
+            self.migration.note_deployment(record)
             self._wanted = record
             self.cpu.weight = record.weight or _WEIGHT
             self._apply(record)

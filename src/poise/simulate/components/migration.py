@@ -11,6 +11,7 @@ from poise.errors import PoiseError, RunError
 from poise.simulate.components.channels import Sender
 from poise.simulate.components.models import drawn
 from poise.wire.migration_phases import MigrationPhases
+from poise.wire.records.deployment import ContainerSpec
 from poise.wire.records.migration import (
     MigrationSteps,
     Step,
@@ -43,13 +44,15 @@ class MigrationModel:
         self._container = container
         self._num_deployments = 0
         self._is_committed = False
+        self._told: ContainerSpec | None = None
         self._phases: dict[tuple[str, int], tuple[int, MigrationPhases]] = {}
         self.states: dict[tuple[str, int], State] = {}
 
-    def note_deployment(self) -> None:
+    def note_deployment(self, spec: ContainerSpec) -> None:
         """Refuse the steps that were received until now."""
         self._num_deployments += 1
-        self._is_committed = False
+        if self._told is None or not self._told.is_told_by(spec):
+            self._told, self._is_committed = spec, False
 
     def receive(self, batch: MigrationSteps) -> None:
         """Take steps on a task of their own, and answer; `halt` at once."""

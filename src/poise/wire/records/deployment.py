@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from typing import Any, Literal
 
 from msgspec import Struct
+from msgspec.structs import replace
 
 Goal = Literal["inactive", "active", "stay"]
 """What a component should be. `stay`: as it is, and inactive when it is new: so a
@@ -71,6 +72,9 @@ class ComponentSpec(Struct, frozen=True, kw_only=True):
         Those that it is part of.
     leased
         Whether it is inactive while its agent is cut off: it may be active elsewhere.
+    held
+        Whether it is inactive only until it is known what runs elsewhere; it is no
+        target of a migration.
     ends
         The ports with which it says that an action is done, or has failed.
     turn, action
@@ -94,6 +98,7 @@ class ComponentSpec(Struct, frozen=True, kw_only=True):
     gently: bool = False
     chains: tuple[ChainPart, ...] = ()
     leased: bool = False
+    held: bool = False
     ends: tuple[str, ...] = ()
     turn: int = 0
     action: str = ""
@@ -176,6 +181,18 @@ class ContainerSpec(Struct, frozen=True, kw_only=True, tag=True):
     components: tuple[ComponentSpec, ...]
     connectors: tuple[ConnectorSpec, ...]
     repository: tuple[str, ...] = ()
+
+    def without_lease(self) -> ContainerSpec:
+        """Return it with its leased components inactive, with their state."""
+        components = (
+            replace(each, goal="inactive") if each.leased else each
+            for each in self.components
+        )
+        return replace(self, components=tuple(components))
+
+    def is_told_by(self, spec: ContainerSpec) -> bool:
+        """Return whether an agent says the same: again, or as its lease ended."""
+        return spec in (self, self.without_lease())
 
 
 class Deployment(Struct, frozen=True, kw_only=True, tag=True):

@@ -162,7 +162,7 @@ class StepsDone(Struct, frozen=True, tag=True):
     ----------
     is_committed
         Whether the container began a step that follows the commit, since its latest
-        deployment.
+        deployment that a manager made.
     """
 
     number: int

@@ -73,7 +73,8 @@ class Claimed(Struct, frozen=True, tag=True):
     deployment
         What it works towards, as an earlier manager told it; None: nothing yet.
     is_cut_off
-        Whether its lease has ended, or may have: what is leased may run elsewhere.
+        Whether its lease had ended: what may move is inactive there, and may have been
+        started elsewhere.
     """
 
     deployment: Deployment | None = None

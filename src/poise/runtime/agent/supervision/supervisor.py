@@ -253,7 +253,7 @@ class Supervisor:
     def _specs(self) -> dict[str, ContainerSpec]:
         containers = self.wanted.containers if self.wanted else ()
         if self.is_cut_off:
-            containers = tuple(map(_without_lease, containers))
+            containers = tuple(each.without_lease() for each in containers)
         return {each.name: each for each in containers}
 
     def _moments(self) -> Iterator[float]:
@@ -339,19 +339,6 @@ class Supervisor:
 def part_of(container: str) -> str:
     """Return the name of what an agent does for a container, for `SupervisedParts`."""
     return f"container '{container}'"
-
-
-def _without_lease(spec: ContainerSpec) -> ContainerSpec:
-    """Return a container whose leased components are inactive, with their state."""
-    return structs.replace(
-        spec,
-        components=tuple(
-            structs.replace(component, goal="inactive")
-            if component.leased
-            else component
-            for component in spec.components
-        ),
-    )
 
 
 def _unresponsive(status: ContainerStatus) -> ContainerStatus:
