@@ -16,7 +16,7 @@ from poise.clock import Clock, SystemClock
 from poise.estimate.profile.code_version import version_of
 from poise.manage.agent_connections.agents import Agents
 from poise.manage.agent_connections.statuses import gateways
-from poise.manage.deploy.adoption import found_in
+from poise.manage.deploy.adoption import as_committed, found_in
 from poise.manage.deploy.deployment_plan import DeploymentPlan
 from poise.manage.deploy.desired import Desired, difference
 from poise.manage.deploy.incarnation import Incarnation
@@ -217,14 +217,13 @@ class DesiredState:
         """Adopt what is at work on computers that were claimed for the first time."""
         found = {c: a.deployment for c, a in self._found.items() if a.deployment}
         fenced = {c for c, a in self._found.items() if a.is_cut_off}
-        for each in found_in(found):
+        all_found = as_committed(found_in(found), self.agents.statuses())
+        for each in all_found:
             self._epochs[each.name] = max(
                 self._epochs.get(each.name, self._last_epoch), each.spec.epoch
             )
         names = ", ".join(f"'{name}'" for name in sorted(found))
-        desired = joined_by(
-            self.desired, self.robot, found_in(found), self.claimed, fenced
-        )
+        desired = joined_by(self.desired, self.robot, all_found, self.claimed, fenced)
         last = max(each.generation for each in found.values())
         desired = structs.replace(
             desired, generation=max(last, self.desired.generation) + 1
