@@ -158,6 +158,24 @@ def test_what_was_taken_over_by_force_wins(robot: Robot) -> None:
     assert cut.goals("thinker") == [("right", 4, "active")]
 
 
+@pytest.mark.parametrize("works", [True, False])
+def test_a_move_that_was_half_done_is_committed_when_its_target_works(
+    robot: Robot, *, works: bool
+) -> None:
+    """Its manager was killed before it told the target's agent so."""
+    cut = Cut(robot, "right", GRABBER, THINKER.with_goal("stay"))
+    cut.take_over()
+    target = Incarnation(component="thinker", computer="left", epoch=7)
+    plan = DeploymentPlan(robot, "/run", code_version=version_of)
+    left = plan.specs(
+        (GRABBER, target if works else target.with_goal("inactive")), 8, {}
+    )
+    cut.agents.begin_deploy("left", left["left"])  # so it reports
+    cut.heal(GRABBER, target.with_goal("inactive"), robot=robot)
+    at = ("left", 7, "active") if works else ("right", 4, "active")
+    assert cut.goals("thinker") == [at]
+
+
 def test_what_was_moved_away_from_the_other_side_before_does_not_come_back(
     robot: Robot,
 ) -> None:

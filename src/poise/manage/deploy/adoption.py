@@ -6,10 +6,11 @@ done they know both sides; `counting` says which of them counts.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 from msgspec import Struct, structs
 
+from poise.manage.agent_connections.statuses import Statuses
 from poise.manage.deploy.deployment_plan import DeploymentPlan
 from poise.manage.deploy.incarnation import Incarnation
 from poise.model.check.allowed_computers import allowed_computers
@@ -94,6 +95,28 @@ def found_in(deployments: Mapping[str, Deployment]) -> list[Found]:
         for computer, deployment in sorted(deployments.items())
         for container in deployment.containers
         for spec in container.components
+    ]
+
+
+def as_committed(found: Iterable[Found], statuses: Statuses) -> list[Found]:
+    """Return what was found, with targets of moves that work already as active.
+
+    Only its manager knew whether such a move was committed. Its target has the state,
+    and its source has ended to work.
+    """
+    working = {
+        (computer, component.name, component.epoch)
+        for computer, status in statuses.items()
+        for container in status.containers
+        for component in container.components
+        if component.state == "active"
+    }
+    return [
+        structs.replace(each, spec=structs.replace(each.spec, goal="active"))
+        if each.spec.goal == "inactive"
+        and (each.computer, each.name, each.spec.epoch) in working
+        else each
+        for each in found
     ]
 
 

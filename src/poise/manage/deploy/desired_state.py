@@ -16,7 +16,7 @@ from poise.clock import Clock, SystemClock
 from poise.estimate.profile.code_version import version_of
 from poise.manage.agent_connections.agents import Agents
 from poise.manage.agent_connections.statuses import gateways
-from poise.manage.deploy.adoption import found_in
+from poise.manage.deploy.adoption import as_committed, found_in
 from poise.manage.deploy.deployment_plan import DeploymentPlan
 from poise.manage.deploy.desired import Desired, difference
 from poise.manage.deploy.incarnation import Incarnation
@@ -216,14 +216,15 @@ class DesiredState:
         """Adopt what is at work on computers that were claimed for the first time."""
         found = {n: a.deployment for n, a in self._joining.items() if a.deployment}
         fenced = {n for n, answer in self._joining.items() if answer.is_cut_off}
-        for each in found_in(found):
+        at_work = as_committed(found_in(found), self.agents.statuses())
+        for each in at_work:
             self._epochs[each.name] = max(
                 self._epochs.get(each.name, self._last_epoch), each.spec.epoch
             )
         names = ", ".join(f"'{name}'" for name in sorted(found))
         missing = {c.name for c in self.robot.computers} - self.claimed - found.keys()
         desired = joined_by(
-            self.desired, self.robot, found_in(found), self.claimed, missing, fenced
+            self.desired, self.robot, at_work, self.claimed, missing, fenced
         )
         last = max(each.generation for each in found.values())
         desired = structs.replace(

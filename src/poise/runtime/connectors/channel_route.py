@@ -206,6 +206,7 @@ def receiving(
             latency = received.age + remote.ahead
             counts.add_message(0, received.size, latency, remote.error)
             issuer.came(received)
+            target.overtaken.check(spec)
             wanted = coder if received.tag == tag and not known else None
             method = known.get(received.tag)
             coded = wanted or _known(method, port).arguments

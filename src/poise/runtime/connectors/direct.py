@@ -22,7 +22,13 @@ from poise.runtime.execution.exclusion import Exclusion
 
 
 class DirectRoute:
-    """A way to a component in this process."""
+    """A way to a component in this process.
+
+    Parameters
+    ----------
+    epoch
+        The source's.
+    """
 
     def __init__(
         self,
@@ -31,8 +37,9 @@ class DirectRoute:
         port: Port,
         limit: float,
         sender: Sender,
+        epoch: int = 0,
     ) -> None:
-        self._connector = connector
+        self._connector, self._epoch = connector, epoch
         self._target = target
         self._limit = limit
         self._feed = target.mailbox.feed(port.name, sender.counts)
@@ -63,6 +70,7 @@ class DirectRoute:
     def push(self, method: Method | None, value: object) -> int:
         """Put a message or one-way call into the target's mailbox."""
         entry = (method.tag if method else self._tag, value)
+        self._target.overtaken.note(self._connector, self._epoch)
         self._feed.put(entry)
         return 0
 

@@ -16,6 +16,7 @@ from poise.runtime._calls import ComponentCounters
 from poise.runtime.component.component import Component
 from poise.runtime.component.ports import Port, Published, Queue, methods_of
 from poise.runtime.connectors.chain_stamps import SentChains
+from poise.runtime.connectors.overtaken_sources import OvertakenSources
 from poise.runtime.connectors.proxy import Proxy, refusing
 from poise.runtime.connectors.sender import Sender
 from poise.runtime.execution.data_age import DataAges
@@ -64,6 +65,7 @@ class Endpoints:
             if port.kind in {"subscribes", "provides"}
         }
         self.mailbox = Mailbox(queues, counters)
+        self.overtaken = OvertakenSources()
         self.senders: dict[str, Sender] = {}
         self._name = name
         self._markers: dict[str, int] = {}

@@ -209,8 +209,9 @@ class Wiring:
         if target is not None:
             far = _port(target, spec.target_port, TAKING)
             ends.route = DirectRoute(
-                spec.name, target.endpoints, far, spec.limit, sender
+                spec.name, target.endpoints, far, spec.limit, sender, spec.source_epoch
             )
+            ends.closing.callback(_forget, spec, target)
         else:
             credit = Credit()
             credit.on_credit = sender.room
@@ -243,6 +244,7 @@ class Wiring:
         feed = target.endpoints.mailbox.feed(port.name, ends.counts)
         issuer = CreditIssuer(spec.name, feed, ends.counts)
         ends.closing.callback(issuer.close)
+        ends.closing.callback(_forget, spec, target)
         handler = receiving(
             spec,
             target.endpoints,
@@ -263,6 +265,10 @@ class Wiring:
 def _ends_here(spec: ConnectorSpec, runners: Runners) -> list[tuple[str, int]]:
     ends = (spec.source, spec.source_epoch), (spec.target, spec.target_epoch)
     return [end for end in ends if end in runners]
+
+
+def _forget(spec: ConnectorSpec, target: Runner) -> None:
+    target.endpoints.overtaken.forget(spec.name, spec.source_epoch)
 
 
 def _remove_route(source: Runner, sender: Sender, key: str) -> None:

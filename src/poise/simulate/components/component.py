@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from typing import TYPE_CHECKING, Literal
 
+from poise.runtime.connectors.overtaken_sources import OvertakenSources
 from poise.simulate.components.ledger import Incarnation
 from poise.simulate.components.models import drawn
 from poise.wire.records.deployment import ComponentSpec
@@ -42,6 +43,7 @@ class SimulatedComponent:
         self.is_in_migration = False
         self.releases = self.missed = 0
         self.markers: dict[str, int] = {}
+        self.overtaken = OvertakenSources()
         self.mailbox: deque[tuple[str, int]] = deque()
         self._container = container
         self._is_changing = False

@@ -189,13 +189,18 @@ class SimulatedContainer:
             return  # its connection is not there any more
         if item.kind == "marker":
             target.markers[spec.name] = item.number
-        else:
+        elif not target.overtaken.note(spec.name, spec.source_epoch):
             target.take(spec.slot or spec.name, item.number)
         self.look_again()
 
     def _apply(self, spec: ContainerSpec) -> None:
         wanted = {(c.name, c.epoch): c for c in spec.components}
+        before = self._connectors
         self._connectors = {each.key: each for each in spec.connectors}
+        for name in before.keys() - self._connectors.keys():
+            gone = before[name]
+            if target := self.components.get((gone.target, gone.target_epoch)):
+                target.overtaken.forget(gone.name, gone.source_epoch)
         for key, component in wanted.items():
             if key not in self.components:
                 self.components[key] = SimulatedComponent(self, component)

@@ -1,0 +1,72 @@
+"""What a lost component sent is not taken after what its next incarnation sends."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+from poise import Component, subscribed
+from poise.runtime.component.ports import ports_of
+from poise.runtime.connectors.channel_route import receiving
+from poise.runtime.connectors.interface import message_tag
+from poise.runtime.connectors.overtaken_sources import OvertakenSources
+from poise.runtime.execution.clocks import RemoteClock
+from poise.runtime.execution.connector_counters import Counts
+from poise.wire import frame
+from poise.wire.codec import codec
+from poise.wire.frame import Kind
+from poise.wire.records.deployment import ConnectorSpec
+
+
+class Arm(Component):
+    @subscribed(keep=5)
+    def to(self, message: str) -> None:
+        pass
+
+
+class Receiver:
+    """A component that hears one source, of which two incarnations are joined."""
+
+    def __init__(self) -> None:
+        self.overtaken = OvertakenSources()
+        self.counts = Counts()
+        self.heard: list[Any] = []
+
+    def hear(self, epoch: int, text: str) -> None:
+        spec = ConnectorSpec(
+            name="mind.out-arm.to",
+            kind="remote",
+            source="mind",
+            source_epoch=epoch,
+            source_port="out",
+            target="arm",
+            target_port="to",
+        )
+        feed: Any = SimpleNamespace(
+            counts=self.counts, put=lambda entry: self.heard.append(entry[1])
+        )
+        issuer: Any = SimpleNamespace(came=lambda _: None)
+        target: Any = self
+        port = ports_of(Arm)["to"]
+        handle = receiving(spec, target, port, feed, issuer, RemoteClock())
+        tag = message_tag(port.type)
+        pieces = frame.segments(codec(str), text, Kind.MESSAGE, tag=tag)
+        handle(frame.parse(b"".join(bytes(each) for each in pieces)))
+
+
+def test_what_a_lost_source_sent_is_refused_after_what_the_next_one_sent() -> None:
+    """It was under way over a link that was cut."""
+    arm = Receiver()
+    arm.hear(0, "first")
+    arm.hear(1, "second")
+    arm.hear(0, "late")
+    assert arm.heard == ["first", "second"]
+    assert arm.counts.errors == 1
+
+
+def test_an_earlier_incarnation_is_heard_when_the_later_one_is_not_joined() -> None:
+    arm = Receiver()
+    arm.hear(1, "first")
+    arm.overtaken.forget("mind.out-arm.to", 1)
+    arm.hear(0, "second")
+    assert arm.heard == ["first", "second"]
