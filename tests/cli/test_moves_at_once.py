@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import signal
 import subprocess
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -186,9 +185,9 @@ class Crowd:
     def waiting(
         self, command: str, stack: contextlib.ExitStack
     ) -> subprocess.Popen[str]:
-        """Start a command and wait until it waits for the manager."""
+        """Start a command and wait until it waits for the manager, or is done."""
         started = stack.enter_context(_started(command))
-        wait_long(lambda: _has_socket(started.pid))
+        wait_long(lambda: _has_socket(started.pid) or started.poll() is not None)
         return started
 
     def told(self, component: str) -> list[int]:
@@ -320,14 +319,6 @@ def test_other_changes_wait_for_a_move_as_it_waits_for_them(crowd: Crowd) -> Non
     crowd.check_all_came()
 
 
-def test_who_gave_up_waiting_gets_nothing_moved(crowd: Crowd) -> None:
-    with contextlib.ExitStack() as stack, crowd.busy():
-        given_up = crowd.waiting("move ping right", stack)
-        given_up.terminate()
-        assert given_up.wait(LONG) == 128 + signal.SIGTERM
-    crowd.check_status(ping="left", pong="left")
-
-
 def test_status_and_stop_overtake_a_move(crowd: Crowd) -> None:
     busy, is_busy = crowd.folder / "busy", crowd.folder / "busy-now"
     busy.touch()
@@ -339,11 +330,10 @@ def test_status_and_stop_overtake_a_move(crowd: Crowd) -> None:
         assert stopping.communicate(timeout=LONG)[0] == "stopped\n"
         assert busy.exists()  # the move could not have ended by itself
         told = moving.communicate(timeout=LONG)[0]
-        assert told == "slow stays on left: the robot is being stopped\n"
-        told = queued.communicate(timeout=LONG)[0]
-        assert told in {
-            f"robot '{NAME}' has stopped\n",
-            "the robot is being stopped\n",
-        }
-        assert queued.returncode == 1
+        stays = "slow stays on left: the robot is being stopped\n"
+        assert told.endswith((stays, f"robot '{NAME}' has stopped\n"))
+        assert moving.returncode == 1
+        told = queued.communicate(timeout=LONG)[0]  # it waited for no other
+        ends = ("the robot is being stopped\n", f"robot '{NAME}' has stopped\n")
+        assert told.startswith("pong runs on right now") or told.endswith(ends)
     wait_long(lambda: not is_up())

@@ -111,7 +111,7 @@ def test_a_computer_that_is_lost_meanwhile_keeps_no_manager_from_the_rest(
     assert set(before["placement"].values()) == {"left", "right"}
     os.kill(before["manager"]["pid"], signal.SIGKILL)
     assert run_poise("emulate", "crash", "right", "--robot", NAME).returncode == 0
-    done = run_poise("up", "--detach", file)
+    done = run_poise("up", "--detach", "--take-over", file)
     assert done.returncode == 0, done.stderr
     wait_long(lambda: set(status()["placement"].values()) == {"left"})
     assert "right" in status()["out_of_reach"]

@@ -177,6 +177,13 @@ def test_a_thread_that_failed_is_in_the_status(managed: Managed) -> None:
     assert ["thread 'metrics'" in each.what for each in deviations].count(True) == 1
 
 
+def test_who_gave_up_waiting_gets_nothing_moved(managed: Managed) -> None:
+    assert managed.manager.submit(COMMAND).cancel()
+    managed.manager.work(0.0)
+    assert managed.run.placement() == PLACEMENT
+    assert not managed.run.desired.configured_ahead
+
+
 def test_a_status_waits_for_nothing_that_the_manager_does(managed: Managed) -> None:
     waiting = managed.manager.submit(COMMAND)
     assert managed.manager.submit(StatusCommand()).done()

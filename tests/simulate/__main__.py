@@ -18,7 +18,7 @@ from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wai
 from itertools import count, islice
 
 from poise.errors import UsageError
-from poise.simulate.run import Outcome
+from poise.simulate.run import RunOutcome
 from poise.simulate.shrink import Shrunk
 from poise.units import SECONDS as UNIT
 from poise.units import parse
@@ -59,12 +59,12 @@ def main() -> int:
     return bool(failures)
 
 
-def in_parallel(extent: str, first: int) -> Iterator[Outcome]:
+def in_parallel(extent: str, first: int) -> Iterator[RunOutcome]:
     """Yield outcomes as they come, until so many seeds or so much time are over."""
     most = int(extent) if extent.isdigit() else None
     until = time.monotonic() + (0.0 if most is not None else parse(extent, UNIT))
     seeds = count(first) if most is None else iter(range(first, first + most))
-    waiting: set[Future[list[Outcome]]] = set()
+    waiting: set[Future[list[RunOutcome]]] = set()
     with ProcessPoolExecutor(WORKERS, max_tasks_per_child=20) as pool:
         while True:
             is_due = most is not None or time.monotonic() < until

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from poise.simulate.run import Outcome, simulate
+from poise.simulate.run import RunOutcome, simulate
 from tests.simulate.conftest import small_scenario
 
 SECONDS = 120.0
 """Of faults in each run [virtual s]."""
 
 
-def chunk(seeds: Iterable[int]) -> list[Outcome]:
+def chunk(seeds: Iterable[int]) -> list[RunOutcome]:
     """Run some seeds; what a replay needs is left out of what went well."""
     return [run(seed) for seed in seeds]
 
 
-def run(seed: int) -> Outcome:
+def run(seed: int) -> RunOutcome:
     """Run one seed."""
     return simulate(small_scenario(SECONDS), seed)

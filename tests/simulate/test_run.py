@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from msgspec import structs
 
-from poise.simulate.faults import Fault
+from poise.simulate.faults import SimulatedFault
 from poise.simulate.run import Scenario, simulate
 from poise.simulate.shrink import Shrunk
 
@@ -24,7 +24,7 @@ print(outcome.digest, outcome.steps, outcome.failure or "held")
 """
 
 
-def with_fault(scenario: Scenario, *faults: Fault) -> Scenario:
+def with_fault(scenario: Scenario, *faults: SimulatedFault) -> Scenario:
     return structs.replace(scenario, faults=faults, moves=False)
 
 
@@ -38,20 +38,20 @@ def test_a_robot_comes_up_and_works(scenario: Scenario) -> None:
 
 
 def test_what_a_lost_computer_ran_starts_elsewhere(scenario: Scenario) -> None:
-    fault = Fault(3.0, "isolate computer", "c", lasts=4.0)
+    fault = SimulatedFault(3.0, "isolate computer", "c", lasts=4.0)
     outcome = simulate(with_fault(scenario, fault), 1)
     assert outcome.message == ""
     assert any("restart" in line and "'arm' on" in line for line in outcome.trace)
 
 
 def test_a_killed_agent_adopts_its_containers_again(scenario: Scenario) -> None:
-    fault = Fault(3.0, "kill agent", "b", lasts=0.5)
+    fault = SimulatedFault(3.0, "kill agent", "b", lasts=0.5)
     outcome = simulate(with_fault(scenario, fault), 1)
     assert outcome.message == ""
 
 
 def test_the_next_manager_takes_over(scenario: Scenario) -> None:
-    fault = Fault(3.0, "kill manager", "a", lasts=1.0)
+    fault = SimulatedFault(3.0, "kill manager", "a", lasts=1.0)
     outcome = simulate(with_fault(scenario, fault), 1)
     assert outcome.message == ""
     assert any("took over" in line for line in outcome.trace)
@@ -62,7 +62,7 @@ def test_a_lease_that_is_kept_too_long_is_found(
 ) -> None:
     """Agents that keep it for longer than the manager thinks work on."""
     monkeypatch.setattr(_LEASE, 2.0)
-    fault = Fault(3.0, "isolate computer", "c", lasts=4.0)
+    fault = SimulatedFault(3.0, "isolate computer", "c", lasts=4.0)
     outcome = simulate(with_fault(scenario, fault), 1)
     assert outcome.failure == "nothing-active-twice"
     assert "'arm'" in outcome.message
@@ -84,10 +84,10 @@ def test_a_failure_is_shrunk_to_the_fault_that_it_needs(
 ) -> None:
     monkeypatch.setattr(_LEASE, 2.0)
     faults = [
-        Fault(1.0, "full disk", "b", lasts=1.0),
-        Fault(2.0, "step wall clock", "c", lasts=1.0, pick=0.9),
-        Fault(3.0, "isolate computer", "c", lasts=4.0),
-        Fault(8.0, "slow disk", "a", lasts=0.5),
+        SimulatedFault(1.0, "full disk", "b", lasts=1.0),
+        SimulatedFault(2.0, "step wall clock", "c", lasts=1.0, pick=0.9),
+        SimulatedFault(3.0, "isolate computer", "c", lasts=4.0),
+        SimulatedFault(8.0, "slow disk", "a", lasts=0.5),
     ]
     scenario = with_fault(scenario, *faults)
     shrunk = Shrunk(scenario, simulate(scenario, 1))

@@ -68,9 +68,8 @@ def test_all_is_on_one_screen() -> None:
     screen = drive(status, "", lambda _: None)
     lines = screen.split("\n")
     assert len(lines) == SIZE[1]
-    assert (
-        "robot 'r', task 'work': computer 'right' is out of reach and 1 more" in screen
-    )
+    said = "robot 'r', task 'work': not known: right; computer 'right' is out of reach"
+    assert said in screen
     assert "0.50/2" in screen
     assert "out of reach" in screen
     assert "eye.x-mind.x" in screen

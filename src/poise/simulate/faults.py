@@ -45,7 +45,7 @@ _LONGEST_STEP = 2e8
 """A wall clock steps by up to half of that [s]: three years."""
 
 
-class Fault(Struct, frozen=True):
+class SimulatedFault(Struct, frozen=True):
     """Something that breaks at a moment [s], and is whole again `lasts` [s] later.
 
     Parameters
@@ -74,12 +74,12 @@ def plan_faults(
     begin: float,
     end: float,
     kinds: Sequence[Kind] = KINDS,
-) -> list[Fault]:
+) -> list[SimulatedFault]:
     """Return the faults of a run, all over before `end` [s]."""
     allowed = [kind for kind in kinds if choices.happens("faults", _ALLOWED)]
     allowed = allowed or [kinds[choices.among("faults", len(kinds))]]
     weights = [choices.draw("faults") for _ in allowed]
-    faults: list[Fault] = []
+    faults: list[SimulatedFault] = []
     now = begin
     while True:
         now += -_MEAN_PAUSE * log(1 - choices.draw("faults"))
@@ -91,7 +91,7 @@ def plan_faults(
         kind = _weighted(choices.draw("faults"), allowed, weights)
         other = computers[(target + step) % len(computers)]
         faults.append(
-            Fault(
+            SimulatedFault(
                 at=now,
                 kind=kind,
                 target=computers[target],
@@ -102,7 +102,7 @@ def plan_faults(
         )
 
 
-def inject(robot: SimulatedRobot, fault: Fault) -> None:
+def inject(robot: SimulatedRobot, fault: SimulatedFault) -> None:
     """Let a fault begin now, and end in time."""
     robot.note("fault", str(fault))
     mend = _begin(robot, fault)
@@ -112,10 +112,10 @@ def inject(robot: SimulatedRobot, fault: Fault) -> None:
 Mend = Callable[[], object]
 
 
-def _begin(robot: SimulatedRobot, fault: Fault) -> Mend:
+def _begin(robot: SimulatedRobot, fault: SimulatedFault) -> Mend:
     """Break something; return what makes it whole."""
     verb = fault.kind.partition(" ")[0]
-    begin: Mapping[str, Callable[[SimulatedRobot, Fault], Mend]] = {
+    begin: Mapping[str, Callable[[SimulatedRobot, SimulatedFault], Mend]] = {
         "kill": _kill,
         "pause": _pause,
         "suspend": _suspend,
@@ -135,7 +135,7 @@ def _nothing() -> None:
     """Mend nothing: it ends by itself, or stays."""
 
 
-def _kill(robot: SimulatedRobot, fault: Fault) -> Mend:
+def _kill(robot: SimulatedRobot, fault: SimulatedFault) -> Mend:
     agent, manager = robot.agents.get(fault.target), robot.manager
     if fault.kind == "kill agent":
         killed = [agent.process] if agent else []
@@ -150,47 +150,47 @@ def _kill(robot: SimulatedRobot, fault: Fault) -> Mend:
     return mend
 
 
-def _start_manager(robot: SimulatedRobot, fault: Fault) -> Mend:
+def _start_manager(robot: SimulatedRobot, fault: SimulatedFault) -> Mend:
     """Let somebody run `poise up` on a computer, though another may be at work."""
     robot.start_manager(fault.target)
     return _nothing
 
 
-def _suspend(robot: SimulatedRobot, fault: Fault) -> Mend:
+def _suspend(robot: SimulatedRobot, fault: SimulatedFault) -> Mend:
     robot.computers[fault.target].suspend(fault.lasts)
     return _nothing
 
 
-def _clog(robot: SimulatedRobot, fault: Fault) -> Mend:
+def _clog(robot: SimulatedRobot, fault: SimulatedFault) -> Mend:
     robot.network.clog(fault.target, fault.other, fault.lasts)
     return _nothing
 
 
-def _lose(robot: SimulatedRobot, fault: Fault) -> Mend:
+def _lose(robot: SimulatedRobot, fault: SimulatedFault) -> Mend:
     network = robot.network
     lost = 0.1 + 0.6 * fault.pick
     network.loss += lost
     return lambda: setattr(network, "loss", network.loss - lost)
 
 
-def _step_clock(robot: SimulatedRobot, fault: Fault) -> Mend:
+def _step_clock(robot: SimulatedRobot, fault: SimulatedFault) -> Mend:
     robot.computers[fault.target].wall_ahead += (fault.pick - 0.5) * _LONGEST_STEP
     return _nothing
 
 
-def _slow_disk(robot: SimulatedRobot, fault: Fault) -> Mend:
+def _slow_disk(robot: SimulatedRobot, fault: SimulatedFault) -> Mend:
     disk, before = robot.disks[fault.target], robot.disks[fault.target].delay
     disk.delay = before + fault.lasts
     return lambda: setattr(disk, "delay", disk.delay - fault.lasts)
 
 
-def _fill_disk(robot: SimulatedRobot, fault: Fault) -> Mend:
+def _fill_disk(robot: SimulatedRobot, fault: SimulatedFault) -> Mend:
     disk = robot.disks[fault.target]
     disk.is_full = True
     return lambda: setattr(disk, "is_full", False)
 
 
-def _containers(robot: SimulatedRobot, fault: Fault) -> list[Process]:
+def _containers(robot: SimulatedRobot, fault: SimulatedFault) -> list[Process]:
     """Return the process of the picked container of a computer, if it has any."""
     here = [
         c.process for c in robot.containers() if c.process.computer.name == fault.target
@@ -198,7 +198,7 @@ def _containers(robot: SimulatedRobot, fault: Fault) -> list[Process]:
     return here[int(fault.pick * len(here)) :][:1]
 
 
-def _paused_by(robot: SimulatedRobot, fault: Fault) -> list[Process]:
+def _paused_by(robot: SimulatedRobot, fault: SimulatedFault) -> list[Process]:
     manager, agent = robot.manager, robot.agents.get(fault.target)
     match fault.kind:
         case "pause agent":
@@ -210,7 +210,7 @@ def _paused_by(robot: SimulatedRobot, fault: Fault) -> list[Process]:
     return _containers(robot, fault)
 
 
-def _pause(robot: SimulatedRobot, fault: Fault) -> Mend:
+def _pause(robot: SimulatedRobot, fault: SimulatedFault) -> Mend:
     standing = _paused_by(robot, fault)
     for process in standing:
         process.pause()
@@ -222,7 +222,7 @@ def _pause(robot: SimulatedRobot, fault: Fault) -> Mend:
     return resume
 
 
-def _cut(robot: SimulatedRobot, fault: Fault) -> Mend:
+def _cut(robot: SimulatedRobot, fault: SimulatedFault) -> Mend:
     ways = [(fault.target, fault.other)]
     if fault.kind == "isolate computer":
         ways = [

@@ -15,7 +15,7 @@ from poise.manage.control_socket.records import MoveCommand, Refusal, Result
 from poise.manage.migration.report import MigrationReport
 from poise.model.robot import Robot
 from poise.simulate.components.models import ComponentModel
-from poise.simulate.faults import KINDS, Fault, Kind, inject, plan_faults
+from poise.simulate.faults import KINDS, Kind, SimulatedFault, inject, plan_faults
 from poise.simulate.invariants import Violation
 from poise.simulate.robot.manager import SimulatedManager
 from poise.simulate.robot.robot import SimulatedRobot
@@ -60,13 +60,13 @@ class Scenario(Struct, frozen=True, kw_only=True):
     tasks: Sequence[str]
     models: Mapping[str, ComponentModel] = {}
     seconds: float = 60.0
-    faults: tuple[Fault, ...] | None = None
+    faults: tuple[SimulatedFault, ...] | None = None
     kinds: tuple[Kind, ...] = KINDS
     moves: bool = True
     converges: float = CONVERGE_LIMIT
 
 
-class Outcome(Struct, frozen=True, kw_only=True):
+class RunOutcome(Struct, frozen=True, kw_only=True):
     """What came of a run.
 
     Parameters
@@ -91,7 +91,7 @@ class Outcome(Struct, frozen=True, kw_only=True):
     took: float
     steps: int
     digest: str
-    faults: tuple[Fault, ...]
+    faults: tuple[SimulatedFault, ...]
     choices: Mapping[str, Sequence[float]]
     trace: tuple[str, ...]
     handled: int
@@ -107,7 +107,7 @@ def simulate(
     scenario: Scenario,
     seed: int,
     recorded: Mapping[str, Sequence[float]] | None = None,
-) -> Outcome:
+) -> RunOutcome:
     """Run a robot once; never raises for what goes wrong with it.
 
     Parameters
@@ -140,7 +140,7 @@ def simulate(
             note(robot.scheduler.now, "FAILURE", message)
         virtual = robot.scheduler.now
         robot.end()
-    return Outcome(
+    return RunOutcome(
         seed=seed,
         failure=failure,
         message=message,
@@ -161,7 +161,7 @@ class _Run:
 
     def __init__(self, robot: SimulatedRobot, scenario: Scenario) -> None:
         self.robot = robot
-        self.faults: tuple[Fault, ...] = ()
+        self.faults: tuple[SimulatedFault, ...] = ()
         self._scenario = scenario
         self._scheduler = robot.scheduler
         self._is_healed = False
@@ -232,7 +232,7 @@ class _Run:
                 raise Violation("desired-is-reached", f"{what}: {'; '.join(found)}")
             self.robot.run(self._scheduler.now + _LOOK_EVERY)
 
-    def _inject(self, fault: Fault) -> None:
+    def _inject(self, fault: SimulatedFault) -> None:
         """Let a fault begin; in a second `status` has to say what is lost."""
         manager, agent = self.robot.manager, self.robot.agents.get(fault.target)
         is_new = agent is not None and not agent.process.is_paused

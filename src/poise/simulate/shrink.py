@@ -7,8 +7,8 @@ from typing import TypeVar
 
 from msgspec import structs
 
-from poise.simulate.faults import Fault
-from poise.simulate.run import Outcome, Scenario, simulate
+from poise.simulate.faults import SimulatedFault
+from poise.simulate.run import RunOutcome, Scenario, simulate
 
 MOST_RUNS = 500
 T = TypeVar("T")
@@ -31,7 +31,7 @@ class Shrunk:
         How many runs it took.
     """
 
-    def __init__(self, scenario: Scenario, first: Outcome) -> None:
+    def __init__(self, scenario: Scenario, first: RunOutcome) -> None:
         self.runs = 0
         self.outcome = first
         self.scenario = structs.replace(scenario, faults=first.faults)
@@ -51,7 +51,7 @@ class Shrunk:
         for stream in ("clients", "schedule", "network", "components"):
             self._calm(stream)
 
-    def _with_faults(self, faults: Sequence[Fault]) -> bool:
+    def _with_faults(self, faults: Sequence[SimulatedFault]) -> bool:
         scenario = structs.replace(self.scenario, faults=tuple(faults))
         return self._try(scenario, self.recorded)
 

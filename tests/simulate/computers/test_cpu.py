@@ -6,7 +6,7 @@ from functools import partial
 
 import pytest
 
-from poise.simulate.computers.cpu import Claim, Cpu, shares
+from poise.simulate.computers.cpu import Cpu, CpuClaim, shares
 from poise.simulate.schedule.scheduler import Scheduler
 
 
@@ -33,7 +33,7 @@ def _never_idle(scheduler: Scheduler) -> None:
 def test_shares_by_weight_and_leaves_to_others_what_one_does_not_need(
     cores: float, claims: list[tuple[float, float]], expected: list[float]
 ) -> None:
-    given = shares(cores, [Claim(weight, most) for weight, most in claims])
+    given = shares(cores, [CpuClaim(weight, most) for weight, most in claims])
     assert given == pytest.approx(expected)
 
 

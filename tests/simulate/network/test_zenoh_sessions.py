@@ -9,7 +9,7 @@ import pytest
 import zenoh
 from zenoh.handlers import Callback
 
-from poise.simulate.computers.process import Computer, Process
+from poise.simulate.computers.process import Process, SimulatedComputer
 from poise.simulate.network.addresses import Addresses
 from poise.simulate.network.network import Network
 from poise.simulate.network.zenoh_sessions import Session, ZenohNetwork, matches
@@ -28,7 +28,7 @@ class Two:
         host = [addresses.add(name) for name in "ab"][1]
         self.sessions = ZenohNetwork(self.network, addresses)
         self.manager, self.agent = (
-            Computer(scheduler, name).start("program") for name in "ab"
+            SimulatedComputer(scheduler, name).start("program") for name in "ab"
         )
         self.locator = f"tcp/{host}:7447"
         self.seen: list[tuple[str, float]] = []

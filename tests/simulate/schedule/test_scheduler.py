@@ -6,14 +6,14 @@ from collections.abc import Callable
 
 import pytest
 
-from poise.simulate.computers.process import Computer, Process, TaskFailed
+from poise.simulate.computers.process import Process, SimulatedComputer, TaskFailed
 from poise.simulate.schedule.choices import Choices
 from poise.simulate.schedule.scheduler import SLACK, Scheduler, SimulationError
 
 
 @pytest.fixture
 def process(scheduler: Scheduler) -> Process:
-    return Computer(scheduler, "a").start("program")
+    return SimulatedComputer(scheduler, "a").start("program")
 
 
 def test_jumps_over_time_in_which_nothing_happens(
@@ -34,7 +34,7 @@ def test_jumps_over_time_in_which_nothing_happens(
 def test_a_seed_decides_the_order_and_the_same_seed_decides_the_same() -> None:
     def order(seed: int) -> str:
         scheduler, found = Scheduler(Choices(seed)), ""
-        process = Computer(scheduler, "a").start("program")
+        process = SimulatedComputer(scheduler, "a").start("program")
 
         def note(name: str) -> Callable[[], None]:
             def work() -> None:
@@ -121,7 +121,7 @@ def test_a_paused_process_goes_on_later(scheduler: Scheduler, process: Process) 
 def test_the_monotonic_clock_stands_while_a_computer_is_suspended(
     scheduler: Scheduler,
 ) -> None:
-    computer = Computer(scheduler, "a", boot=100.0)
+    computer = SimulatedComputer(scheduler, "a", boot=100.0)
     scheduler.at(1.0, lambda: computer.suspend(3.0))
     scheduler.at(9.0, lambda: None)
     scheduler.run(6.0)
@@ -130,7 +130,7 @@ def test_the_monotonic_clock_stands_while_a_computer_is_suspended(
 
 
 def test_a_computer_that_is_suspended_twice_wakes_once(scheduler: Scheduler) -> None:
-    computer = Computer(scheduler, "a", boot=100.0)
+    computer = SimulatedComputer(scheduler, "a", boot=100.0)
     process, shown = computer.start("program"), []
 
     def look() -> None:
@@ -147,7 +147,7 @@ def test_a_computer_that_is_suspended_twice_wakes_once(scheduler: Scheduler) -> 
 
 
 def test_nothing_runs_on_a_suspended_computer(scheduler: Scheduler) -> None:
-    computer, ran = Computer(scheduler, "a"), []
+    computer, ran = SimulatedComputer(scheduler, "a"), []
     paused = computer.start("paused")
     paused.pause()
     computer.suspend(3.0)

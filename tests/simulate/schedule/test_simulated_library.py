@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from poise.simulate.computers.process import Computer
+from poise.simulate.computers.process import SimulatedComputer
 from poise.simulate.network.addresses import Addresses
 from poise.simulate.network.network import Network
 from poise.simulate.network.zenoh_sessions import ZenohNetwork
@@ -30,7 +30,7 @@ def run(scheduler: Scheduler) -> Run:
     """Return what runs a function in a simulated process, and returns its result."""
     network, addresses = Network(scheduler, scheduler.choices), Addresses()
     addresses.add("a")
-    process = Computer(scheduler, "a", boot=50.0).start("program")
+    process = SimulatedComputer(scheduler, "a", boot=50.0).start("program")
 
     def in_process(work: Callable[[], Any]) -> Any:
         found: list[Any] = []
@@ -57,7 +57,8 @@ def test_sleeps_and_clocks_are_virtual(run: Run) -> None:
 def test_code_outside_of_the_simulation_reads_the_real_clock(
     scheduler: Scheduler,
 ) -> None:
-    process, read = Computer(scheduler, "a", boot=50.0).start("program"), list[float]()
+    computer, read = SimulatedComputer(scheduler, "a", boot=50.0), list[float]()
+    process = computer.start("program")
     process.spawn("test", lambda: read.append(time.monotonic()))
     sessions = ZenohNetwork(Network(scheduler, scheduler.choices), Addresses())
     before = time.monotonic()
@@ -125,7 +126,7 @@ def test_chance_is_drawn_from_the_seed() -> None:
         scheduler = Scheduler(Choices(5))
         sessions = ZenohNetwork(Network(scheduler, scheduler.choices), Addresses())
         scheduler.at(9.0, lambda: None)
-        process = Computer(scheduler, "a").start("program")
+        process = SimulatedComputer(scheduler, "a").start("program")
         process.spawn("test", lambda: found.append((random.random(), uuid.uuid4().hex)))
         with simulated_library(scheduler, sessions):
             scheduler.run(1.0)

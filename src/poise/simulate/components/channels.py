@@ -15,14 +15,14 @@ MOST_BUFFERED = 1000
 _SIZE = 200
 
 
-class Item(NamedTuple):
+class QueuedItem(NamedTuple):
     """A message with its number, or the marker of a migration."""
 
     kind: Literal["message", "marker"]
     number: int
 
 
-class Sender:
+class SimulatedSender:
     """What a component sends over one slot, whichever target that leads to."""
 
     def __init__(self, container: SimulatedContainer, spec: ConnectorSpec) -> None:
@@ -31,15 +31,15 @@ class Sender:
         self.drops = 0
         self._container = container
         self._routes: dict[str, Stream] = {}
-        self._buffer: deque[Item] = deque()
+        self._buffer: deque[QueuedItem] = deque()
 
     def publish(self, number: int) -> None:
         """Send a message, or buffer it."""
-        self._put(Item("message", number))
+        self._put(QueuedItem("message", number))
 
     def mark(self, migration: int) -> None:
         """Send a marker behind all messages."""
-        self._send(Item("marker", migration))
+        self._send(QueuedItem("marker", migration))
 
     def buffer(self) -> None:
         """Send no message until `switch`."""
@@ -58,7 +58,7 @@ class Sender:
             stream.close()
         self._routes.clear()
 
-    def _put(self, item: Item) -> None:
+    def _put(self, item: QueuedItem) -> None:
         if not self.is_buffering:
             self._send(item)
         elif len(self._buffer) < MOST_BUFFERED:
@@ -66,7 +66,7 @@ class Sender:
         else:
             self.drops += 1
 
-    def _send(self, item: Item) -> None:
+    def _send(self, item: QueuedItem) -> None:
         world, spec = self._container.world, self.spec
         here = self._container.process.computer.name
         stream = self._routes.get(spec.key)

@@ -6,7 +6,7 @@ from collections import deque
 from typing import TYPE_CHECKING, Literal
 
 from poise.runtime.connectors.overtaken_sources import OvertakenSources
-from poise.simulate.components.ledger import Incarnation
+from poise.simulate.components.ledger import WorkingIncarnation
 from poise.simulate.components.models import drawn
 from poise.wire.records.deployment import ComponentSpec
 from poise.wire.records.status import ComponentStatus, State, Summary, TimerStatus
@@ -35,7 +35,7 @@ class SimulatedComponent:
         self.model = container.world.model_of(spec.name)
         process = container.process
         computer = process.computer.name
-        self.who = Incarnation(spec.name, spec.epoch, computer, process.pid)
+        self.who = WorkingIncarnation(spec.name, spec.epoch, computer, process.pid)
         self.state: State = "unconfigured"
         self.goal: Goal = "inactive"
         self.is_paused = False

@@ -7,7 +7,7 @@ from math import inf
 from typing import Protocol
 
 from poise.errors import RunError
-from poise.simulate.components.channels import Item, Sender
+from poise.simulate.components.channels import QueuedItem, SimulatedSender
 from poise.simulate.components.component import SimulatedComponent
 from poise.simulate.components.ledger import Ledger
 from poise.simulate.components.migration import MigrationModel
@@ -15,7 +15,7 @@ from poise.simulate.components.models import ComponentModel
 from poise.simulate.computers.process import Process
 from poise.simulate.network.network import Network
 from poise.simulate.schedule.choices import Choices
-from poise.simulate.schedule.scheduler import Scheduler, Task
+from poise.simulate.schedule.scheduler import Scheduler, SimulatedTask
 from poise.wire.records.clocks import Clocks
 from poise.wire.records.container import FromContainer, ToContainer
 from poise.wire.records.deployment import ComponentSpec, ConnectorSpec, ContainerSpec
@@ -81,11 +81,11 @@ class SimulatedContainer:
         self.tell_agent: Callable[[FromContainer], object] | None = None
         self.lease_end = inf
         self.components: dict[Key, SimulatedComponent] = {}
-        self.senders: dict[str, Sender] = {}
+        self.senders: dict[str, SimulatedSender] = {}
         self._wanted: ContainerSpec | None = None
         self._connectors: Mapping[str, ConnectorSpec] = {}
         self.migration = MigrationModel(self)
-        self._waiting: list[Task] = []
+        self._waiting: list[SimulatedTask] = []
         self._is_reporting = False
         self._reported: tuple[ConnectorStatus, ...] = ()
         self._orphan_since = inf
@@ -165,7 +165,7 @@ class SimulatedContainer:
             if (spec.source, spec.source_epoch) == component.who[:2]:
                 sender.publish(self.world.ledger.number(spec.slot or spec.name))
 
-    def take_item(self, spec: ConnectorSpec, item: Item) -> None:
+    def take_item(self, spec: ConnectorSpec, item: QueuedItem) -> None:
         """Take what arrived over a connector; for the simulated world."""
         self.process.after(0.0, lambda: self._take_item(spec, item))
 
@@ -183,7 +183,7 @@ class SimulatedContainer:
 
         self.process.after(limit, end)
 
-    def _take_item(self, spec: ConnectorSpec, item: Item) -> None:
+    def _take_item(self, spec: ConnectorSpec, item: QueuedItem) -> None:
         target = self.components.get((spec.target, spec.target_epoch))
         if target is None or spec.key not in self._connectors:
             return  # its connection is not there any more
@@ -229,7 +229,7 @@ class SimulatedContainer:
         for key, choices in slots.items():
             sender = self.senders.get(key)
             if sender is None:
-                self.senders[key] = Sender(self, choices[0])
+                self.senders[key] = SimulatedSender(self, choices[0])
             elif len(choices) == 1 and (
                 sender.is_buffering or sender.spec.key != choices[0].key
             ):

@@ -9,7 +9,7 @@ LATE_HANDLER = 0.75
 incarnation, without any effect [s]: its container is killed then."""
 
 
-class Incarnation(NamedTuple):
+class WorkingIncarnation(NamedTuple):
     """One life of a component in one process."""
 
     component: str
@@ -37,13 +37,13 @@ class Ledger:
         self.handled = 0
         self.processed = 0
         self.missed = 0
-        self._current: dict[str, tuple[Incarnation, float]] = {}
-        self._past: set[Incarnation] = set()
+        self._current: dict[str, tuple[WorkingIncarnation, float]] = {}
+        self._past: set[WorkingIncarnation] = set()
         self._committed: dict[str, int] = {}
         self._sent: dict[str, int] = {}
         self._last: dict[str, int] = {}
 
-    def begin(self, who: Incarnation, now: float) -> None:
+    def begin(self, who: WorkingIncarnation, now: float) -> None:
         """Note that a handler begins."""
         self.handled += 1
         known = self._current.get(who.component)
@@ -66,7 +66,7 @@ class Ledger:
             self._past.add(known[0])
         self._current[who.component] = who, now
 
-    def end(self, who: Incarnation, awake: float, now: float) -> None:
+    def end(self, who: WorkingIncarnation, awake: float, now: float) -> None:
         """Note that a handler ended.
 
         Parameters
@@ -82,7 +82,7 @@ class Ledger:
                 f"worked since {since:.3f} s",
             )
 
-    def act(self, who: Incarnation, now: float) -> None:
+    def act(self, who: WorkingIncarnation, now: float) -> None:
         """Note that a handler publishes."""
         if who in self._past:
             current, since = self._current[who.component]
@@ -101,7 +101,7 @@ class Ledger:
         self._sent[connector] = self._sent.get(connector, 0) + 1
         return self._sent[connector]
 
-    def process(self, connector: str, number: int, who: Incarnation) -> None:
+    def process(self, connector: str, number: int, who: WorkingIncarnation) -> None:
         """Note that a message is processed."""
         self.processed += 1
         last = self._last.get(connector, 0)

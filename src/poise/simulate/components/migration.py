@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from poise.errors import PoiseError, RunError
-from poise.simulate.components.channels import Sender
+from poise.simulate.components.channels import SimulatedSender
 from poise.simulate.components.models import drawn
 from poise.wire.migration_phases import MigrationPhases
 from poise.wire.records.deployment import ContainerSpec
@@ -217,7 +217,7 @@ class MigrationModel:
             text = f"component '{step.component}' ({step.epoch}) is not here"
             raise RunError(text) from None
 
-    def _sender(self, name: str) -> Sender:
+    def _sender(self, name: str) -> SimulatedSender:
         for sender in self._container.senders.values():
             if sender.spec.name == name:
                 return sender

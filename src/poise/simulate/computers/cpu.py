@@ -12,7 +12,7 @@ from math import inf
 
 from msgspec import Struct
 
-from poise.simulate.schedule.scheduler import Scheduler, Timer
+from poise.simulate.schedule.scheduler import Scheduler, SimulatedTimer
 
 PERIOD = 0.1
 """A quota is refilled this often [s], as `cpu.max` has it unless it is told."""
@@ -20,14 +20,14 @@ _DONE = 1e-9
 """Less work than this is none [core-seconds]."""
 
 
-class Claim(Struct, frozen=True):
+class CpuClaim(Struct, frozen=True):
     """What a group would use at most [cores], and its weight."""
 
     weight: float
     most: float
 
 
-def shares(cores: float, claims: Sequence[Claim]) -> list[float]:
+def shares(cores: float, claims: Sequence[CpuClaim]) -> list[float]:
     """Return what each claim gets [cores]: weighted max-min fairness with caps.
 
     No claim gets more than it can use; what that leaves goes to the others by their
@@ -53,7 +53,7 @@ class Job:
         self.then = then
 
 
-class Group:
+class CpuGroup:
     """The threads of a container, or of another program.
 
     Parameters
@@ -100,11 +100,11 @@ class Group:
             self.jobs.clear()
             self._cpu.groups.remove(self)
 
-    def claim(self) -> Claim:
+    def claim(self) -> CpuClaim:
         """Return what it would use now."""
         can_run = not self.is_paused and self.bucket > _DONE
         most = min(self.most, len(self.jobs)) if can_run else 0.0
-        return Claim(self.weight, most)
+        return CpuClaim(self.weight, most)
 
 
 class Cpu:
@@ -123,19 +123,19 @@ class Cpu:
 
     def __init__(self, scheduler: Scheduler, cores: float) -> None:
         self.cores = cores
-        self.groups: list[Group] = []
+        self.groups: list[CpuGroup] = []
         self.changing = self
-        self._busy: list[Group] = []
+        self._busy: list[CpuGroup] = []
         self._scheduler = scheduler
         self._at = scheduler.now
         self._refill_at = scheduler.now + PERIOD
-        self._next: Timer | None = None
+        self._next: SimulatedTimer | None = None
 
     def group(
         self, weight: float = 100.0, most: float = 1.0, quota: float = inf
-    ) -> Group:
+    ) -> CpuGroup:
         """Return a new group."""
-        group = Group(self, weight, most, quota)
+        group = CpuGroup(self, weight, most, quota)
         self.groups.append(group)
         return group
 

@@ -6,7 +6,12 @@ from collections.abc import Callable
 from random import Random
 
 from poise.simulate.computers.cpu import Cpu
-from poise.simulate.schedule.scheduler import Scheduler, SimulationError, Task, Timer
+from poise.simulate.schedule.scheduler import (
+    Scheduler,
+    SimulatedTask,
+    SimulatedTimer,
+    SimulationError,
+)
 
 FIRST_PID = 10_000_000
 """No real process has such a number (Linux: 4,194,304 at most)."""
@@ -15,12 +20,12 @@ FIRST_PID = 10_000_000
 class TaskFailed(SimulationError):
     """Code under test raised an error that none of its own code caught."""
 
-    def __init__(self, task: Task, error: BaseException) -> None:
+    def __init__(self, task: SimulatedTask, error: BaseException) -> None:
         super().__init__(f"{task}: {type(error).__name__}: {error}")
         self.error = error
 
 
-class Computer:
+class SimulatedComputer:
     """A simulated computer: its clocks and its processes.
 
     Parameters
@@ -120,7 +125,7 @@ class Process:
     """
 
     def __init__(
-        self, computer: Computer, name: str, pid: int, parent: Process | None
+        self, computer: SimulatedComputer, name: str, pid: int, parent: Process | None
     ) -> None:
         self.computer = computer
         self.scheduler = computer.scheduler
@@ -131,20 +136,20 @@ class Process:
         self.is_paused = False
         self._num_pauses = 0
         self.awake_since = self.scheduler.now
-        self.held: list[Task] = []
+        self.held: list[SimulatedTask] = []
         self.on_end: list[Callable[[], object]] = []
         self.on_pause: Callable[[bool], object] = lambda _: None
         self.on_failure: Callable[[TaskFailed], object] | None = None
         self.random: Random = self.scheduler.choices.random(f"code/{name}/{pid}")
-        self._tasks: dict[int, Task] = {}
+        self._tasks: dict[int, SimulatedTask] = {}
         self._late: list[Callable[[], object]] = []
 
-    def after(self, seconds: float, act: Callable[[], object]) -> Timer:
+    def after(self, seconds: float, act: Callable[[], object]) -> SimulatedTimer:
         """Let it do something after a time [s], or when it is not paused any more."""
         at = self.scheduler.now + seconds
         return self.scheduler.at(at, lambda: self._do(act))
 
-    def spawn(self, name: str, work: Callable[[], object]) -> Task:
+    def spawn(self, name: str, work: Callable[[], object]) -> SimulatedTask:
         """Start a task of this process: its code runs on virtual time."""
         task = self.scheduler.spawn(self, name, work)
         if len(self._tasks) > 64:  # noqa: PLR2004, most tasks are short
@@ -185,7 +190,7 @@ class Process:
         """End it from within, once its main task has ended."""
         self.kill()
 
-    def note_failure(self, task: Task, error: BaseException) -> None:
+    def note_failure(self, task: SimulatedTask, error: BaseException) -> None:
         """Raise `TaskFailed` in the simulated world."""
         failure = TaskFailed(task, error)
         if self.on_failure is None:

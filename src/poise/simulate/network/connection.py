@@ -26,7 +26,7 @@ MOST_WAITING = 2000
 """What a process does not take is dropped beyond this."""
 
 
-class Connection:
+class SimulatedConnection:
     """Two sessions that hear each other.
 
     Parameters
@@ -74,7 +74,7 @@ class Side:
 
     other: Side
 
-    def __init__(self, connection: Connection, session: Session) -> None:
+    def __init__(self, connection: SimulatedConnection, session: Session) -> None:
         self.connection = connection
         self.session = session
         self.known: list[str] = []

@@ -10,7 +10,7 @@ from math import inf
 from poise.simulate.computers.process import Process
 from poise.simulate.network.addresses import Addresses
 from poise.simulate.network.network import Network
-from poise.simulate.schedule.scheduler import SimulationError, Task
+from poise.simulate.schedule.scheduler import SimulatedTask, SimulationError
 
 _MOST = 256
 """A socket keeps so many datagrams that nobody has read; further ones are lost."""
@@ -31,7 +31,7 @@ class SimulatedSocket:
         self._network = network
         self._process = process
         self._waiting: deque[tuple[bytes, Address]] = deque()
-        self._reader: Task | None = None
+        self._reader: SimulatedTask | None = None
         self._limit = inf
         self._address = addresses.bind(process, self)
         process.on_end.append(self.close)

@@ -17,7 +17,7 @@ import zenoh
 from poise.endpoint import Endpoint
 from poise.simulate.computers.process import Process
 from poise.simulate.network.addresses import Addresses
-from poise.simulate.network.connection import Connection, Side
+from poise.simulate.network.connection import Side, SimulatedConnection
 from poise.simulate.network.network import Network
 
 _FIRST_RETRY, _LONGEST_RETRY = 0.05, 0.5
@@ -86,7 +86,7 @@ class ZenohNetwork:
             def again() -> None:
                 self._connect(session, locator, _FIRST_RETRY, _FIRST_RETRY)
 
-            Connection(self.network, session, other, again)
+            SimulatedConnection(self.network, session, other, again)
 
         scheduler = self.network.scheduler
         later = pause * self.network.choices.between("network", 0.5, 1.0)

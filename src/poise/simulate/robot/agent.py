@@ -18,7 +18,7 @@ from poise.simulate.components.container import World
 from poise.simulate.computers.process import Process
 from poise.simulate.robot.container_host import SimulatedAdoption, SimulatedHost
 from poise.simulate.robot.disk import SimulatedDisk
-from poise.simulate.schedule.scheduler import Task
+from poise.simulate.schedule.scheduler import SimulatedTask
 from poise.wire.control_session import identity_key, locator, open_session
 from poise.wire.heartbeats import Heartbeats
 from poise.wire.records.status import AgentStatus
@@ -63,7 +63,7 @@ class SimulatedAgent:
         self._disk = disk
         self._say = say
         self._events: deque[Callable[[], object]] = deque()
-        self._task: Task | None = None
+        self._task: SimulatedTask | None = None
         self._is_woken = False
         self.core: AgentCore
         self._task = process.spawn("agent", self._main)

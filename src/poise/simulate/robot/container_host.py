@@ -140,7 +140,7 @@ class SimulatedHost:
             agent.post(lambda: agent.core.on_born(spec.name, process.pid))
 
         process.on_end.append(self._tells_end(process.pid))
-        Watchdog(agent, container)
+        SimulatedWatchdog(agent, container)
         process.after(drawn(world.choices, _FORK), be_born)
         return control
 
@@ -228,7 +228,7 @@ class SimulatedAdoption:
             if self._left.pop(pid, None) is None:
                 return
             control = SimulatedControl(agent, container, born=True)
-            Watchdog(agent, container)
+            SimulatedWatchdog(agent, container)
             if agent.core.on_orphan(container.name, pid, control):
                 self.num_adopted += 1
             else:
@@ -248,7 +248,7 @@ class SimulatedAdoption:
         )
 
 
-class Watchdog:
+class SimulatedWatchdog:
     """Tells an agent's core when a container stands still, as the sampler does."""
 
     def __init__(self, agent: SimulatedAgent, container: SimulatedContainer) -> None:

@@ -7,7 +7,7 @@ from functools import partial
 
 from poise.runtime.agent.supervision.agent_state import AgentState
 from poise.runtime.agent.surroundings import Reply
-from poise.simulate.computers.process import Computer, Process
+from poise.simulate.computers.process import Process, SimulatedComputer
 from poise.wire.records.checkpoints import CheckpointCopy
 from poise.wire.records.deployment import Deployment
 from poise.wire.records.output import OutputLines, ReadOutput
@@ -30,7 +30,7 @@ class SimulatedDisk:
         How long each write takes [s]: a fault makes it long.
     """
 
-    def __init__(self, computer: Computer) -> None:
+    def __init__(self, computer: SimulatedComputer) -> None:
         self.left = AgentState()
         self.is_full = False
         self.delay = 0.001

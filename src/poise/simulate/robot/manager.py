@@ -31,7 +31,7 @@ class SimulatedManager:
     Parameters
     ----------
     endpoints
-        Computer -> zenoh endpoint of its agent.
+        SimulatedComputer -> zenoh endpoint of its agent.
     placement
         Component -> computer, of what it starts if nothing runs.
     note

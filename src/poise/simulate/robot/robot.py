@@ -10,7 +10,7 @@ from poise.model.robot import Robot
 from poise.simulate.components.container import SimulatedContainer
 from poise.simulate.components.ledger import Ledger
 from poise.simulate.components.models import ComponentModel
-from poise.simulate.computers.process import Computer
+from poise.simulate.computers.process import SimulatedComputer
 from poise.simulate.network.addresses import Addresses
 from poise.simulate.network.network import LinkModel, Network
 from poise.simulate.network.zenoh_sessions import ZenohNetwork
@@ -63,7 +63,7 @@ class SimulatedRobot:
         self.ledger = Ledger()
         self.addresses = Addresses()
         self.sessions = ZenohNetwork(self.network, self.addresses)
-        self.computers: dict[str, Computer] = {}
+        self.computers: dict[str, SimulatedComputer] = {}
         self.disks: dict[str, SimulatedDisk] = {}
         self.agents: dict[str, SimulatedAgent] = {}
         self.managers: list[SimulatedManager] = []
@@ -77,7 +77,8 @@ class SimulatedRobot:
         for each in robot.computers:
             boot, drift = random.uniform(1, _LONGEST_UPTIME), random.uniform(-1, 1)
             cores = each.capacity.get("cpu", _CORES)
-            computer = Computer(self.scheduler, each.name, boot, drift * _DRIFT, cores)
+            drift *= _DRIFT
+            computer = SimulatedComputer(self.scheduler, each.name, boot, drift, cores)
             self.computers[each.name] = computer
             self.disks[each.name] = SimulatedDisk(computer)
             host = self.addresses.add(each.name)

@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from math import inf
 from typing import Any
 
-from poise.simulate.schedule.scheduler import Scheduler, Task
+from poise.simulate.schedule.scheduler import Scheduler, SimulatedTask
 
 _YIELDS = 0.02
 """How often a task gives way to others where it takes a lock that is free."""
@@ -23,8 +23,8 @@ class SimulatedLock:
     def __init__(self, scheduler: Scheduler) -> None:
         self._scheduler = scheduler
         self._is_locked = False
-        self._granted: Task | None = None
-        self._waiting: deque[Task] = deque()
+        self._granted: SimulatedTask | None = None
+        self._waiting: deque[SimulatedTask] = deque()
 
     def acquire(self, blocking: bool = True, timeout: float = -1) -> bool:  # noqa: FBT001, FBT002, as the library's
         """Take it; return whether that was done within `timeout` [s]."""
@@ -91,7 +91,7 @@ class SimulatedThread:
         self._target, self._args, self._kwargs = target, args, kwargs or {}
         self.name = name or "thread"
         self.daemon = bool(daemon)
-        self._task: Task | None = None
+        self._task: SimulatedTask | None = None
 
     scheduler: Scheduler
     """Of the run; set by `simulated_library`."""

@@ -39,18 +39,18 @@ class Host(Protocol):
     is_dead: bool
     is_paused: bool
 
-    held: list[Task]
+    held: list[SimulatedTask]
 
-    def spawn(self, name: str, work: Callable[[], object]) -> Task:
+    def spawn(self, name: str, work: Callable[[], object]) -> SimulatedTask:
         """Start a task of this process."""
         ...
 
-    def note_failure(self, task: Task, error: BaseException) -> None:
+    def note_failure(self, task: SimulatedTask, error: BaseException) -> None:
         """Take note of an error that no code of the task caught; may raise."""
         ...
 
 
-class Task:
+class SimulatedTask:
     """What runs like a thread.
 
     Attributes
@@ -66,7 +66,7 @@ class Task:
         self.name = name
         self.host = host
         self.waits_for = ""
-        self.timer: Timer | None = None
+        self.timer: SimulatedTimer | None = None
         self.is_woken = False
         self.has_ended = False
 
@@ -74,7 +74,7 @@ class Task:
         return f"{self.host.name}/{self.name}"
 
 
-class Timer:
+class SimulatedTimer:
     """Something that happens at its moment, unless it is cancelled."""
 
     __slots__ = ("action",)
@@ -105,13 +105,13 @@ class Scheduler:
     def __init__(self, choices: Choices) -> None:
         self.choices = choices
         self.now = 0.0
-        self.current: Task | None = None
+        self.current: SimulatedTask | None = None
         self.steps = 0
         self.on_step: Callable[[], object] = lambda: None
         self._number = 0
-        self._ready: list[Task] = []
-        self._timers: list[tuple[float, int, Timer]] = []
-        self._waiting: dict[int, Task] = {}
+        self._ready: list[SimulatedTask] = []
+        self._timers: list[tuple[float, int, SimulatedTimer]] = []
+        self._waiting: dict[int, SimulatedTask] = {}
         self._world = getcurrent()
         self._trace = blake2b(digest_size=16)
         self._at_once = 0
@@ -129,16 +129,16 @@ class Scheduler:
         self._number += 1
         return self._number
 
-    def spawn(self, host: Host, name: str, work: Callable[[], object]) -> Task:
+    def spawn(self, host: Host, name: str, work: Callable[[], object]) -> SimulatedTask:
         """Let a process have a new task."""
-        task = Task(self.number(), name, host)
+        task = SimulatedTask(self.number(), name, host)
         task.greenlet = greenlet(lambda: self._main(task, work), self._world)
         self._ready.append(task)
         return task
 
-    def at(self, moment: float, action: Callable[[], object]) -> Timer:
+    def at(self, moment: float, action: Callable[[], object]) -> SimulatedTimer:
         """Let something happen in the simulated world at a moment [s]."""
-        timer = Timer(action)
+        timer = SimulatedTimer(action)
         heapq.heappush(self._timers, (max(moment, self.now), self.number(), timer))
         return timer
 
@@ -167,7 +167,7 @@ class Scheduler:
         self.raise_if_dead(task)
         return task.is_woken
 
-    def wake(self, task: Task) -> bool:
+    def wake(self, task: SimulatedTask) -> bool:
         """End a task's wait; return whether it waited."""
         is_waiting = task.number in self._waiting
         if is_waiting:
@@ -175,11 +175,11 @@ class Scheduler:
             self._make_ready(task)
         return is_waiting
 
-    def resume(self, task: Task) -> None:
+    def resume(self, task: SimulatedTask) -> None:
         """Let a task of a process that was paused go on."""
         self._ready.append(task)
 
-    def end(self, task: Task) -> None:
+    def end(self, task: SimulatedTask) -> None:
         """End a task whose process is dead; for the simulated world."""
         self._waiting.pop(task.number, None)
         if task.timer is not None:
@@ -214,21 +214,21 @@ class Scheduler:
                 return
             self.now, self._at_once = self._timers[0][0], 0
 
-    def waiting(self) -> list[Task]:
+    def waiting(self) -> list[SimulatedTask]:
         """Return the tasks that wait, oldest first."""
         return [self._waiting[number] for number in sorted(self._waiting)]
 
-    def raise_if_dead(self, task: Task) -> None:
+    def raise_if_dead(self, task: SimulatedTask) -> None:
         """Raise `Killed` in a task whose process was killed."""
         if task.host.is_dead:
             raise Killed
 
-    def _happen(self, timer: Timer) -> None:
+    def _happen(self, timer: SimulatedTimer) -> None:
         if timer.action is not None:
             action, timer.action = timer.action, None
             action()
 
-    def _make_ready(self, task: Task) -> None:
+    def _make_ready(self, task: SimulatedTask) -> None:
         if task.timer is not None:
             task.timer.cancel()
             task.timer = None
@@ -258,14 +258,14 @@ class Scheduler:
         self._switch_to(task)
         self.on_step()
 
-    def _switch_to(self, task: Task) -> None:
+    def _switch_to(self, task: SimulatedTask) -> None:
         before, self.current = self.current, task
         try:
             task.greenlet.switch()
         finally:
             self.current = before
 
-    def _main(self, task: Task, work: Callable[[], object]) -> None:
+    def _main(self, task: SimulatedTask, work: Callable[[], object]) -> None:
         try:
             self.raise_if_dead(task)
             work()
