@@ -80,7 +80,12 @@ def kill_manager() -> dict[str, Any]:
     """Kill the manager; return the last status before."""
     before = status()
     os.kill(before["manager"]["pid"], signal.SIGKILL)
-    wait_long(lambda: all(c["unmanaged"] for c in status()["computers"].values()))
+
+    def is_unmanaged() -> bool:
+        computers = status().get("computers", {})  # an error while it is noticed
+        return bool(computers) and all(c["unmanaged"] for c in computers.values())
+
+    wait_long(is_unmanaged)
     return before
 
 
