@@ -259,7 +259,7 @@ class Channel:
                 connection.send(pieces, deadline)
             except Unavailable:
                 connections.drop(connection)
-                if found is None:
+                if found is None or self._is_lost:
                     raise
                 # the receiver closed it while it was idle, and has got nothing
             except BaseException:
