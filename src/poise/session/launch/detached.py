@@ -140,7 +140,9 @@ def _wait(
 
 def _manages(process: int, robot: str) -> bool:
     try:
-        return Running(robot).status().manager.pid == process
+        status = Running(robot).status()
+        # agents name it as soon as it has claimed them
+        return not status.by_agents and status.manager.pid == process
     except PoiseError:  # it is still starting
         return False
 
