@@ -141,10 +141,10 @@ def _wait(
 def _manages(process: int, robot: str) -> bool:
     try:
         status = Running(robot).status()
-        # agents name it as soon as it has claimed them
-        return not status.by_agents and status.manager.pid == process
     except PoiseError:  # it is still starting
         return False
+    # agents name it as soon as it has claimed them
+    return not status.by_agents and status.manager.pid == process
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:
