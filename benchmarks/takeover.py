@@ -49,7 +49,7 @@ _MOST_STEPS = 40
 """A manager ends within this many of its steps: some two moves."""
 _LATER = 0.01
 """A manager may also end within this time after a step [s]."""
-_CONSISTENT = 5.0
+_CONSISTENT = 20.0
 """A robot is consistent within this time after a take-over [s]."""
 _LIFE = 60.0
 """A manager that does not end by itself within this time hangs [s]."""
