@@ -65,7 +65,7 @@ def in_parallel(extent: str, first: int) -> Iterator[RunOutcome]:
     until = time.monotonic() + (0.0 if most is not None else parse(extent, UNIT))
     seeds = count(first) if most is None else iter(range(first, first + most))
     waiting: set[Future[list[RunOutcome]]] = set()
-    with ProcessPoolExecutor(WORKERS, max_tasks_per_child=20) as pool:
+    with ProcessPoolExecutor(WORKERS) as pool:
         while True:
             is_due = most is not None or time.monotonic() < until
             while is_due and len(waiting) < 2 * WORKERS:
