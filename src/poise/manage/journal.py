@@ -36,7 +36,7 @@ wrong, right
 """
 
 LARGEST, FILES = 4 << 20, 4
-"""A journal has so many files of this size [bytes] at most."""
+"""The most files of a journal, and the size of each [bytes]."""
 MOST_KEPT = 2_000
 """So many entries are kept in memory."""
 _MOST_KEPT_SIZE = 8 << 20

@@ -9,8 +9,8 @@ from msgspec import structs
 
 from poise.errors import RunError
 from poise.manage.agent_connections.agents import Agents
-from poise.manage.agent_connections.requests import Reply
-from poise.manage.deploy.reconciler import ANSWER_LIMIT, APPLY_LIMIT, TRY_AGAIN
+from poise.manage.agent_connections.requests import ANSWER_LIMIT, Reply
+from poise.manage.deploy.reconciler import APPLY_LIMIT, TRY_AGAIN
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.journal import Journal
 from poise.model.robot import Robot

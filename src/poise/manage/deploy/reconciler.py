@@ -14,14 +14,12 @@ from typing import Protocol
 from msgspec import structs
 
 from poise.clock import Clock
-from poise.manage.agent_connections.requests import Reply
+from poise.manage.agent_connections.requests import ANSWER_LIMIT, Reply
 from poise.manage.agent_connections.statuses import Statuses
 from poise.wire.records.deployment import Deployment
 from poise.wire.records.requests import Accepted, Claimed, Refused
 from poise.wire.records.status import AgentStatus
 
-ANSWER_LIMIT = 2.0
-"""An agent answers a claim or deployment within this time [s]."""
 APPLY_LIMIT = 1.0
 """It reports within this time that it works towards what it accepted [s]; else it is
 told again, which is harmless."""

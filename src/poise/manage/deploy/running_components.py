@@ -113,7 +113,7 @@ class RunningComponents(DesiredState):
         self.agents.notify()
 
     def end_all(self, why: str) -> None:
-        """End all containers of the computers that are reached, whoever started them.
+        """End all containers of the computers that are reached, of any manager.
 
         Raises
         ------

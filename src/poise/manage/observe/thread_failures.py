@@ -12,7 +12,7 @@ from poise.manage.observe.deviations import Deviation
 from poise.threads import SHOWN_FOR
 
 _MOST = 20
-"""Failures of so many threads are shown; all are journalled."""
+"""The most threads whose failures are shown; all failures are journalled."""
 
 
 class ThreadFailures:

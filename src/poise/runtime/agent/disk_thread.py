@@ -26,7 +26,7 @@ from poise.wire.records.requests import Accepted, Answer, Refused
 log = logging.getLogger(__name__)
 
 _MOST = 100
-"""At most so many jobs wait for the disk."""
+"""The most jobs that wait for the disk."""
 _SLOW = 1.0
 """A disk that does not answer for longer is in trouble [s]."""
 _STOP_LIMIT = 2.0

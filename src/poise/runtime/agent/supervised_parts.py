@@ -19,7 +19,7 @@ log = logging.getLogger(__name__)
 SHOWN_FOR = 60.0
 """An error is shown for this time after it came last [s]."""
 _MOST = 20
-"""Errors of so many parts are shown; all are logged."""
+"""The most parts whose errors are shown; all errors are logged."""
 
 T = TypeVar("T")
 
