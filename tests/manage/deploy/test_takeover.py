@@ -67,6 +67,15 @@ def test_goes_on_with_what_runs_and_says_so(robot: Robot) -> None:
     assert {c.goal for each in containers for c in each.components} == {"active"}
 
 
+def test_what_runs_just_as_planned_is_told_with_a_later_generation(
+    robot: Robot,
+) -> None:
+    as_planned = (LEFT[0], Incarnation(component="thinker", computer="right"))
+    run, agents, _ = run_of(robot, *as_planned)
+    start_or_take_over(run, by_force=False)
+    assert [told.generation for _, told in agents.deployed[2:]] == [6, 6]
+
+
 def test_new_incarnations_differ_from_any_that_another_computer_may_run(
     robot: Robot,
 ) -> None:

@@ -155,7 +155,11 @@ class DesiredState:
         # that of one on a computer that is out of reach is not known, and lower
         statuses = self.agents.statuses().values()
         self._last_epoch = max((s.generation for s in statuses), default=0)
-        desired = Desired(placed=dict(kept), tasks=tasks, held=held)
+        # a record of its own also when it is just what was planned: agents refuse one
+        # that is older than what they were told last
+        desired = Desired(
+            placed=dict(kept), tasks=tasks, held=held, generation=self._last_epoch
+        )
         self.commit(desired, "taking the robot over")
 
     def leave(self) -> None:
