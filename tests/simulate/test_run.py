@@ -17,9 +17,11 @@ from poise.simulate.shrink import Shrunk
 _LEASE = "poise.runtime.agent.lease.LEASE"
 _ROOT = Path(__file__).parents[2]
 _DIGEST = """
+import sys
 from poise.simulate.run import simulate
 from tests.simulate.conftest import small_scenario
-outcome = simulate(small_scenario(), 3)
+for seed in map(int, sys.argv[1:]):
+    outcome = simulate(small_scenario(40.0), seed)
 print(outcome.digest, outcome.steps, outcome.failure or "held")
 """
 
@@ -99,17 +101,17 @@ def test_a_failure_is_shrunk_to_the_fault_that_it_needs(
 
 @pytest.mark.slow
 def test_a_seed_gives_one_run_in_any_interpreter() -> None:
-    """Whatever the hash seed, which orders sets of texts."""
+    """Whatever the hash seed, which orders sets of texts, and whatever ran before."""
     digests = {
         subprocess.run(
-            [sys.executable, "-c", _DIGEST],
-            env={**os.environ, "PYTHONHASHSEED": seed},
+            [sys.executable, "-c", _DIGEST, *seeds.split()],
+            env={**os.environ, "PYTHONHASHSEED": hash_seed},
             cwd=_ROOT,
             capture_output=True,
             text=True,
             check=True,
             timeout=100,
         ).stdout
-        for seed in ("1", "2", "77")
+        for hash_seed, seeds in (("1", "7"), ("2", "7"), ("77", "5 7"))
     }
     assert len(digests) == 1, digests

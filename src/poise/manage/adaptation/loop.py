@@ -197,7 +197,7 @@ class Adaptation:
             if symptom.key not in self._reported and symptom.policy.do != "fail over":
                 self._reported[symptom.key] = _Reported(symptom, wall_time())
                 note("wrong", symptom.what, policies=saw([symptom]))
-        for key in self._reported.keys() - self._policies.since.keys():
+        for key in sorted(self._reported.keys() - self._policies.since.keys()):
             note("right", f"no more: {self._reported.pop(key).symptom.what}")
         self.deviations = (
             *self._needs.deviations(),

@@ -235,7 +235,7 @@ def _differences(
     """Yield the components that cannot go on as they run, and why."""
     allowed = allowed_computers(robot)
     reasons, stale = {}, {}
-    for name in counts.keys() & planned.keys():
+    for name in sorted(counts.keys() & planned.keys()):
         each, now = counts[name], _spec_now(counts[name], layout)
         if each.computer not in allowed[name]:
             reasons[name] = f"it may not run on '{each.computer}' any more"

@@ -27,7 +27,7 @@ class LostComputers:
         self._obeying = set(run.computers())
         self._lost_at: dict[str, float] = {}
         self._lost_moments: dict[str, float] = {}
-        for computer in {c.name for c in run.robot.computers} - self._obeying:
+        for computer in sorted({c.name for c in run.robot.computers} - self._obeying):
             self._lost_at[computer] = wall_time()
             self._lost_moments[computer] = run.clock.now()
         self._was_cut_off: set[str] = set()
@@ -152,7 +152,7 @@ class LostComputers:
     def _note_refusals(self) -> None:
         """Journal what an agent refuses, or does not answer, when that is new."""
         run, troubles = self._run, self._run.reconciler.troubles()
-        for computer in self._refused.keys() - troubles.keys():
+        for computer in sorted(self._refused.keys() - troubles.keys()):
             del self._refused[computer]
         for computer, why in troubles.items():
             what = f"computer '{computer}' is reached, but: {why}"

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import itertools
-import secrets
 import time
 from collections.abc import Collection, Iterator, Mapping, Sequence
 
@@ -194,8 +192,7 @@ def _halted(
     run: RunningComponents, containers: Collection[tuple[str, str]]
 ) -> Iterator[tuple[tuple[str, str], StepsOutcome]]:
     """Let containers go on with nothing of a migration; yield what each answers."""
-    numbers = itertools.count(secrets.randbits(48))
-    by_number = dict(zip(numbers, sorted(containers), strict=False))
+    by_number = dict(zip(run.batch_numbers, sorted(containers), strict=False))
     halt = (Step("halt"),)
     batches = [
         (computer, MigrationSteps(number, 0, container, halt, HALT_LIMIT))

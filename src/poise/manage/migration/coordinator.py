@@ -10,8 +10,6 @@ docs/design/moves.md.
 
 from __future__ import annotations
 
-import itertools
-import secrets
 import time
 from collections.abc import Callable, Iterator, Sequence
 
@@ -52,9 +50,6 @@ LONGEST_LINGER = LOST_AFTER
 its connection is lost."""
 REMOVE_LIMIT = 2.0
 """What is to be removed has ended after this time [s]; else the journal says so."""
-
-# agents tell these batches of steps from those of an earlier manager
-_numbers = itertools.count(secrets.randbits(48))
 
 
 class Migration:
@@ -256,7 +251,7 @@ class Migration:
         for placed in steps:
             container = self._run.layout.container_of(placed[0].component)
             batches.setdefault((placed[0].computer, container), []).append(placed)
-        by_number = {next(_numbers): key for key in batches}
+        by_number = {next(self._run.batch_numbers): key for key in batches}
         told = [
             (
                 computer,

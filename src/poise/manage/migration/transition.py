@@ -67,7 +67,7 @@ class _Planner:
                         f"{format_amount(resource, used)} of {resource} wanted, "
                         f"{format_amount(resource, usable.get(resource, 0.0))} usable"
                     )
-        for name in self._now.keys() & then.keys():
+        for name in sorted(self._now.keys() & then.keys()):
             if self._now[name] != then[name] and not self._components[name].movable:
                 raise RobotError(
                     f"component '{name}' is not movable, but would go from "

@@ -49,7 +49,7 @@ def start_together(
         for name, computer in placement.items()
     ]
     new = [_with_checkpoint(run, each) for each in new]
-    old = [run.placed[name] for name in placement.keys() & run.placed.keys()]
+    old = [run.placed[name] for name in sorted(placement.keys() & run.placed.keys())]
     lost = {each.computer for each in old}.intersection(lost)
     # one of the lost that comes back meanwhile must keep what it has
     ends = [each for each in old if each.computer not in lost]

@@ -51,7 +51,7 @@ class Watch:
                 found[key] = before[key]
             elif not each.container:
                 run.journal.note("wrong", each.what)
-        for key in before.keys() - found.keys():
+        for key in sorted(before.keys() - found.keys()):
             if not before[key].container:
                 run.journal.note("right", before[key].end())
         self.deviations = tuple(found.values())
@@ -65,7 +65,7 @@ class Watch:
         run, now = self._run, wall_time()
         wanted, settled = run.desired.incarnations(), run.desired.settled()
         moving = run.placed.keys() - settled.keys()
-        found = {key: before[key] for key in before.keys() & moving}
+        found = {key: before[key] for key in sorted(before.keys() & moving)}
         deviations = find_deviations(
             settled.values(), wanted, run.layout, statuses, now
         )

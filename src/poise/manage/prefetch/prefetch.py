@@ -116,7 +116,9 @@ class Prefetcher:
                 )
         if begins:
             prepare(run, begins, {at: cpu[at] for at in begins.values()})
-        new = [run.prepared[name] for name in begins.keys() & run.prepared.keys()]
+        new = [
+            run.prepared[name] for name in sorted(begins.keys() & run.prepared.keys())
+        ]
         self._begun |= {(each.component, each.epoch): each for each in new}
         restarts = {
             (computer, health.name): health.restarts

@@ -197,7 +197,7 @@ class SimulatedContainer:
         wanted = {(c.name, c.epoch): c for c in spec.components}
         before = self._connectors
         self._connectors = {each.key: each for each in spec.connectors}
-        for name in before.keys() - self._connectors.keys():
+        for name in sorted(before.keys() - self._connectors.keys()):
             gone = before[name]
             if target := self.components.get((gone.target, gone.target_epoch)):
                 target.overtaken.forget(gone.name, gone.source_epoch)
@@ -224,7 +224,7 @@ class SimulatedContainer:
             if (each.source, each.source_epoch) in self.components:
                 key = f"{each.slot or each.name}/{each.source_epoch}"
                 slots.setdefault(key, []).append(each)
-        for key in self.senders.keys() - slots.keys():
+        for key in sorted(self.senders.keys() - slots.keys()):
             self.senders.pop(key).close()
         for key, choices in slots.items():
             sender = self.senders.get(key)

@@ -122,7 +122,7 @@ def fail_over(situation: Situation, lost: Collection[str]) -> Failover:
             missing[name] = f"it may run on {here} only"
         else:
             homes[name] = choices
-    stranded = {name for name in homes if situation.placement[name] in lost}
+    stranded = [name for name in homes if situation.placement[name] in lost]
     if not stranded:
         return Failover(placement={}, missing=missing)
     result = placed_beside(situation, homes)
@@ -149,7 +149,7 @@ def _by_priority(
     for architecture in sorted(
         situation.robot.architectures, key=lambda a: -a.priority
     ):
-        names = {c.name for c in architecture.components} & set(stranded)
+        names = [c.name for c in architecture.components if c.name in stranded]
         if not names:
             continue
         wanted = {name: homes[name] for name in names}

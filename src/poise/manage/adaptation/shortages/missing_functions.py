@@ -34,7 +34,7 @@ class Needs:
         if needed & self._said.keys() & missing:  # it has stopped the others
             missing = (missing & needed) | self._said.keys() & missing
         self._since = {name: self._since.get(name, now) for name in missing}
-        for name in self._said.keys() - missing:
+        for name in sorted(self._said.keys() - missing):
             del self._said[name]
             text = f"function '{name}' of task '{task}' is back"
             self._journal.note("right", text)

@@ -148,7 +148,7 @@ class PutAside:
     def look(self) -> None:
         """Note what does not run, and what runs again."""
         aside = {each.name: each.function for each in self._aside()}
-        for name in self._known.keys() - aside.keys():
+        for name in sorted(self._known.keys() - aside.keys()):
             del self._known[name]
             self._run.journal.note("right", f"architecture '{name}' runs again")
         known = {aside[name] for name in self._known}

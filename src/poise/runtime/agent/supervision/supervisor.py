@@ -258,7 +258,7 @@ class Supervisor:
 
     def _moments(self) -> Iterator[float]:
         again_at = self._supervised.again_at
-        for name in self._specs().keys() & self._backoffs.keys():
+        for name in sorted(self._specs().keys() & self._backoffs.keys()):
             if name not in self.processes and not self.trouble:
                 yield max(self._backoffs[name].again_at, again_at(part_of(name)))
         for name, process in self.processes.items():
