@@ -182,11 +182,14 @@ def _came(
     steps = set(pairwise(chain.through))
     for connector in robot.all_connectors():
         source, target = (end.component for end in connector.between)
-        name = str(connector)
-        if (source, target) in steps and (name, "target") in ends:
-            yield target, ends[name, "target"]
-        elif (target, source) in steps and (name, "source") in ends:
-            yield source, ends[name, "source"]
+        into: tuple[tuple[str, Side], ...] = ()
+        if (source, target) in steps:
+            into = ((target, "target"),)
+        elif (target, source) in steps:
+            into = ((source, "source"),)
+        for component, side in into:
+            if (end := ends.get((str(connector), side))) is not None:
+                yield component, end
 
 
 _Sums = tuple[tuple[int, float], ...]

@@ -1,0 +1,238 @@
+"""How a modelled container takes the steps of a migration, in the real phases.
+
+`poise.wire.records.migration.STEPS` says what each step is for.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from poise.errors import PoiseError, RunError
+from poise.simulation.components.channels import SimulatedSender
+from poise.simulation.components.models import drawn
+from poise.wire.migration_phases import MigrationPhases
+from poise.wire.records.deployment import ContainerSpec
+from poise.wire.records.migration import (
+    MigrationSteps,
+    Step,
+    StepsDone,
+    StepsFailed,
+    StepTaken,
+)
+
+if TYPE_CHECKING:
+    from poise.simulation.components.component import SimulatedComponent
+    from poise.simulation.components.container import SimulatedContainer
+
+_SHARE = 0.75
+"""As in the real container: the rest of the limit is for the answer."""
+_LOOK_EVERY = 0.002
+State = tuple[tuple[str, int], ...]
+"""What moves beside the state itself: the messages that wait."""
+
+
+class MigrationModel:
+    """The steps of one container.
+
+    Attributes
+    ----------
+    states
+        Component and epoch -> what sources here have sent.
+    """
+
+    def __init__(self, container: SimulatedContainer) -> None:
+        self._container = container
+        self._num_deployments = 0
+        self._is_committed = False
+        self._told: ContainerSpec | None = None
+        self._phases: dict[tuple[str, int], tuple[int, MigrationPhases]] = {}
+        self.states: dict[tuple[str, int], State] = {}
+
+    def note_deployment(self, spec: ContainerSpec) -> None:
+        """Refuse the steps that were received until now."""
+        self._num_deployments += 1
+        if self._told is None or not self._told.is_told_by(spec):
+            self._told, self._is_committed = spec, False
+
+    def receive(self, batch: MigrationSteps) -> None:
+        """Take steps on a task of their own, and answer; `halt` at once."""
+        if batch.steps and batch.steps[0].name == "halt":
+            self._num_deployments += 1
+            done = StepsDone(batch.number, is_committed=self._is_committed)
+            self._container.answer(done)
+            return
+        received, deployment = self._now, self._num_deployments
+        self._container.process.spawn(
+            f"steps {batch.number % 1000}",
+            lambda: self._take_all(batch, received, deployment),
+        )
+
+    @property
+    def _now(self) -> float:
+        return self._container.world.scheduler.now
+
+    def _take_all(
+        self, batch: MigrationSteps, received: float, deployment: int
+    ) -> None:
+        deadline = received + _SHARE * batch.limit
+        taken: list[StepTaken] = []
+        try:
+            for step in batch.steps:
+                self._begin(step, deployment)
+                began = self._now
+                self._take(step, batch.migration, deadline)
+                who = f"{step.component}/{step.epoch}" if step.component else ""
+                taken.append(
+                    StepTaken(
+                        who or batch.container, step.name, step.phase, began, self._now
+                    )
+                )
+        except PoiseError as error:
+            failed = StepsFailed(batch.number, str(error), tuple(taken))
+            self._container.answer(failed)
+        else:
+            self._container.answer(StepsDone(batch.number, tuple(taken)))
+
+    def _begin(self, step: Step, deployment: int) -> None:
+        if deployment != self._num_deployments:
+            raise RunError(f"'{step.name}' is late: a deployment came before it")
+        if step.phase in {"commit", "resume"}:
+            self._is_committed = True
+
+    def _take(self, step: Step, migration: int, deadline: float) -> None:
+        container = self._container
+        match step.name:
+            case "buffer":
+                for name in step.connectors:
+                    sender = self._sender(name)
+                    sender.buffer()
+                    sender.mark(migration)
+            case "release to targets" | "release to sources":
+                for key in step.connectors:
+                    spec = container.connector(key)
+                    self._sender(spec.name).switch(spec)
+            case "drain channels":
+                receiver = self._component(step)
+                container.wait(
+                    lambda: all(
+                        receiver.markers.get(name) == migration
+                        for name in step.connectors
+                    ),
+                    deadline,
+                    f"markers over {', '.join(step.connectors)}: messages are still "
+                    "under way",
+                )
+        if step.role is None:
+            return
+        component = self._component(step)
+        with self._phases_of(component, step, migration).taking(step.name, step.phase):
+            if step.role == "source":
+                self._take_source(component, step, migration, deadline)
+            else:
+                self._take_target(component, step, deadline)
+
+    def _take_source(
+        self,
+        component: SimulatedComponent,
+        step: Step,
+        migration: int,
+        deadline: float,
+    ) -> None:
+        container, key = self._container, component.who[:2]
+        match step.name:
+            case "await idle":
+                until = min(deadline, self._now + step.limit)
+                while component.is_busy and self._now < until:
+                    container.world.scheduler.wait(_LOOK_EVERY, "an idle component")
+            case "pause":
+                component.pause()
+                container.wait(lambda: not component.is_busy, deadline, "its handler")
+                for sender in container.senders.values():
+                    if (sender.spec.source, sender.spec.source_epoch) == key:
+                        sender.mark(migration)
+            case "send state":
+                self.states[key] = tuple(component.mailbox)
+                component.mailbox.clear()
+            case "roll back":
+                component.mailbox.extendleft(reversed(self.states.pop(key, ())))
+                component.resume()
+
+    def _take_target(
+        self, component: SimulatedComponent, step: Step, deadline: float
+    ) -> None:
+        match step.name:
+            case "restore state":
+                self._restore(component, deadline)
+            case "activate":
+                component.pause()
+                component.aim("ready")
+                self._container.wait(
+                    lambda: component.state == "active", deadline, "`activate`"
+                )
+            case "resume":
+                component.goal = "active"
+                component.resume()
+
+    def _restore(self, component: SimulatedComponent, deadline: float) -> None:
+        """Wait until the source has sent its state, and take it."""
+        container, world = self._container, self._container.world
+        name, here = component.spec.name, container.process.computer.name
+        found = self._source_of(component)
+        if found is None:
+            raise RunError(f"no source of '{name}' is reached")
+        source, epoch = found
+        there = source.process.computer.name
+        states = source.migration.states
+        seconds = drawn(world.choices, (0.0, 0.005))
+        seconds += component.model.state_size / world.network.model.bandwidth
+
+        def is_there() -> bool:
+            if world.network.is_cut(there, here) or source.process.is_paused:
+                return False
+            return (name, epoch) in states
+
+        while not is_there():
+            if self._now >= deadline or source.process.is_dead:
+                raise RunError(f"the state of '{name}' did not come from '{there}'")
+            world.scheduler.wait(_LOOK_EVERY, "a state")
+        state = states[name, epoch]
+        world.scheduler.wait(seconds, "a state's transfer")
+        component.mailbox.extendleft(reversed(state))
+
+    def _source_of(
+        self, component: SimulatedComponent
+    ) -> tuple[SimulatedContainer, int] | None:
+        name = component.spec.name
+        for container in self._container.world.containers():
+            for (other, epoch), each in container.components.items():
+                is_older = other == name and epoch < component.spec.epoch
+                if is_older and each.state != "finalized":
+                    return container, epoch
+        return None
+
+    def _component(self, step: Step) -> SimulatedComponent:
+        try:
+            return self._container.components[step.component, step.epoch]
+        except KeyError:
+            text = f"component '{step.component}' ({step.epoch}) is not here"
+            raise RunError(text) from None
+
+    def _sender(self, name: str) -> SimulatedSender:
+        for sender in self._container.senders.values():
+            if sender.spec.name == name:
+                return sender
+        container = self._container.name
+        raise RunError(f"no connector '{name}' begins in container '{container}'")
+
+    def _phases_of(
+        self, component: SimulatedComponent, step: Step, migration: int
+    ) -> MigrationPhases:
+        key = component.who[:2]
+        number, phases = self._phases.get(key, (-1, None))
+        if phases is None or number < migration:
+            assert step.role is not None  # noqa: S101, asked before
+            phases = MigrationPhases(step.role, f"migration of component '{key[0]}'")
+            self._phases[key] = migration, phases
+        elif number > migration:
+            raise RunError(f"component '{key[0]}': a later migration has begun")
+        return phases

@@ -1,0 +1,210 @@
+"""The processes of a simulated computer, and the clocks that they read."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from random import Random
+
+from poise.simulation.computers.cpu import Cpu
+from poise.simulation.schedule.scheduler import (
+    Scheduler,
+    SimulatedTask,
+    SimulatedTimer,
+    SimulationError,
+)
+
+FIRST_PID = 10_000_000
+"""No real process has such a number (Linux: 4,194,304 at most)."""
+
+
+class TaskFailed(SimulationError):
+    """Code under test raised an error that none of its own code caught."""
+
+    def __init__(self, task: SimulatedTask, error: BaseException) -> None:
+        super().__init__(f"{task}: {type(error).__name__}: {error}")
+        self.error = error
+
+
+class SimulatedComputer:
+    """A simulated computer: its clocks and its processes.
+
+    Parameters
+    ----------
+    boot
+        What its monotonic clock shows when the run begins [s].
+    drift
+        How much quicker its clocks run than virtual time [s/s].
+    cores
+        Of its CPU.
+
+    Attributes
+    ----------
+    wall_ahead
+        How far its wall clock is ahead of true time; a fault steps it [s].
+    """
+
+    EPOCH = 1_767_225_600.0
+    """The wall clocks begin here: 2026 [s since 1970]."""
+
+    def __init__(
+        self,
+        scheduler: Scheduler,
+        name: str,
+        boot: float = 0.0,
+        drift: float = 0.0,
+        cores: float = 4.0,
+    ) -> None:
+        self.scheduler = scheduler
+        self.name = name
+        self.cpu = Cpu(scheduler, cores)
+        self.wall_ahead = 0.0
+        self.processes: dict[int, Process] = {}
+        self._boot = boot
+        self._rate = 1.0 + drift
+        self._asleep = 0.0
+        self._suspended_at: float | None = None
+        self._wakes_at = 0.0
+
+    def monotonic(self) -> float:
+        """Return CLOCK_MONOTONIC [s], which stands while the computer is suspended."""
+        return self._boot + self.scheduler.now * self._rate - self._asleep
+
+    def boottime(self) -> float:
+        """Return CLOCK_BOOTTIME [s]."""
+        return self._boot + self.scheduler.now * self._rate
+
+    def wall(self) -> float:
+        """Return the wall clock [s since 1970]."""
+        return self.EPOCH + self.scheduler.now * self._rate + self.wall_ahead
+
+    def start(self, name: str, parent: Process | None = None) -> Process:
+        """Start a process; it has no task yet, and waits while all is suspended."""
+        pid = FIRST_PID + self.scheduler.number()
+        process = Process(self, f"{self.name}/{name}", pid, parent)
+        self.processes[pid] = process
+        if self._suspended_at is not None:
+            process.pause()
+        return process
+
+    def suspend(self, seconds: float) -> None:
+        """Let the whole computer stand still for a while [s], as in suspend to RAM.
+
+        Of two that overlap, the later end counts.
+        """
+        now = self.scheduler.now
+        if self._suspended_at is None:
+            self._suspended_at = now
+            for process in self.processes.values():
+                process.pause()
+        self._wakes_at = max(self._wakes_at, now + seconds)
+        self.scheduler.at(now + seconds, self._wake)
+
+    def _wake(self) -> None:
+        now = self.scheduler.now
+        if self._suspended_at is None or now < self._wakes_at:
+            return
+        self._asleep += (now - self._suspended_at) * self._rate
+        self._suspended_at = None
+        for process in list(self.processes.values()):
+            process.resume()
+
+
+class Process:
+    """A process on a simulated computer.
+
+    Attributes
+    ----------
+    random
+        What its code draws from.
+    on_end
+        Called when it has ended, in order.
+    awake_since
+        When it began, or its last pause ended [s].
+    on_pause
+        Called when it is paused, or goes on, with whether it is.
+    """
+
+    def __init__(
+        self, computer: SimulatedComputer, name: str, pid: int, parent: Process | None
+    ) -> None:
+        self.computer = computer
+        self.scheduler = computer.scheduler
+        self.name = name
+        self.pid = pid
+        self.parent = parent
+        self.is_dead = False
+        self.is_paused = False
+        self._num_pauses = 0
+        self.awake_since = self.scheduler.now
+        self.held: list[SimulatedTask] = []
+        self.on_end: list[Callable[[], object]] = []
+        self.on_pause: Callable[[bool], object] = lambda _: None
+        self.on_failure: Callable[[TaskFailed], object] | None = None
+        self.random: Random = self.scheduler.choices.random(f"code/{name}/{pid}")
+        self._tasks: dict[int, SimulatedTask] = {}
+        self._late: list[Callable[[], object]] = []
+
+    def after(self, seconds: float, act: Callable[[], object]) -> SimulatedTimer:
+        """Let it do something after a time [s], or when it is not paused any more."""
+        at = self.scheduler.now + seconds
+        return self.scheduler.at(at, lambda: self._do(act))
+
+    def spawn(self, name: str, work: Callable[[], object]) -> SimulatedTask:
+        """Start a task of this process: its code runs on virtual time."""
+        task = self.scheduler.spawn(self, name, work)
+        if len(self._tasks) > 64:  # noqa: PLR2004, most tasks are short
+            self._tasks = {n: t for n, t in self._tasks.items() if not t.has_ended}
+        self._tasks[task.number] = task
+        return task
+
+    def pause(self) -> None:
+        """Let it stand still, as SIGSTOP does, until each pause is resumed."""
+        self._num_pauses += 1
+        if self._num_pauses == 1:
+            self.is_paused = True
+            self.on_pause(True)
+
+    def resume(self) -> None:
+        """Let it go on, unless another pause lasts."""
+        self._num_pauses -= 1
+        if self._num_pauses:
+            return
+        self.is_paused, self.awake_since = False, self.scheduler.now
+        self.on_pause(False)
+        held, self.held = self.held, []
+        for task in held:
+            self.scheduler.resume(task)
+        late, self._late = self._late, []
+        for act in late:
+            self._do(act)
+
+    def kill(self) -> None:
+        """End it at once, as SIGKILL does: not one of its statements runs any more."""
+        if self.is_dead:
+            return
+        self.is_dead = True
+        self.computer.processes.pop(self.pid, None)
+        self.scheduler.at(self.scheduler.now, self._bury)
+
+    def exit(self) -> None:
+        """End it from within, once its main task has ended."""
+        self.kill()
+
+    def note_failure(self, task: SimulatedTask, error: BaseException) -> None:
+        """Raise `TaskFailed` in the simulated world."""
+        failure = TaskFailed(task, error)
+        if self.on_failure is None:
+            raise failure from error
+        self.on_failure(failure)
+
+    def _do(self, act: Callable[[], object]) -> None:
+        if self.is_paused:
+            self._late.append(act)
+        elif not self.is_dead:
+            act()
+
+    def _bury(self) -> None:
+        for task in self._tasks.values():
+            self.scheduler.end(task)
+        for note in self.on_end:
+            note()

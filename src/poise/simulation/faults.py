@@ -1,0 +1,250 @@
+"""Faults of a simulated robot: which a seed picks, and how each is injected and ends.
+
+As a swarm: each seed allows a random subset of the kinds, with random weights, so that
+some runs have many of one kind and none of another.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from math import log
+from typing import Literal
+
+from msgspec import Struct
+
+from poise.simulation.computers.process import Process
+from poise.simulation.robot.robot import SimulatedRobot
+from poise.simulation.schedule.choices import Choices
+
+Kind = Literal[
+    "kill agent",
+    "kill container",
+    "kill manager",
+    "pause agent",
+    "pause container",
+    "pause manager",
+    "pause computer",
+    "suspend computer",
+    "cut link",
+    "cut one way",
+    "isolate computer",
+    "clog link",
+    "lose datagrams",
+    "step wall clock",
+    "slow disk",
+    "full disk",
+    "another manager",
+]
+KINDS: tuple[Kind, ...] = Kind.__args__  # type: ignore[attr-defined]
+_ALLOWED = 0.4
+"""Each kind is allowed in this share of runs."""
+_MEAN_PAUSE = 4.0
+_LONGEST = 8.0
+_LONGEST_STEP = 2e8
+"""A wall clock steps by up to half of that [s]: three years."""
+
+
+class SimulatedFault(Struct, frozen=True):
+    """Something that breaks at a moment [s], and is whole again `lasts` [s] later.
+
+    Parameters
+    ----------
+    target, other
+        Computers; `other` for links. What is killed is started again when it is over.
+    pick
+        Picks one of several containers, in [0, 1).
+    """
+
+    at: float
+    kind: Kind
+    target: str
+    other: str = ""
+    lasts: float = 1.0
+    pick: float = 0.0
+
+    def __str__(self) -> str:
+        where = f"{self.target}-{self.other}" if self.other else self.target
+        return f"{self.at:.2f} s: {self.kind} {where} for {self.lasts:.2f} s"
+
+
+def plan_faults(
+    choices: Choices,
+    computers: Sequence[str],
+    begin: float,
+    end: float,
+    kinds: Sequence[Kind] = KINDS,
+) -> list[SimulatedFault]:
+    """Return the faults of a run, all over before `end` [s]."""
+    allowed = [kind for kind in kinds if choices.happens("faults", _ALLOWED)]
+    allowed = allowed or [kinds[choices.among("faults", len(kinds))]]
+    weights = [choices.draw("faults") for _ in allowed]
+    faults: list[SimulatedFault] = []
+    now = begin
+    while True:
+        now += -_MEAN_PAUSE * log(1 - choices.draw("faults"))
+        lasts = _LONGEST * choices.draw("faults") ** 2
+        if now + lasts >= end:
+            return faults
+        target = choices.among("faults", len(computers))
+        step = 1 + choices.among("faults", max(1, len(computers) - 1))
+        kind = _weighted(choices.draw("faults"), allowed, weights)
+        other = computers[(target + step) % len(computers)]
+        faults.append(
+            SimulatedFault(
+                at=now,
+                kind=kind,
+                target=computers[target],
+                other=other if "link" in kind or "way" in kind else "",
+                lasts=lasts,
+                pick=choices.draw("faults"),
+            )
+        )
+
+
+def inject(robot: SimulatedRobot, fault: SimulatedFault) -> None:
+    """Let a fault begin now, and end in time."""
+    robot.note("fault", str(fault))
+    mend = _begin(robot, fault)
+    robot.scheduler.at(robot.scheduler.now + fault.lasts, mend)
+
+
+Mend = Callable[[], object]
+
+
+def _begin(robot: SimulatedRobot, fault: SimulatedFault) -> Mend:
+    """Break something; return what makes it whole."""
+    verb = fault.kind.partition(" ")[0]
+    begin: Mapping[str, Callable[[SimulatedRobot, SimulatedFault], Mend]] = {
+        "kill": _kill,
+        "pause": _pause,
+        "suspend": _suspend,
+        "cut": _cut,
+        "isolate": _cut,
+        "clog": _clog,
+        "lose": _lose,
+        "step": _step_clock,
+        "slow": _slow_disk,
+        "full": _fill_disk,
+        "another": _start_manager,
+    }
+    return begin[verb](robot, fault)
+
+
+def _nothing() -> None:
+    """Mend nothing: it ends by itself, or stays."""
+
+
+def _kill(robot: SimulatedRobot, fault: SimulatedFault) -> Mend:
+    agent, manager = robot.agents.get(fault.target), robot.manager
+    if fault.kind == "kill agent":
+        killed = [agent.process] if agent else []
+        mend: Mend = partial(robot.start_agent, fault.target)
+    elif fault.kind == "kill manager":
+        killed = [manager.process] if manager else []
+        mend = partial(robot.keep_managed, fault.target)
+    else:
+        killed, mend = _containers(robot, fault), _nothing
+    for process in killed:
+        process.kill()
+    return mend
+
+
+def _start_manager(robot: SimulatedRobot, fault: SimulatedFault) -> Mend:
+    """Let somebody run `poise up` on a computer, though another may be at work."""
+    robot.start_manager(fault.target)
+    return _nothing
+
+
+def _suspend(robot: SimulatedRobot, fault: SimulatedFault) -> Mend:
+    robot.computers[fault.target].suspend(fault.lasts)
+    return _nothing
+
+
+def _clog(robot: SimulatedRobot, fault: SimulatedFault) -> Mend:
+    robot.network.clog(fault.target, fault.other, fault.lasts)
+    return _nothing
+
+
+def _lose(robot: SimulatedRobot, fault: SimulatedFault) -> Mend:
+    network = robot.network
+    lost = 0.1 + 0.6 * fault.pick
+    network.loss += lost
+    return lambda: setattr(network, "loss", network.loss - lost)
+
+
+def _step_clock(robot: SimulatedRobot, fault: SimulatedFault) -> Mend:
+    robot.computers[fault.target].wall_ahead += (fault.pick - 0.5) * _LONGEST_STEP
+    return _nothing
+
+
+def _slow_disk(robot: SimulatedRobot, fault: SimulatedFault) -> Mend:
+    disk, before = robot.disks[fault.target], robot.disks[fault.target].delay
+    disk.delay = before + fault.lasts
+    return lambda: setattr(disk, "delay", disk.delay - fault.lasts)
+
+
+def _fill_disk(robot: SimulatedRobot, fault: SimulatedFault) -> Mend:
+    disk = robot.disks[fault.target]
+    disk.is_full = True
+    return lambda: setattr(disk, "is_full", False)
+
+
+def _containers(robot: SimulatedRobot, fault: SimulatedFault) -> list[Process]:
+    """Return the process of the picked container of a computer, if it has any."""
+    here = [
+        c.process for c in robot.containers() if c.process.computer.name == fault.target
+    ]
+    return here[int(fault.pick * len(here)) :][:1]
+
+
+def _paused_by(robot: SimulatedRobot, fault: SimulatedFault) -> list[Process]:
+    manager, agent = robot.manager, robot.agents.get(fault.target)
+    match fault.kind:
+        case "pause agent":
+            return [agent.process] if agent else []
+        case "pause manager":
+            return [manager.process] if manager else []
+        case "pause computer":
+            return list(robot.computers[fault.target].processes.values())
+    return _containers(robot, fault)
+
+
+def _pause(robot: SimulatedRobot, fault: SimulatedFault) -> Mend:
+    standing = _paused_by(robot, fault)
+    for process in standing:
+        process.pause()
+
+    def resume() -> None:
+        for process in standing:
+            process.resume()
+
+    return resume
+
+
+def _cut(robot: SimulatedRobot, fault: SimulatedFault) -> Mend:
+    ways = [(fault.target, fault.other)]
+    if fault.kind == "isolate computer":
+        ways = [
+            (fault.target, name) for name in robot.computers if name != fault.target
+        ]
+    if fault.kind != "cut one way":
+        ways += [(there, here) for here, there in ways]
+    for way in ways:
+        robot.network.cut(*way)
+
+    def heal() -> None:
+        for way in ways:
+            robot.network.heal(*way)
+
+    return heal
+
+
+def _weighted(draw: float, kinds: Sequence[Kind], weights: Sequence[float]) -> Kind:
+    """Return one of the kinds, as often as its weight says."""
+    left = draw * sum(weights)
+    for kind, weight in zip(kinds, weights, strict=True):
+        left -= weight
+        if left < 0:
+            return kind
+    return kinds[-1]

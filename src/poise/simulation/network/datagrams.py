@@ -1,0 +1,86 @@
+"""UDP sockets of the code under test."""
+
+from __future__ import annotations
+
+import errno
+import socket
+from collections import deque
+from math import inf
+
+from poise.simulation.computers.process import Process
+from poise.simulation.network.addresses import Addresses
+from poise.simulation.network.network import Network
+from poise.simulation.schedule.scheduler import SimulatedTask, SimulationError
+
+_MOST = 256
+"""A socket keeps so many datagrams that nobody has read; further ones are lost."""
+Address = tuple[str, int]
+
+
+class SimulatedSocket:
+    """A UDP socket, as far as heartbeats use one."""
+
+    def __init__(
+        self, addresses: Addresses, network: Network, process: Process, *kind: int
+    ) -> None:
+        if len(kind) < 2 or kind[1] != socket.SOCK_DGRAM:  # noqa: PLR2004
+            raise SimulationError(
+                f"{process.name} opens a socket {kind}: only UDP is simulated"
+            )
+        self._addresses = addresses
+        self._network = network
+        self._process = process
+        self._waiting: deque[tuple[bytes, Address]] = deque()
+        self._reader: SimulatedTask | None = None
+        self._limit = inf
+        self._address = addresses.bind(process, self)
+        process.on_end.append(self.close)
+
+    def bind(self, address: Address) -> None:
+        """Receive what is sent to an address."""
+        taken = self._addresses.bound(address)
+        if taken is not None and taken is not self:
+            raise OSError(errno.EADDRINUSE, f"{address} is in use")
+        self._addresses.release(self._address, self)
+        self._address = self._addresses.bind(self._process, self, address)
+
+    def settimeout(self, limit: float) -> None:
+        """Let `recvfrom` wait for up to `limit` [s]."""
+        self._limit = limit
+
+    def sendto(self, data: bytes, address: Address) -> int:
+        """Send a datagram."""
+        own, target = self._address, self._addresses.computer_at(address)
+        if target is None:
+            raise OSError(errno.EHOSTUNREACH, f"nothing is at {address}")
+
+        def deliver() -> None:
+            receiver = self._addresses.bound(address)
+            if receiver is not None:
+                receiver.take(data, own)
+
+        source = self._process.computer.name
+        self._network.send_datagram(source, target, len(data), deliver)
+        return len(data)
+
+    def recvfrom(self, _size: int) -> tuple[bytes, Address]:
+        """Return the next datagram and its sender's address."""
+        scheduler = self._process.scheduler
+        if not self._waiting:
+            self._reader = scheduler.current
+            scheduler.wait(self._limit, "a datagram")
+            self._reader = None
+        if not self._waiting:
+            raise TimeoutError
+        return self._waiting.popleft()
+
+    def take(self, data: bytes, source: Address) -> None:
+        """Keep a datagram that arrived; for the simulated world."""
+        if len(self._waiting) < _MOST:
+            self._waiting.append((data, source))
+        if self._reader is not None:
+            self._process.scheduler.wake(self._reader)
+
+    def close(self) -> None:
+        """Receive no more."""
+        self._addresses.release(self._address, self)

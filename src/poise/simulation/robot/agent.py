@@ -1,0 +1,171 @@
+"""The agent of a simulated computer: the real core, with modelled surroundings."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+
+import msgspec
+import zenoh
+
+from poise.clock import SystemClock, time_asleep
+from poise.endpoint import Endpoint
+from poise.runtime.agent.agent_setup import AgentSetup
+from poise.runtime.agent.core import AgentCore
+from poise.runtime.agent.inbox import AgentInbox
+from poise.runtime.agent.surroundings import Hear, NextBeat, Surroundings
+from poise.simulation.components.container import World
+from poise.simulation.computers.process import Process
+from poise.simulation.robot.container_host import SimulatedAdoption, SimulatedHost
+from poise.simulation.robot.disk import SimulatedDisk
+from poise.simulation.schedule.scheduler import SimulatedTask
+from poise.wire.control_session import identity_key, locator, open_session
+from poise.wire.heartbeats import Heartbeats
+from poise.wire.records.status import AgentStatus
+
+PORT = 7447
+LEASE = 2.0
+_NEWS = "news"
+
+
+class SimulatedAgent:
+    """One start of an agent.
+
+    Parameters
+    ----------
+    process
+        Its process.
+    address
+        The IP address of its computer.
+    say
+        Takes what it says, for the trace.
+    """
+
+    def __init__(
+        self,
+        world: World,
+        robot: str,
+        process: Process,
+        address: str,
+        disk: SimulatedDisk,
+        say: Callable[[str], object],
+    ) -> None:
+        self._world = world
+        self.process = process
+        self._setup = AgentSetup(
+            robot=robot,
+            computer=process.computer.name,
+            address=address,
+            port=PORT,
+            folder="",
+            lease=LEASE,
+        )
+        self._disk = disk
+        self._say = say
+        self._events: deque[Callable[[], object]] = deque()
+        self._task: SimulatedTask | None = None
+        self._is_woken = False
+        self.core: AgentCore
+        self._task = process.spawn("agent", self._main)
+
+    def post(self, event: Callable[[], object]) -> None:
+        """Let the agent's own task take note of something."""
+        self._events.append(event)
+        self.wake()
+
+    def wake(self) -> None:
+        """Let it tick soon; from any task."""
+        self._is_woken = True
+        if self._task is not None and self._task.waits_for == _NEWS:
+            self._world.scheduler.wake(self._task)
+
+    def _main(self) -> None:
+        setup = self._setup
+        prefix, name = f"poise/{setup.robot}", setup.computer
+        where = locator(Endpoint(setup.address, setup.port))
+        with open_session(listen=[where], lease=setup.lease) as session:
+            status = session.declare_publisher(f"{prefix}/status/{name}")
+            copies = session.declare_publisher(f"{prefix}/checkpoint/{name}")
+            self._disk.begin(
+                self.process, lambda copy: copies.put(msgspec.msgpack.encode(copy))
+            )
+
+            def appear() -> None:
+                for key in (
+                    f"{prefix}/alive/{name}",
+                    identity_key(where, setup.robot, name),
+                ):
+                    session.liveliness().declare_token(key)
+
+            adoption = SimulatedAdoption(self._world, self)
+            self.core = AgentCore(
+                setup,
+                self._surroundings(adoption, status.put, appear),
+                self._disk.left,
+            )
+            inbox = AgentInbox(
+                name, self.core.on_request, self.wake, self.core.supervised
+            )
+            session.declare_queryable(f"{prefix}/agent/{name}", inbox.hear)
+            session.liveliness().declare_subscriber(
+                f"{prefix}/manager/*", self._note_manager, history=True
+            )
+            adoption.begin()
+            while True:
+                self._wait(self.core.moment())
+                while self._events:
+                    self._events.popleft()()
+                inbox.work()
+                self.core.tick()
+
+    def _surroundings(
+        self,
+        adoption: SimulatedAdoption,
+        put: Callable[[bytes], object],
+        appear: Callable[[], None],
+    ) -> Surroundings:
+        clock, process = SystemClock(), self.process
+
+        def publish(status: AgentStatus) -> None:
+            for error in status.errors:
+                what = f"{process.name}: {error.where}: {error.text}"
+                self._world.ledger.violate("no-bug-stops-the-robot", what)
+            put(msgspec.msgpack.encode(status))
+
+        def heartbeats(hear: Hear, next_beat: NextBeat) -> Heartbeats:
+            listen = Endpoint(self._setup.address, self._setup.port)
+            return Heartbeats(clock, hear, next_beat, listen)
+
+        return Surroundings(
+            clock=clock,
+            wall=process.computer.wall,
+            asleep=time_asleep,
+            random=process.random,
+            say=self._say,
+            publish=publish,
+            appear=appear,
+            wake=self.wake,
+            host=SimulatedHost(self._world, self),
+            adoption=adoption,
+            disk=self._disk,
+            heartbeats=heartbeats,
+            usage=dict,
+            cpu=lambda: 0.0,
+            gateway=f"{self._setup.address}:7448",
+            gateway_trouble=str,
+            pid=process.pid,
+            key=f"{process.random.getrandbits(128):032x}",
+        )
+
+    def _note_manager(self, sample: zenoh.Sample) -> None:
+        key = str(sample.key_expr).rpartition("/")[2]
+        is_there = sample.kind == zenoh.SampleKind.PUT
+        self.core.heartbeats.note_liveliness(key, is_there=is_there)
+        self.wake()
+
+    def _wait(self, moment: float) -> None:
+        if not self._is_woken:
+            left = moment - self.process.computer.monotonic()
+            if left > 0:
+                self._world.scheduler.wait(left, _NEWS)
+        self._is_woken = False

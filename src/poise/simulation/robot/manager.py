@@ -1,0 +1,131 @@
+"""A manager in a simulated process: the real one, wired as `poise up` wires it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+from poise.clock import SystemClock
+from poise.errors import PoiseError, TakenOver
+from poise.manage.agent_connections.agents import Agents
+from poise.manage.control_socket.records import Command, Refusal, Result, RobotStatus
+from poise.manage.deploy.running_components import RunningComponents
+from poise.manage.deploy.takeover import start_or_take_over
+from poise.manage.journal import Journal, JournalEntry
+from poise.manage.manager import Manager
+from poise.manage.observe.estimates import Estimates
+from poise.manage.observe.recording import Recording
+from poise.manage.tasks.saved import goes_on_with
+from poise.manage.tasks.tasks import Tasks
+from poise.model.robot import Robot
+from poise.simulation.computers.process import Process
+
+_LOOK_EVERY = 0.2
+_MISSING_LIMIT = 2.0
+_AGENT_LIMIT = 20.0
+_LEASE = 2.0
+
+
+class SimulatedManager:
+    """One start of a manager.
+
+    Parameters
+    ----------
+    endpoints
+        SimulatedComputer -> zenoh endpoint of its agent.
+    placement
+        Component -> computer, of what it starts if nothing runs.
+    note
+        Takes each entry of its journal.
+
+    Attributes
+    ----------
+    manager
+        None until the robot is up.
+    error
+        Why it could not come up, or ended; None: it has not.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        process: Process,
+        endpoints: Mapping[str, str],
+        placement: Mapping[str, str],
+        tasks: Sequence[str],
+        note: Callable[[JournalEntry], object],
+        *,
+        take_over: bool = False,
+    ) -> None:
+        self.robot = robot
+        self.process = process
+        self.manager: Manager | None = None
+        self.run: RunningComponents | None = None
+        self.error: PoiseError | None = None
+        self._endpoints = endpoints
+        self._placement = placement
+        self._tasks = tasks
+        self._note = note
+        self._takes_over = take_over
+        process.spawn("manager", self._main)
+
+    def status(self) -> RobotStatus | None:
+        """Return the status that a client gets now; None: it is not up."""
+        return None if self.manager is None else self.manager.status()
+
+    def ask(self, command: Command, take: Callable[[Result | Refusal], object]) -> None:
+        """Submit a command from a client; `take` gets its result."""
+
+        def submit() -> None:
+            assert self.manager is not None  # noqa: S101, clients ask what is up
+            future = self.manager.submit(command)
+            take(future.result())
+
+        self.process.spawn(f"client {type(command).__name__}", submit)
+
+    def _main(self) -> None:
+        try:
+            self._come_up()
+        except PoiseError as error:
+            self.error = error
+        self.process.exit()
+
+    def _come_up(self) -> None:
+        journal, samples = Journal(":memory:", self._note), Recording()
+        with Agents(
+            self.robot.name, self._endpoints, SystemClock(), samples.add, lease=_LEASE
+        ) as agents:
+            if not self._is_at_work(agents):
+                agents.wait_alive(self._endpoints, _AGENT_LIMIT)
+            run = self.run = RunningComponents(
+                self.robot, self._placement, agents, journal, "/robot"
+            )
+            start_or_take_over(run, by_force=self._takes_over)
+            asked = Tasks(self.robot, lambda text: journal.note("decided", text))
+            for name in self._tasks:
+                asked.start(name, self.process.computer.wall())
+            asked.arbitrate(self.process.computer.wall())
+            self.manager = Manager(
+                run,
+                goes_on_with(run, asked, journal),
+                Estimates(self.robot, None, emulated=True),
+                samples,
+                adapts=True,
+            )
+            try:
+                while not self.manager.is_stopping:
+                    self.manager.work(_LOOK_EVERY)
+            except TakenOver as error:
+                self.error = error
+                self.manager.end()
+            else:
+                self.manager.stop()
+
+    def _is_at_work(self, agents: Agents) -> bool:
+        """Return whether components run; computers that are missing are lost then."""
+        agents.wait_news(
+            lambda: agents.reached() >= set(self._endpoints), _MISSING_LIMIT
+        )
+        if not any(status.containers for status in agents.statuses().values()):
+            return False
+        agents.go_on_without_missing()
+        return True

@@ -1,0 +1,182 @@
+"""A simulated robot: its computers with their agents, its managers, its clients."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager
+
+from poise.manage.journal import JournalEntry
+from poise.model.robot import Robot
+from poise.simulation.components.container import SimulatedContainer
+from poise.simulation.components.ledger import Ledger
+from poise.simulation.components.models import ComponentModel
+from poise.simulation.computers.process import SimulatedComputer
+from poise.simulation.network.addresses import Addresses
+from poise.simulation.network.network import LinkModel, Network
+from poise.simulation.network.zenoh_sessions import ZenohNetwork
+from poise.simulation.robot.agent import PORT, SimulatedAgent
+from poise.simulation.robot.disk import SimulatedDisk
+from poise.simulation.robot.manager import SimulatedManager
+from poise.simulation.schedule.choices import Choices
+from poise.simulation.schedule.scheduler import Scheduler
+from poise.simulation.schedule.simulated_library import simulated_library
+
+_LONGEST_UPTIME = 1e5
+_DRIFT = 25e-6
+_CORES = 4.0
+
+
+class SimulatedRobot:
+    """A robot in virtual time. Use it as a context manager's content: `library()`.
+
+    Parameters
+    ----------
+    placement
+        Component -> computer, at first.
+    tasks
+        Their names.
+    models
+        Component -> what it does; the others do the default.
+    note
+        Called with each line of the trace: the moment [s], who, and what.
+
+    Attributes
+    ----------
+    agents, managers
+        Those that run, by computer; and all managers so far, the last one last.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        choices: Choices,
+        placement: Mapping[str, str],
+        tasks: Sequence[str],
+        models: Mapping[str, ComponentModel] | None = None,
+        link: LinkModel | None = None,
+        note: Callable[[float, str, str], object] = lambda *_: None,
+    ) -> None:
+        self.robot = robot
+        self.choices = choices
+        self.scheduler = Scheduler(choices)
+        self.network = Network(self.scheduler, choices, link)
+        self.ledger = Ledger()
+        self.addresses = Addresses()
+        self.sessions = ZenohNetwork(self.network, self.addresses)
+        self.computers: dict[str, SimulatedComputer] = {}
+        self.disks: dict[str, SimulatedDisk] = {}
+        self.agents: dict[str, SimulatedAgent] = {}
+        self.managers: list[SimulatedManager] = []
+        self.endpoints: dict[str, str] = {}
+        self.is_stopped = False
+        self._placement, self._tasks = dict(placement), tuple(tasks)
+        self._models = models or {}
+        self._note = note
+        self._containers: dict[int, SimulatedContainer] = {}
+        random = choices.random("clocks")
+        for each in robot.computers:
+            boot, drift = random.uniform(1, _LONGEST_UPTIME), random.uniform(-1, 1)
+            cores = each.capacity.get("cpu", _CORES)
+            drift *= _DRIFT
+            computer = SimulatedComputer(self.scheduler, each.name, boot, drift, cores)
+            self.computers[each.name] = computer
+            self.disks[each.name] = SimulatedDisk(computer)
+            host = self.addresses.add(each.name)
+            self.endpoints[each.name] = f"tcp/{host}:{PORT}"
+
+    def library(self) -> AbstractContextManager[None]:
+        """Return what gives the code under test virtual time, while it is entered."""
+        return simulated_library(self.scheduler, self.sessions)
+
+    def start_agent(self, computer: str) -> None:
+        """Start an agent where none runs."""
+        if computer in self.agents:
+            return
+        process = self.computers[computer].start("agent")
+        self.agents[computer] = SimulatedAgent(
+            self,
+            self.robot.name,
+            process,
+            self.addresses.host_of(computer),
+            self.disks[computer],
+            lambda text: self.note(f"agent {computer}", text),
+        )
+        process.on_end.append(lambda: self.agents.pop(computer, None))
+
+    def start_manager(
+        self, computer: str, *, take_over: bool = False
+    ) -> SimulatedManager:
+        """Start a manager on a computer."""
+        number = len(self.managers)
+        process = self.computers[computer].start(f"manager {number}")
+
+        def note(entry: JournalEntry) -> None:
+            if process.is_dead:
+                return
+            self.note(f"manager {number}", f"{entry.kind}: {entry.what}")
+            if "traceback" in entry.facts:
+                what = f"{process.name}: {entry.facts['traceback']}"
+                self.ledger.violate("no-bug-stops-the-robot", what)
+
+        manager = SimulatedManager(
+            self.robot,
+            process,
+            self.endpoints,
+            self._placement,
+            self._tasks,
+            note,
+            take_over=take_over,
+        )
+        self.managers.append(manager)
+        return manager
+
+    def keep_managed(self, computer: str) -> None:
+        """Start a manager on a computer, unless one runs: somebody asks for it."""
+        if self.manager is None and not self.is_stopped:
+            self.start_manager(computer)
+
+    @property
+    def manager(self) -> SimulatedManager | None:
+        """The last manager that is up, or starts; None: none runs."""
+        running = [each for each in self.managers if not each.process.is_dead]
+        up = [each for each in running if each.manager is not None]
+        return next(reversed(up or running), None)
+
+    def note(self, who: str, what: str) -> None:
+        """Add a line to the trace."""
+        self._note(self.scheduler.now, who, what)
+
+    def model_of(self, component: str) -> ComponentModel:
+        """Return the model of a component."""
+        return self._models.get(component, ComponentModel())
+
+    def add_container(self, container: SimulatedContainer) -> None:
+        """Let a container be found until its process ends."""
+        pid = container.process.pid
+        self._containers[pid] = container
+        container.process.on_end.append(lambda: self._containers.pop(pid, None))
+
+    def containers(self) -> list[SimulatedContainer]:
+        """Return all containers that run."""
+        return [c for c in self._containers.values() if not c.process.is_dead]
+
+    def container_of(
+        self, computer: str, component: str, epoch: int
+    ) -> SimulatedContainer | None:
+        """Return the container of an incarnation on a computer."""
+        for container in self.containers():
+            at = container.process.computer.name
+            if at == computer and (component, epoch) in container.components:
+                return container
+        return None
+
+    def run(self, until: float) -> None:
+        """Let virtual time pass until a moment [s]."""
+        self.scheduler.run(until)
+
+    def end(self) -> None:
+        """End all processes, so that nothing of the run is left."""
+        for computer in self.computers.values():
+            for process in list(computer.processes.values()):
+                process.kill()
+        self.scheduler.run(self.scheduler.now)

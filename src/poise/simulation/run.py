@@ -1,0 +1,311 @@
+"""One run of a simulated robot: faults by a seed, then it must converge."""
+
+from __future__ import annotations
+
+import re
+import time
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+
+from msgspec import Struct
+
+from poise.errors import TakenOver
+from poise.manage.control_socket.records import MoveCommand, Refusal, Result
+from poise.manage.migration.report import MigrationReport
+from poise.model.robot import Robot
+from poise.simulation.components.models import ComponentModel
+from poise.simulation.faults import KINDS, Kind, SimulatedFault, inject, plan_faults
+from poise.simulation.invariants import Violation
+from poise.simulation.robot.manager import SimulatedManager
+from poise.simulation.robot.robot import SimulatedRobot
+from poise.simulation.schedule.choices import Choices
+from poise.simulation.schedule.scheduler import SimulationError
+
+UP_LIMIT = 30.0
+"""A robot without faults is up within this time [s]."""
+CONVERGE_LIMIT = 5.0
+"""What is desired runs this long [s] after the last fault ended, at most."""
+SHOWN_WITHIN = 1.0
+"""A lost computer or agent is in `status` within this time [s]."""
+_LOSSES = {"kill agent", "pause agent", "pause computer", "isolate computer"}
+COMMAND_LIMIT = 60.0
+"""An accepted command ends within this time [s]."""
+_LOOK_EVERY = 0.05
+_COMMAND_EVERY, _COMMANDED = 1.0, 0.2
+_LINES = 400
+
+
+class Scenario(Struct, frozen=True, kw_only=True):
+    """What is simulated, but for the seed.
+
+    Parameters
+    ----------
+    placement
+        Component -> computer, at first.
+    seconds
+        Of faults; to come up and to converge take their own time.
+    faults
+        What breaks; None: the seed decides.
+    kinds
+        What of it may break.
+    moves
+        Whether clients move components meanwhile.
+    converges
+        How long it may take after the last fault [s].
+    """
+
+    robot: Robot
+    placement: Mapping[str, str]
+    tasks: Sequence[str]
+    models: Mapping[str, ComponentModel] = {}
+    seconds: float = 60.0
+    faults: tuple[SimulatedFault, ...] | None = None
+    kinds: tuple[Kind, ...] = KINDS
+    moves: bool = True
+    converges: float = CONVERGE_LIMIT
+
+
+class RunOutcome(Struct, frozen=True, kw_only=True):
+    """What came of a run.
+
+    Parameters
+    ----------
+    failure, message
+        The id of the violated invariant, or the type of an error; and what it says.
+        Empty: all held.
+    virtual, took
+        Virtual and real time [s]; `took` is the CPU time of this process.
+    digest
+        Equal for equal runs.
+    choices
+        Stream -> all draws, for a replay.
+    trace
+        The last lines: who did what when.
+    """
+
+    seed: int
+    failure: str
+    message: str
+    virtual: float
+    took: float
+    steps: int
+    digest: str
+    faults: tuple[SimulatedFault, ...]
+    choices: Mapping[str, Sequence[float]]
+    trace: tuple[str, ...]
+    handled: int
+    processed: int
+
+    @property
+    def signature(self) -> tuple[str, str]:
+        """What makes two failures the same: type and message, but for what is named."""
+        return self.failure, re.sub(r"'[^']*'|\d[\d.]*", "#", self.message)
+
+
+def simulate(
+    scenario: Scenario,
+    seed: int,
+    recorded: Mapping[str, Sequence[float]] | None = None,
+) -> RunOutcome:
+    """Run a robot once; never raises for what goes wrong with it.
+
+    Parameters
+    ----------
+    recorded
+        Draws to begin with, instead of the seed's.
+    """
+    began = time.process_time()
+    choices, trace = Choices(seed, recorded), deque[str](maxlen=_LINES)
+
+    def note(at: float, who: str, what: str) -> None:
+        trace.append(f"{at:9.4f} {who:12} {what}")
+
+    robot = SimulatedRobot(
+        scenario.robot,
+        choices,
+        scenario.placement,
+        scenario.tasks,
+        scenario.models,
+        note=note,
+    )
+    run = _Run(robot, scenario)
+    failure = message = ""
+    with robot.library():
+        try:
+            run.go()
+        except SimulationError as error:
+            failure = getattr(error, "invariant", type(error).__name__)
+            message = str(error)
+            note(robot.scheduler.now, "FAILURE", message)
+        virtual = robot.scheduler.now
+        robot.end()
+    return RunOutcome(
+        seed=seed,
+        failure=failure,
+        message=message,
+        virtual=virtual,
+        took=time.process_time() - began,
+        steps=robot.scheduler.steps,
+        digest=robot.scheduler.digest(),
+        faults=run.faults,
+        choices=choices.made,
+        trace=tuple(trace),
+        handled=robot.ledger.handled,
+        processed=robot.ledger.processed,
+    )
+
+
+class _Run:
+    """The phases of one run."""
+
+    def __init__(self, robot: SimulatedRobot, scenario: Scenario) -> None:
+        self.robot = robot
+        self.faults: tuple[SimulatedFault, ...] = ()
+        self._scenario = scenario
+        self._scheduler = robot.scheduler
+        self._is_healed = False
+        self._scheduler.on_step = self._check
+
+    def go(self) -> None:
+        """Come up, break, heal, converge."""
+        robot = self.robot
+        for computer in robot.computers:
+            robot.start_agent(computer)
+        robot.start_manager(next(iter(robot.computers)))
+        self._until(self.is_settled, UP_LIMIT, "the robot is not up")
+        begin = self._scheduler.now
+        end = begin + self._scenario.seconds
+        self.faults = self._scenario.faults or ()
+        if self._scenario.faults is None:
+            names = tuple(robot.computers)
+            kinds = self._scenario.kinds
+            self.faults = tuple(plan_faults(robot.choices, names, begin, end, kinds))
+        for fault in self.faults:
+            self._scheduler.at(fault.at, partial(self._inject, fault))
+        if self._scenario.moves:
+            self._scheduler.at(begin + 1.0, lambda: self._move(end))
+        robot.run(max([end, *(f.at + f.lasts for f in self.faults)]) + 0.01)
+        self._heal()
+        limit = self._scenario.converges
+        self._until(self.is_settled, limit, f"{limit:g} s after the last fault")
+
+    def is_settled(self) -> list[str]:
+        """Return what is not as it is desired, in words."""
+        robot = self.robot
+        manager = robot.manager
+        if manager is None or manager.manager is None or manager.run is None:
+            why = robot.managers[-1].error if robot.managers else None
+            return [f"no manager is up ({why or 'it starts'})"]
+        working: dict[str, list[str]] = {}
+        for container in robot.containers():
+            if container.process.is_paused:
+                continue
+            for component in container.components.values():
+                if component.is_working():
+                    at = container.process.computer.name
+                    working.setdefault(component.spec.name, []).append(at)
+        found = [
+            f"'{name}' works on {' and '.join(working.get(name, ['nothing']))}, not "
+            f"'{at}'"
+            for name, at in sorted(manager.run.placement().items())
+            if working.get(name) != [at]
+        ]
+        lost = sorted(manager.manager.lost())
+        return found + [f"the manager takes '{name}' for lost" for name in lost]
+
+    def _heal(self) -> None:
+        """Start what was killed and never came back."""
+        robot = self.robot
+        for computer in robot.computers:
+            robot.start_agent(computer)
+        if robot.manager is None:
+            robot.keep_managed(next(iter(robot.computers)))
+        robot.note("run", "all faults are over")
+
+    def _until(
+        self, troubles: Callable[[], list[str]], limit: float, what: str
+    ) -> None:
+        deadline = self._scheduler.now + limit
+        while found := troubles():
+            if self._scheduler.now >= deadline:
+                raise Violation("desired-is-reached", f"{what}: {'; '.join(found)}")
+            self.robot.run(self._scheduler.now + _LOOK_EVERY)
+
+    def _inject(self, fault: SimulatedFault) -> None:
+        """Let a fault begin; in a second `status` has to say what is lost."""
+        manager, agent = self.robot.manager, self.robot.agents.get(fault.target)
+        is_new = agent is not None and not agent.process.is_paused
+        inject(self.robot, fault)
+        if fault.kind not in _LOSSES or fault.lasts < SHOWN_WITHIN or not is_new:
+            return
+        is_judge = manager is not None and manager.process.computer.name != fault.target
+        if manager is None or not is_judge or fault.target in _lost(manager):
+            return
+        at = self._scheduler.now
+
+        def look() -> None:
+            process = manager.process
+            if process.is_dead or process.is_paused or process.awake_since > at:
+                return
+            status = manager.status()
+            said = [d.what for d in status.deviations] if status else []
+            if status and not any(f"'{fault.target}'" in what for what in said):
+                raise Violation(
+                    "failures-are-shown",
+                    f"status says {said} {SHOWN_WITHIN:g} s after {fault}",
+                )
+
+        self._scheduler.at(at + SHOWN_WITHIN, look)
+
+    def _check(self) -> None:
+        """Raise what was violated in this step."""
+        if self.robot.ledger.violations:
+            raise Violation(*self.robot.ledger.violations[0])
+        for each in self.robot.managers:
+            error = None if each.manager is None else each.error
+            if error is not None and not isinstance(error, TakenOver):
+                raise Violation("no-bug-stops-the-robot", str(error))
+
+    def _move(self, end: float) -> None:
+        """Let a client move a component, and do so again later."""
+        robot, choices = self.robot, self.robot.choices
+        if self._scheduler.now >= end:
+            return
+        self._scheduler.at(
+            self._scheduler.now + _COMMAND_EVERY, lambda: self._move(end)
+        )
+        manager, wants = robot.manager, choices.happens("clients", _COMMANDED)
+        if not wants or manager is None or manager.manager is None:
+            return
+        names = sorted(self._scenario.placement)
+        computers = sorted(robot.computers)
+        component = names[choices.among("clients", len(names))]
+        computer = computers[choices.among("clients", len(computers))]
+        command = MoveCommand(component, computer)
+        robot.note("client", f"move {component} to {computer}")
+        is_done = False
+
+        def take(result: Result | Refusal) -> None:
+            nonlocal is_done
+            is_done = True
+            if isinstance(result, MigrationReport) and result.committed:
+                assert manager.run is not None  # noqa: S101, it answered
+                epoch = manager.run.placed[component].epoch
+                robot.ledger.commit(component, epoch)
+            robot.note("client", f"move {component} to {computer}: {_short(result)}")
+
+        def look() -> None:
+            if not is_done and not manager.process.is_dead:
+                raise Violation("commands-end", f"{command} after {COMMAND_LIMIT:g} s")
+
+        manager.ask(command, take)
+        self._scheduler.at(self._scheduler.now + COMMAND_LIMIT, look)
+
+
+def _lost(manager: SimulatedManager) -> frozenset[str]:
+    return manager.manager.lost() if manager.manager else frozenset()
+
+
+def _short(result: Result | Refusal) -> str:
+    return str(result)[:120]

@@ -1,0 +1,284 @@
+"""Runs tasks one at a time in virtual time; the seed says which of them is next.
+
+A task is a greenlet: the code under test blocks as on a thread, and gives way only
+where it waits. Time passes only while nothing can run.
+"""
+
+from __future__ import annotations
+
+import heapq
+import struct
+from collections.abc import Callable
+from hashlib import blake2b
+from math import inf
+from typing import Any, Protocol
+
+from greenlet import getcurrent, greenlet
+
+from poise.errors import PoiseError
+from poise.simulation.schedule.choices import Choices
+
+SLACK = 60e-6
+"""The kernel ends a wait this much late, as Linux does [s]."""
+YIELDS = 0.02
+"""How often a task gives way to others where it takes a lock that is free."""
+_MOST_AT_ONCE = 200_000
+"""So many steps without any time passing are a loop that never ends."""
+
+
+class SimulationError(PoiseError):
+    """The code under test, or the simulator, did what no simulation can go on with."""
+
+
+class Killed(BaseException):
+    """The process of a task was killed: nothing of it goes on."""
+
+
+class Host(Protocol):
+    """What a scheduler asks of a task's process."""
+
+    name: str
+    computer: Any
+    is_dead: bool
+    is_paused: bool
+
+    held: list[SimulatedTask]
+
+    def spawn(self, name: str, work: Callable[[], object]) -> SimulatedTask:
+        """Start a task of this process."""
+        ...
+
+    def note_failure(self, task: SimulatedTask, error: BaseException) -> None:
+        """Take note of an error that no code of the task caught; may raise."""
+        ...
+
+
+class SimulatedTask:
+    """What runs like a thread.
+
+    Attributes
+    ----------
+    waits_for
+        What it waits for, in words; empty while it runs.
+    """
+
+    greenlet: greenlet
+
+    def __init__(self, number: int, name: str, host: Host) -> None:
+        self.number = number
+        self.name = name
+        self.host = host
+        self.waits_for = ""
+        self.timer: SimulatedTimer | None = None
+        self.is_woken = False
+        self.has_ended = False
+
+    def __str__(self) -> str:
+        return f"{self.host.name}/{self.name}"
+
+
+class SimulatedTimer:
+    """Something that happens at its moment, unless it is cancelled."""
+
+    __slots__ = ("action",)
+
+    def __init__(self, action: Callable[[], object]) -> None:
+        self.action: Callable[[], object] | None = action
+
+    def cancel(self) -> None:
+        """Let it not happen; harmless when repeated."""
+        self.action = None
+
+
+class Scheduler:
+    """The virtual time of one run, and its tasks.
+
+    Attributes
+    ----------
+    now
+        The present moment [s]; the run begins at 0.
+    current
+        The task that runs; None: the simulated world does.
+    steps
+        How often a task ran until it waited.
+    on_step
+        Called after each step.
+    locks_left
+        So many free locks are taken until the task that takes one gives way.
+    """
+
+    def __init__(self, choices: Choices) -> None:
+        self.choices = choices
+        self.now = 0.0
+        self.current: SimulatedTask | None = None
+        self.steps = 0
+        self.on_step: Callable[[], object] = lambda: None
+        self._number = 0
+        self._ready: list[SimulatedTask] = []
+        self._timers: list[tuple[float, int, SimulatedTimer]] = []
+        self._waiting: dict[int, SimulatedTask] = {}
+        self._world = getcurrent()
+        self._trace = blake2b(digest_size=16)
+        self._at_once = 0
+        self.locks_left = choices.pause(YIELDS)
+
+    def digest(self) -> str:
+        """Return a hash of all steps so far: equal runs have equal ones."""
+        return self._trace.hexdigest()
+
+    def mark(self, *what: object) -> None:
+        """Let something of the world, such as a message, count in the hash, too."""
+        self._trace.update(repr((self.now, *what)).encode())
+
+    def number(self) -> int:
+        """Return a number that nothing else of this run has."""
+        self._number += 1
+        return self._number
+
+    def spawn(self, host: Host, name: str, work: Callable[[], object]) -> SimulatedTask:
+        """Let a process have a new task."""
+        task = SimulatedTask(self.number(), name, host)
+        task.greenlet = greenlet(lambda: self._main(task, work), self._world)
+        self._ready.append(task)
+        return task
+
+    def at(self, moment: float, action: Callable[[], object]) -> SimulatedTimer:
+        """Let something happen in the simulated world at a moment [s]."""
+        timer = SimulatedTimer(action)
+        heapq.heappush(self._timers, (max(moment, self.now), self.number(), timer))
+        return timer
+
+    def wait(self, seconds: float = inf, why: str = "time") -> bool:
+        """Let the current task wait; return whether it was woken within `seconds` [s].
+
+        Raises
+        ------
+        SimulationError
+            No task runs: the simulated world never waits.
+        """
+        task = self.current
+        if task is None:
+            raise SimulationError(f"the simulated world waits for {why}: a task should")
+        self.raise_if_dead(task)
+        task.waits_for, task.is_woken = why, False
+        if seconds <= 0:
+            self._ready.append(task)
+        else:
+            self._waiting[task.number] = task
+            if seconds < inf:
+                at = self.now + seconds + SLACK
+                task.timer = self.at(at, lambda: self._make_ready(task))
+        self._world.switch()
+        task.waits_for = ""
+        self.raise_if_dead(task)
+        return task.is_woken
+
+    def wake(self, task: SimulatedTask) -> bool:
+        """End a task's wait; return whether it waited."""
+        is_waiting = task.number in self._waiting
+        if is_waiting:
+            task.is_woken = True
+            self._make_ready(task)
+        return is_waiting
+
+    def resume(self, task: SimulatedTask) -> None:
+        """Let a task of a process that was paused go on."""
+        self._ready.append(task)
+
+    def end(self, task: SimulatedTask) -> None:
+        """End a task whose process is dead; for the simulated world."""
+        self._waiting.pop(task.number, None)
+        if task.timer is not None:
+            task.timer.cancel()
+        if not task.has_ended:
+            self._switch_to(task)
+
+    def run(self, until: float) -> None:
+        """Let time pass until a moment [s].
+
+        Raises
+        ------
+        SimulationError
+            Nothing can ever run again, or time does not pass.
+        """
+        while True:
+            while self._timers and self._timers[0][0] <= self.now:
+                self._happen(heapq.heappop(self._timers)[-1])
+            if self._ready:
+                self._step()
+                continue
+            while self._timers and self._timers[0][-1].action is None:
+                heapq.heappop(self._timers)
+            if not self._timers and self._waiting:
+                waiting = ", ".join(f"{t} ({t.waits_for})" for t in self.waiting())
+                raise SimulationError(
+                    f"at {self.now:.3f} s nothing can run and nothing will happen: "
+                    f"{waiting} waits for ever"
+                )
+            if not self._timers or self._timers[0][0] > until:
+                self.now = max(self.now, until)
+                return
+            self.now, self._at_once = self._timers[0][0], 0
+
+    def waiting(self) -> list[SimulatedTask]:
+        """Return the tasks that wait, oldest first."""
+        return [self._waiting[number] for number in sorted(self._waiting)]
+
+    def raise_if_dead(self, task: SimulatedTask) -> None:
+        """Raise `Killed` in a task whose process was killed."""
+        if task.host.is_dead:
+            raise Killed
+
+    def _happen(self, timer: SimulatedTimer) -> None:
+        if timer.action is not None:
+            action, timer.action = timer.action, None
+            action()
+
+    def _make_ready(self, task: SimulatedTask) -> None:
+        if task.timer is not None:
+            task.timer.cancel()
+            task.timer = None
+        del self._waiting[task.number]
+        self._ready.append(task)
+
+    def _step(self) -> None:
+        """Let one of the ready tasks run until it waits."""
+        ready, index = self._ready, 0
+        if len(ready) > 1:
+            index = self.choices.among("schedule", len(ready))
+        task = ready.pop(index)
+        host = task.host
+        if host.is_dead or task.has_ended:
+            return
+        if host.is_paused:
+            host.held.append(task)
+            return
+        self.steps += 1
+        self._at_once += 1
+        if self._at_once > _MOST_AT_ONCE:
+            raise SimulationError(
+                f"at {self.now:.3f} s {_MOST_AT_ONCE} steps passed without any time: "
+                f"{task} ({task.waits_for or 'begins'}) is one of those that loop"
+            )
+        self._trace.update(struct.pack("<dI", self.now, task.number))
+        self._switch_to(task)
+        self.on_step()
+
+    def _switch_to(self, task: SimulatedTask) -> None:
+        before, self.current = self.current, task
+        try:
+            task.greenlet.switch()
+        finally:
+            self.current = before
+
+    def _main(self, task: SimulatedTask, work: Callable[[], object]) -> None:
+        try:
+            self.raise_if_dead(task)
+            work()
+        except Killed:
+            pass
+        except BaseException as error:  # noqa: BLE001, its process says what it means
+            if not task.host.is_dead:
+                task.host.note_failure(task, error)
+        finally:
+            task.has_ended = True

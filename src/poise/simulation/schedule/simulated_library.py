@@ -1,0 +1,222 @@
+"""What the code under test gets of the standard library while a simulation runs.
+
+Clock, chance and transport are passed in where the code has a seam for them. This is
+the net below: what reads the time, draws, locks or sleeps by the library does so in
+virtual time, and what would leave the simulation is an error. Code outside of the
+simulation's tasks, such as a test, gets the real library meanwhile.
+"""
+
+from __future__ import annotations
+
+import os
+import queue
+import random
+import secrets
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Container, Hashable, Iterator, Mapping
+from contextlib import contextmanager
+from functools import partial
+from types import FunctionType, SimpleNamespace
+from typing import Any
+
+import zenoh
+
+from poise.simulation.computers.process import Process
+from poise.simulation.network.datagrams import SimulatedSocket
+from poise.simulation.network.zenoh_sessions import ZenohNetwork
+from poise.simulation.schedule.locks import SimulatedLock, SimulatedThread
+from poise.simulation.schedule.scheduler import SLACK, Scheduler, SimulationError
+
+_FORBIDDEN = ((os, "fork"), (subprocess, "Popen"), (socket, "socketpair"))
+
+
+Replaced = tuple[Any, str, Callable[..., Any]]
+"""A module, the name of what is replaced in it, and what tasks get instead."""
+
+
+@contextmanager
+def simulated_library(scheduler: Scheduler, sessions: ZenohNetwork) -> Iterator[None]:
+    """Replace what the code under test uses of the library, until the block ends."""
+    replaced = [
+        *_clocks(scheduler),
+        *_threads(scheduler),
+        *_process(scheduler),
+        *_chance(scheduler),
+        *_network(scheduler, sessions),
+        *((m, name, _refusal(f"{m.__name__}.{name}")) for m, name in _FORBIDDEN),
+    ]
+    real = [getattr(module, name) for module, name, _ in replaced]
+    instead = {
+        before: _in_tasks(scheduler, function, before)
+        for (_, _, function), before in zip(replaced, real, strict=True)
+    }
+    bound = [(each, each.__defaults__ or ()) for each in _with_defaults(instead)]
+    try:
+        for (module, name, _), before in zip(replaced, real, strict=True):
+            setattr(module, name, instead[before])
+        for function, defaults in bound:
+            function.__defaults__ = tuple(_swapped(each, instead) for each in defaults)
+        yield
+    finally:
+        for (module, name, _), before in zip(replaced, real, strict=True):
+            setattr(module, name, before)
+        for function, defaults in bound:
+            function.__defaults__ = defaults
+
+
+def _host(scheduler: Scheduler) -> Process:
+    """Return the process of the task that runs."""
+    assert scheduler.current is not None  # noqa: S101, only tasks get here
+    assert isinstance(scheduler.current.host, Process)  # noqa: S101
+    return scheduler.current.host
+
+
+def _clocks(scheduler: Scheduler) -> list[Replaced]:
+    def clock_gettime(number: int) -> float:
+        computer = _host(scheduler).computer
+        if number == time.CLOCK_REALTIME:
+            return computer.wall()
+        is_boot = number == time.CLOCK_BOOTTIME
+        return computer.boottime() if is_boot else computer.monotonic()
+
+    def wall() -> float:
+        return _host(scheduler).computer.wall()
+
+    def monotonic() -> float:  # most of all calls: no detours
+        return scheduler.current.host.computer.monotonic()  # type: ignore[union-attr,no-any-return]
+
+    def sleep(seconds: float) -> None:
+        scheduler.wait(max(seconds, SLACK), "sleep")
+
+    return [
+        (time, "time", wall),
+        (time, "monotonic", monotonic),
+        (time, "perf_counter", monotonic),
+        (time, "process_time", lambda: 0.0),
+        (time, "clock_gettime", clock_gettime),
+        (time, "sleep", sleep),
+        (threading, "_time", monotonic),
+        (queue, "time", monotonic),
+    ]
+
+
+def _threads(scheduler: Scheduler) -> list[Replaced]:
+    def lock() -> SimulatedLock:
+        return SimulatedLock(scheduler)
+
+    def ident() -> int:
+        return 0 if scheduler.current is None else scheduler.current.number
+
+    def current() -> SimpleNamespace:
+        return SimpleNamespace(name=str(scheduler.current), ident=ident(), daemon=True)
+
+    def raise_(failed: threading.ExceptHookArgs) -> None:
+        """Raise in the simulated world what ended a thread."""
+        task = scheduler.current
+        assert task is not None  # noqa: S101, only tasks get here
+        error = failed.exc_value or failed.exc_type()
+        scheduler.at(scheduler.now, partial(task.host.note_failure, task, error))
+
+    thread = type("Thread", (SimulatedThread,), {"scheduler": scheduler})
+    return [
+        (threading, "Lock", lock),
+        (threading, "_allocate_lock", lock),
+        (threading, "RLock", threading._PyRLock),  # type: ignore[attr-defined]  # noqa: SLF001, written in Python
+        (threading, "get_ident", ident),
+        (threading, "get_native_id", ident),
+        (threading, "current_thread", current),
+        (threading, "Thread", thread),
+        (threading, "excepthook", raise_),
+        (queue, "SimpleQueue", queue._PySimpleQueue),  # type: ignore[attr-defined]  # noqa: SLF001, the same
+    ]
+
+
+def _process(scheduler: Scheduler) -> list[Replaced]:
+    def nothing(*_: object) -> int:
+        """Return the usual priority: who runs first is the scheduler's affair."""
+        return 0
+
+    return [
+        (os, "getpid", lambda: _host(scheduler).pid),
+        (os, "getpriority", nothing),
+        (os, "setpriority", nothing),
+        (os, "sched_setscheduler", nothing),
+        (socket, "gethostname", lambda: _host(scheduler).computer.name),
+    ]
+
+
+def _chance(scheduler: Scheduler) -> list[Replaced]:
+    def drawn(name: str) -> Callable[..., Any]:
+        def draw(*limits: float) -> Any:  # noqa: ANN401, as the library's
+            return getattr(_host(scheduler).random, name)(*limits)
+
+        return draw
+
+    names = ("random", "uniform", "randint", "choice", "gauss", "expovariate")
+    return [
+        *((random, name, drawn(name)) for name in names),
+        (os, "urandom", drawn("randbytes")),
+        (secrets, "randbits", drawn("getrandbits")),
+    ]
+
+
+def _network(scheduler: Scheduler, sessions: ZenohNetwork) -> list[Replaced]:
+    def open_socket(*kind: int) -> SimulatedSocket:
+        network, addresses = sessions.network, sessions.addresses
+        return SimulatedSocket(addresses, network, _host(scheduler), *kind)
+
+    return [
+        (socket, "socket", open_socket),
+        (
+            socket,
+            "create_connection",
+            lambda *to: sessions.probe(_host(scheduler), *to),
+        ),
+        (zenoh, "open", lambda config: sessions.open(_host(scheduler), config)),
+    ]
+
+
+def _with_defaults(real: Container[object]) -> list[FunctionType]:
+    """Return functions of Poise whose default arguments were bound to the library."""
+    modules = [m for n, m in sorted(sys.modules.items()) if n.startswith("poise.")]
+    classes = [c for m in modules for c in vars(m).values() if isinstance(c, type)]
+    methods = [f for c in classes for f in vars(c).values()]
+    return [
+        function
+        for function in methods
+        if isinstance(function, FunctionType)
+        and any(_is_hashable(d) and d in real for d in function.__defaults__ or ())
+    ]
+
+
+def _swapped(default: object, instead: Mapping[Any, object]) -> object:
+    return instead.get(default, default) if _is_hashable(default) else default
+
+
+def _is_hashable(value: object) -> bool:
+    return isinstance(value, Hashable)
+
+
+def _refusal(what: str) -> Callable[..., Any]:
+    def refuse(*_: object, **__: object) -> None:
+        raise SimulationError(
+            f"{what} would leave the simulation: pass in what it is for"
+        )
+
+    return refuse
+
+
+def _in_tasks(
+    scheduler: Scheduler, simulated: Callable[..., Any], real: Callable[..., Any]
+) -> Callable[..., Any]:
+    """Return what is simulated for tasks, and real for all others."""
+
+    def either(*args: Any, **kwargs: Any) -> Any:  # noqa: ANN401, as the library's
+        use = real if scheduler.current is None else simulated
+        return use(*args, **kwargs)
+
+    return either

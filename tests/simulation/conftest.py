@@ -1,0 +1,79 @@
+"""A small robot of three computers, whose work can run on each of them."""
+
+from __future__ import annotations
+
+import pytest
+
+from poise.model.robot import (
+    Action,
+    Architecture,
+    ComponentEntry,
+    Computer,
+    Connector,
+    ConnectorEnd,
+    Robot,
+    Task,
+)
+from poise.simulation.run import Scenario
+from poise.simulation.schedule.choices import Choices
+from poise.simulation.schedule.scheduler import Scheduler
+
+
+@pytest.fixture
+def scheduler() -> Scheduler:
+    """Return virtual time that begins at 0."""
+    return Scheduler(Choices(1))
+
+
+@pytest.fixture
+def scenario() -> Scenario:
+    """Return a robot that sees on a and b, thinks on b and acts on c."""
+    return small_scenario()
+
+
+def small_scenario(seconds: float = 10.0) -> Scenario:
+    """Return the robot of the fixture `scenario`, for other interpreters, too."""
+    computers = tuple(
+        Computer(name=name, capacity={"cpu": 2.0, "memory": 1e9}) for name in "abc"
+    )
+    robot = Robot(
+        name="small",
+        folder="/robot",
+        computers=computers,
+        architectures=(
+            Architecture(
+                name="see",
+                function="seeing",
+                components=(_component("camera"), _component("filter")),
+                connectors=(_joined("camera.out", "filter.raw"),),
+            ),
+            Architecture(
+                name="think", function="thinking", components=(_component("mind"),)
+            ),
+            Architecture(
+                name="act", function="acting", components=(_component("arm"),)
+            ),
+        ),
+        connectors=(_joined("filter.out", "mind.seen"), _joined("mind.out", "arm.to")),
+        tasks=(
+            Task(
+                name="work",
+                actions=(
+                    Action(name="go", functions=("seeing", "thinking", "acting")),
+                ),
+            ),
+        ),
+    )
+    placement = {"camera": "a", "filter": "b", "mind": "b", "arm": "c"}
+    return Scenario(robot=robot, placement=placement, tasks=("work",), seconds=seconds)
+
+
+def _component(name: str) -> ComponentEntry:
+    return ComponentEntry(
+        name=name, implementation=f"small:{name}", demand={"cpu": 0.2, "memory": 1e6}
+    )
+
+
+def _joined(source: str, target: str) -> Connector:
+    ends = (ConnectorEnd(*end.split(".")) for end in (source, target))
+    return Connector(between=(next(ends), next(ends)))

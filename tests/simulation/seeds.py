@@ -1,0 +1,21 @@
+"""Runs seeds in a process of its own, which imports this by its name."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from poise.simulation.run import RunOutcome, simulate
+from tests.simulation.conftest import small_scenario
+
+SECONDS = 120.0
+"""Of faults in each run [virtual s]."""
+
+
+def chunk(seeds: Iterable[int]) -> list[RunOutcome]:
+    """Run some seeds; what a replay needs is left out of what went well."""
+    return [run(seed) for seed in seeds]
+
+
+def run(seed: int) -> RunOutcome:
+    """Run one seed."""
+    return simulate(small_scenario(SECONDS), seed)
