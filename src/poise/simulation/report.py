@@ -31,7 +31,7 @@ class SimulatedLoad(Struct, frozen=True, kw_only=True):
     over_time: tuple[tuple[float, float], ...] = ()
 
 
-class SimulatedTimer(Struct, frozen=True, kw_only=True):
+class TimerMisses(Struct, frozen=True, kw_only=True):
     """How a timer kept its rate.
 
     Parameters
@@ -165,7 +165,7 @@ class SimulationReport(Struct, frozen=True, kw_only=True):
     seconds: float
     took: float
     loads: tuple[SimulatedLoad, ...]
-    timers: tuple[SimulatedTimer, ...]
+    timers: tuple[TimerMisses, ...]
     chains: tuple[SimulatedChain, ...]
     moves: tuple[SimulatedMove, ...]
     outages: tuple[Outage, ...]
