@@ -4,15 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
+from typing import Literal
 
+from poise.clock import ComponentClock
+from poise.estimate.overhead import kinds_together
 from poise.manage.journal import JournalEntry
 from poise.model.robot import Robot
+from poise.simulation.components.channels import Answer, Stamps
 from poise.simulation.components.container import SimulatedContainer
 from poise.simulation.components.ledger import Ledger
 from poise.simulation.components.models import ComponentModel
+from poise.simulation.components.traffic import Traffic
+from poise.simulation.computers.clock import SimulatedClock
 from poise.simulation.computers.process import SimulatedComputer
 from poise.simulation.network.addresses import Addresses
-from poise.simulation.network.network import LinkModel, Network
+from poise.simulation.network.links import links_of
+from poise.simulation.network.network import Network, Stream
 from poise.simulation.network.zenoh_sessions import ZenohNetwork
 from poise.simulation.robot.agent import PORT, SimulatedAgent
 from poise.simulation.robot.disk import SimulatedDisk
@@ -20,10 +27,13 @@ from poise.simulation.robot.manager import SimulatedManager
 from poise.simulation.schedule.choices import Choices
 from poise.simulation.schedule.scheduler import Scheduler
 from poise.simulation.schedule.simulated_library import simulated_library
+from poise.wire.records.deployment import ConnectorSpec
 
 _LONGEST_UPTIME = 1e5
 _DRIFT = 25e-6
 _CORES = 4.0
+SIZE = 200.0
+"""Of a message whose connector does not say it [bytes]."""
 
 
 class SimulatedRobot:
@@ -53,13 +63,14 @@ class SimulatedRobot:
         placement: Mapping[str, str],
         tasks: Sequence[str],
         models: Mapping[str, ComponentModel] | None = None,
-        link: LinkModel | None = None,
+        traffic: Traffic | None = None,
         note: Callable[[float, str, str], object] = lambda *_: None,
     ) -> None:
         self.robot = robot
         self.choices = choices
         self.scheduler = Scheduler(choices)
-        self.network = Network(self.scheduler, choices, link)
+        self.clock: ComponentClock = SimulatedClock(self.scheduler)
+        self.network = Network(self.scheduler, choices, links=links_of(robot))
         self.ledger = Ledger()
         self.addresses = Addresses()
         self.sessions = ZenohNetwork(self.network, self.addresses)
@@ -71,6 +82,10 @@ class SimulatedRobot:
         self.is_stopped = False
         self._placement, self._tasks = dict(placement), tuple(tasks)
         self._models = models or {}
+        self._traffic = traffic or Traffic()
+        self._kinds = kinds_together(robot)
+        self._where: dict[tuple[str, str, int], SimulatedContainer] = {}
+        self._back: dict[tuple[str, str], Stream] = {}
         self._note = note
         self._containers: dict[int, SimulatedContainer] = {}
         random = choices.random("clocks")
@@ -78,7 +93,9 @@ class SimulatedRobot:
             boot, drift = random.uniform(1, _LONGEST_UPTIME), random.uniform(-1, 1)
             cores = each.capacity.get("cpu", _CORES)
             drift *= _DRIFT
-            computer = SimulatedComputer(self.scheduler, each.name, boot, drift, cores)
+            computer = SimulatedComputer(
+                self.scheduler, each.name, boot, drift, cores, each.speed
+            )
             self.computers[each.name] = computer
             self.disks[each.name] = SimulatedDisk(computer)
             host = self.addresses.add(each.name)
@@ -164,11 +181,38 @@ class SimulatedRobot:
         self, computer: str, component: str, epoch: int
     ) -> SimulatedContainer | None:
         """Return the container of an incarnation on a computer."""
+        key = computer, component, epoch
+        known = self._where.get(key)
+        if (
+            known is not None
+            and not known.process.is_dead
+            and key[1:] in known.components
+        ):
+            return known
         for container in self.containers():
             at = container.process.computer.name
             if at == computer and (component, epoch) in container.components:
+                self._where[key] = container
                 return container
         return None
+
+    def size_of(self, connector: str) -> float:
+        """Return the size of a message, or of a call both ways [bytes]."""
+        return self._traffic.sizes.get(connector, SIZE)
+
+    def cost_of(self, spec: ConnectorSpec, side: Literal["source", "target"]) -> float:
+        """Return the work of one message or call beyond that of a local one."""
+        together = self._kinds.get(spec.name, "local")
+        return self._traffic.cost(spec, together, side)
+
+    def send_back(
+        self, here: str, there: str, size: float, answer: Answer, stamps: Stamps | None
+    ) -> None:
+        """Send an answer from one computer to another."""
+        stream = self._back.get((here, there))
+        if stream is None:
+            stream = self._back[here, there] = self.network.stream(here, there)
+        stream.send(size, lambda: answer(stamps))
 
     def run(self, until: float) -> None:
         """Let virtual time pass until a moment [s]."""
