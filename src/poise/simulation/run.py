@@ -14,13 +14,13 @@ from poise.errors import TakenOver
 from poise.manage.control_socket.records import MoveCommand, Refusal, Result
 from poise.manage.migration.report import MigrationReport
 from poise.model.robot import Robot
-from poise.simulation.components.models import ComponentModel
 from poise.simulation.faults import KINDS, Kind, SimulatedFault, inject, plan_faults
 from poise.simulation.invariants import Violation
-from poise.simulation.robot.manager import SimulatedManager
+from poise.simulation.robot.manager import ManagedRobot, SimulatedManager
 from poise.simulation.robot.robot import SimulatedRobot
 from poise.simulation.schedule.choices import Choices
 from poise.simulation.schedule.scheduler import SimulationError
+from poise.simulation.workload import Workload
 
 UP_LIMIT = 30.0
 """A robot without faults is up within this time [s]."""
@@ -58,7 +58,7 @@ class Scenario(Struct, frozen=True, kw_only=True):
     robot: Robot
     placement: Mapping[str, str]
     tasks: Sequence[str]
-    models: Mapping[str, ComponentModel] = {}
+    workload: Workload = Workload()
     seconds: float = 60.0
     faults: tuple[SimulatedFault, ...] | None = None
     kinds: tuple[Kind, ...] = KINDS
@@ -122,11 +122,11 @@ def simulate(
         trace.append(f"{at:9.4f} {who:12} {what}")
 
     robot = SimulatedRobot(
-        scenario.robot,
+        ManagedRobot(
+            robot=scenario.robot, placement=scenario.placement, tasks=scenario.tasks
+        ),
         choices,
-        scenario.placement,
-        scenario.tasks,
-        scenario.models,
+        scenario.workload,
         note=note,
     )
     run = _Run(robot, scenario)

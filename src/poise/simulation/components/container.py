@@ -52,6 +52,8 @@ class World(Protocol):
     ledger: Ledger
 
     clock: ComponentClock
+    agent_cpu: float
+    components: list[SimulatedComponent]
 
     def model_of(self, component: str) -> ComponentModel:
         """Return the model of a component."""
@@ -270,6 +272,7 @@ class SimulatedContainer:
         for key, component in wanted.items():
             if key not in self.components:
                 self.components[key] = SimulatedComponent(self, component)
+                self.world.components.append(self.components[key])
         self._join(spec.connectors)
         for key, running in list(self.components.items()):
             if key not in wanted:

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from contextlib import AbstractContextManager
 from typing import Literal
 
 from poise.clock import ComponentClock
 from poise.estimate.overhead import kinds_together
 from poise.manage.journal import JournalEntry
-from poise.model.robot import Robot
 from poise.simulation.components.channels import Answer, Stamps
+from poise.simulation.components.component import SimulatedComponent
 from poise.simulation.components.container import SimulatedContainer
 from poise.simulation.components.ledger import Ledger
 from poise.simulation.components.models import ComponentModel
-from poise.simulation.components.traffic import Traffic
 from poise.simulation.computers.clock import SimulatedClock
 from poise.simulation.computers.process import SimulatedComputer
 from poise.simulation.network.addresses import Addresses
@@ -23,15 +22,19 @@ from poise.simulation.network.network import Network, Stream
 from poise.simulation.network.zenoh_sessions import ZenohNetwork
 from poise.simulation.robot.agent import PORT, SimulatedAgent
 from poise.simulation.robot.disk import SimulatedDisk
-from poise.simulation.robot.manager import SimulatedManager
+from poise.simulation.robot.manager import ManagedRobot, SimulatedManager
 from poise.simulation.schedule.choices import Choices
 from poise.simulation.schedule.scheduler import Scheduler
 from poise.simulation.schedule.simulated_library import simulated_library
+from poise.simulation.workload import Workload
 from poise.wire.records.deployment import ConnectorSpec
 
 _LONGEST_UPTIME = 1e5
 _DRIFT = 25e-6
 _CORES = 4.0
+_USUAL = ComponentModel()
+OUTSIDE = "outside"
+"""A computer beside the robot's, on which the manager of emulated computers runs."""
 SIZE = 200.0
 """Of a message whose connector does not say it [bytes]."""
 
@@ -41,12 +44,10 @@ class SimulatedRobot:
 
     Parameters
     ----------
-    placement
-        Component -> computer, at first.
-    tasks
-        Their names.
-    models
-        Component -> what it does; the others do the default.
+    managed
+        The robot, and what its managers are told.
+    workload
+        What its components do.
     note
         Called with each line of the trace: the moment [s], who, and what.
 
@@ -54,19 +55,21 @@ class SimulatedRobot:
     ----------
     agents, managers
         Those that run, by computer; and all managers so far, the last one last.
+    components
+        All incarnations of components so far.
+    on_entry
+        Called with each entry of a manager's journal.
     """
 
     def __init__(
         self,
-        robot: Robot,
+        managed: ManagedRobot,
         choices: Choices,
-        placement: Mapping[str, str],
-        tasks: Sequence[str],
-        models: Mapping[str, ComponentModel] | None = None,
-        traffic: Traffic | None = None,
+        workload: Workload,
         note: Callable[[float, str, str], object] = lambda *_: None,
     ) -> None:
-        self.robot = robot
+        self._managed = managed
+        robot = self.robot = managed.robot
         self.choices = choices
         self.scheduler = Scheduler(choices)
         self.clock: ComponentClock = SimulatedClock(self.scheduler)
@@ -80,9 +83,10 @@ class SimulatedRobot:
         self.managers: list[SimulatedManager] = []
         self.endpoints: dict[str, str] = {}
         self.is_stopped = False
-        self._placement, self._tasks = dict(placement), tuple(tasks)
-        self._models = models or {}
-        self._traffic = traffic or Traffic()
+        self.on_entry: Callable[[JournalEntry], object] = lambda _: None
+        self.components: list[SimulatedComponent] = []
+        self.workload = workload
+        self.agent_cpu = workload.agent
         self._kinds = kinds_together(robot)
         self._where: dict[tuple[str, str, int], SimulatedContainer] = {}
         self._back: dict[tuple[str, str], Stream] = {}
@@ -100,6 +104,8 @@ class SimulatedRobot:
             self.disks[each.name] = SimulatedDisk(computer)
             host = self.addresses.add(each.name)
             self.endpoints[each.name] = f"tcp/{host}:{PORT}"
+        self._outside = SimulatedComputer(self.scheduler, OUTSIDE)
+        self.addresses.add(OUTSIDE)
 
     def library(self) -> AbstractContextManager[None]:
         """Return what gives the code under test virtual time, while it is entered."""
@@ -123,26 +129,22 @@ class SimulatedRobot:
     def start_manager(
         self, computer: str, *, take_over: bool = False
     ) -> SimulatedManager:
-        """Start a manager on a computer."""
+        """Start a manager on a computer, or outside of all."""
         number = len(self.managers)
-        process = self.computers[computer].start(f"manager {number}")
+        where = self.computers.get(computer, self._outside)
+        process = where.start(f"manager {number}")
 
         def note(entry: JournalEntry) -> None:
             if process.is_dead:
                 return
             self.note(f"manager {number}", f"{entry.kind}: {entry.what}")
+            self.on_entry(entry)
             if "traceback" in entry.facts:
                 what = f"{process.name}: {entry.facts['traceback']}"
                 self.ledger.violate("no-bug-stops-the-robot", what)
 
         manager = SimulatedManager(
-            self.robot,
-            process,
-            self.endpoints,
-            self._placement,
-            self._tasks,
-            note,
-            take_over=take_over,
+            self._managed, self.endpoints, process, note, take_over=take_over
         )
         self.managers.append(manager)
         return manager
@@ -165,7 +167,7 @@ class SimulatedRobot:
 
     def model_of(self, component: str) -> ComponentModel:
         """Return the model of a component."""
-        return self._models.get(component, ComponentModel())
+        return self.workload.models.get(component, _USUAL)
 
     def add_container(self, container: SimulatedContainer) -> None:
         """Let a container be found until its process ends."""
@@ -198,12 +200,12 @@ class SimulatedRobot:
 
     def size_of(self, connector: str) -> float:
         """Return the size of a message, or of a call both ways [bytes]."""
-        return self._traffic.sizes.get(connector, SIZE)
+        return self.workload.traffic.sizes.get(connector, SIZE)
 
     def cost_of(self, spec: ConnectorSpec, side: Literal["source", "target"]) -> float:
         """Return the work of one message or call beyond that of a local one."""
         together = self._kinds.get(spec.name, "local")
-        return self._traffic.cost(spec, together, side)
+        return self.workload.traffic.cost(spec, together, side)
 
     def send_back(
         self, here: str, there: str, size: float, answer: Answer, stamps: Stamps | None
@@ -220,7 +222,7 @@ class SimulatedRobot:
 
     def end(self) -> None:
         """End all processes, so that nothing of the run is left."""
-        for computer in self.computers.values():
+        for computer in (*self.computers.values(), self._outside):
             for process in list(computer.processes.values()):
                 process.kill()
         self.scheduler.run(self.scheduler.now)
