@@ -20,7 +20,7 @@ from poise.simulation.robot.manager import ManagedRobot, SimulatedManager
 from poise.simulation.robot.robot import SimulatedRobot
 from poise.simulation.schedule.choices import Choices
 from poise.simulation.schedule.scheduler import SimulationError
-from poise.simulation.workload import Workload
+from poise.simulation.workload import SimulatedWork
 
 UP_LIMIT = 30.0
 """A robot without faults is up within this time [s]."""
@@ -58,7 +58,7 @@ class Scenario(Struct, frozen=True, kw_only=True):
     robot: Robot
     placement: Mapping[str, str]
     tasks: Sequence[str]
-    workload: Workload = Workload()
+    workload: SimulatedWork = SimulatedWork()
     seconds: float = 60.0
     faults: tuple[SimulatedFault, ...] | None = None
     kinds: tuple[Kind, ...] = KINDS

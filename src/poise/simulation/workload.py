@@ -40,7 +40,7 @@ _AS_OFTEN = 1.05
 """A handler feeds a connector whose rate is up to this factor above its own."""
 
 
-class Workload(Struct, frozen=True, kw_only=True):
+class SimulatedWork(Struct, frozen=True, kw_only=True):
     """What all components of a robot do.
 
     Parameters
@@ -61,7 +61,7 @@ class Workload(Struct, frozen=True, kw_only=True):
     guesses: tuple[str, ...] = ()
 
 
-def workload_of(robot: Robot, profile: Profile | None) -> Workload:
+def workload_of(robot: Robot, profile: Profile | None) -> SimulatedWork:
     """Return what the components of a robot do.
 
     Parameters
@@ -83,14 +83,14 @@ def workload_of(robot: Robot, profile: Profile | None) -> Workload:
         code = _Code.of(entry, robot.folder)
         if code.why:
             guesses.append(code.why)
-        part = _Part(robot, plan, over, entry, code, profile, guesses.append)
+        part = _ComponentWork(robot, plan, over, entry, code, profile, guesses.append)
         models[entry.name] = part.model()
     traffic = Traffic(
         sizes={name: each.size for name, each in over.items() if each.size},
         calling=frozenset(name for name, each in over.items() if each.calls),
         costs=profile.costs,
     )
-    return Workload(
+    return SimulatedWork(
         models=models, traffic=traffic, agent=profile.agent, guesses=tuple(guesses)
     )
 
@@ -140,7 +140,7 @@ class _Rated(Struct):
         )
 
 
-class _Part:
+class _ComponentWork:
     """One component, on its way to a model."""
 
     def __init__(

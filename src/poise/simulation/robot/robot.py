@@ -26,7 +26,7 @@ from poise.simulation.robot.manager import ManagedRobot, SimulatedManager
 from poise.simulation.schedule.choices import Choices
 from poise.simulation.schedule.scheduler import Scheduler
 from poise.simulation.schedule.simulated_library import simulated_library
-from poise.simulation.workload import Workload
+from poise.simulation.workload import SimulatedWork
 from poise.wire.records.deployment import ConnectorSpec
 
 _LONGEST_UPTIME = 1e5
@@ -65,7 +65,7 @@ class SimulatedRobot:
         self,
         managed: ManagedRobot,
         choices: Choices,
-        workload: Workload,
+        workload: SimulatedWork,
         note: Callable[[float, str, str], object] = lambda *_: None,
     ) -> None:
         self._managed = managed
