@@ -14,7 +14,7 @@ from typing import Literal
 from msgspec import Struct
 
 from poise.simulation.computers.process import Process
-from poise.simulation.robot.robot import SimulatedRobot
+from poise.simulation.robot.robot import OUTSIDE, SimulatedRobot
 from poise.simulation.schedule.choices import Choices
 
 Kind = Literal[
@@ -225,9 +225,8 @@ def _pause(robot: SimulatedRobot, fault: SimulatedFault) -> Mend:
 def _cut(robot: SimulatedRobot, fault: SimulatedFault) -> Mend:
     ways = [(fault.target, fault.other)]
     if fault.kind == "isolate computer":
-        ways = [
-            (fault.target, name) for name in robot.computers if name != fault.target
-        ]
+        others = {*robot.computers, OUTSIDE} - {fault.target}
+        ways = [(fault.target, name) for name in sorted(others)]
     if fault.kind != "cut one way":
         ways += [(there, here) for here, there in ways]
     for way in ways:
