@@ -28,7 +28,7 @@ _MOST_EVENTS = 5000
 _KINDS = {"seen", "decided", "done", "failed", "wrong", "right"}
 
 
-class Observer:
+class SimulationObserver:
     """Looks at a robot from when it is up; moments count from then.
 
     Attributes
