@@ -361,7 +361,8 @@ class Manager:
         raise AssertionError(command)
 
     def _situation(self) -> Situation:
-        run, now = self._run, self.tasks.now()
+        run, now, moment = self._run, self.tasks.now(), time.monotonic()
+        statuses = run.current()
         return Situation(
             robot=structs.replace(run.robot, tasks=(now,)),
             task=now.name,
@@ -372,12 +373,10 @@ class Manager:
             },
             lost=self._lost.computers(),
             loads=self._estimates.loads.loads(),
-            misses=self._misses.look(run.current(), time.monotonic()),
-            chains=self._ages.look(
-                chain_reports(run.robot, run.current()), time.monotonic()
-            ),
+            misses=self._misses.look(statuses, moment),
+            chains=self._ages.look(chain_reports(run.robot, statuses), moment),
             demand_estimates=tuple(self._estimates.demand_estimates()),
-            statuses=run.current(),
+            statuses=statuses,
             traffic=self._estimates.traffic(),
         )
 

@@ -16,7 +16,6 @@ from poise.wire.records.status import (
     ChainStatus,
     ComponentStatus,
     ConnectorStatus,
-    Side,
     Summary,
 )
 
@@ -132,21 +131,19 @@ def chain_reports(robot: Robot, statuses: Statuses) -> tuple[ChainReport, ...]:
         known = running.get(component.name)
         if known is None or known[1].epoch <= component.epoch:
             running[component.name] = computer, component
-    ends = {(end.name, end.end): end for end in connectors_of(statuses)}
-    return tuple(
-        _report(robot, chain, running, ends)
-        for chain in robot.chains
-        if running.keys() >= set(chain.through)
-    )
+    chains = [c for c in robot.chains if running.keys() >= set(c.through)]
+    came = _came(robot, statuses) if chains else {}
+    return tuple(_report(chain, running, came) for chain in chains)
 
 
 def _report(
-    robot: Robot,
     chain: Chain,
     running: Mapping[str, tuple[str, ComponentStatus]],
-    ends: Mapping[tuple[str, Side], ConnectorStatus],
+    ends: Mapping[tuple[str, str], ConnectorStatus],
 ) -> ChainReport:
-    came = dict(_came(robot, chain, ends))
+    """Return how old the data of a chain was; `ends` is what `_came` returns."""
+    steps = pairwise(chain.through)
+    came = {step[1]: ends[step] for step in steps if step in ends}
     hops = tuple(
         ChainHop(
             component=name,
@@ -175,21 +172,18 @@ def _own(component: ComponentStatus, chain: str) -> ChainStatus:
     return ChainStatus(name=chain)
 
 
-def _came(
-    robot: Robot, chain: Chain, ends: Mapping[tuple[str, Side], ConnectorStatus]
-) -> Iterator[tuple[str, ConnectorStatus]]:
-    """Yield each component and the end of a connector where its data comes in."""
-    steps = set(pairwise(chain.through))
+def _came(robot: Robot, statuses: Statuses) -> dict[tuple[str, str], ConnectorStatus]:
+    """Return two components -> the end where data of the first comes to the second."""
+    ends = {(end.name, end.end): end for end in connectors_of(statuses)}
+    came = {}
     for connector in robot.all_connectors():
-        source, target = (end.component for end in connector.between)
-        into: tuple[tuple[str, Side], ...] = ()
-        if (source, target) in steps:
-            into = ((target, "target"),)
-        elif (target, source) in steps:
-            into = ((source, "source"),)
-        for component, side in into:
-            if (end := ends.get((str(connector), side))) is not None:
-                yield component, end
+        first, second = connector.between
+        name, pair = connector.name, (first.component, second.component)
+        if (target := ends.get((name, "target"))) is not None:
+            came[pair] = target
+        if (source := ends.get((name, "source"))) is not None:
+            came[pair[::-1]] = source
+    return came
 
 
 _Sums = tuple[tuple[int, float], ...]
