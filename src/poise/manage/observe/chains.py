@@ -16,6 +16,7 @@ from poise.wire.records.status import (
     ChainStatus,
     ComponentStatus,
     ConnectorStatus,
+    Side,
     Summary,
 )
 
@@ -126,24 +127,36 @@ class ChainAge(Struct, frozen=True, kw_only=True):
 
 def chain_reports(robot: Robot, statuses: Statuses) -> tuple[ChainReport, ...]:
     """Return the chains all of whose components run, in the robot file's order."""
-    running: dict[str, tuple[str, ComponentStatus]] = {}
-    for computer, component in located(statuses):
-        known = running.get(component.name)
-        if known is None or known[1].epoch <= component.epoch:
-            running[component.name] = computer, component
-    chains = [c for c in robot.chains if running.keys() >= set(c.through)]
-    came = _came(robot, statuses) if chains else {}
-    return tuple(_report(chain, running, came) for chain in chains)
+    return ChainReader(robot).reports(statuses)
+
+
+class ChainReader:
+    """Reads from statuses how old the data of a robot's chains was."""
+
+    def __init__(self, robot: Robot) -> None:
+        self._chains = [(each, _ends(robot, each)) for each in robot.chains]
+
+    def reports(self, statuses: Statuses) -> tuple[ChainReport, ...]:
+        """Return the chains all of whose components run, in the robot file's order."""
+        running: dict[str, tuple[str, ComponentStatus]] = {}
+        for computer, component in located(statuses):
+            known = running.get(component.name)
+            if known is None or known[1].epoch <= component.epoch:
+                running[component.name] = computer, component
+        ends = {(end.name, end.end): end for end in connectors_of(statuses)}
+        return tuple(
+            _report(chain, running, {n: ends[e] for n, e in into if e in ends})
+            for chain, into in self._chains
+            if all(name in running for name in chain.through)
+        )
 
 
 def _report(
     chain: Chain,
     running: Mapping[str, tuple[str, ComponentStatus]],
-    ends: Mapping[tuple[str, str], ConnectorStatus],
+    came: Mapping[str, ConnectorStatus],
 ) -> ChainReport:
-    """Return how old the data of a chain was; `ends` is what `_came` returns."""
-    steps = pairwise(chain.through)
-    came = {step[1]: ends[step] for step in steps if step in ends}
+    """Return how old the data of a chain was; `came`: where it comes to a component."""
     hops = tuple(
         ChainHop(
             component=name,
@@ -172,18 +185,16 @@ def _own(component: ComponentStatus, chain: str) -> ChainStatus:
     return ChainStatus(name=chain)
 
 
-def _came(robot: Robot, statuses: Statuses) -> dict[tuple[str, str], ConnectorStatus]:
-    """Return two components -> the end where data of the first comes to the second."""
-    ends = {(end.name, end.end): end for end in connectors_of(statuses)}
-    came = {}
+def _ends(robot: Robot, chain: Chain) -> list[tuple[str, tuple[str, Side]]]:
+    """Return each component and the end of a connector where data may come to it."""
+    steps, found = set(pairwise(chain.through)), list[tuple[str, tuple[str, Side]]]()
     for connector in robot.all_connectors():
-        first, second = connector.between
-        name, pair = connector.name, (first.component, second.component)
-        if (target := ends.get((name, "target"))) is not None:
-            came[pair] = target
-        if (source := ends.get((name, "source"))) is not None:
-            came[pair[::-1]] = source
-    return came
+        source, target = (end.component for end in connector.between)
+        if (source, target) in steps:
+            found.append((target, (connector.name, "target")))
+        elif (target, source) in steps:
+            found.append((source, (connector.name, "source")))
+    return found
 
 
 _Sums = tuple[tuple[int, float], ...]
