@@ -32,7 +32,9 @@ class SimulatedLock:
         if not self._is_locked:
             self._is_locked = True
             if task is not None and blocking:
-                self._give_way()
+                scheduler.locks_left -= 1
+                if scheduler.locks_left < 0:
+                    self._give_way()
             return True
         if not blocking or task is None:
             return False
@@ -68,10 +70,8 @@ class SimulatedLock:
 
     def _give_way(self) -> None:
         scheduler = self._scheduler
-        scheduler.locks_left -= 1
-        if scheduler.locks_left < 0:
-            scheduler.locks_left = scheduler.choices.pause(YIELDS)
-            scheduler.wait(0, "its turn")
+        scheduler.locks_left = scheduler.choices.pause(YIELDS)
+        scheduler.wait(0, "its turn")
 
 
 class SimulatedRLock(SimulatedLock):

@@ -204,24 +204,25 @@ class Scheduler:
         SimulationError
             Nothing can ever run again, or time does not pass.
         """
+        timers = self._timers
         while True:
-            while self._timers and self._timers[0][0] <= self.now:
-                self._happen(heapq.heappop(self._timers)[-1])
+            while timers and timers[0][0] <= self.now:
+                self._happen(heapq.heappop(timers)[-1])
             if self._ready:
                 self._step()
                 continue
-            while self._timers and self._timers[0][-1].action is None:
-                heapq.heappop(self._timers)
-            if not self._timers and self._waiting:
+            while timers and timers[0][-1].action is None:
+                heapq.heappop(timers)
+            if not timers and self._waiting:
                 waiting = ", ".join(f"{t} ({t.waits_for})" for t in self.waiting())
                 raise SimulationError(
                     f"at {self.now:.3f} s nothing can run and nothing will happen: "
                     f"{waiting} waits for ever"
                 )
-            if not self._timers or self._timers[0][0] > until:
+            if not timers or timers[0][0] > until:
                 self.now = max(self.now, until)
                 return
-            self.now, self._at_once = self._timers[0][0], 0
+            self.now, self._at_once = timers[0][0], 0
 
     def waiting(self) -> list[SimulatedTask]:
         """Return the tasks that wait, oldest first."""

@@ -223,7 +223,8 @@ def _in_tasks(
     """Return what is simulated for tasks, and real for all others."""
 
     def either(*args: Any, **kwargs: Any) -> Any:  # noqa: ANN401, as the library's
-        use = real if scheduler.current is None else simulated
-        return use(*args, **kwargs)
+        if scheduler.current is None:
+            return real(*args, **kwargs)
+        return simulated(*args, **kwargs)
 
     return either
