@@ -222,7 +222,7 @@ class ChainAges:
         for report in reports:
             # what moved counts from 0 again
             key = report.name, tuple(hop.epoch for hop in report.hops)
-            totals = self._totals[key] = before.get(key, deque())
+            totals = self._totals[key] = before.get(key) or deque()
             ages = _sums(hop.age for hop in report.hops)
             wires = _sums(hop.wire for hop in report.hops)
             if not totals or totals[-1][1] != report.age.count:

@@ -204,7 +204,9 @@ class HeartbeatExchange:
             is_news = self._contacts.note(beat, now)
             echo = beat.heard.get(self._computer) if is_news else None
             if echo is not None and beat.sender != MANAGER:
-                offset = self._offsets.setdefault(beat.sender, ClockOffset())
+                if beat.sender not in self._offsets:
+                    self._offsets[beat.sender] = ClockOffset()
+                offset = self._offsets[beat.sender]
                 offset.add(echo.sent, beat.sent - echo.held, beat.sent, now)
         return is_news and (beat.sender == MANAGER or self._computer in beat.asks)
 
