@@ -378,6 +378,7 @@ class Manager:
             demand_estimates=tuple(self._estimates.demand_estimates()),
             statuses=statuses,
             traffic=self._estimates.traffic(),
+            solve_steps=run.solve_steps,
         )
 
     def _raise_on_successor(self) -> None:

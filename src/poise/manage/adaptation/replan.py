@@ -60,7 +60,7 @@ def propose(
     # Of alternative architectures only one runs: keep to it.
     planner = plan.Planner(plan.keep_components(problem, now.keys()))
     budget = DECIDE_FOR if is_quick else SOLVE_FOR
-    result = planner.decide(budget=budget, fewer=fewer)
+    result = planner.decide(budget=budget, steps=situation.solve_steps, fewer=fewer)
     if not result.feasible or result.objective is None:
         if not is_quick:
             give_up_at = perf_counter() + EXPLAIN_FOR

@@ -56,6 +56,8 @@ class Situation(Struct, frozen=True, kw_only=True):
         What policies have seen for long enough.
     missing
         Functions that the task needs, and that nothing provides.
+    solve_steps
+        How much the planner searches; None: as its time allows.
     """
 
     robot: Robot
@@ -73,6 +75,7 @@ class Situation(Struct, frozen=True, kw_only=True):
     now: float = 0.0
     symptoms: tuple[Symptom, ...] = ()
     missing: frozenset[str] = frozenset()
+    solve_steps: int | None = None
 
     def about(self, do: Do) -> tuple[Symptom, ...]:
         """Return the symptoms about which something is to be done."""

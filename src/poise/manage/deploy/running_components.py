@@ -66,6 +66,9 @@ class RunningComponents(DesiredState):
         self._faults_before_commit = self.faults_before
         self.has_taken_over = False
         """Whether it was at work under another manager before."""
+        self.solve_steps: int | None = None
+        """How much the planner searches, so that a simulation can be repeated; None: as
+        its time allows."""
         self.goes_on_without_lost = False
         """Whether a lost computer is a deviation; else it ends what waits."""
 

@@ -143,7 +143,9 @@ def _at_work(run: RunningComponents, found: Sequence[Found]) -> dict[str, str]:
                 homes[name] = (planned[name],)
             else:
                 homes[name] = tuple(sorted(may))
-    situation = Situation(robot=run.robot, task="", placement=planned)
+    situation = Situation(
+        robot=run.robot, task="", placement=planned, solve_steps=run.solve_steps
+    )
     with contextlib.suppress(RobotError):  # all is as full as it was
         return {
             **{name: may[0] for name, may in homes.items()},

@@ -186,7 +186,7 @@ def _placement(
             pinned = structs.replace(pinned, demand=demand)
         components.append(pinned)
     problem = structs.replace(problem, components=tuple(components), architectures=())
-    result = plan.solve(problem)
+    result = plan.solve(problem, steps=run.solve_steps)
     if not result.feasible:
         raise UsageError(
             f"architecture '{new.name}' does not fit beside what runs: {result.reason}"

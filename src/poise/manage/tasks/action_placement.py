@@ -66,7 +66,7 @@ def room_for_functions(
         hinted = {**planned, **present}
         if _fits(problem, hinted):
             return Room(begins={n: at for n, at in hinted.items() if n not in present})
-        result = plan.solve(problem, SOLVE_FOR)
+        result = plan.solve(problem, SOLVE_FOR, steps=here.solve_steps)
         if not result.feasible:
             return Room(why=result.reason or "there is no room")
         then = result.placement

@@ -35,10 +35,17 @@ class Likely(Struct, frozen=True, kw_only=True):
 
 
 class PlanOverTime:
-    """The placements of the phases of a robot's tasks, made when first asked for."""
+    """The placements of the phases of a robot's tasks, made when first asked for.
 
-    def __init__(self, robot: Robot) -> None:
+    Parameters
+    ----------
+    solve_steps
+        How much the planner searches; None: as its time allows.
+    """
+
+    def __init__(self, robot: Robot, solve_steps: int | None = None) -> None:
         self._robot = robot
+        self._steps = solve_steps
         self._phases: dict[str, plan.PhasedResult | None] = {}
 
     def placement(
@@ -65,7 +72,9 @@ class PlanOverTime:
         if task not in self._phases:
             try:
                 problem = plan.phased_problem_of(self._robot, task)
-                result = plan.solve_phases(problem, PLAN_FOR, why=False)
+                result = plan.solve_phases(
+                    problem, PLAN_FOR, steps=self._steps, why=False
+                )
             except PoiseError:  # where it is needed, the reason is said
                 self._phases[task] = None
             else:

@@ -72,7 +72,7 @@ class TaskManager:
         self._situation = situation
         self._explore = run.robot.explore
         self.tasks = Tasks(run.robot, self._say, self._choose, saved)
-        self._plans = PlanOverTime(run.robot)
+        self._plans = PlanOverTime(run.robot, run.solve_steps)
         self._serving = Serving(run)
         self.tasks.saved.boot = boot_id()
         self._room = Admission(run, self.tasks, self._plans)

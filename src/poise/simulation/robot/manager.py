@@ -22,6 +22,8 @@ from poise.manage.tasks.tasks import Tasks
 from poise.model.robot import Robot
 from poise.simulation.computers.process import Process
 
+SOLVE_STEPS = 20_000
+"""The planner searches so much, whatever the machine: a seed gives one run."""
 _LOOK_EVERY = 0.2
 _MISSING_LIMIT = 2.0
 _AGENT_LIMIT = 20.0
@@ -119,6 +121,7 @@ class SimulatedManager:
             run = self.run = RunningComponents(
                 robot, setup.placement, agents, journal, "/robot"
             )
+            run.solve_steps = SOLVE_STEPS
             start_or_take_over(run, by_force=self._takes_over)
             asked = Tasks(robot, lambda text: journal.note("decided", text))
             for name in setup.tasks:

@@ -37,7 +37,7 @@ def placed_beside(
         for bundle in problem.architectures
     )
     problem = replace(problem, architectures=bundles)
-    return plan.solve(problem, budget=SOLVE_FOR)
+    return plan.solve(problem, budget=SOLVE_FOR, steps=situation.solve_steps)
 
 
 def room_for_components(
