@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 
 from poise.manage.agent_connections.statuses import components_of
 from poise.manage.deploy.running_components import RunningComponents
+from poise.session.callbacks import nothing
+from poise.session.render.simulation_tables import span
 from poise.session.run import Meanwhile
+from poise.session.simulating.simulate import Watch
 
 _LINE_EVERY = 5.0
 
@@ -38,11 +42,38 @@ def progress(
 
         yield tell
         return
+    with _bar(console, seconds) as draw:
+        yield lambda run, now: draw(now, _sentence(run, now, seconds))
+
+
+@contextlib.contextmanager
+def virtual_progress(console: Console, seconds: float) -> Iterator[Watch]:
+    """Draw how a simulation of `seconds` [virtual s] goes, where it is a terminal."""
+    if not console.is_terminal:
+        yield nothing
+        return
+    before, began = 0.0, time.monotonic()
+
+    def watch(now: float) -> None:
+        nonlocal before, began
+        if now < before:  # the next simulation
+            began = time.monotonic()
+        before = now
+        times = now / max(time.monotonic() - began, 1e-9)
+        draw(now, f"{span(now)} of {span(seconds)}, {times:.3g} times real time")
+
+    with _bar(console, seconds) as draw:
+        yield watch
+
+
+@contextlib.contextmanager
+def _bar(console: Console, seconds: float) -> Iterator[Callable[[float, str], object]]:
+    """Draw a bar for some time [s], with a sentence beside it."""
     columns = BarColumn(), TextColumn("{task.description}")
     with Progress(*columns, console=console, transient=True) as bar:
         task = bar.add_task("", total=seconds)
-        yield lambda run, now: bar.update(
-            task, completed=now, description=_sentence(run, now, seconds)
+        yield lambda now, sentence: bar.update(
+            task, completed=now, description=sentence
         )
 
 
