@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import signal
+import subprocess
 import sys
 
 import pytest
@@ -11,6 +14,7 @@ from poise.model.load import load
 from poise.model.robot import Robot
 from poise.simulation.faults import SimulatedFault
 from tests.session.simulating.fake_rehearsal import HELLO, FakeRehearsal, rehearsal
+from tests.waiting import LONG
 
 __all__ = ["rehearsal"]
 CUT = SimulatedFault(at=1.0, kind="cut link", target="left", other="right", lasts=2.0)
@@ -79,6 +83,25 @@ def test_ctrl_c_gives_what_is_known_so_far(
     assert rehearsal.closed == 1
 
 
+def test_ctrl_c_does_not_reach_what_is_simulated(
+    hello: Robot, rehearsal: type[FakeRehearsal], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Simulated code would take it for an error of its own, and go on."""
+    advance = FakeRehearsal.advance
+
+    def interrupted(self: FakeRehearsal, seconds: float) -> None:
+        try:
+            os.kill(os.getpid(), signal.SIGINT)
+            advance(self, seconds)
+        except KeyboardInterrupt:
+            pytest.fail("the simulated code was interrupted")
+
+    monkeypatch.setattr(rehearsal, "advance", interrupted)
+    before = signal.getsignal(signal.SIGINT)
+    assert poise.simulate(hello, seconds=60.0).seconds == 0.5
+    assert signal.getsignal(signal.SIGINT) is before is signal.default_int_handler
+
+
 def test_ctrl_c_before_the_robot_is_up_is_raised(
     hello: Robot, rehearsal: type[FakeRehearsal]
 ) -> None:
@@ -102,6 +125,17 @@ def test_without_its_extra_it_says_how_to_get_it(
     monkeypatch.setitem(sys.modules, "poise.simulation.rehearsal", None)
     with pytest.raises(poise.UsageError, match=r"pip install 'poise\[simulate\]'"):
         poise.simulate(hello)
+
+
+@pytest.mark.slow
+def test_faults_are_named_and_files_read_without_the_extra() -> None:
+    code = """
+import sys
+sys.modules["greenlet"] = None
+import poise, poise.cli.command.design_time.simulate
+poise.simulate, poise.SimulatedFault(at=1.0, kind="kill agent", target="left")
+"""
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=LONG)
 
 
 @pytest.mark.parametrize("seconds", [0.0, -1.0, float("inf"), float("nan")])

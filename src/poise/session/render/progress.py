@@ -47,19 +47,27 @@ def progress(
 
 
 @contextlib.contextmanager
-def virtual_progress(console: Console, seconds: float) -> Iterator[Watch]:
-    """Draw how a simulation of `seconds` [virtual s] goes, where it is a terminal."""
+def virtual_progress(
+    console: Console, seconds: float, clock: Callable[[], float] = time.monotonic
+) -> Iterator[Watch]:
+    """Draw how a simulation of `seconds` [virtual s] goes, where it is a terminal.
+
+    Parameters
+    ----------
+    clock
+        Gives real time [s].
+    """
     if not console.is_terminal:
         yield nothing
         return
-    before, began = 0.0, time.monotonic()
+    before, began = 0.0, clock()
 
     def watch(now: float) -> None:
         nonlocal before, began
         if now < before:  # the next simulation
-            began = time.monotonic()
+            began = clock()
         before = now
-        times = now / max(time.monotonic() - began, 1e-9)
+        times = now / max(clock() - began, 1e-9)
         draw(now, f"{span(now)} of {span(seconds)}, {times:.3g} times real time")
 
     with _bar(console, seconds) as draw:

@@ -17,6 +17,7 @@ from poise.session.placing.placement import Placement, place
 from poise.session.profiling.stored_profiles import read_profile
 from poise.session.robot_file import task_of
 from poise.session.simulating.fault_file import Faults, faults_of
+from poise.session.simulating.held_interrupts import interrupts_held
 from poise.session.simulating.simulation_results import Simulation, SimulationComparison
 from poise.simulation.faults import SimulatedFault
 
@@ -194,11 +195,13 @@ def _simulated(
     )
     check()
     with closing(rehearsal(scenario, asked.seed)) as simulated:
-        simulated.come_up()
+        with interrupts_held():
+            simulated.come_up()
         try:
             while (left := asked.seconds - simulated.now) > _ROUNDING:
                 check()
-                simulated.advance(min(_STEP, left))
+                with interrupts_held():
+                    simulated.advance(min(_STEP, left))
                 meanwhile(simulated.now)
         except KeyboardInterrupt:
             pass  # the report says that it was ended early

@@ -7,7 +7,11 @@ from collections.abc import Mapping
 from msgspec import Struct, structs
 from rich.console import RenderableType
 
-from poise.session.render.html.simulation_page import comparison_page, simulation_page
+from poise.session.render.html.simulation_page import (
+    comparison_page,
+    simulation_page,
+    simulation_picture,
+)
 from poise.session.render.printable import Printable
 from poise.session.render.simulation_tables import (
     comparison_parts,
@@ -47,6 +51,10 @@ class Simulation(Printable, SimulationReport, frozen=True, kw_only=True):
     def parts(self) -> tuple[RenderableType, ...]:
         """Return what is printed."""
         return tuple(simulation_parts(self))
+
+    def picture(self) -> str:
+        """Return the computers' CPU over time, with faults, moves and outages."""
+        return simulation_picture(self)
 
     def page(self) -> str:
         """Return an HTML page that needs no other file, and no network."""

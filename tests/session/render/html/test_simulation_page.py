@@ -49,6 +49,11 @@ def test_faults_and_moves_are_marked_in_turn() -> None:
     ]
 
 
+def test_a_notebook_shows_the_picture_above_the_tables() -> None:
+    shown = Simulation.of(REPORT)._repr_html_()
+    assert shown.index("<svg") < shown.index("<pre")
+
+
 def test_outages_are_bars_at_their_time() -> None:
     """An hour takes 810 px from x = 130, so 600 s is at 265; 6.5 s would take 1.5 px.
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from html import escape
 from typing import TYPE_CHECKING
 
@@ -54,22 +54,21 @@ def comparison_page(comparison: SimulationComparison) -> str:
 
 def _pictures(report: SimulationReport) -> Iterator[str]:
     """Yield a simulation in words and pictures."""
-    marked = dict(enumerate(_marked(report), 1))
     yield f'<p class="verdict">{escape(verdict(report))}</p>'
     yield f"<p>{escape(took(report))}</p>"
     yield "<h2>Over time</h2>"
     yield _ABOUT_TIME
-    yield _over_time(report, [Mark(each.at, each.what) for each in marked.values()])
+    yield simulation_picture(report)
     yield "<h2>Deadlines missed</h2>"
     yield from _late(report)
     yield "<h2>What ran where at first</h2>"
     yield html_table(("computer", "components"), _placed(report))
     yield "<h2>What happened</h2>"
-    yield from _happened(report, marked)
+    yield from _happened(report)
 
 
-def _marked(report: SimulationReport) -> list[SimulatedEvent]:
-    """Return faults and moves, in turn."""
+def _marked(report: SimulationReport) -> dict[int, SimulatedEvent]:
+    """Return faults and moves by number, in turn."""
     faults = [each for each in report.events if each.who == _FAULT]
     moves = [
         SimulatedEvent(
@@ -81,17 +80,19 @@ def _marked(report: SimulationReport) -> list[SimulatedEvent]:
         )
         for each in report.moves
     ]
-    return sorted([*faults, *moves], key=lambda each: each.at)
+    return dict(enumerate(sorted([*faults, *moves], key=lambda each: each.at), 1))
 
 
-def _over_time(report: SimulationReport, marks: Sequence[Mark]) -> str:
+def simulation_picture(report: SimulationReport) -> str:
+    """Return CPU, faults, moves and outages over time, as SVG."""
+    marks = {n: Mark(each.at, each.what) for n, each in _marked(report).items()}
     strips = {f"CPU {load.computer}": _thinned(load.over_time) for load in report.loads}
     bars: dict[str, list[tuple[float, float]]] = {}
     for each in report.outages:
         bars.setdefault(each.function, []).append((each.at, each.at + each.lasts))
     end = max(report.seconds, 1.0)
     label = "CPU, faults, moves and outages over time"
-    return over_time(strips, dict(enumerate(marks, 1)), end, label, bars, every=end)
+    return over_time(strips, marks, end, label, bars, every=end)
 
 
 def _thinned(points: Sequence[Point]) -> list[Point]:
@@ -120,12 +121,11 @@ def _placed(report: SimulationReport) -> Iterator[tuple[str, str]]:
         yield escape(load.computer), escape(", ".join(sorted(here)))
 
 
-def _happened(
-    report: SimulationReport, marked: Mapping[int, SimulatedEvent]
-) -> Iterator[str]:
+def _happened(report: SimulationReport) -> Iterator[str]:
     """Yield faults and moves with their numbers, and what managers journalled."""
     journal = [("", each) for each in report.events if each.who != _FAULT]
-    every = [*((str(number), each) for number, each in marked.items()), *journal]
+    marked = [(str(number), each) for number, each in _marked(report).items()]
+    every = [*marked, *journal]
     every.sort(key=lambda each: each[1].at)
     rows = (
         (number, span(each.at), *map(escape, (each.who, each.kind, each.what)))
