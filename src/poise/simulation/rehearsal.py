@@ -2,14 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import gc
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from functools import partial
 
 from msgspec import Struct
 
+from poise.errors import RunError
 from poise.estimate.profile import Profile
 from poise.model.robot import Robot
-from poise.simulation.faults import SimulatedFault
+from poise.simulation.faults import SimulatedFault, inject
+from poise.simulation.observer import Observer
 from poise.simulation.report import SimulationReport
+from poise.simulation.robot.manager import ManagedRobot
+from poise.simulation.robot.robot import OUTSIDE, SimulatedRobot
+from poise.simulation.schedule.choices import Choices
+from poise.simulation.schedule.scheduler import SimulationError
+from poise.simulation.settled import unsettled
+from poise.simulation.workload import workload_of
+
+UP_LIMIT = 60.0
+"""A robot that is not up within this time [virtual s] does not come up."""
+_LOOK_EVERY = 0.1
 
 
 class RehearsalPlan(Struct, frozen=True, kw_only=True):
@@ -42,26 +58,111 @@ class RehearsalPlan(Struct, frozen=True, kw_only=True):
 
 
 class Rehearsal:
-    """A robot in virtual time, for a user who asks what will happen."""
+    """A simulated robot that comes up, goes on as long as it is let, and is looked at.
 
-    now: float
-    """Virtual time since the robot was up [s]."""
+    The manager of a robot whose computers are all emulated runs outside of these, as
+    `poise up` runs it; else it runs on the first computer.
+    """
 
-    def __init__(self, scenario: RehearsalPlan, seed: int = 0) -> None:
-        raise NotImplementedError
+    def __init__(self, plan: RehearsalPlan, seed: int = 0) -> None:
+        self._plan = plan
+        self._seed = seed
+        self._work = workload_of(plan.robot, plan.profile)
+        managed = ManagedRobot(
+            robot=plan.robot,
+            placement=plan.placement,
+            tasks=plan.tasks,
+            adapts=plan.adapts,
+            profile=plan.profile,
+        )
+        self._robot = SimulatedRobot(managed, Choices(seed), self._work)
+        self._observer: Observer | None = None
+        self._took = 0.0
+        self._violations: list[str] = []
+
+    @property
+    def now(self) -> float:
+        """Virtual time since the robot was up [s]."""
+        return self._observer.now if self._observer else 0.0
 
     def come_up(self) -> None:
-        """Start the robot; RunError when it does not come up."""
-        raise NotImplementedError
+        """Start the robot.
+
+        Raises
+        ------
+        RunError
+            It is not up within `UP_LIMIT`.
+        """
+        robot = self._robot
+        with self._running():
+            for computer in robot.computers:
+                robot.start_agent(computer)
+            is_real = any(each.address for each in robot.robot.computers)
+            robot.start_manager(next(iter(robot.computers)) if is_real else OUTSIDE)
+            while found := unsettled(robot):
+                if robot.scheduler.now >= UP_LIMIT:
+                    why = "; ".join(found)
+                    raise RunError(f"the simulated robot does not come up: {why}")
+                robot.run(robot.scheduler.now + _LOOK_EVERY)
+            self._observer = Observer(robot)
+            for fault in self._plan.faults:
+                at = robot.scheduler.now + fault.at
+                robot.scheduler.at(at, partial(self._break, fault))
 
     def advance(self, seconds: float) -> None:
         """Let virtual time [s] pass."""
-        raise NotImplementedError
+        with self._running():
+            self._robot.run(self._robot.scheduler.now + seconds)
 
     def report(self) -> SimulationReport:
         """Return what is known so far; any time after `come_up`."""
-        raise NotImplementedError
+        observer, plan, ledger = self._observer, self._plan, self._robot.ledger
+        assert observer is not None, "it has to come up first"  # noqa: S101
+        wrong = (f"{name}: {what}" for name, what in ledger.violations)
+        return SimulationReport(
+            robot=plan.robot.name,
+            task="+".join(plan.tasks),
+            method=plan.method,
+            seed=self._seed,
+            adapts=plan.adapts,
+            placement=plan.placement,
+            asked=plan.seconds,
+            seconds=observer.now,
+            took=self._took,
+            loads=observer.loads(),
+            timers=observer.timers(),
+            chains=observer.chains(),
+            moves=observer.moves(),
+            outages=observer.outages(),
+            events=tuple(observer.events),
+            messages=ledger.processed,
+            dropped=ledger.dropped,
+            calls=ledger.calls,
+            failed_calls=ledger.failed_calls,
+            guesses=self._work.guesses,
+            violations=tuple(dict.fromkeys((*self._violations, *wrong))),
+        )
 
     def close(self) -> None:
         """End all that it simulates."""
-        raise NotImplementedError
+        with self._robot.library():
+            self._robot.end()
+
+    def _break(self, fault: SimulatedFault) -> None:
+        assert self._observer is not None  # noqa: S101, it has come up
+        self._observer.note("fault", "fault", str(fault))
+        inject(self._robot, fault)
+
+    @contextmanager
+    def _running(self) -> Iterator[None]:
+        """Count the CPU time; an error in Poise's code is a violation."""
+        began = time.process_time()
+        gc.freeze()
+        try:
+            with self._robot.library():
+                yield
+        except SimulationError as error:
+            self._violations.append(f"no-bug-stops-the-robot: {error}")
+        finally:
+            gc.unfreeze()
+            self._took += time.process_time() - began

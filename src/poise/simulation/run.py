@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import time
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 
 from msgspec import Struct
@@ -14,13 +14,14 @@ from poise.errors import TakenOver
 from poise.manage.control_socket.records import MoveCommand, Refusal, Result
 from poise.manage.migration.report import MigrationReport
 from poise.model.robot import Robot
-from poise.simulation.components.models import ComponentModel
 from poise.simulation.faults import KINDS, Kind, SimulatedFault, inject, plan_faults
 from poise.simulation.invariants import Violation
-from poise.simulation.robot.manager import SimulatedManager
+from poise.simulation.robot.manager import ManagedRobot, SimulatedManager
 from poise.simulation.robot.robot import SimulatedRobot
 from poise.simulation.schedule.choices import Choices
 from poise.simulation.schedule.scheduler import SimulationError
+from poise.simulation.settled import unsettled
+from poise.simulation.workload import SimulatedWork
 
 UP_LIMIT = 30.0
 """A robot without faults is up within this time [s]."""
@@ -58,7 +59,7 @@ class Scenario(Struct, frozen=True, kw_only=True):
     robot: Robot
     placement: Mapping[str, str]
     tasks: Sequence[str]
-    models: Mapping[str, ComponentModel] = {}
+    workload: SimulatedWork = SimulatedWork()
     seconds: float = 60.0
     faults: tuple[SimulatedFault, ...] | None = None
     kinds: tuple[Kind, ...] = KINDS
@@ -122,11 +123,11 @@ def simulate(
         trace.append(f"{at:9.4f} {who:12} {what}")
 
     robot = SimulatedRobot(
-        scenario.robot,
+        ManagedRobot(
+            robot=scenario.robot, placement=scenario.placement, tasks=scenario.tasks
+        ),
         choices,
-        scenario.placement,
-        scenario.tasks,
-        scenario.models,
+        scenario.workload,
         note=note,
     )
     run = _Run(robot, scenario)
@@ -173,7 +174,7 @@ class _Run:
         for computer in robot.computers:
             robot.start_agent(computer)
         robot.start_manager(next(iter(robot.computers)))
-        self._until(self.is_settled, UP_LIMIT, "the robot is not up")
+        self._until(UP_LIMIT, "the robot is not up")
         begin = self._scheduler.now
         end = begin + self._scenario.seconds
         self.faults = self._scenario.faults or ()
@@ -188,31 +189,7 @@ class _Run:
         robot.run(max([end, *(f.at + f.lasts for f in self.faults)]) + 0.01)
         self._heal()
         limit = self._scenario.converges
-        self._until(self.is_settled, limit, f"{limit:g} s after the last fault")
-
-    def is_settled(self) -> list[str]:
-        """Return what is not as it is desired, in words."""
-        robot = self.robot
-        manager = robot.manager
-        if manager is None or manager.manager is None or manager.run is None:
-            why = robot.managers[-1].error if robot.managers else None
-            return [f"no manager is up ({why or 'it starts'})"]
-        working: dict[str, list[str]] = {}
-        for container in robot.containers():
-            if container.process.is_paused:
-                continue
-            for component in container.components.values():
-                if component.is_working():
-                    at = container.process.computer.name
-                    working.setdefault(component.spec.name, []).append(at)
-        found = [
-            f"'{name}' works on {' and '.join(working.get(name, ['nothing']))}, not "
-            f"'{at}'"
-            for name, at in sorted(manager.run.placement().items())
-            if working.get(name) != [at]
-        ]
-        lost = sorted(manager.manager.lost())
-        return found + [f"the manager takes '{name}' for lost" for name in lost]
+        self._until(limit, f"{limit:g} s after the last fault")
 
     def _heal(self) -> None:
         """Start what was killed and never came back."""
@@ -223,11 +200,9 @@ class _Run:
             robot.keep_managed(next(iter(robot.computers)))
         robot.note("run", "all faults are over")
 
-    def _until(
-        self, troubles: Callable[[], list[str]], limit: float, what: str
-    ) -> None:
+    def _until(self, limit: float, what: str) -> None:
         deadline = self._scheduler.now + limit
-        while found := troubles():
+        while found := unsettled(self.robot):
             if self._scheduler.now >= deadline:
                 raise Violation("desired-is-reached", f"{what}: {'; '.join(found)}")
             self.robot.run(self._scheduler.now + _LOOK_EVERY)

@@ -87,17 +87,24 @@ class DataAges:
         is_timer: bool = False,
     ) -> Any:  # noqa: ANN401, the method's own
         """Run the component's code on what came with stamps; an error is no use."""
-        chains = self._chains.values()
-        for chain in chains:
-            chain.is_new = False
+        self.begin()
         if taken is not None:
             self.take(taken.chains, taken.stamps)
         result = method(*args)
+        self.end(is_timer=is_timer)
+        return result
+
+    def begin(self) -> None:
+        """Let a run begin, which has taken no data yet."""
+        for chain in self._chains.values():
+            chain.is_new = False
+
+    def end(self, *, is_timer: bool) -> None:
+        """Let a run end: the last component of a chain has used its data."""
         now = self._clock.now()
-        for chain in chains:
+        for chain in self._chains.values():
             if chain.part.deadline is not None and (is_timer or chain.is_new):
                 chain.use(now)
-        return result
 
     def take(self, names: Iterable[str], stamps: Iterable[float]) -> None:
         """Take stamps that came with a message, a call or an answer."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 from poise.wire.records.deployment import ConnectorSpec
@@ -12,30 +13,75 @@ if TYPE_CHECKING:
     from poise.simulation.network.network import Stream
 
 MOST_BUFFERED = 1000
-_SIZE = 200
+Stamps = tuple[float, ...]
+"""When the data of each chain that goes over a connector was made [s]."""
+Answer = Callable[[Stamps | None], object]
 
 
 class QueuedItem(NamedTuple):
-    """A message with its number, or the marker of a migration."""
+    """A message or call with its number, or the marker of a migration.
 
-    kind: Literal["message", "marker"]
+    `answer` takes the stamps of what a call returns.
+    """
+
+    kind: Literal["message", "call", "marker"]
     number: int
+    stamps: Stamps = ()
+    answer: Answer | None = None
+
+
+class Incoming(NamedTuple):
+    """A message or call that waits for its component."""
+
+    slot: str
+    number: int
+    spec: ConnectorSpec
+    stamps: Stamps = ()
+    answer: Answer | None = None
 
 
 class SimulatedSender:
-    """What a component sends over one slot, whichever target that leads to."""
+    """What a component sends over one slot, whichever target that leads to.
+
+    Attributes
+    ----------
+    calls, messages
+        How many went out.
+    """
 
     def __init__(self, container: SimulatedContainer, spec: ConnectorSpec) -> None:
         self.spec = spec
+        self.slot = spec.slot or spec.name
         self.is_buffering = False
-        self.drops = 0
+        self.calls = self.messages = self.drops = 0
         self._container = container
         self._routes: dict[str, Stream] = {}
         self._buffer: deque[QueuedItem] = deque()
 
-    def publish(self, number: int) -> None:
+    def publish(self) -> None:
         """Send a message, or buffer it."""
-        self._put(QueuedItem("message", number))
+        world = self._container.world
+        self.messages += 1
+        number = world.ledger.number(self.slot)
+        self._put(QueuedItem("message", number, self._stamps()))
+
+    def call(self, answer: Answer) -> None:
+        """Ask the target; `answer` is called with None when its limit has passed."""
+        container, limit = self._container, self.spec.limit
+        ledger, scheduler = container.world.ledger, container.world.scheduler
+        self.calls += 1
+        is_over = False
+
+        def end(stamps: Stamps | None) -> None:
+            nonlocal is_over
+            if not is_over:
+                is_over = True
+                timer.cancel()
+                ledger.note_call(is_answered=stamps is not None)
+                container.process.do(lambda: answer(stamps))
+
+        timer = scheduler.at(scheduler.now + limit, lambda: end(None))
+        self._put(QueuedItem("call", 0, self._stamps(), end))
 
     def mark(self, migration: int) -> None:
         """Send a marker behind all messages."""
@@ -58,6 +104,13 @@ class SimulatedSender:
             stream.close()
         self._routes.clear()
 
+    def _stamps(self) -> Stamps:
+        if not self.spec.carries:
+            return ()
+        key = self.spec.source, self.spec.source_epoch
+        source = self._container.components.get(key)
+        return source.ages.stamps(self.spec.carries) if source else ()
+
     def _put(self, item: QueuedItem) -> None:
         if not self.is_buffering:
             self._send(item)
@@ -67,17 +120,28 @@ class SimulatedSender:
             self.drops += 1
 
     def _send(self, item: QueuedItem) -> None:
-        world, spec = self._container.world, self.spec
-        here = self._container.process.computer.name
+        container, spec = self._container, self.spec
+        world = container.world
+        if spec.kind == "direct":
+            container.take_item(spec, item)
+            return
+        here = container.process.computer.name
+        there = spec.target_computer or here
+        container.charge(spec)
         stream = self._routes.get(spec.key)
         if stream is None or stream.is_closed:
-            stream = world.network.stream(here, spec.target_computer or here)
-            self._routes[spec.key] = stream
+            stream = self._routes[spec.key] = world.network.stream(here, there)
+        answer, size = item.answer, world.size_of(spec.name)
 
         def arrive() -> None:
-            at = spec.target_computer or here
-            target = world.container_of(at, spec.target, spec.target_epoch)
+            target = world.container_of(there, spec.target, spec.target_epoch)
             if target is not None:
-                target.take_item(spec, item)
+                target.take_item(spec, item if answer is None else returning)
 
-        stream.send(_SIZE, arrive)
+        if answer is not None:
+            # request and answer together are as large as the profile says
+            size /= 2
+            returning = item._replace(
+                answer=lambda stamps: world.send_back(there, here, size, answer, stamps)
+            )
+        stream.send(size, arrive)

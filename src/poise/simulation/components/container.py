@@ -4,10 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from math import inf
-from typing import Protocol
+from typing import Literal, Protocol
 
+from poise.clock import ComponentClock
 from poise.errors import RunError
-from poise.simulation.components.channels import QueuedItem, SimulatedSender
+from poise.simulation.components.channels import (
+    Answer,
+    Incoming,
+    QueuedItem,
+    SimulatedSender,
+    Stamps,
+)
 from poise.simulation.components.component import SimulatedComponent
 from poise.simulation.components.ledger import Ledger
 from poise.simulation.components.migration import MigrationModel
@@ -23,6 +30,8 @@ from poise.wire.records.migration import MigrationSteps
 from poise.wire.records.status import ConnectorStatus, ContainerStatus, Side
 from poise.wire.records.taps import TapReading
 
+_MISSED_WITHIN = 0.1
+"""A missed deadline is reported within this time [s]."""
 REPORT_EVERY = 1.0
 """As the real container's [s]."""
 _JOINING_EVERY = 0.02
@@ -42,8 +51,31 @@ class World(Protocol):
     network: Network
     ledger: Ledger
 
+    clock: ComponentClock
+    agent_cpu: float
+    components: list[SimulatedComponent]
+
     def model_of(self, component: str) -> ComponentModel:
         """Return the model of a component."""
+        ...
+
+    def size_of(self, connector: str) -> float:
+        """Return the size of a message, or of a call both ways [bytes]."""
+        ...
+
+    def cost_of(self, spec: ConnectorSpec, side: Literal["source", "target"]) -> float:
+        """Return the work of one message or call beyond that of a local one."""
+        ...
+
+    def send_back(
+        self,
+        here: str,
+        there: str,
+        size: float,
+        answer: Answer,
+        stamps: Stamps | None,
+    ) -> None:
+        """Send an answer from one computer to another."""
         ...
 
     def containers(self) -> list[SimulatedContainer]:
@@ -86,7 +118,9 @@ class SimulatedContainer:
         self._connectors: Mapping[str, ConnectorSpec] = {}
         self.migration = MigrationModel(self)
         self._waiting: list[SimulatedTask] = []
-        self._is_reporting = False
+        self._costs: dict[tuple[str, str, str], float] = {}
+        self._missed: dict[Key, int] = {}
+        self._is_reporting = self._reports_missed = False
         self._reported: tuple[ConnectorStatus, ...] = ()
         self._orphan_since = inf
         self.cpu = process.computer.cpu.group()
@@ -158,16 +192,46 @@ class SimulatedContainer:
                 return spec
         raise RunError(f"container '{self.name}' has no connector '{name_or_key}'")
 
-    def publish(self, component: SimulatedComponent) -> None:
-        """Send a message over each connector that begins at a component."""
-        for sender in self.senders.values():
-            spec = sender.spec
-            if (spec.source, spec.source_epoch) == component.who[:2]:
-                sender.publish(self.world.ledger.number(spec.slot or spec.name))
+    def senders_of(self, component: SimulatedComponent) -> list[SimulatedSender]:
+        """Return the connectors that begin at a component."""
+        key = component.who[:2]
+        return [
+            sender
+            for sender in self.senders.values()
+            if (sender.spec.source, sender.spec.source_epoch) == key
+        ]
+
+    def sender_of(
+        self, component: SimulatedComponent, slot: str
+    ) -> SimulatedSender | None:
+        """Return the end of a slot at a component; None: it is not joined."""
+        return self.senders.get(f"{slot}/{component.spec.epoch}")
 
     def take_item(self, spec: ConnectorSpec, item: QueuedItem) -> None:
         """Take what arrived over a connector; for the simulated world."""
-        self.process.after(0.0, lambda: self._take_item(spec, item))
+        self.process.do(lambda: self._take_item(spec, item))
+
+    def cost_of(self, spec: ConnectorSpec, side: Literal["source", "target"]) -> float:
+        """Return the work of one message or call beyond that of a local one."""
+        cost = self._costs.get((spec.name, spec.kind, side))
+        if cost is None:
+            cost = self.world.cost_of(spec, side)
+            self._costs[spec.name, spec.kind, side] = cost
+        return cost
+
+    def charge(self, spec: ConnectorSpec) -> None:
+        """Let sending a message or call cost what it does."""
+        if cost := self.cost_of(spec, "source"):
+            self.cpu.run(cost, nothing)
+
+    def report_missed(self, component: SimulatedComponent) -> None:
+        """Report soon that a deadline was missed."""
+        missed = component.timers.missed(self.world.scheduler.now)
+        if missed > self._missed.get(component.who[:2], 0):
+            self._missed[component.who[:2]] = missed
+            if not self._reports_missed:
+                self._reports_missed = True
+                self.process.after(_MISSED_WITHIN, self._report)
 
     def note_agent_gone(self) -> None:
         """Go on without an agent, for a limited time."""
@@ -189,9 +253,13 @@ class SimulatedContainer:
             return  # its connection is not there any more
         if item.kind == "marker":
             target.markers[spec.name] = item.number
-        elif not target.overtaken.note(spec.name, spec.source_epoch):
-            target.take(spec.slot or spec.name, item.number)
-        self.look_again()
+        elif item.kind == "call" or not target.overtaken.note(
+            spec.name, spec.source_epoch
+        ):
+            slot = spec.slot or spec.name
+            target.take(Incoming(slot, item.number, spec, item.stamps, item.answer))
+        if self._waiting:
+            self.look_again()
 
     def _apply(self, spec: ContainerSpec) -> None:
         wanted = {(c.name, c.epoch): c for c in spec.components}
@@ -204,6 +272,7 @@ class SimulatedContainer:
         for key, component in wanted.items():
             if key not in self.components:
                 self.components[key] = SimulatedComponent(self, component)
+                self.world.components.append(self.components[key])
         self._join(spec.connectors)
         for key, running in list(self.components.items()):
             if key not in wanted:
@@ -259,7 +328,7 @@ class SimulatedContainer:
         self.process.after(REPORT_EVERY, report)
 
     def _report(self) -> None:
-        self._is_reporting = False
+        self._is_reporting = self._reports_missed = False
         if self._wanted is None:
             return
         connectors = self._joined()
@@ -271,6 +340,7 @@ class SimulatedContainer:
                 name=self.name,
                 pid=self.process.pid,
                 at=self.process.computer.monotonic(),
+                cpu=self.cpu.used,
                 components=tuple(c.status() for c in self.components.values()),
                 connectors=connectors,
             )
@@ -318,3 +388,7 @@ class SimulatedContainer:
         self.cpu.end()
         for sender in self.senders.values():
             sender.close()
+
+
+def nothing() -> None:
+    """Follow on nothing."""

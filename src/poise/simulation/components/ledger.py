@@ -30,13 +30,17 @@ class Ledger:
         What must never be, as (invariant, sentence) in the order in which it was seen.
     handled, processed
         How many handlers and messages there were.
+    dropped
+        How many messages made room for newer ones.
+    calls, failed_calls
+        How many calls were answered, and how many were not within their limits.
     """
 
     def __init__(self) -> None:
         self.violations: list[tuple[str, str]] = []
         self.handled = 0
         self.processed = 0
-        self.missed = 0
+        self.dropped = self.calls = self.failed_calls = 0
         self._current: dict[str, tuple[WorkingIncarnation, float]] = {}
         self._past: set[WorkingIncarnation] = set()
         self._committed: dict[str, int] = {}
@@ -111,6 +115,13 @@ class Ledger:
                 f"{who} processed message {number} of '{connector}' after {last}",
             )
         self._last[connector] = number
+
+    def note_call(self, *, is_answered: bool) -> None:
+        """Note how a call ended."""
+        if is_answered:
+            self.calls += 1
+        else:
+            self.failed_calls += 1
 
     def violate(self, invariant: str, what: str) -> None:
         """Note what must never be; the run ends with this step."""

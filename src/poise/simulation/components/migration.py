@@ -5,10 +5,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, NamedTuple
 
+from poise.clock import Stamp
 from poise.errors import PoiseError, RunError
-from poise.simulation.components.channels import SimulatedSender
+from poise.simulation.components.channels import Incoming, SimulatedSender
 from poise.simulation.components.models import drawn
 from poise.wire.migration_phases import MigrationPhases
 from poise.wire.records.deployment import ContainerSpec
@@ -27,8 +29,14 @@ if TYPE_CHECKING:
 _SHARE = 0.75
 """As in the real container: the rest of the limit is for the answer."""
 _LOOK_EVERY = 0.002
-State = tuple[tuple[str, int], ...]
-"""What moves beside the state itself: the messages that wait."""
+
+
+class State(NamedTuple):
+    """What moves beside the snapshot: what waits, timers' phases, ages of data."""
+
+    waiting: list[Incoming]
+    due: Mapping[str, float]
+    held: Mapping[str, Stamp]
 
 
 class MigrationModel:
@@ -151,10 +159,14 @@ class MigrationModel:
                     if (sender.spec.source, sender.spec.source_epoch) == key:
                         sender.mark(migration)
             case "send state":
-                self.states[key] = tuple(component.mailbox)
-                component.mailbox.clear()
+                self.states[key] = State(
+                    component.hand_over(),
+                    {e.timer.name: e.due for e in component.timers},
+                    component.ages.held(),
+                )
             case "roll back":
-                component.mailbox.extendleft(reversed(self.states.pop(key, ())))
+                if (state := self.states.pop(key, None)) is not None:
+                    component.take_over(state.waiting)
                 component.resume()
 
     def _take_target(
@@ -184,7 +196,7 @@ class MigrationModel:
         there = source.process.computer.name
         states = source.migration.states
         seconds = drawn(world.choices, (0.0, 0.005))
-        seconds += component.model.state_size / world.network.model.bandwidth
+        seconds += world.network.time_for(there, here, component.model.state_size)
 
         def is_there() -> bool:
             if world.network.is_cut(there, here) or source.process.is_paused:
@@ -197,7 +209,9 @@ class MigrationModel:
             world.scheduler.wait(_LOOK_EVERY, "a state")
         state = states[name, epoch]
         world.scheduler.wait(seconds, "a state's transfer")
-        component.mailbox.extendleft(reversed(state))
+        component.take_over(state.waiting)
+        component.timers.begin_at(state.due)
+        component.ages.restore(state.held)
 
     def _source_of(
         self, component: SimulatedComponent

@@ -9,8 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from math import inf
-
-from msgspec import Struct
+from typing import NamedTuple
 
 from poise.simulation.schedule.scheduler import Scheduler, SimulatedTimer
 
@@ -20,7 +19,7 @@ _DONE = 1e-9
 """Less work than this is none [core-seconds]."""
 
 
-class CpuClaim(Struct, frozen=True):
+class CpuClaim(NamedTuple):
     """What a group would use at most [cores], and its weight."""
 
     weight: float
@@ -47,6 +46,8 @@ def shares(cores: float, claims: Sequence[CpuClaim]) -> list[float]:
 
 class Job:
     """Work of one thread [core-seconds]; `then` is called when it is done."""
+
+    __slots__ = ("left", "then")
 
     def __init__(self, work: float, then: Callable[[], object]) -> None:
         self.left = work
@@ -87,6 +88,8 @@ class CpuGroup:
         job = Job(work, then)
         with self._cpu.changing:
             self.jobs.append(job)
+            if len(self.jobs) == 1:
+                self._cpu.busy.append(self)
         return job
 
     def pause(self, *, is_paused: bool = True) -> None:
@@ -97,14 +100,16 @@ class CpuGroup:
     def end(self) -> None:
         """Do nothing more."""
         with self._cpu.changing:
-            self.jobs.clear()
+            if self.jobs:
+                self.jobs.clear()
+                self._cpu.busy.remove(self)
             self._cpu.groups.remove(self)
+            self._cpu.ended += self.used
 
-    def claim(self) -> CpuClaim:
-        """Return what it would use now."""
+    def could_use(self) -> float:
+        """Return what it would use now [cores]."""
         can_run = not self.is_paused and self.bucket > _DONE
-        most = min(self.most, len(self.jobs)) if can_run else 0.0
-        return CpuClaim(self.weight, most)
+        return min(self.most, len(self.jobs)) if can_run else 0.0
 
 
 class Cpu:
@@ -113,19 +118,28 @@ class Cpu:
     Parameters
     ----------
     cores
-        How many; a slow computer has less than its number.
+        How many.
+    speed
+        Work that a core does in a second [core-seconds of the reference].
 
     Attributes
     ----------
+    groups, busy
+        All groups, and those that have something to do.
+    ended
+        The work of groups that have ended [core-seconds].
     changing
-        Entered by a group while it changes.
+        Entered by a group while it changes; several changes at once cost one.
     """
 
-    def __init__(self, scheduler: Scheduler, cores: float) -> None:
+    def __init__(self, scheduler: Scheduler, cores: float, speed: float = 1.0) -> None:
         self.cores = cores
+        self.speed = speed
         self.groups: list[CpuGroup] = []
+        self.busy: list[CpuGroup] = []
+        self.ended = 0.0
         self.changing = self
-        self._busy: list[CpuGroup] = []
+        self._depth = 0
         self._scheduler = scheduler
         self._at = scheduler.now
         self._refill_at = scheduler.now + PERIOD
@@ -140,23 +154,33 @@ class Cpu:
         return group
 
     def __enter__(self) -> None:
-        self._advance()
+        if not self._depth:
+            self._advance()
+        self._depth += 1
 
     def __exit__(self, *_: object) -> None:
-        self._plan()
+        self._depth -= 1
+        if not self._depth:
+            self._plan()
+
+    def used(self) -> float:
+        """Return the work of all groups that there are, so far [core-seconds]."""
+        with self.changing:
+            return self.ended + sum(group.used for group in self.groups)
 
     def _advance(self) -> None:
         """Let all that runs have had its share until now."""
         passed, self._at = self._scheduler.now - self._at, self._scheduler.now
-        for group in self._busy:
+        for group in self.busy:
             done = group.rate * passed
             group.used += done
             if group.quota < inf:
                 was_full = group.bucket > _DONE
                 group.bucket = max(0.0, group.bucket - done)
                 group.throttled += was_full and group.bucket <= _DONE
+            each = done / len(group.jobs)
             for job in group.jobs:
-                job.left -= done / len(group.jobs)
+                job.left -= each
         if self._scheduler.now >= self._refill_at:
             while self._refill_at <= self._scheduler.now:
                 self._refill_at += PERIOD
@@ -165,34 +189,39 @@ class Cpu:
 
     def _plan(self) -> None:
         """Share out anew, and plan the next moment at which that changes."""
-        self._busy = [group for group in self.groups if group.jobs]
-        rates = shares(self.cores, [group.claim() for group in self._busy])
-        moments = []
-        for group, rate in zip(self._busy, rates, strict=True):
-            group.rate = rate
+        first = inf
+        for group, rate in zip(self.busy, self._rates(), strict=True):
+            group.rate = rate * self.speed
             if rate > 0:
                 least = min(job.left for job in group.jobs)
-                moments.append(self._at + least * len(group.jobs) / rate)
-                moments.append(self._at + group.bucket / rate)
-            elif group.bucket <= _DONE:
-                moments.append(self._refill_at)
-            if group.quota < inf and rate > 0:
-                moments.append(self._refill_at)
+                first = min(first, self._at + least * len(group.jobs) / group.rate)
+            if group.quota < inf and (rate > 0 or group.bucket <= _DONE):
+                empty = self._at + group.bucket / group.rate if rate > 0 else inf
+                first = min(first, empty, self._refill_at)
         if self._next is not None:
             self._next.cancel()
             self._next = None
-        first = min(moments, default=inf)
         if first < inf:
             # a moment that rounding puts before now would never come
             at = max(first, self._scheduler.now)
             self._next = self._scheduler.at(at, self._change)
 
+    def _rates(self) -> list[float]:
+        """Return what each busy group gets [cores]."""
+        most = [group.could_use() for group in self.busy]
+        if sum(most) <= self.cores:
+            return most
+        weights = [group.weight for group in self.busy]
+        return shares(self.cores, list(map(CpuClaim, weights, most)))
+
     def _change(self) -> None:
         self._next = None
-        done: list[Job] = []
         with self.changing:
-            for group in self._busy:
-                done += [job for job in group.jobs if job.left <= _DONE]
-                group.jobs = [job for job in group.jobs if job.left > _DONE]
-        for job in done:
-            job.then()
+            done: list[Job] = []
+            for group in self.busy:
+                if any(job.left <= _DONE for job in group.jobs):
+                    done += [job for job in group.jobs if job.left <= _DONE]
+                    group.jobs = [job for job in group.jobs if job.left > _DONE]
+            self.busy = [group for group in self.busy if group.jobs]
+            for job in done:
+                job.then()

@@ -34,7 +34,7 @@ class SimulatedComputer:
         What its monotonic clock shows when the run begins [s].
     drift
         How much quicker its clocks run than virtual time [s/s].
-    cores
+    cores, speed
         Of its CPU.
 
     Attributes
@@ -53,10 +53,11 @@ class SimulatedComputer:
         boot: float = 0.0,
         drift: float = 0.0,
         cores: float = 4.0,
+        speed: float = 1.0,
     ) -> None:
         self.scheduler = scheduler
         self.name = name
-        self.cpu = Cpu(scheduler, cores)
+        self.cpu = Cpu(scheduler, cores, speed)
         self.wall_ahead = 0.0
         self.processes: dict[int, Process] = {}
         self._boot = boot
@@ -147,7 +148,14 @@ class Process:
     def after(self, seconds: float, act: Callable[[], object]) -> SimulatedTimer:
         """Let it do something after a time [s], or when it is not paused any more."""
         at = self.scheduler.now + seconds
-        return self.scheduler.at(at, lambda: self._do(act))
+        return self.scheduler.at(at, lambda: self.do(act))
+
+    def do(self, act: Callable[[], object]) -> None:
+        """Let it do something at once, or when it is not paused any more."""
+        if self.is_paused:
+            self._late.append(act)
+        elif not self.is_dead:
+            act()
 
     def spawn(self, name: str, work: Callable[[], object]) -> SimulatedTask:
         """Start a task of this process: its code runs on virtual time."""
@@ -176,7 +184,7 @@ class Process:
             self.scheduler.resume(task)
         late, self._late = self._late, []
         for act in late:
-            self._do(act)
+            self.do(act)
 
     def kill(self) -> None:
         """End it at once, as SIGKILL does: not one of its statements runs any more."""
@@ -196,12 +204,6 @@ class Process:
         if self.on_failure is None:
             raise failure from error
         self.on_failure(failure)
-
-    def _do(self, act: Callable[[], object]) -> None:
-        if self.is_paused:
-            self._late.append(act)
-        elif not self.is_dead:
-            act()
 
     def _bury(self) -> None:
         for task in self._tasks.values():

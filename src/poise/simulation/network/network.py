@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
 
 from msgspec import Struct
 
@@ -39,21 +39,33 @@ class LinkModel(Struct, frozen=True, kw_only=True):
 class Network:
     """The links between all computers; each direction breaks by itself.
 
+    Parameters
+    ----------
+    links
+        Pairs of computers -> their links; the others have links like `model`.
+
     Attributes
     ----------
     model
-        Of all links.
+        Of links that are not named.
     loss
         Of datagrams, in addition to the model's: a fault.
     """
 
     def __init__(
-        self, scheduler: Scheduler, choices: Choices, model: LinkModel | None = None
+        self,
+        scheduler: Scheduler,
+        choices: Choices,
+        model: LinkModel | None = None,
+        links: Mapping[frozenset[str], LinkModel] = {},
     ) -> None:
         self.scheduler = scheduler
         self.choices = choices
         self.model = model or LinkModel()
+        self._links = {way: each for pair, each in links.items() for way in _ways(pair)}
+        self._free_at: dict[tuple[str, str], float] = {}
         self.loss = 0.0
+        self._expovariate = choices.random("jitter").expovariate
         self._cuts: dict[tuple[str, str], list[float]] = {}
         self._clogs: dict[tuple[str, str], float] = {}
         self._streams: list[Stream] = []
@@ -84,14 +96,23 @@ class Network:
         key = source, target
         self._clogs[key] = max(until, self._clogs.get(key, 0.0))
 
-    def arrival(self, source: str, target: str, size: int) -> float:
+    def arrival(self, source: str, target: str, size: float) -> float:
         """Return when something that is sent now arrives [s], without a cut."""
-        now = self.scheduler.now
+        now, way = self.scheduler.now, (source, target)
         if source == target:
             return now + _LOCAL
-        jitter = self.model.jitter * self.choices.random("jitter").expovariate(1.0)
-        way = self.model.latency + jitter + size / self.model.bandwidth
-        return max(now, self._clogs.get((source, target), 0.0)) + way
+        link = self._links.get(way, self.model)
+        begin = max(now, self._clogs.get(way, 0.0), self._free_at.get(way, 0.0))
+        # one after the other: what is sent meanwhile waits
+        sent = self._free_at[way] = begin + size / link.bandwidth
+        return sent + link.latency + link.jitter * self._expovariate(1.0)
+
+    def time_for(self, source: str, target: str, size: float) -> float:
+        """Return how long so much takes over an idle link [s]."""
+        if source == target:
+            return _LOCAL
+        link = self._links.get((source, target), self.model)
+        return link.latency + size / link.bandwidth
 
     def send_datagram(
         self, source: str, target: str, size: int, deliver: Callable[[], object]
@@ -139,9 +160,9 @@ class Stream:
         self.is_closed = False
         self._network = network
         self._last = 0.0
-        self._held: deque[tuple[int, Callable[[], object]]] = deque()
+        self._held: deque[tuple[float, Callable[[], object]]] = deque()
 
-    def send(self, size: int, deliver: Callable[[], object]) -> None:
+    def send(self, size: float, deliver: Callable[[], object]) -> None:
         """Deliver after all that was sent before."""
         if self.is_closed:
             return
@@ -174,3 +195,10 @@ class Stream:
     def _arrive(self, deliver: Callable[[], object]) -> None:
         if not self.is_closed:
             deliver()
+
+
+def _ways(pair: frozenset[str]) -> Iterator[tuple[str, str]]:
+    """Yield both directions of a link."""
+    one, other = sorted(pair)
+    yield one, other
+    yield other, one

@@ -18,6 +18,7 @@ from poise.simulation.components.container import World
 from poise.simulation.computers.process import Process
 from poise.simulation.robot.container_host import SimulatedAdoption, SimulatedHost
 from poise.simulation.robot.disk import SimulatedDisk
+from poise.simulation.robot.sampler import SimulatedSampler
 from poise.simulation.schedule.scheduler import SimulatedTask
 from poise.wire.control_session import identity_key, locator, open_session
 from poise.wire.heartbeats import Heartbeats
@@ -65,6 +66,7 @@ class SimulatedAgent:
         self._events: deque[Callable[[], object]] = deque()
         self._task: SimulatedTask | None = None
         self._is_woken = False
+        self._sampler: SimulatedSampler
         self.core: AgentCore
         self._task = process.spawn("agent", self._main)
 
@@ -89,6 +91,9 @@ class SimulatedAgent:
             self._disk.begin(
                 self.process, lambda copy: copies.put(msgspec.msgpack.encode(copy))
             )
+
+            samples = session.declare_publisher(f"{prefix}/samples/{name}")
+            self._sampler = SimulatedSampler(self._world, self.process, samples.put)
 
             def appear() -> None:
                 for key in (
@@ -149,8 +154,8 @@ class SimulatedAgent:
             adoption=adoption,
             disk=self._disk,
             heartbeats=heartbeats,
-            usage=dict,
-            cpu=lambda: 0.0,
+            usage=lambda: self._sampler.usage,
+            cpu=lambda: self._sampler.cpu,
             gateway=f"{self._setup.address}:7448",
             gateway_trouble=str,
             pid=process.pid,

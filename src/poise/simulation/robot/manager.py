@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 
+from msgspec import Struct
+
 from poise.clock import SystemClock
 from poise.errors import PoiseError, TakenOver
+from poise.estimate.profile import Profile
 from poise.manage.agent_connections.agents import Agents
 from poise.manage.control_socket.records import Command, Refusal, Result, RobotStatus
 from poise.manage.deploy.running_components import RunningComponents
@@ -25,15 +28,35 @@ _AGENT_LIMIT = 20.0
 _LEASE = 2.0
 
 
+class ManagedRobot(Struct, frozen=True, kw_only=True):
+    """What all managers of a simulated robot are told.
+
+    Parameters
+    ----------
+    placement
+        Component -> computer, of what they start if nothing runs.
+    tasks
+        Names of tasks.
+    adapts
+        Whether they change the placement by themselves.
+    profile
+        What demands are compared with; None: with what was needed at first.
+    """
+
+    robot: Robot
+    placement: Mapping[str, str]
+    tasks: Sequence[str]
+    adapts: bool = True
+    profile: Profile | None = None
+
+
 class SimulatedManager:
     """One start of a manager.
 
     Parameters
     ----------
     endpoints
-        SimulatedComputer -> zenoh endpoint of its agent.
-    placement
-        Component -> computer, of what it starts if nothing runs.
+        Computer -> zenoh endpoint of its agent.
     note
         Takes each entry of its journal.
 
@@ -47,23 +70,19 @@ class SimulatedManager:
 
     def __init__(
         self,
-        robot: Robot,
-        process: Process,
+        setup: ManagedRobot,
         endpoints: Mapping[str, str],
-        placement: Mapping[str, str],
-        tasks: Sequence[str],
+        process: Process,
         note: Callable[[JournalEntry], object],
         *,
         take_over: bool = False,
     ) -> None:
-        self.robot = robot
+        self._setup = setup
+        self._endpoints = endpoints
         self.process = process
         self.manager: Manager | None = None
         self.run: RunningComponents | None = None
         self.error: PoiseError | None = None
-        self._endpoints = endpoints
-        self._placement = placement
-        self._tasks = tasks
         self._note = note
         self._takes_over = take_over
         process.spawn("manager", self._main)
@@ -90,26 +109,27 @@ class SimulatedManager:
         self.process.exit()
 
     def _come_up(self) -> None:
+        setup, robot = self._setup, self._setup.robot
         journal, samples = Journal(":memory:", self._note), Recording()
         with Agents(
-            self.robot.name, self._endpoints, SystemClock(), samples.add, lease=_LEASE
+            robot.name, self._endpoints, SystemClock(), samples.add, lease=_LEASE
         ) as agents:
             if not self._is_at_work(agents):
                 agents.wait_alive(self._endpoints, _AGENT_LIMIT)
             run = self.run = RunningComponents(
-                self.robot, self._placement, agents, journal, "/robot"
+                robot, setup.placement, agents, journal, "/robot"
             )
             start_or_take_over(run, by_force=self._takes_over)
-            asked = Tasks(self.robot, lambda text: journal.note("decided", text))
-            for name in self._tasks:
+            asked = Tasks(robot, lambda text: journal.note("decided", text))
+            for name in setup.tasks:
                 asked.start(name, self.process.computer.wall())
             asked.arbitrate(self.process.computer.wall())
             self.manager = Manager(
                 run,
                 goes_on_with(run, asked, journal),
-                Estimates(self.robot, None, emulated=True),
+                Estimates(robot, setup.profile, emulated=True),
                 samples,
-                adapts=True,
+                adapts=setup.adapts,
             )
             try:
                 while not self.manager.is_stopping:

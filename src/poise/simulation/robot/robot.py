@@ -2,28 +2,41 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from contextlib import AbstractContextManager
+from typing import Literal
 
+from poise.clock import ComponentClock
+from poise.estimate.overhead import kinds_together
 from poise.manage.journal import JournalEntry
-from poise.model.robot import Robot
+from poise.simulation.components.channels import Answer, Stamps
+from poise.simulation.components.component import SimulatedComponent
 from poise.simulation.components.container import SimulatedContainer
 from poise.simulation.components.ledger import Ledger
 from poise.simulation.components.models import ComponentModel
+from poise.simulation.computers.clock import SimulatedClock
 from poise.simulation.computers.process import SimulatedComputer
 from poise.simulation.network.addresses import Addresses
-from poise.simulation.network.network import LinkModel, Network
+from poise.simulation.network.links import links_of
+from poise.simulation.network.network import Network, Stream
 from poise.simulation.network.zenoh_sessions import ZenohNetwork
 from poise.simulation.robot.agent import PORT, SimulatedAgent
 from poise.simulation.robot.disk import SimulatedDisk
-from poise.simulation.robot.manager import SimulatedManager
+from poise.simulation.robot.manager import ManagedRobot, SimulatedManager
 from poise.simulation.schedule.choices import Choices
 from poise.simulation.schedule.scheduler import Scheduler
 from poise.simulation.schedule.simulated_library import simulated_library
+from poise.simulation.workload import SimulatedWork
+from poise.wire.records.deployment import ConnectorSpec
 
 _LONGEST_UPTIME = 1e5
 _DRIFT = 25e-6
 _CORES = 4.0
+_USUAL = ComponentModel()
+OUTSIDE = "outside"
+"""A computer beside the robot's, on which the manager of emulated computers runs."""
+SIZE = 200.0
+"""Of a message whose connector does not say it [bytes]."""
 
 
 class SimulatedRobot:
@@ -31,12 +44,10 @@ class SimulatedRobot:
 
     Parameters
     ----------
-    placement
-        Component -> computer, at first.
-    tasks
-        Their names.
-    models
-        Component -> what it does; the others do the default.
+    managed
+        The robot, and what its managers are told.
+    workload
+        What its components do.
     note
         Called with each line of the trace: the moment [s], who, and what.
 
@@ -44,22 +55,25 @@ class SimulatedRobot:
     ----------
     agents, managers
         Those that run, by computer; and all managers so far, the last one last.
+    components
+        All incarnations of components so far.
+    on_entry
+        Called with each entry of a manager's journal.
     """
 
     def __init__(
         self,
-        robot: Robot,
+        managed: ManagedRobot,
         choices: Choices,
-        placement: Mapping[str, str],
-        tasks: Sequence[str],
-        models: Mapping[str, ComponentModel] | None = None,
-        link: LinkModel | None = None,
+        workload: SimulatedWork,
         note: Callable[[float, str, str], object] = lambda *_: None,
     ) -> None:
-        self.robot = robot
+        self._managed = managed
+        robot = self.robot = managed.robot
         self.choices = choices
         self.scheduler = Scheduler(choices)
-        self.network = Network(self.scheduler, choices, link)
+        self.clock: ComponentClock = SimulatedClock(self.scheduler)
+        self.network = Network(self.scheduler, choices, links=links_of(robot))
         self.ledger = Ledger()
         self.addresses = Addresses()
         self.sessions = ZenohNetwork(self.network, self.addresses)
@@ -69,8 +83,13 @@ class SimulatedRobot:
         self.managers: list[SimulatedManager] = []
         self.endpoints: dict[str, str] = {}
         self.is_stopped = False
-        self._placement, self._tasks = dict(placement), tuple(tasks)
-        self._models = models or {}
+        self.on_entry: Callable[[JournalEntry], object] = lambda _: None
+        self.components: list[SimulatedComponent] = []
+        self.workload = workload
+        self.agent_cpu = workload.agent
+        self._kinds = kinds_together(robot)
+        self._where: dict[tuple[str, str, int], SimulatedContainer] = {}
+        self._back: dict[tuple[str, str], Stream] = {}
         self._note = note
         self._containers: dict[int, SimulatedContainer] = {}
         random = choices.random("clocks")
@@ -78,11 +97,15 @@ class SimulatedRobot:
             boot, drift = random.uniform(1, _LONGEST_UPTIME), random.uniform(-1, 1)
             cores = each.capacity.get("cpu", _CORES)
             drift *= _DRIFT
-            computer = SimulatedComputer(self.scheduler, each.name, boot, drift, cores)
+            computer = SimulatedComputer(
+                self.scheduler, each.name, boot, drift, cores, each.speed
+            )
             self.computers[each.name] = computer
             self.disks[each.name] = SimulatedDisk(computer)
             host = self.addresses.add(each.name)
             self.endpoints[each.name] = f"tcp/{host}:{PORT}"
+        self._outside = SimulatedComputer(self.scheduler, OUTSIDE)
+        self.addresses.add(OUTSIDE)
 
     def library(self) -> AbstractContextManager[None]:
         """Return what gives the code under test virtual time, while it is entered."""
@@ -106,26 +129,22 @@ class SimulatedRobot:
     def start_manager(
         self, computer: str, *, take_over: bool = False
     ) -> SimulatedManager:
-        """Start a manager on a computer."""
+        """Start a manager on a computer, or outside of all."""
         number = len(self.managers)
-        process = self.computers[computer].start(f"manager {number}")
+        where = self.computers.get(computer, self._outside)
+        process = where.start(f"manager {number}")
 
         def note(entry: JournalEntry) -> None:
             if process.is_dead:
                 return
             self.note(f"manager {number}", f"{entry.kind}: {entry.what}")
+            self.on_entry(entry)
             if "traceback" in entry.facts:
                 what = f"{process.name}: {entry.facts['traceback']}"
                 self.ledger.violate("no-bug-stops-the-robot", what)
 
         manager = SimulatedManager(
-            self.robot,
-            process,
-            self.endpoints,
-            self._placement,
-            self._tasks,
-            note,
-            take_over=take_over,
+            self._managed, self.endpoints, process, note, take_over=take_over
         )
         self.managers.append(manager)
         return manager
@@ -148,7 +167,7 @@ class SimulatedRobot:
 
     def model_of(self, component: str) -> ComponentModel:
         """Return the model of a component."""
-        return self._models.get(component, ComponentModel())
+        return self.workload.models.get(component, _USUAL)
 
     def add_container(self, container: SimulatedContainer) -> None:
         """Let a container be found until its process ends."""
@@ -164,11 +183,38 @@ class SimulatedRobot:
         self, computer: str, component: str, epoch: int
     ) -> SimulatedContainer | None:
         """Return the container of an incarnation on a computer."""
+        key = computer, component, epoch
+        known = self._where.get(key)
+        if (
+            known is not None
+            and not known.process.is_dead
+            and key[1:] in known.components
+        ):
+            return known
         for container in self.containers():
             at = container.process.computer.name
             if at == computer and (component, epoch) in container.components:
+                self._where[key] = container
                 return container
         return None
+
+    def size_of(self, connector: str) -> float:
+        """Return the size of a message, or of a call both ways [bytes]."""
+        return self.workload.traffic.sizes.get(connector, SIZE)
+
+    def cost_of(self, spec: ConnectorSpec, side: Literal["source", "target"]) -> float:
+        """Return the work of one message or call beyond that of a local one."""
+        together = self._kinds.get(spec.name, "local")
+        return self.workload.traffic.cost(spec, together, side)
+
+    def send_back(
+        self, here: str, there: str, size: float, answer: Answer, stamps: Stamps | None
+    ) -> None:
+        """Send an answer from one computer to another."""
+        stream = self._back.get((here, there))
+        if stream is None:
+            stream = self._back[here, there] = self.network.stream(here, there)
+        stream.send(size, lambda: answer(stamps))
 
     def run(self, until: float) -> None:
         """Let virtual time pass until a moment [s]."""
@@ -176,7 +222,7 @@ class SimulatedRobot:
 
     def end(self) -> None:
         """End all processes, so that nothing of the run is left."""
-        for computer in self.computers.values():
+        for computer in (*self.computers.values(), self._outside):
             for process in list(computer.processes.values()):
                 process.kill()
         self.scheduler.run(self.scheduler.now)

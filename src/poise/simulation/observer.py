@@ -1,0 +1,315 @@
+"""Watches a simulated robot, and keeps what a user wants to know of it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from math import inf
+
+from poise.manage.journal import JournalEntry
+from poise.manage.migration.report import MigrationReport
+from poise.model.robot import Robot
+from poise.simulation.report import (
+    Outage,
+    SimulatedChain,
+    SimulatedEvent,
+    SimulatedLoad,
+    SimulatedMove,
+    TimerMisses,
+)
+from poise.simulation.robot.robot import SimulatedRobot
+from poise.wire.records.status import Summary
+
+LOOK_EVERY = 0.05
+"""What works is looked at so often [s]; outages are known to that."""
+_SECOND = 1.0
+_POINTS = 600
+"""At most so many points of a computer's load over time."""
+_MOST_EVENTS = 5000
+_KINDS = {"decided", "done", "failed", "wrong", "right"}
+
+
+class Observer:
+    """Looks at a robot from when it is up; moments count from then.
+
+    Attributes
+    ----------
+    events
+        What was injected and journalled.
+    """
+
+    def __init__(self, robot: SimulatedRobot) -> None:
+        self.events: list[SimulatedEvent] = []
+        self._robot = robot
+        self._begin = robot.scheduler.now
+        self._loads = {name: _LoadSeries() for name in robot.computers}
+        self._second = 0.0
+        self._down: dict[str, float] = {}
+        self._since: dict[str, tuple[float, set[str]]] = {}
+        self._outages: list[Outage] = []
+        self._moves: list[SimulatedMove] = []
+        self._restarting: dict[str, tuple[float, str]] = {}
+        self._placed = self._placement()
+        self._functions = functions_of(robot.robot)
+        self._before = {
+            id(each): {t.name: (t.releases, t.missed) for t in each.status().timers}
+            for each in robot.components
+        }
+        self._chains_before = {
+            id(each): {c.name: (c.age.count, c.missed) for c in each.status().chains}
+            for each in robot.components
+        }
+        robot.on_entry = self._note_entry
+        self._look()
+
+    @property
+    def now(self) -> float:
+        """Virtual time since the robot was up [s]."""
+        return self._robot.scheduler.now - self._begin
+
+    def note(self, who: str, kind: str, what: str) -> None:
+        """Keep an event."""
+        if len(self.events) < _MOST_EVENTS:
+            event = SimulatedEvent(at=self.now, who=who, kind=kind, what=what)
+            self.events.append(event)
+
+    def loads(self) -> tuple[SimulatedLoad, ...]:
+        """Return how busy each computer was."""
+        found = []
+        for name, computer in self._robot.computers.items():
+            cores, series = computer.cpu.cores, self._loads[name]
+            known = next(c for c in self._robot.robot.computers if c.name == name)
+            found.append(
+                SimulatedLoad(
+                    computer=name,
+                    capacity=cores,
+                    cpu=series.mean(),
+                    peak=series.peak,
+                    memory=series.memory,
+                    memory_capacity=known.capacity.get("memory", inf),
+                    over_time=series.points(),
+                )
+            )
+        return tuple(found)
+
+    def timers(self) -> tuple[TimerMisses, ...]:
+        """Return how all timers kept their rates, over all incarnations."""
+        found: dict[tuple[str, str], list[float | None]] = {}
+        for component in self._robot.components:
+            before = self._before.get(id(component), {})
+            for timer in component.status().timers:
+                due, missed = before.get(timer.name, (0, 0))
+                key = component.spec.name, timer.name
+                sums = found.setdefault(key, [timer.period, timer.deadline, 0, 0])
+                sums[2] = (sums[2] or 0) + timer.releases - due
+                sums[3] = (sums[3] or 0) + timer.missed - missed
+        return tuple(
+            TimerMisses(
+                component=component,
+                timer=timer,
+                period=period or 0.0,
+                deadline=deadline,
+                due=int(due or 0),
+                missed=int(missed or 0),
+            )
+            for (component, timer), (period, deadline, due, missed) in sorted(
+                found.items()
+            )
+        )
+
+    def chains(self) -> tuple[SimulatedChain, ...]:
+        """Return how old the data at the end of each chain was.
+
+        Of a chain whose last component moved, median and 99th percentile are means over
+        its incarnations, by their numbers of uses.
+        """
+        found = []
+        for chain in self._robot.robot.chains:
+            ages: list[Summary] = []
+            missed = 0
+            for component in self._robot.components:
+                if component.spec.name != chain.through[-1]:
+                    continue
+                before = self._chains_before.get(id(component), {})
+                for each in component.status().chains:
+                    if each.name == chain.name and each.age.count:
+                        ages.append(each.age)
+                        missed += each.missed - before.get(each.name, (0, 0))[1]
+            uses = sum(age.count for age in ages)
+            if uses:
+                found.append(
+                    SimulatedChain(
+                        name=chain.name,
+                        deadline=chain.deadline,
+                        uses=uses,
+                        missed=missed,
+                        median=sum(age.median * age.count for age in ages) / uses,
+                        p99=sum(age.p99 * age.count for age in ages) / uses,
+                        maximum=max(age.maximum for age in ages),
+                    )
+                )
+        return tuple(found)
+
+    def moves(self) -> tuple[SimulatedMove, ...]:
+        """Return what was moved or restarted elsewhere."""
+        return tuple(sorted(self._moves, key=lambda move: move.at))
+
+    def outages(self) -> tuple[Outage, ...]:
+        """Return which functions stopped, and for how long."""
+        going = (self._outage(function, over=False) for function in sorted(self._since))
+        return tuple(sorted((*self._outages, *going), key=lambda each: each.at))
+
+    def _look(self) -> None:
+        scheduler = self._robot.scheduler
+        self._note_placement()
+        self._note_outages()
+        if self.now >= self._second:
+            self._second += _SECOND
+            self._note_loads()
+        scheduler.at(scheduler.now + LOOK_EVERY, self._look)
+
+    def _note_loads(self) -> None:
+        memory = dict.fromkeys(self._robot.computers, 0.0)
+        for container in self._robot.containers():
+            at = container.process.computer.name
+            memory[at] += sum(c.model.memory for c in container.components.values())
+        for name, computer in self._robot.computers.items():
+            cpu = computer.cpu
+            share = cpu.used() / (cpu.cores * cpu.speed)
+            self._loads[name].add(self.now, share, memory[name])
+
+    def _placement(self) -> dict[str, str]:
+        manager = self._robot.manager
+        if manager is None or manager.run is None or manager.manager is None:
+            return {}
+        return manager.run.placement()
+
+    def _note_placement(self) -> None:
+        """Note what is placed elsewhere, though no move brought it there."""
+        placed = self._placement()
+        for name, at in placed.items():
+            before = self._placed.get(name)
+            if before is not None and before != at:
+                since = self._down.get(name, self._robot.scheduler.now)
+                self._restarting[name] = since - self._begin, before
+        self._placed.update(placed)
+
+    def _note_outages(self) -> None:
+        now = self._robot.scheduler.now
+        working = set(_working(self._robot))
+        for name in self._placed:
+            if name in working:
+                self._down.pop(name, None)
+                if name in self._restarting:
+                    self._end_restart(name)
+            else:
+                self._down.setdefault(name, now)
+        for function, names in self._functions.items():
+            down = names & self._down.keys() & self._placed.keys()
+            if down:
+                self._since.setdefault(function, (self.now, set()))[1].update(down)
+            elif function in self._since:
+                self._outages.append(self._outage(function, over=True))
+                del self._since[function]
+
+    def _outage(self, function: str, *, over: bool) -> Outage:
+        since, names = self._since[function]
+        return Outage(
+            at=since,
+            function=function,
+            components=tuple(sorted(names)),
+            lasts=self.now - since,
+            over=over,
+        )
+
+    def _end_restart(self, name: str) -> None:
+        at, before = self._restarting.pop(name)
+        after = self._placed[name]
+        if before == after:
+            return
+        self._moves.append(
+            SimulatedMove(
+                at=at,
+                component=name,
+                before=before,
+                after=after,
+                kind="restart",
+                downtime=self.now - at,
+            )
+        )
+
+    def _note_entry(self, entry: JournalEntry) -> None:
+        facts: Mapping[str, object] = entry.facts or {}
+        migration = facts.get("migration")
+        if isinstance(migration, MigrationReport) and migration.committed:
+            for name, after in migration.after.items():
+                before = migration.before.get(name, "")
+                if before == after:
+                    continue
+                self._placed[name] = after
+                self._moves.append(
+                    SimulatedMove(
+                        at=self.now,
+                        component=name,
+                        before=before,
+                        after=after,
+                        kind="move",
+                        downtime=migration.downtime,
+                        why=entry.what,
+                    )
+                )
+        if entry.kind in _KINDS:
+            self.note("manager", entry.kind, entry.what)
+
+
+class _LoadSeries:
+    """The shares of a computer's CPU, each second."""
+
+    def __init__(self) -> None:
+        self.peak = self.memory = 0.0
+        self._first: tuple[float, float] | None = None
+        self._last = 0.0, 0.0
+        self._points: list[tuple[float, float]] = []
+
+    def add(self, at: float, used: float, memory: float) -> None:
+        """Add what was used until a moment [s of the whole computer]."""
+        if self._first is None:
+            self._first = at, used
+        else:
+            before, total = self._last
+            share = (used - total) / (at - before)
+            self.peak = max(self.peak, share)
+            self._points.append((at, share))
+        self._last = at, used
+        self.memory = max(self.memory, memory)
+
+    def mean(self) -> float:
+        """Return the mean share."""
+        if self._first is None or self._last[0] == self._first[0]:
+            return 0.0
+        (began, before), (ended, after) = self._first, self._last
+        return (after - before) / (ended - began)
+
+    def points(self) -> tuple[tuple[float, float], ...]:
+        """Return moments [s], and the mean share since the one before."""
+        step = max(1, -(-len(self._points) // _POINTS))
+        parts = (self._points[i : i + step] for i in range(0, len(self._points), step))
+        return tuple(
+            (part[-1][0], sum(share for _, share in part) / len(part)) for part in parts
+        )
+
+
+def functions_of(robot: Robot) -> dict[str, set[str]]:
+    """Return function -> the components of all architectures that provide it."""
+    found: dict[str, set[str]] = {}
+    for architecture in robot.architectures:
+        names = {component.name for component in architecture.components}
+        found.setdefault(architecture.function, set()).update(names)
+    return found
+
+
+def _working(robot: SimulatedRobot) -> Iterator[str]:
+    for container in robot.containers():
+        if not container.process.is_paused:
+            for component in container.components.values():
+                if component.is_working():
+                    yield component.spec.name

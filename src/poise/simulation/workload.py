@@ -1,0 +1,279 @@
+"""What a robot's components do in a simulation, from its profile, file and code.
+
+A profile says how much CPU a component takes, how often its timers are due and for how
+long they run, and what goes over each connector; not which handler sends what. Here
+
+- timers take what they were measured to take, and messages and calls share the rest;
+- a connector is fed by the handler whose rate is the nearest above its own, a fraction
+  of whose runs send something: n out at n/s from a timer of n Hz go out at each run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from math import log
+
+from msgspec import Struct
+
+from poise.errors import PoiseError
+from poise.estimate.profile import ConnectorProfile, Profile
+from poise.manage.deploy.deployment_plan import DeploymentPlan
+from poise.model.robot import ComponentEntry, Connector, Robot
+from poise.runtime.component.implementation import find
+from poise.runtime.component.ports import Port, Timer, ports_of, timers_of
+from poise.simulation.components.models import (
+    ComponentModel,
+    HandlerModel,
+    Models,
+    TimerModel,
+)
+from poise.simulation.components.traffic import Traffic
+
+_SPREAD, _MOST_SPREAD = 0.3, 1.0
+_P99 = 2.326
+"""The 99th percentile of a standard normal distribution."""
+_HEADROOM = 1.05
+"""A demand in the robot file is more than the mean by about this factor."""
+_START, _USUAL_START = (0.8, 1.2), 0.2
+"""A component is configured within about what was measured, or within this [s]."""
+_AS_OFTEN = 1.05
+"""A handler feeds a connector whose rate is up to this factor above its own."""
+
+
+class SimulatedWork(Struct, frozen=True, kw_only=True):
+    """What all components of a robot do.
+
+    Parameters
+    ----------
+    models
+        Component -> what it does; the others do the default.
+    traffic
+        How large messages are, and what they cost.
+    agent
+        CPU of an agent [cores].
+    guesses
+        What was assumed, because neither profile nor robot file nor code says it.
+    """
+
+    models: Models = {}
+    traffic: Traffic = Traffic()
+    agent: float = 0.0
+    guesses: tuple[str, ...] = ()
+
+
+def workload_of(robot: Robot, profile: Profile | None) -> SimulatedWork:
+    """Return what the components of a robot do.
+
+    Parameters
+    ----------
+    profile
+        Its measurements; None: the robot file's demands and rates count.
+    """
+    profile = profile or Profile(
+        robot=robot.name, poise="", computer="", speed=1.0, at="", seconds=0.0
+    )
+    guesses: list[str] = []
+    plan = DeploymentPlan(robot, "")
+    over = {
+        str(each): _traffic_of(each, profile.connectors.get(str(each)))
+        for each in robot.all_connectors()
+    }
+    models = {}
+    for entry in robot.components():
+        code = _Code.of(entry, robot.folder)
+        if code.why:
+            guesses.append(code.why)
+        part = _ComponentWork(robot, plan, over, entry, code, profile, guesses.append)
+        models[entry.name] = part.model()
+    traffic = Traffic(
+        sizes={name: each.size for name, each in over.items() if each.size},
+        calling=frozenset(name for name, each in over.items() if each.calls),
+        costs=profile.costs,
+    )
+    return SimulatedWork(
+        models=models, traffic=traffic, agent=profile.agent, guesses=tuple(guesses)
+    )
+
+
+def _traffic_of(
+    connector: Connector, measured: ConnectorProfile | None
+) -> ConnectorProfile:
+    if measured is not None and measured.rate:
+        return measured
+    return ConnectorProfile(messages=connector.rate, size=connector.message)
+
+
+class _Code(Struct, frozen=True, kw_only=True):
+    """What the class of a component declares; `why` it is not known."""
+
+    timers: Mapping[str, Timer] = {}
+    ports: Mapping[str, Port] = {}
+    why: str = ""
+
+    @classmethod
+    def of(cls, entry: ComponentEntry, folder: str) -> _Code:
+        if not entry.implementation:
+            return cls(why=f"'{entry.name}' is a program: only its CPU counts")
+        try:
+            found = find(entry.implementation, folder)
+            return cls(timers=timers_of(found), ports=ports_of(found))
+        except PoiseError as error:
+            text = str(error).partition("\n")[0]
+            return cls(why=f"the code of '{entry.name}' is not known: {text}")
+
+
+class _Rated(Struct):
+    """A handler while it is put together: how often it runs, and what it sends."""
+
+    rate: float
+    work: float
+    spread: float
+    publishes: dict[str, float]
+    calls: dict[str, float]
+
+    def handler(self) -> HandlerModel:
+        return HandlerModel(
+            work=self.work,
+            spread=self.spread,
+            publishes=self.publishes,
+            calls=self.calls,
+        )
+
+
+class _ComponentWork:
+    """One component, on its way to a model."""
+
+    def __init__(
+        self,
+        robot: Robot,
+        plan: DeploymentPlan,
+        over: Mapping[str, ConnectorProfile],
+        entry: ComponentEntry,
+        code: _Code,
+        profile: Profile,
+        guess: Callable[[str], None],
+    ) -> None:
+        self._robot = robot
+        self._plan = plan
+        self._over = over
+        self._entry = entry
+        self._code = code
+        self._speed = profile.speed or 1.0
+        self._known = profile.components.get(entry.name)
+        self._guess = guess
+
+    def model(self) -> ComponentModel:
+        """Return what it does."""
+        entry, known = self._entry, self._known
+        start = known.start if known else _USUAL_START
+        timers = {timer.name: self._timer(timer) for timer in self._timers()}
+        taken = {slot: _run(t.messages) for slot, t in self._coming() if t.messages}
+        served = {slot: _run(t.calls) for slot, t in self._coming() if t.calls}
+        self._share_work(list(timers.values()), [*taken.values(), *served.values()])
+        self._feed([*timers.values(), *taken.values(), *served.values()])
+        return ComponentModel(
+            timers=tuple(
+                TimerModel(timer=timer, handler=timers[timer.name].handler())
+                for timer in self._timers()
+            ),
+            takes={slot: each.handler() for slot, each in taken.items()},
+            serves={slot: each.handler() for slot, each in served.items()},
+            other=HandlerModel(work=1e-4),
+            keep=self._keeps(),
+            start=(_START[0] * start, _START[1] * start),
+            state_size=(known.state if known else 0.0) or entry.state,
+            memory=known.memory + known.base
+            if known
+            else entry.demand.get("memory", 0.0),
+        )
+
+    def _timers(self) -> list[Timer]:
+        if self._code.timers or not self._known:
+            return list(self._code.timers.values())
+        return [
+            Timer(name, each.period, each.period if self._code.why else None)
+            for name, each in self._known.timers.items()
+        ]
+
+    def _timer(self, timer: Timer) -> _Rated:
+        measured = self._known.timers.get(timer.name) if self._known else None
+        spread = _SPREAD
+        if measured and measured.median > 0 and measured.p99 > measured.median:
+            spread = min(_MOST_SPREAD, log(measured.p99 / measured.median) / _P99)
+        work = measured.median * self._speed if measured else 0.0
+        return _Rated(1 / timer.period, work, spread, {}, {})
+
+    def _coming(self) -> Iterator[tuple[str, ConnectorProfile]]:
+        for connector in self._robot.all_connectors():
+            if connector.between[1].component == self._entry.name:
+                yield self._plan.slot_of(connector), self._over[str(connector)]
+
+    def _keeps(self) -> dict[str, int]:
+        """Return slot -> how many messages wait at most, where the class says so."""
+        found = {}
+        for connector in self._robot.all_connectors():
+            end = connector.between[1]
+            port = self._code.ports.get(end.port)
+            mine = end.component == self._entry.name
+            if mine and port and port.queue and port.queue.policy == "keep":
+                found[self._plan.slot_of(connector)] = port.queue.size
+        return found
+
+    def _share_work(self, timers: list[_Rated], others: list[_Rated]) -> None:
+        """Let all handlers together take the CPU that the component takes."""
+        total = self._cpu()
+        measured = sum(each.rate * each.work for each in timers)
+        rest = sum(each.rate for each in others)
+        if rest:
+            by_timers = min(measured, total)
+            for each in others:
+                each.work = (total - by_timers) / rest
+        else:
+            by_timers = total
+        if measured:
+            for each in timers:
+                each.work *= by_timers / measured
+        elif timers and not rest:
+            for each in timers:
+                each.work = total / sum(timer.rate for timer in timers)
+        if not timers and not others and total:
+            what = f"'{self._entry.name}' has no timer and gets nothing: it idles here"
+            self._guess(what)
+
+    def _cpu(self) -> float:
+        """Return the mean CPU that it takes [cores of the reference]."""
+        if self._known is not None:
+            return self._known.cpu.mean + self._known.share
+        return self._entry.demand.get("cpu", 0.0) / _HEADROOM
+
+    def _feed(self, handlers: list[_Rated]) -> None:
+        """Let a handler send what goes out over each connector."""
+        wanted: dict[str, ConnectorProfile] = {}
+        for connector in self._robot.all_connectors():
+            if connector.between[0].component == self._entry.name:
+                slot, over = self._plan.slot_of(connector), self._over[str(connector)]
+                if slot not in wanted or over.rate > wanted[slot].rate:
+                    wanted[slot] = over
+        for slot, over in wanted.items():
+            by = _feeding(handlers, over.rate)
+            if by is None or not by.rate:
+                if over.rate:
+                    self._guess(f"nothing sends over '{slot}': no handler runs")
+            elif over.calls:
+                by.calls[slot] = over.calls / by.rate
+            elif over.messages:
+                by.publishes[slot] = over.messages / by.rate
+            else:
+                self._guess(f"nobody says what goes over '{slot}': nothing does here")
+
+
+def _run(rate: float) -> _Rated:
+    return _Rated(rate, 0.0, _SPREAD, {}, {})
+
+
+def _feeding(handlers: list[_Rated], rate: float) -> _Rated | None:
+    """Return the handler that runs just as often, or a little more; else the most."""
+    enough = [each for each in handlers if each.rate * _AS_OFTEN >= rate]
+    if enough:
+        return min(enough, key=lambda each: each.rate)
+    return max(handlers, key=lambda each: each.rate, default=None)
