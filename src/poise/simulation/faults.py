@@ -236,9 +236,7 @@ def _pause(robot: SimulatedRobot, fault: SimulatedFault) -> Mend:
 def _cut(robot: SimulatedRobot, fault: SimulatedFault) -> Mend:
     ways = [(fault.target, fault.other)]
     if fault.kind == "isolate computer":
-        ways = [
-            (fault.target, name) for name in robot.computers if name != fault.target
-        ]
+        ways = [(fault.target, other) for other in robot.others_than(fault.target)]
     if fault.kind != "cut one way":
         ways += [(there, here) for here, there in ways]
     for way in ways:
