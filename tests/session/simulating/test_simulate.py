@@ -72,6 +72,19 @@ def test_a_watcher_sees_virtual_time_pass(
     assert seen == pytest.approx([0.5, 1.0, 1.2])  # steps of 0.5 s, and the rest
 
 
+def test_it_ends_when_a_defect_keeps_time_from_passing(
+    hello: Robot, rehearsal: type[FakeRehearsal], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    advance = FakeRehearsal.advance
+
+    def stuck(self: FakeRehearsal, seconds: float) -> None:
+        if self.now < 5.0:
+            advance(self, seconds)
+
+    monkeypatch.setattr(rehearsal, "advance", stuck)
+    assert poise.simulate(hello, seconds=60.0).seconds == 5.0
+
+
 def test_ctrl_c_gives_what_is_known_so_far(
     hello: Robot, rehearsal: type[FakeRehearsal]
 ) -> None:

@@ -75,16 +75,6 @@ def test_late_timers_are_bars_the_worst_first() -> None:
     assert "None was missed" in page(replace(REPORT, timers=()))
 
 
-def test_a_long_simulation_is_no_larger_than_its_picture_shows() -> None:
-    """An hour of quarters of a second; the means over 15 of them stay."""
-    load = replace(
-        REPORT.loads[0], over_time=tuple((k / 4, k % 2.0) for k in range(1, 14401))
-    )
-    path = re.search(r'<path d="([^"]*)"', page(replace(REPORT, loads=(load,))))
-    assert path is not None
-    assert path[1].count("H") <= 960 + 1
-
-
 def test_a_comparison_has_the_table_and_each_placement() -> None:
     results = {each: Simulation.of(REPORT) for each in ("auto", "static")}
     found = SimulationComparison(results=results).page()

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from html import escape
 from typing import TYPE_CHECKING
 
 from poise.session.render.html.page import document, html_table
 from poise.session.render.html.picture import bar_row
-from poise.session.render.html.svg import Point
 from poise.session.render.html.time_line import Mark, over_time
 from poise.session.render.simulation_tables import late, share, span, took, verdict
 from poise.simulation.report import SimulatedEvent, SimulationReport
@@ -19,8 +18,6 @@ if TYPE_CHECKING:
         SimulationComparison,
     )
 
-_MOST_POINTS = 960
-"""More moments than the picture has columns are averaged."""
 _MOST_LATE, _MOST_EVENTS = 20, 1000
 _FAULT = "fault"
 """Who injected an event, instead of a manager."""
@@ -86,20 +83,13 @@ def _marked(report: SimulationReport) -> dict[int, SimulatedEvent]:
 def simulation_picture(report: SimulationReport) -> str:
     """Return CPU, faults, moves and outages over time, as SVG."""
     marks = {n: Mark(each.at, each.what) for n, each in _marked(report).items()}
-    strips = {f"CPU {load.computer}": _thinned(load.over_time) for load in report.loads}
+    strips = {f"CPU {load.computer}": load.over_time for load in report.loads}
     bars: dict[str, list[tuple[float, float]]] = {}
     for each in report.outages:
         bars.setdefault(each.function, []).append((each.at, each.at + each.lasts))
     end = max(report.seconds, 1.0)
     label = "CPU, faults, moves and outages over time"
     return over_time(strips, marks, end, label, bars, every=end)
-
-
-def _thinned(points: Sequence[Point]) -> list[Point]:
-    """Return as many points as the picture can show, of means."""
-    together = -(-len(points) // _MOST_POINTS) or 1
-    groups = (points[i : i + together] for i in range(0, len(points), together))
-    return [(each[-1][0], sum(y for _, y in each) / len(each)) for each in groups]
 
 
 def _late(report: SimulationReport) -> Iterator[str]:
