@@ -14,13 +14,13 @@ from poise.errors import RunError
 from poise.estimate.profile import Profile
 from poise.model.robot import Robot
 from poise.simulation.faults import SimulatedFault, inject
-from poise.simulation.observer import Observer
 from poise.simulation.report import SimulationReport
 from poise.simulation.robot.manager import ManagedRobot
 from poise.simulation.robot.robot import OUTSIDE, SimulatedRobot
 from poise.simulation.schedule.choices import Choices
 from poise.simulation.schedule.scheduler import SimulationError
 from poise.simulation.settled import unsettled
+from poise.simulation.simulation_observer import SimulationObserver
 from poise.simulation.workload import workload_of
 
 UP_LIMIT = 60.0
@@ -76,7 +76,7 @@ class Rehearsal:
             profile=plan.profile,
         )
         self._robot = SimulatedRobot(managed, Choices(seed), self._work)
-        self._observer: Observer | None = None
+        self._observer: SimulationObserver | None = None
         self._took = 0.0
         self._violations: list[str] = []
 
@@ -104,7 +104,7 @@ class Rehearsal:
                     why = "; ".join(found)
                     raise RunError(f"the simulated robot does not come up: {why}")
                 robot.run(robot.scheduler.now + _LOOK_EVERY)
-            self._observer = Observer(robot)
+            self._observer = SimulationObserver(robot)
             for fault in self._plan.faults:
                 at = robot.scheduler.now + fault.at
                 robot.scheduler.at(at, partial(self._break, fault))

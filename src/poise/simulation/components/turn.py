@@ -30,6 +30,7 @@ class Turn:
 
     __slots__ = (
         "_component",
+        "_cost",
         "_handler",
         "_item",
         "_name",
@@ -51,6 +52,7 @@ class Turn:
         self._item = item
         self._to_ask: Iterator[SimulatedSender] = iter(())
         self._token = 0
+        self._cost = 0.0
         self.then: Callable[[], object] | None = None
 
     def begin(self) -> None:
@@ -96,13 +98,14 @@ class Turn:
         work = self._handler.draw(container.world.choices)
         if item is not None:
             work += container.cost_of(item.spec, "target")
+        self._cost = work
         container.cpu.run(work, self._worked)
-        component.cpu += work
 
     def _worked(self) -> None:
         component = self._component
         container, ledger = component.container, component.container.world.ledger
         now = container.world.scheduler.now
+        component.cpu += self._cost
         ledger.end(component.who, container.process.awake_since, now)
         item, handler = self._item, self._handler
         may_work = container.may_work(component.spec)

@@ -54,18 +54,24 @@ def simulated_library(scheduler: Scheduler, sessions: ZenohNetwork) -> Iterator[
         before: _in_tasks(scheduler, function, before)
         for (_, _, function), before in zip(replaced, real, strict=True)
     }
-    bound = [(each, each.__defaults__ or ()) for each in _with_defaults(instead)]
+    bound = [
+        (each, each.__defaults__ or (), each.__kwdefaults__ or {})
+        for each in _with_defaults(instead)
+    ]
     try:
         for (module, name, _), before in zip(replaced, real, strict=True):
             setattr(module, name, instead[before])
-        for function, defaults in bound:
+        for function, defaults, named in bound:
             function.__defaults__ = tuple(_swapped(each, instead) for each in defaults)
+            function.__kwdefaults__ = {
+                name: _swapped(each, instead) for name, each in named.items()
+            }
         yield
     finally:
         for (module, name, _), before in zip(replaced, real, strict=True):
             setattr(module, name, before)
-        for function, defaults in bound:
-            function.__defaults__ = defaults
+        for function, defaults, named in bound:
+            function.__defaults__, function.__kwdefaults__ = defaults, named
 
 
 def _host(scheduler: Scheduler) -> Process:
@@ -189,8 +195,13 @@ def _with_defaults(real: Container[object]) -> list[FunctionType]:
         function
         for function in methods
         if isinstance(function, FunctionType)
-        and any(_is_hashable(d) and d in real for d in function.__defaults__ or ())
+        and any(_is_hashable(d) and d in real for d in _defaults(function))
     ]
+
+
+def _defaults(function: FunctionType) -> Iterator[object]:
+    yield from function.__defaults__ or ()
+    yield from (function.__kwdefaults__ or {}).values()
 
 
 def _swapped(default: object, instead: Mapping[Any, object]) -> object:

@@ -24,10 +24,10 @@ _SECOND = 1.0
 _POINTS = 600
 """At most so many points of a computer's load over time."""
 _MOST_EVENTS = 5000
-_KINDS = {"decided", "done", "failed", "wrong", "right"}
+_KINDS = {"seen", "decided", "done", "failed", "wrong", "right"}
 
 
-class Observer:
+class SimulationObserver:
     """Looks at a robot from when it is up; moments count from then.
 
     Attributes
@@ -236,6 +236,13 @@ class Observer:
             )
         )
 
+    def _forget_restart(self, name: str, after: str) -> None:
+        """Take back what only seemed a restart: a move had not been journalled yet."""
+        self._restarting.pop(name, None)
+        last = next((m for m in reversed(self._moves) if m.component == name), None)
+        if last is not None and (last.kind, last.after) == ("restart", after):
+            self._moves.remove(last)
+
     def _note_entry(self, entry: JournalEntry) -> None:
         facts: Mapping[str, object] = entry.facts or {}
         migration = facts.get("migration")
@@ -245,6 +252,7 @@ class Observer:
                 if before == after:
                     continue
                 self._placed[name] = after
+                self._forget_restart(name, after)
                 self._moves.append(
                     SimulatedMove(
                         at=self.now,

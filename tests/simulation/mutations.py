@@ -1,0 +1,275 @@
+"""Asks whether the simulator finds defects that Poise had, and mutations of its code.
+
+    python -m tests.simulation.mutations                 # all, one after the other
+    python -m tests.simulation.mutations no-lease --seeds 200
+
+Each runs in a process of its own: seeds one after the other until one fails, whose run
+is shrunk. The exit code is 1 when one is not found.
+"""
+
+from __future__ import annotations
+
+import argparse
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Mapping
+from typing import Any, cast
+
+from poise.manage.adaptation.shortages import failover
+from poise.manage.agent_connections.agents import Agents
+from poise.manage.deploy import desired_state, takeover
+from poise.manage.deploy.desired import Desired
+from poise.manage.deploy.desired_state import DesiredState
+from poise.manage.deploy.other_side import joined_by
+from poise.manage.deploy.reconciler import Reconciler
+from poise.manage.migration import transition_run
+from poise.manage.migration.coordinator import Migration
+from poise.manage.migration.plan import MigrationPlan
+from poise.manage.prefetch.prefetch import Prefetcher
+from poise.manage.supervised import SupervisedTick
+from poise.manage.tasks.task_manager import TaskManager
+from poise.runtime.agent import lease
+from poise.runtime.agent.fence import Fence
+from poise.runtime.agent.heartbeat_exchange import HeartbeatExchange
+from poise.runtime.agent.lease import Lease
+from poise.runtime.connectors.overtaken_sources import OvertakenSources
+from poise.simulation.robot.container_host import SimulatedControl
+from poise.simulation.run import simulate
+from poise.simulation.shrink import Shrunk
+from tests.simulation.conftest import small_scenario
+
+SECONDS = 120.0
+MOST_SEEDS = 2000
+Defects = Mapping[str, tuple[str, Callable[[], None]]]
+
+
+def main() -> int:
+    """Look for the defects that the command line names; return the exit code."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("names", nargs="*", help="defects; none: all")
+    parser.add_argument("--seeds", type=int, default=MOST_SEEDS)
+    parser.add_argument("--here", action="store_true", help="in this process")
+    asked = parser.parse_args()
+    if asked.here:
+        return look_for(asked.names[0], asked.seeds)
+    missed = 0
+    for name in asked.names or DEFECTS:
+        words = "-m", "tests.simulation.mutations", name, "--here"
+        done = subprocess.run(
+            [sys.executable, *words, "--seeds", str(asked.seeds)],
+            stderr=subprocess.DEVNULL,
+            check=False,
+        )
+        missed += done.returncode
+    print(f"{missed} not found")
+    return bool(missed)
+
+
+def look_for(name: str, seeds: int) -> int:
+    """Run seeds until one shows a defect; print one line of the table."""
+    what, break_it = DEFECTS[name]
+    break_it()
+    scenario, began = small_scenario(SECONDS), time.monotonic()
+    for seed in range(seeds):
+        outcome = simulate(scenario, seed)
+        if outcome.failure:
+            shrunk = Shrunk(scenario, outcome)
+            shrunk.shrink()
+            found = shrunk.outcome
+            faults = ", ".join(fault.kind for fault in found.faults) or "none"
+            print(
+                f"| {what} | {seed + 1} | {found.failure} | {len(found.faults)} "
+                f"({faults}) | {len(found.trace)} | {time.monotonic() - began:.0f} s |",
+                flush=True,
+            )
+            return 0
+    print(f"| {what} | not in {seeds} | | | | {time.monotonic() - began:.0f} s |")
+    return 1
+
+
+def _put(owner: object, name: str, value: object) -> Callable[[], None]:
+    return lambda: setattr(owner, name, value)
+
+
+def _key_error_for_missing_status() -> None:
+    def obey(self: Any, computer: str) -> Any:
+        with self._changed:
+            return self._statuses[computer].token == self._claimed.get(computer)
+
+    setattr(Agents, "obey", obey)
+
+
+def _bug_ends_the_robot() -> None:
+    def run(_: Any, __: str, work: Callable[[], object], **___: Any) -> object:
+        return work()
+
+    def fails_once_lost(self: Any, *args: Any) -> None:
+        if self._run.agents.out_of_reach():
+            raise KeyError("a computer is lost")
+        look(self, *args)
+
+    look = Prefetcher.look
+    setattr(SupervisedTick, "run", run)
+    setattr(Prefetcher, "look", fails_once_lost)
+
+
+def _unknown_is_no() -> None:
+    setattr(takeover, "WITNESS_LIMIT", 0.0)
+    setattr(takeover, "_end_containers", lambda *_: None)
+
+
+def _no_generation_at_takeover() -> None:
+    def adopt(self: Any, kept: Any, last: Any, tasks: Any, held: Any) -> None:
+        self._epochs = dict(last)
+        self.desired = Desired(placed=dict(kept), tasks=tasks, held=held)
+
+    setattr(DesiredState, "adopt", adopt)
+
+
+def _late_page() -> None:
+    extend = SimulatedControl.extend_lease
+
+    def later(self: Any, until: float) -> None:
+        extend(self, until + 3.0)
+
+    setattr(SimulatedControl, "extend_lease", later)
+
+
+def _stale_adopted() -> None:
+    def joined(*args: Any) -> Desired:
+        known: Any = joined_by
+        return cast("Desired", known(*args[:-1], ()))
+
+    setattr(desired_state, "joined_by", joined)
+
+
+def _lost_token_is_an_end() -> None:
+    note = Fence.note_liveliness
+
+    def ended(self: Any, key: str, *, is_there: bool, **_: Any) -> None:
+        note(self, key, is_there=is_there, has_ended=True)
+
+    setattr(Fence, "note_liveliness", ended)
+
+
+def _lease_of_another_manager() -> None:
+    def age(self: Any, now: float) -> Any:
+        direct = self.managed(now)
+        if direct is None:
+            return 0.0
+        others = [c for name in self._others if (c := self._contacts.get(name))]
+        ages = [
+            now - each.acked + each.last.managed
+            for each in others
+            if each.acked is not None and each.last.managed is not None
+        ]
+        return min([direct, *ages, self._unheard(now)])
+
+    setattr(Lease, "age", age)
+
+
+def _same_epoch() -> None:
+    def next_epoch(self: Any, component: str) -> int:
+        epoch: int = self._epochs.setdefault(component, self._last_epoch + 1)
+        return epoch
+
+    setattr(DesiredState, "next_epoch", next_epoch)
+
+
+def _told_once() -> None:
+    def is_told(_: Any, agent: Any, *__: Any) -> Any:
+        return agent.told is not None
+
+    setattr(Reconciler, "_is_told", is_told)
+
+
+def _no_roll_back() -> None:
+    aiming = Desired.aiming
+
+    def without(self: Desired, goal: Any, names: Any) -> Desired:
+        return self if goal == "active" else aiming(self, goal, names)
+
+    setattr(MigrationPlan, "roll_back", lambda _: [])
+    setattr(Desired, "aiming", without)
+
+
+def _no_buffer() -> None:
+    prepare = MigrationPlan.prepare
+
+    def without(self: MigrationPlan) -> Any:
+        for steps in prepare(self):
+            yield [each for each in steps if each[1].name != "buffer"]
+
+    setattr(MigrationPlan, "prepare", without)
+
+
+def _commit_that_rolls_back() -> None:
+    original = Migration._switch
+
+    def switch(*args: Any) -> str:
+        return original(*args) and ""
+
+    setattr(Migration, "_switch", switch)
+
+
+DEFECTS: Defects = {
+    # defects that Poise had
+    "page": ("containers act after their agent's lease", _late_page),
+    "two-sides": (
+        "two managers, two sides of a cut",
+        _put(takeover, "components_to_hold", lambda *_: frozenset()),
+    ),
+    "bug-ends": ("an exception in the loop ends the robot", _bug_ends_the_robot),
+    "key-error": (
+        "KeyError for an agent without a status",
+        _key_error_for_missing_status,
+    ),
+    "unknown-is-no": ("unknown witness counts as no", _unknown_is_no),
+    "generation": ("a take-over that tells generation 0", _no_generation_at_takeover),
+    "claim-goes-on": (
+        "what ran for another manager goes on at a claim",
+        _put(Fence, "lapse", lambda _: None),
+    ),
+    "stale": ("stale incarnations are adopted at a heal", _stale_adopted),
+    "token": ("a lost token is taken for the manager's end", _lost_token_is_an_end),
+    "other-lease": (
+        "another manager's agents extend the lease",
+        _lease_of_another_manager,
+    ),
+    "late-messages": (
+        "messages of a lost incarnation are processed",
+        _put(OvertakenSources, "note", lambda *_: False),
+    ),
+    # mutations
+    "long-lease": ("agents keep leases for 2 s", _put(lease, "LEASE", 2.0)),
+    "no-revoke": (
+        "what was lost starts before its lease has ended",
+        _put(transition_run, "_revoke_leases", lambda *_: None),
+    ),
+    "no-gap": (
+        "an agent that went on after its lease does not know",
+        _put(HeartbeatExchange, "note_lapsed", lambda _: None),
+    ),
+    "same-epoch": ("incarnations have the same epoch", _same_epoch),
+    "told-once": ("agents are told only once", _told_once),
+    "no-roll-back": ("a move is not rolled back", _no_roll_back),
+    "no-buffer": ("senders do not buffer during a move", _no_buffer),
+    "false-commit": ("a failed move counts as committed", _commit_that_rolls_back),
+    "fence": (
+        "an agent obeys any token",
+        _put(Fence, "refusal", lambda *_: ""),
+    ),
+    "no-failover": (
+        "what was lost is not started again",
+        _put(failover, "start_together", lambda *_: False),
+    ),
+    "tasks": (
+        "actions are never switched",
+        _put(TaskManager, "_reconcile", lambda _: False),
+    ),
+}
+
+
+if __name__ == "__main__":
+    sys.exit(main())

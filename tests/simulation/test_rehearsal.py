@@ -1,0 +1,160 @@
+"""What a simulation tells a user: shares, deadlines, ages, moves and outages."""
+
+from __future__ import annotations
+
+import pytest
+from msgspec import structs
+
+from poise.estimate.profile import ComponentProfile, ConnectorProfile, Profile
+from poise.estimate.profile.distribution import Distribution
+from poise.estimate.profile.records import TimerProfile
+from poise.model.hardware import Link
+from poise.model.robot import Chain, Robot
+from poise.simulation.faults import SimulatedFault
+from poise.simulation.rehearsal import Rehearsal, RehearsalPlan
+from poise.simulation.report import SimulationReport
+from tests.simulation.conftest import small_scenario
+
+PERIOD = 0.1
+
+
+def profile_of(robot: Robot, **cpu: float) -> Profile:
+    """Return a profile of components with timers of 10 Hz that feed all connectors."""
+    components = {
+        entry.name: ComponentProfile(
+            version="1",
+            cpu=Distribution(mean=cpu.get(entry.name, 0.1)),
+            start=0.1,
+            memory=1e6,
+            timers={"tick": TimerProfile(period=PERIOD, median=0.0, p99=0, maximum=0)},
+        )
+        for entry in robot.components()
+    }
+    connectors = {
+        str(each): ConnectorProfile(messages=1 / PERIOD, size=1000)
+        for each in robot.all_connectors()
+    }
+    return Profile(
+        robot=robot.name,
+        poise="1",
+        computer="a",
+        speed=1.0,
+        at="",
+        seconds=1.0,
+        components=components,
+        connectors=connectors,
+    )
+
+
+def plan_of(**cpu: float) -> RehearsalPlan:
+    scenario = small_scenario()
+    demands = {name: {"cpu": cores, "memory": 1e6} for name, cores in cpu.items()}
+    robot = scenario.robot.with_components(
+        lambda c: structs.replace(c, demand=demands.get(c.name, c.demand))
+    )
+    return RehearsalPlan(
+        robot=robot,
+        placement=scenario.placement,
+        method="static",
+        tasks=("work",),
+        profile=profile_of(robot, **cpu),
+    )
+
+
+def rehearsed(plan: RehearsalPlan, seconds: float = 20.0) -> SimulationReport:
+    rehearsal = Rehearsal(structs.replace(plan, seconds=seconds), seed=1)
+    rehearsal.come_up()
+    rehearsal.advance(seconds)
+    report = rehearsal.report()
+    rehearsal.close()
+    assert report.violations == ()
+    return report
+
+
+def slow(robot: Robot, **computers: tuple[float, float]) -> Robot:
+    """Return the robot with other cores and speeds of computers."""
+    return structs.replace(
+        robot,
+        computers=tuple(
+            structs.replace(
+                each,
+                capacity={**each.capacity, "cpu": computers[each.name][0]},
+                speed=computers[each.name][1],
+            )
+            if each.name in computers
+            else each
+            for each in robot.computers
+        ),
+    )
+
+
+@pytest.mark.slow
+def test_shares_are_work_by_capacity_and_speed() -> None:
+    """Of a core of half speed a component of 0.2 reference cores takes 0.4."""
+    plan = plan_of(camera=0.2, filter=0.1, mind=0.3, arm=0.3)
+    plan = structs.replace(plan, robot=slow(plan.robot, a=(1.0, 0.5)))
+    report = rehearsed(plan)
+    shares = {load.computer: load.cpu for load in report.loads}
+    # `filter` and `mind` have 0.4 of the two cores of b, `arm` 0.3 of those of c
+    assert shares == pytest.approx({"a": 0.4, "b": 0.2, "c": 0.15}, rel=0.1)
+    assert report.messages == pytest.approx(3 * 20 / PERIOD, rel=0.05)
+    assert report.missed == 0
+    assert report.due == pytest.approx(4 * 20 / PERIOD, rel=0.05)
+
+
+@pytest.mark.slow
+def test_one_that_gets_too_little_misses_deadlines_and_is_moved() -> None:
+    plan = plan_of(camera=0.05, filter=0.9, mind=0.9, arm=0.05)
+    plan = structs.replace(plan, robot=slow(plan.robot, b=(1.0, 1.0)))
+    stays = rehearsed(structs.replace(plan, adapts=False))
+    assert stays.missed > 0.3 * stays.due / 4
+    assert not stays.moves
+    moved = rehearsed(plan)
+    assert {move.component for move in moved.moves} & {"filter", "mind"}
+    assert moved.missed < stays.missed / 2
+    move = moved.moves[0]
+    assert (move.kind, move.before) == ("move", "b")
+    assert 0 < move.downtime < 0.5
+
+
+@pytest.mark.slow
+def test_what_a_lost_computer_ran_is_out_for_about_a_second() -> None:
+    fault = SimulatedFault(5.0, "isolate computer", "c", lasts=8.0)
+    report = rehearsed(structs.replace(plan_of(), faults=(fault,)))
+    outage = report.outages[0]
+    assert (outage.function, outage.components) == ("acting", ("arm",))
+    assert outage.at == pytest.approx(5.5, abs=0.5)  # it works until its lease ends
+    assert 0.2 < outage.lasts < 2.0
+    restart = report.moves[0]
+    assert (restart.kind, restart.component, restart.before) == ("restart", "arm", "c")
+    assert restart.downtime == pytest.approx(outage.lasts, abs=0.1)
+    assert [e.what for e in report.events if e.who == "fault"] == [str(fault)]
+
+
+@pytest.mark.parametrize(("latency", "misses"), [(0.001, False), (0.08, True)])
+@pytest.mark.slow
+def test_the_age_of_a_chain_has_its_links_in_it(latency: float, misses: bool) -> None:  # noqa: FBT001
+    """Two hops of 80 ms, and 100 ms at most for each timer that samples the data."""
+    plan = plan_of()
+    chain = Chain(name="act", through=("camera", "filter", "mind", "arm"), deadline=0.4)
+    links = tuple(
+        Link(between=pair, latency=latency) for pair in (("a", "b"), ("b", "c"))
+    )
+    robot = structs.replace(plan.robot, chains=(chain,), links=links)
+    report = rehearsed(structs.replace(plan, robot=robot))
+    (age,) = report.chains
+    assert age.uses > 100
+    assert age.maximum > 2 * latency
+    assert age.median < 3 * PERIOD + 2 * latency + 0.1
+    assert (age.missed > 0) == misses
+
+
+@pytest.mark.slow
+def test_the_same_seed_tells_the_same() -> None:
+    first, again = (rehearsed(plan_of(), 5.0) for _ in range(2))
+    assert structs.replace(first, took=0) == structs.replace(again, took=0)
+
+
+def test_a_component_without_code_is_said_to_be_guessed() -> None:
+    report = rehearsed(plan_of(), 1.0)
+    assert any("the code of 'arm' is not known" in guess for guess in report.guesses)
