@@ -40,13 +40,3 @@ def test_what_is_killed_misses_no_deadlines_afterwards() -> None:
         (timer,) = report.timers
         assert 40 <= timer.due <= 50
         assert timer.missed <= 5
-
-
-@pytest.mark.slow
-def test_an_isolated_computer_is_cut_from_the_manager_beside_the_robot() -> None:
-    """All computers are emulated, so the manager runs on none of them."""
-    fault = SimulatedFault(1.0, "isolate computer", "right", lasts=10.0)
-    with rehearsed(fault, 5.0) as report:
-        assert [(move.component, move.after) for move in report.moves] == [
-            ("printer", "left")
-        ]

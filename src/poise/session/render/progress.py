@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Callable, Iterator
+from math import inf
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
@@ -17,6 +18,7 @@ from poise.session.run import Meanwhile
 from poise.session.simulating.simulate import Watch
 
 _LINE_EVERY = 5.0
+_DRAW_EVERY = 0.2
 
 
 @contextlib.contextmanager
@@ -60,28 +62,42 @@ def virtual_progress(
     if not console.is_terminal:
         yield nothing
         return
-    before, began = 0.0, clock()
+    before, drawn = 0.0, -inf
+    began = seen = clock()
 
     def watch(now: float) -> None:
-        nonlocal before, began
-        if now < before:  # the next simulation
-            began = clock()
-        before = now
-        times = now / max(clock() - began, 1e-9)
-        draw(now, f"{span(now)} of {span(seconds)}, {times:.3g} times real time")
+        nonlocal before, began, seen, drawn
+        if now < before:  # the next simulation, since the last one ended
+            began = seen
+        before, seen = now, clock()
+        if seen - drawn >= _DRAW_EVERY:
+            drawn = seen
+            times = now / max(seen - began, 1e-9)
+            draw(now, f"{span(now)} of {span(seconds)}, {times:.3g} times real time")
 
-    with _bar(console, seconds) as draw:
+    # no thread draws: while a step runs, the standard library is the simulation's
+    with _bar(console, seconds, by_thread=False) as draw:
         yield watch
 
 
 @contextlib.contextmanager
-def _bar(console: Console, seconds: float) -> Iterator[Callable[[float, str], object]]:
-    """Draw a bar for some time [s], with a sentence beside it."""
+def _bar(
+    console: Console, seconds: float, *, by_thread: bool = True
+) -> Iterator[Callable[[float, str], object]]:
+    """Draw a bar for some time [s], with a sentence beside it.
+
+    Parameters
+    ----------
+    by_thread
+        Whether a thread draws it now and then, not only each call.
+    """
     columns = BarColumn(), TextColumn("{task.description}")
-    with Progress(*columns, console=console, transient=True) as bar:
+    with Progress(
+        *columns, console=console, transient=True, auto_refresh=by_thread
+    ) as bar:
         task = bar.add_task("", total=seconds)
         yield lambda now, sentence: bar.update(
-            task, completed=now, description=sentence
+            task, completed=now, description=sentence, refresh=not by_thread
         )
 
 

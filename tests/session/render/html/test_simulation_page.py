@@ -43,9 +43,9 @@ def test_faults_and_moves_are_marked_in_turn() -> None:
     ]
     rows = re.findall(r"<tr><td>(\d?)</td><td>([^<]*)</td><td>([^<]*)</td>", found)
     assert rows == [
-        ("1", "10 min", "fault"),
-        ("", "10 min 4 s", "left"),
-        ("2", "10 min 5 s", "manager"),
+        ("1", "600.0 s", "fault"),
+        ("", "604.0 s", "left"),
+        ("2", "605.0 s", "manager"),
     ]
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from poise.session.render.html.page import document, html_table
 from poise.session.render.html.picture import bar_row
 from poise.session.render.html.time_line import Mark, over_time
-from poise.session.render.simulation_tables import late, share, span, took, verdict
+from poise.session.render.simulation_tables import late, share, took, verdict
 from poise.simulation.report import SimulatedEvent, SimulationReport
 
 if TYPE_CHECKING:
@@ -59,7 +59,8 @@ def _pictures(report: SimulationReport) -> Iterator[str]:
     yield "<h2>Deadlines missed</h2>"
     yield from _late(report)
     yield "<h2>What ran where at first</h2>"
-    yield html_table(("computer", "components"), _placed(report))
+    heads = "computer", "CPU mean (peak)", "components"
+    yield html_table(heads, _placed(report))
     yield "<h2>What happened</h2>"
     yield from _happened(report)
 
@@ -105,10 +106,11 @@ def _late(report: SimulationReport) -> Iterator[str]:
         yield f"<p>{len(more)} more missed some.</p>"
 
 
-def _placed(report: SimulationReport) -> Iterator[tuple[str, str]]:
+def _placed(report: SimulationReport) -> Iterator[tuple[str, ...]]:
     for load in report.loads:
         here = (c for c, at in report.placement.items() if at == load.computer)
-        yield escape(load.computer), escape(", ".join(sorted(here)))
+        cpu = f"{load.cpu:.1%} ({load.peak:.1%})"
+        yield escape(load.computer), cpu, escape(", ".join(sorted(here)))
 
 
 def _happened(report: SimulationReport) -> Iterator[str]:
@@ -118,7 +120,7 @@ def _happened(report: SimulationReport) -> Iterator[str]:
     every = [*marked, *journal]
     every.sort(key=lambda each: each[1].at)
     rows = (
-        (number, span(each.at), *map(escape, (each.who, each.kind, each.what)))
+        (number, f"{each.at:.1f} s", *map(escape, (each.who, each.kind, each.what)))
         for number, each in every[:_MOST_EVENTS]
     )
     yield html_table(("#", "at", "who", "kind", "what"), rows)
