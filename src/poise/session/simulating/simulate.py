@@ -47,7 +47,7 @@ def simulate(  # noqa: PLR0913 - each is a choice of the user
 ) -> Simulation:
     """Simulate a task in virtual time, with the robot's own manager and agents.
 
-    Nothing is started, and no code of components runs. The same seed gives the same
+    Nothing is started, and no handler of a component runs. The same seed gives the same
     simulation. Ctrl-C (`KeyboardInterrupt`) ends it early, and the report has what is
     known by then; the same before the robot is up is raised.
 

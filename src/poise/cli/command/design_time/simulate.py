@@ -61,9 +61,10 @@ def simulate_command(
 ) -> None:
     """Simulate a task in virtual time: what is late, moves or stops, and for how long.
 
-    Poise's own manager and agents run, on simulated computers; components are as the
-    profile and the robot file say, and none of their code runs. An hour takes minutes.
-    Ctrl-C ends it early, and the report has what is known by then.
+    Poise's own manager and agents run, on simulated computers. Components take what
+    profile and robot file say; their classes say which ports and timers there are, and
+    none of their handlers runs. Ctrl-C ends it early, and the report has what is known
+    by then.
 
     The exit code is 1 when the robot does not come up, or a promise of Poise did not
     hold. Missed deadlines are no error.
