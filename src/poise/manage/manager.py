@@ -48,7 +48,7 @@ from poise.manage.deploy.stop import stop
 from poise.manage.migration.move import plan_move, plan_replacement
 from poise.manage.migration.planned import Planned
 from poise.manage.migration.replacement import plan_architecture_replacement
-from poise.manage.observe.chains import ChainAges, chain_reports
+from poise.manage.observe.chains import ChainAges, ChainReader
 from poise.manage.observe.deadline_misses import DeadlineMisses
 from poise.manage.observe.estimates import Estimates
 from poise.manage.observe.manager_troubles import ManagerTroubles
@@ -123,7 +123,7 @@ class Manager:
         self.failures = ThreadFailures(run.journal)
         self._lost = LostComputers(run)
         self._misses = DeadlineMisses()
-        self._ages = ChainAges()
+        self._chains, self._ages = ChainReader(run.robot), ChainAges()
         self.tasks = TaskManager(run, tasks, self._situation)
         self._put_aside = PutAside(run, self.tasks.now, aside)
         if aside:
@@ -361,7 +361,8 @@ class Manager:
         raise AssertionError(command)
 
     def _situation(self) -> Situation:
-        run, now = self._run, self.tasks.now()
+        run, now, moment = self._run, self.tasks.now(), time.monotonic()
+        statuses = run.current()
         return Situation(
             robot=structs.replace(run.robot, tasks=(now,)),
             task=now.name,
@@ -372,12 +373,10 @@ class Manager:
             },
             lost=self._lost.computers(),
             loads=self._estimates.loads.loads(),
-            misses=self._misses.look(run.current(), time.monotonic()),
-            chains=self._ages.look(
-                chain_reports(run.robot, run.current()), time.monotonic()
-            ),
+            misses=self._misses.look(statuses, moment),
+            chains=self._ages.look(self._chains.reports(statuses), moment),
             demand_estimates=tuple(self._estimates.demand_estimates()),
-            statuses=run.current(),
+            statuses=statuses,
             traffic=self._estimates.traffic(),
         )
 

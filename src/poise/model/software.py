@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import cached_property
 from typing import Annotated, Any, Literal
 
 from msgspec import Struct
@@ -126,7 +127,7 @@ class ConnectorEnd(Struct, frozen=True):
         return f"{self.component}.{self.port}" if self.port else self.component
 
 
-class Connector(Struct, frozen=True, kw_only=True):
+class Connector(Struct, frozen=True, kw_only=True, dict=True):
     """Joins two ports.
 
     A calibrated profile provides the `overhead` that a file does not give
@@ -164,9 +165,13 @@ class Connector(Struct, frozen=True, kw_only=True):
         """Its overhead in the objective: as declared, or else its traffic [MB/s]."""
         return self.traffic / 1e6 if self.overhead is None else self.overhead
 
-    def __str__(self) -> str:
-        """Return its name, at run time, too."""
+    @cached_property
+    def name(self) -> str:
+        """Its name, at run time, too."""
         return f"{self.between[0]}-{self.between[1]}"
+
+    def __str__(self) -> str:
+        return self.name
 
 
 class Architecture(Struct, frozen=True, kw_only=True):

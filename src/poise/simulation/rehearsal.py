@@ -12,6 +12,8 @@ from msgspec import Struct
 
 from poise.errors import RunError
 from poise.estimate.profile import Profile
+from poise.manage.control_socket.records import MoveCommand, Refusal, Result
+from poise.manage.migration.report import MigrationReport
 from poise.model.robot import Robot
 from poise.simulation.faults import SimulatedFault, inject
 from poise.simulation.report import SimulationReport
@@ -25,7 +27,10 @@ from poise.simulation.workload import workload_of
 
 UP_LIMIT = 60.0
 """A robot that is not up within this time [virtual s] does not come up."""
+MOVE_LIMIT = 60.0
+"""A move ends within this time [virtual s]."""
 _LOOK_EVERY = 0.1
+_MOVE_EVERY = 0.005
 
 
 class RehearsalPlan(Struct, frozen=True, kw_only=True):
@@ -113,6 +118,27 @@ class Rehearsal:
         """Let virtual time [s] pass."""
         with self._running():
             self._robot.run(self._robot.scheduler.now + seconds)
+
+    def move(self, component: str, computer: str) -> MigrationReport:
+        """Let a client move a component, whatever the planner thinks of it.
+
+        Raises
+        ------
+        RunError
+            It was refused, or did not end within `MOVE_LIMIT`.
+        """
+        results: list[Result | Refusal] = []
+        manager, robot = self._robot.manager, self._robot
+        assert manager is not None, "it has to come up first"  # noqa: S101
+        with self._running():
+            manager.ask(MoveCommand(component, computer, force=True), results.append)
+            until = robot.scheduler.now + MOVE_LIMIT
+            while not results and robot.scheduler.now < until:
+                robot.run(robot.scheduler.now + _MOVE_EVERY)
+        result = results[0] if results else "it did not end"
+        if not isinstance(result, MigrationReport) or not result.committed:
+            raise RunError(f"'{component}' does not move to '{computer}': {result}")
+        return result
 
     def report(self) -> SimulationReport:
         """Return what is known so far; any time after `come_up`."""

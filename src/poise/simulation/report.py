@@ -49,6 +49,11 @@ class TimerMisses(Struct, frozen=True, kw_only=True):
     due: int
     missed: int
 
+    @property
+    def share(self) -> float:
+        """The share that was missed, in [0, 1]."""
+        return self.missed / self.due if self.due else 0.0
+
 
 class SimulatedChain(Struct, frozen=True, kw_only=True):
     """How old the data at the end of a chain was [s].

@@ -128,6 +128,8 @@ def _most(component: ComponentEntry, computer: Computer) -> float:
 
 def _with_cpu(robot: Robot, demands: Mapping[str, float]) -> Robot:
     """Return the robot with other CPU demands [cores]."""
+    if not demands:
+        return robot
     return robot.with_components(
         lambda c: (
             replace(c, demand={**c.demand, "cpu": demands[c.name]})

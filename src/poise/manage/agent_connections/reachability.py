@@ -85,7 +85,9 @@ class Reachability:
             unanswered = self._contacts.unanswered_since(name)
             sign = min(contact.heard_at, unanswered + _INFORMED)
             relayed = self._contacts.relayed(name, now)
-            known = self._agents.setdefault(name, _Agent(_Silence(), _Silence()))
+            known = self._agents.get(name)
+            if known is None:
+                known = self._agents[name] = _Agent(_Silence(), _Silence())
             known.direct.look(sign, now, counted)
             known.any.look(max(sign, relayed[1]) if relayed else sign, now, counted)
 

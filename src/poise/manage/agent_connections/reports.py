@@ -52,6 +52,8 @@ class AgentReports:
         self._alive: set[str] = set()
         self._lost: dict[str, float] = {}
         self._silent: dict[str, float] = {}
+        self._seen = dict(self._statuses), {**self._silent, **self._lost}
+        """What any thread may read without the lock: replaced, and never changed."""
         self._refused: list[str] = []
         self._num_taken = 0
         self.on_status: Callable[[AgentStatus], object] = lambda _: None
@@ -70,10 +72,9 @@ class AgentReports:
             liveliness.declare_subscriber(IDENTITIES, self.on_identity, history=True),
         ]
 
-    def statuses(self) -> dict[str, AgentStatus]:
+    def statuses(self) -> Mapping[str, AgentStatus]:
         """Return what each agent reported last, by computer."""
-        with self._changed:
-            return dict(self._statuses)
+        return self._seen[0]
 
     def ages(self) -> dict[str, float]:
         """Return how long ago each agent reported last [s], by computer."""
@@ -81,10 +82,9 @@ class AgentReports:
         with self._changed:
             return {name: now - self._heard[name] for name in self._statuses}
 
-    def out_of_reach(self) -> dict[str, float]:
+    def out_of_reach(self) -> Mapping[str, float]:
         """Return since when [s since 1970] agents that were there are not reached."""
-        with self._changed:
-            return {**self._silent, **self._lost}
+        return self._seen[1]
 
     def reached(self) -> set[str]:
         """Return the computers whose agents are there and have reported."""
@@ -205,6 +205,7 @@ class AgentReports:
             self._note_news()
 
     def _note_news(self) -> None:
+        self._seen = dict(self._statuses), {**self._silent, **self._lost}
         self._version += 1
         self._changed.notify_all()
 

@@ -24,17 +24,16 @@ _WORKING = {
 
 
 def components_of(statuses: Statuses) -> Iterator[ComponentStatus]:
-    """Yield the components in all statuses."""
-    for _, component in located(statuses):
-        yield component
+    """Yield the components in all statuses, by computer."""
+    for _, status in sorted(statuses.items()):
+        yield from status.components
 
 
 def located(statuses: Statuses) -> Iterator[tuple[str, ComponentStatus]]:
     """Yield the components in all statuses with their computers, by computer."""
     for computer, status in sorted(statuses.items()):
-        for container in status.containers:
-            for component in container.components:
-                yield computer, component
+        for component in status.components:
+            yield computer, component
 
 
 def calling_ports(statuses: Statuses) -> set[tuple[str, str]]:

@@ -158,7 +158,8 @@ class DeploymentPlan:
         return [
             connector
             for connector in self._joinable
-            if there.issuperset(end.component for end in connector.between)
+            if connector.between[0].component in there
+            and connector.between[1].component in there
         ]
 
     def connectors_at(

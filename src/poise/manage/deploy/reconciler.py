@@ -113,7 +113,9 @@ class Reconciler:
     def _bring(
         self, computer: str, wanted: Deployment, status: AgentStatus | None
     ) -> None:
-        agent, now = self._known.setdefault(computer, _AskedAgent()), self._clock.now()
+        agent, now = self._known.get(computer), self._clock.now()
+        if agent is None:
+            agent = self._known[computer] = _AskedAgent()
         if agent.reply is not None and self._take(computer, agent, now):
             return  # what should run may be different, now that it was claimed
         if status is None:  # it is told when it is back

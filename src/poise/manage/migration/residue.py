@@ -22,5 +22,9 @@ def residue(robot: Robot, placement: Mapping[str, str]) -> dict[str, dict[str, f
 
 def missing_cpu(robot: Robot, placement: Mapping[str, str]) -> dict[str, float]:
     """Return computer -> CPU that its components need and it does not have [cores]."""
-    left = residue(robot, placement)
-    return {name: max(0.0, -amounts.get("cpu", 0.0)) for name, amounts in left.items()}
+    left = {c.name: c.usable("cpu") for c in robot.computers}
+    for component in robot.components():
+        computer = placement.get(component.name)
+        if computer in left:
+            left[computer] -= component.demand.get("cpu", 0.0)
+    return {name: max(0.0, -cpu) for name, cpu in left.items()}

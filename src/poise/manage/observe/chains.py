@@ -127,26 +127,36 @@ class ChainAge(Struct, frozen=True, kw_only=True):
 
 def chain_reports(robot: Robot, statuses: Statuses) -> tuple[ChainReport, ...]:
     """Return the chains all of whose components run, in the robot file's order."""
-    running: dict[str, tuple[str, ComponentStatus]] = {}
-    for computer, component in located(statuses):
-        known = running.get(component.name)
-        if known is None or known[1].epoch <= component.epoch:
-            running[component.name] = computer, component
-    ends = {(end.name, end.end): end for end in connectors_of(statuses)}
-    return tuple(
-        _report(robot, chain, running, ends)
-        for chain in robot.chains
-        if running.keys() >= set(chain.through)
-    )
+    return ChainReader(robot).reports(statuses)
+
+
+class ChainReader:
+    """Reads from statuses how old the data of a robot's chains was."""
+
+    def __init__(self, robot: Robot) -> None:
+        self._chains = [(each, _ends(robot, each)) for each in robot.chains]
+
+    def reports(self, statuses: Statuses) -> tuple[ChainReport, ...]:
+        """Return the chains all of whose components run, in the robot file's order."""
+        running: dict[str, tuple[str, ComponentStatus]] = {}
+        for computer, component in located(statuses):
+            known = running.get(component.name)
+            if known is None or known[1].epoch <= component.epoch:
+                running[component.name] = computer, component
+        ends = {(end.name, end.end): end for end in connectors_of(statuses)}
+        return tuple(
+            _report(chain, running, {n: ends[e] for n, e in into if e in ends})
+            for chain, into in self._chains
+            if all(name in running for name in chain.through)
+        )
 
 
 def _report(
-    robot: Robot,
     chain: Chain,
     running: Mapping[str, tuple[str, ComponentStatus]],
-    ends: Mapping[tuple[str, Side], ConnectorStatus],
+    came: Mapping[str, ConnectorStatus],
 ) -> ChainReport:
-    came = dict(_came(robot, chain, ends))
+    """Return how old the data of a chain was; `came`: where it comes to a component."""
     hops = tuple(
         ChainHop(
             component=name,
@@ -175,21 +185,16 @@ def _own(component: ComponentStatus, chain: str) -> ChainStatus:
     return ChainStatus(name=chain)
 
 
-def _came(
-    robot: Robot, chain: Chain, ends: Mapping[tuple[str, Side], ConnectorStatus]
-) -> Iterator[tuple[str, ConnectorStatus]]:
-    """Yield each component and the end of a connector where its data comes in."""
-    steps = set(pairwise(chain.through))
+def _ends(robot: Robot, chain: Chain) -> list[tuple[str, tuple[str, Side]]]:
+    """Return each component and the end of a connector where data may come to it."""
+    steps, found = set(pairwise(chain.through)), list[tuple[str, tuple[str, Side]]]()
     for connector in robot.all_connectors():
         source, target = (end.component for end in connector.between)
-        into: tuple[tuple[str, Side], ...] = ()
         if (source, target) in steps:
-            into = ((target, "target"),)
+            found.append((target, (connector.name, "target")))
         elif (target, source) in steps:
-            into = ((source, "source"),)
-        for component, side in into:
-            if (end := ends.get((str(connector), side))) is not None:
-                yield component, end
+            found.append((source, (connector.name, "source")))
+    return found
 
 
 _Sums = tuple[tuple[int, float], ...]
@@ -217,7 +222,7 @@ class ChainAges:
         for report in reports:
             # what moved counts from 0 again
             key = report.name, tuple(hop.epoch for hop in report.hops)
-            totals = self._totals[key] = before.get(key, deque())
+            totals = self._totals[key] = before.get(key) or deque()
             ages = _sums(hop.age for hop in report.hops)
             wires = _sums(hop.wire for hop in report.hops)
             if not totals or totals[-1][1] != report.age.count:

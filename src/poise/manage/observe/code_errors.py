@@ -100,11 +100,14 @@ def refused(container: ContainerStatus) -> Iterator[tuple[str, int]]:
 
     A call that fails is an error of its caller, who may expect it.
     """
+    failing = [e for e in container.connectors if e.errors and e.end != "source"]
+    if not failing:
+        return
     topics = tuple(
         f"-{component.name}.{port}"
         for component in container.components
         for port in component.subscribes
     )
-    for end in container.connectors:
-        if end.end != "source" and end.errors and end.name.endswith(topics):
+    for end in failing:
+        if end.name.endswith(topics):
             yield end.name, end.errors

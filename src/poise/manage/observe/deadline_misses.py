@@ -41,7 +41,7 @@ class DeadlineMisses:
                 if timer.deadline is None:
                     continue
                 key = component.name, component.epoch, timer.name
-                totals = self._totals[key] = before.get(key, deque())
+                totals = self._totals[key] = before.get(key) or deque()
                 seconds = max(OVER, 2 * timer.period)
                 released, missed = _count(totals, timer, now, seconds)
                 if released:

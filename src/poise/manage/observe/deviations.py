@@ -107,8 +107,10 @@ def find_unjoined(
         for connector in connectors_of(statuses)
         if connector.end == "source" and not connector.ready
     }
+    if not unready:
+        return
     for connector in layout.connectors(computers):
-        if (name := str(connector)) in unready:
+        if (name := connector.name) in unready:
             source, target = (computers[end.component] for end in connector.between)
             what = f"connector '{name}' from '{source}' does not reach '{target}'"
             yield name, Deviation(what=what, computer=source, since=now)

@@ -76,10 +76,11 @@ class Watch:
             if name not in found and each.computer in statuses
         ]
         began = time.monotonic()
+        joined = run.layout.connectors(run.placed) if self._unjoined else ()
         still = {
             name: self._unjoined[name]
-            for connector in run.layout.connectors(run.placed)
-            if (name := str(connector)) in self._unjoined
+            for connector in joined
+            if (name := connector.name) in self._unjoined
             and any(end.component in moving for end in connector.between)
         }
         self._unjoined = still | {

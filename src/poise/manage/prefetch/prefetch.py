@@ -161,6 +161,8 @@ class Prefetcher:
 
     def _note_failures(self) -> None:
         """Drop what cannot be prepared, and say why: its action may still begin."""
+        if not self._begun:
+            return
         run = self._run
         failed: dict[str, str] = {}
         statuses = run.current()

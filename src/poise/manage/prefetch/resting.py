@@ -45,8 +45,10 @@ class Resting:
                 for c in architecture.components
                 if c.name in self._since and c.name not in kept
             ]
+            if not names:
+                continue
             limit = self.limit(architecture)
-            if names and all(now - self._since[name] >= limit for name in names):
+            if all(now - self._since[name] >= limit for name in names):
                 text = f"architecture '{architecture.name}' ends: no action needed it "
                 run.journal.note("decided", f"{text}for {limit:.1f} s")
                 drop(run, names)

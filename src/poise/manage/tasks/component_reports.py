@@ -28,12 +28,13 @@ class ComponentReports:
 
     def ends(self) -> Mapping[str, Heard]:
         """Return what was said at each port that ends an action, as component.port."""
-        run = self._run
-        known = {**run.prepared, **run.placed}
+        placed, prepared = self._run.placed, self._run.prepared
         return {
             f"{each.name}.{end.port}": Heard(each.epoch, end.count, end.done)
-            for each in components_of(run.current())
-            if each.name in known and known[each.name].epoch == each.epoch
+            for each in components_of(self._run.current())
+            if each.ends
+            and (known := placed.get(each.name) or prepared.get(each.name))
+            and known.epoch == each.epoch
             for end in each.ends
         }
 

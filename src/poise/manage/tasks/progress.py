@@ -6,7 +6,7 @@ the next manager.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Literal
 
 from msgspec import Struct
@@ -84,6 +84,10 @@ class Try(Struct, frozen=True, kw_only=True):
         """What tells it apart from all other tries."""
         return self.progress.number
 
+    def may_be_ended(self) -> bool:
+        """Return whether it is at work, and a component says when it ends."""
+        return self.action.ends is not None and self.progress.since is not None
+
 
 class TaskRecord(Struct, kw_only=True):
     """One task since it was started.
@@ -160,11 +164,13 @@ class Steps:
         """Return the progress of a task that begins."""
         return self._begin(self._whole)
 
-    def tries(self, whole: Progress) -> Iterator[Try]:
-        """Yield the actions that run now."""
-        for step, progress, prefix in self._walk(self._whole, whole):
-            if isinstance(step, Action):
-                yield Try(name=prefix + step.name, action=step, progress=progress)
+    def tries(self, whole: Progress) -> tuple[Try, ...]:
+        """Return the actions that run now."""
+        return tuple(
+            Try(name=prefix + step.name, action=step, progress=progress)
+            for step, progress, prefix in self._walk(self._whole, whole)
+            if isinstance(step, Action)
+        )
 
     def settle(self, whole: Progress) -> str:
         """Deal with all actions that have ended; return the state of the whole."""
@@ -209,33 +215,39 @@ class Steps:
                 return Progress(index=index, inside=[self._begin(steps[index])])
         return Progress(inside=[self._begin(self._of(step)[0])])
 
-    def _pairs(self, step: Step, progress: Progress) -> Iterator[tuple[Step, Progress]]:
-        """Yield what is inside a step with its progress."""
+    def _pairs(self, step: Step, progress: Progress) -> Iterable[tuple[Step, Progress]]:
+        """Return what is inside a step with its progress."""
         match step:
             case Action():
-                if progress.inside:
-                    yield _instead(step), progress.inside[0]
+                if not progress.inside:
+                    return ()
+                inner = _instead(step)
             case Parallel(steps=steps):
-                yield from zip(steps, progress.inside, strict=True)
+                return zip(steps, progress.inside, strict=True)
             case Choice(steps=steps):
-                yield steps[progress.index], progress.inside[0]
+                inner = steps[progress.index]
             case _:
-                yield self._of(step)[progress.index], progress.inside[0]
+                inner = self._of(step)[progress.index]
+        return ((inner, progress.inside[0]),)
 
     def _walk(
         self, step: Step, progress: Progress, prefix: str = ""
-    ) -> Iterator[tuple[Step, Progress, str]]:
-        """Yield the steps that go on, and what the names of actions there begin with.
+    ) -> list[tuple[Step, Progress, str]]:
+        """Return the steps that go on, and what the names of actions there begin with.
 
         An action in whose stead something else is done does not go on.
         """
         if progress.state != "going":
-            return
-        if not (isinstance(step, Action) and progress.inside):
-            yield step, progress, prefix
+            return []
+        found = [(step, progress, prefix)]
+        if isinstance(step, Action):
+            if not progress.inside:
+                return found
+            found = []
         prefix = self._prefix(step, prefix)
         for inner, inside in self._pairs(step, progress):
-            yield from self._walk(inner, inside, prefix)
+            found += self._walk(inner, inside, prefix)
+        return found
 
     def _prefix(self, step: Step, prefix: str) -> str:
         """Return what the names of actions inside a step begin with."""

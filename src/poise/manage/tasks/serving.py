@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable
+from collections.abc import Set as AbstractSet
 
 from poise.manage.deploy.running_components import RunningComponents
 from poise.model.robot import Architecture
@@ -13,6 +14,8 @@ class Serving:
 
     def __init__(self, run: RunningComponents) -> None:
         self._run = run
+        self._placed: AbstractSet[str] = frozenset()
+        self._whole_then: list[Architecture] = []
 
     def moving(self) -> list[Architecture]:
         """Return those of the sequencing layer of which something is placed."""
@@ -55,4 +58,9 @@ class Serving:
         }
 
     def _whole(self) -> list[Architecture]:
-        return [a for a in self._run.robot.whole(self._run.placed) if a.components]
+        """Return what is placed wholly; worked out anew when something else is."""
+        run, placed = self._run, self._run.placed.keys()
+        if placed != self._placed:
+            self._placed = frozenset(placed)
+            self._whole_then = [a for a in run.robot.whole(placed) if a.components]
+        return self._whole_then

@@ -131,8 +131,7 @@ class TaskManager:
 
     def has_news(self) -> bool:
         """Return whether a component says that an action has ended."""
-        heard = self._component_reports.ends()
-        return any(self._said(each, heard) for _, each in self._turns())
+        return bool(self._said_to_end())
 
     def command(self, verb: str, name: str, priority: int | None = None) -> None:
         """Start, pause, resume or cancel a task, and do what follows.
@@ -275,11 +274,10 @@ class TaskManager:
 
     def _hear(self) -> None:
         """End the actions whose components say so, and do what components wish."""
-        now, heard = boot_time(), self._component_reports.ends()
-        for _, each in self._turns():
-            if said := self._said(each, heard):
-                what = f"'{each.action.ends}' said so"
-                self.tasks.end(each.number, now, what, done=said.done)
+        now = boot_time()
+        for each, said in self._said_to_end():
+            what = f"'{each.action.ends}' said so"
+            self.tasks.end(each.number, now, what, done=said.done)
         self._note_ended()
         note = self._run.journal.note
         for component, wish in self._component_reports.wishes():
@@ -290,12 +288,15 @@ class TaskManager:
             except UsageError as error:
                 note("wrong", f"{what}: {error}")
 
-    def _said(self, each: Try, heard: Mapping[str, Heard]) -> Heard | None:
-        """Return what a component said since an action began; None: nothing."""
-        said, (epoch, count) = heard.get(str(each.action.ends)), each.progress.heard
-        if said is None or each.progress.since is None:
-            return None
-        return said if said.count > (count if said.epoch == epoch else 0) else None
+    def _said_to_end(self) -> list[tuple[Try, Heard]]:
+        """Return the actions that are at work, and that a component says to end."""
+        turns = [each for _, each in self._turns() if each.may_be_ended()]
+        heard, found = self._component_reports.ends() if turns else {}, []
+        for each in turns:
+            said, (epoch, count) = heard.get(str(each.action.ends)), each.progress.heard
+            if said and said.count > (count if said.epoch == epoch else 0):
+                found.append((each, said))
+        return found
 
     def _note_ended(self) -> None:
         """Remember what has ended, with the architectures that served it."""

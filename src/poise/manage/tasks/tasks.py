@@ -33,6 +33,7 @@ _SAYINGS = {
     "failed": "is given up",
     "cancelled": "is cancelled",
 }
+_AT_REST = {*OVER, "paused"}
 MOST_OVER = 20
 """So many tasks that are over are remembered."""
 
@@ -66,9 +67,12 @@ class Tasks:
     ) -> None:
         self._robot = robot
         self._tasks = {each.name: each for each in robot.tasks}
-        self._choose = choose
         self._say = say
         self._wall = wall
+        self._steps = {
+            name: Steps(self._tasks, name, choose, self._next, say)
+            for name in self._tasks
+        }
         self.saved = saved or Saved()
         self._blocked: dict[str, str] = {}
         self._ended: list[ActionEnded] = []
@@ -104,7 +108,7 @@ class Tasks:
             order=self._next(),
             began=at,
             since=at,
-            progress=self._steps(name).begin(),
+            progress=self._steps[name].begin(),
         )
         over = [r for r in self.records if r.state in OVER]
         for old in over[: max(0, len(over) - MOST_OVER + 1)]:
@@ -145,7 +149,7 @@ class Tasks:
 
     def tries(self, record: TaskRecord) -> tuple[Try, ...]:
         """Return the actions of a task that are its turn now."""
-        return tuple(self._steps(record.name).tries(record.progress))
+        return self._steps[record.name].tries(record.progress)
 
     def going(self) -> list[TaskRecord]:
         """Return the tasks that may run now, the most important first."""
@@ -211,7 +215,7 @@ class Tasks:
         """
         for record in self.going():
             for until, progress in list(
-                self._steps(record.name).conditions(record.progress)
+                self._steps[record.name].conditions(record.progress)
             ):
                 if progress.state == "going" and holds(until):
                     self._end_by(record, until, progress)
@@ -268,17 +272,17 @@ class Tasks:
     def _next_of(self, record: TaskRecord) -> Iterable[tuple[Try, float]]:
         if record.state != "going":  # it goes on where it was
             return [(each, 1.0) for each in self.tries(record)]
-        return self._steps(record.name).next_actions(record.progress)
+        return self._steps[record.name].next_actions(record.progress)
 
     def _by_rank(self) -> list[TaskRecord]:
         """Return what is not over or paused, the most important first.
 
         Of the same priority, what is at work keeps what it has.
         """
-        return sorted(
-            (r for r in self.records if r.state not in OVER | {"paused"}),
-            key=lambda r: (-r.priority, not self._is_at_work(r), r.order),
-        )
+        records = [r for r in self.records if r.state not in _AT_REST]
+        if len(records) > 1:  # whether one is at work takes a walk through its steps
+            records.sort(key=lambda r: (-r.priority, not self._is_at_work(r), r.order))
+        return records
 
     def _is_at_work(self, record: TaskRecord) -> bool:
         return any(each.progress.since is not None for each in self.tries(record))
@@ -329,7 +333,7 @@ class Tasks:
         self._ended.append(ActionEnded(each.action, done))
 
     def _settle(self, record: TaskRecord, now: float) -> None:
-        steps = self._steps(record.name)
+        steps = self._steps[record.name]
         state = steps.settle(record.progress)
         if state == "done":
             self._enter(record, "done", now, "")
@@ -357,9 +361,6 @@ class Tasks:
             if record.state not in OVER:
                 for each in self.tries(record):
                     yield record, each
-
-    def _steps(self, name: str) -> Steps:
-        return Steps(self._tasks, name, self._choose, self._next, self._say)
 
     def _next(self) -> int:
         self.saved.number += 1

@@ -270,6 +270,9 @@ class _Compiler:
             _check_alike(kind, other, op)
             steps.append((first, _COMPARISONS[type(op)], second))
             left = right
+        if len(steps) == 1:  # as most are
+            ((one, compares, another),) = steps
+            return lambda record: compares(one(record), another(record))
         return lambda record: all(
             compare(first(record), second(record)) for first, compare, second in steps
         )

@@ -42,10 +42,11 @@ class ClockOffset:
         low, high = float("-inf"), float("inf")
         for began, least, most in reversed(self._bounds):
             wide = DRIFT * abs(now - began)
-            if max(low, least - wide) > min(high, most + wide):
+            lowest, highest = max(low, least - wide), min(high, most + wide)
+            if lowest > highest:
                 self._forget_until(began)
                 break
-            low, high = max(low, least - wide), min(high, most + wide)
+            low, high = lowest, highest
         if not self._bounds:  # heartbeats that overtook each other contradict all
             return None
         return ClockStatus(

@@ -43,11 +43,11 @@ T = TypeVar("T")
 
 
 class _Part(NamedTuple):
-    """A part of each tick, and when it is due though nothing happens [s]."""
+    """A part of each tick, and when it is due though nothing happens [s], if ever."""
 
     name: str
     act: Callable[[], object]
-    due: Callable[[], float] = lambda: float("inf")
+    due: Callable[[], float] | None = None
 
 
 class AgentCore:
@@ -177,6 +177,8 @@ class AgentCore:
         """Return when `tick` is due though nothing happens [s]."""
         moments = [self._born + ADOPT_LIMIT] if not self.is_ready else []
         for part in self._parts:
+            if part.due is None:
+                continue
             due = self.supervised.run(part.name, part.due) or float("-inf")
             moments.append(max(due, self.supervised.again_at(part.name)))
         return min([*moments, self._end_limit])

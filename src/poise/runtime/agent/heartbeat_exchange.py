@@ -204,7 +204,9 @@ class HeartbeatExchange:
             is_news = self._contacts.note(beat, now)
             echo = beat.heard.get(self._computer) if is_news else None
             if echo is not None and beat.sender != MANAGER:
-                offset = self._offsets.setdefault(beat.sender, ClockOffset())
+                if beat.sender not in self._offsets:
+                    self._offsets[beat.sender] = ClockOffset()
+                offset = self._offsets[beat.sender]
                 offset.add(echo.sent, beat.sent - echo.held, beat.sent, now)
         return is_news and (beat.sender == MANAGER or self._computer in beat.asks)
 
@@ -213,10 +215,11 @@ class HeartbeatExchange:
             return self._beat_at(self._clock.now())
 
     def _beat_at(self, now: float) -> tuple[Heartbeat, float]:
-        self._judge(now)
+        age = self._lease.age(now)
+        self._judge(now, age)
         self._note_clocks(now)
         is_managed = self._fence.is_managed()
-        is_late = ASK_AFTER < self._lease.age(now) < 2 * ASK_AFTER
+        is_late = ASK_AFTER < age < 2 * ASK_AFTER
         beat = self._contacts.next_beat(
             now,
             managed=self._lease.managed(now) if is_managed else None,
@@ -234,25 +237,27 @@ class HeartbeatExchange:
             found = {name: each.at(now) for name, each in sorted(self._offsets.items())}
             self.clocks = {name: clock for name, clock in found.items() if clock}
 
-    def _judge(self, now: float) -> None:
+    def _judge(self, now: float, age: float) -> None:
         """Tell the containers when the lease ends, or that it has ended."""
         stalled, slept = now - self._looked_at, self._asleep()
         self._looked_at = now
         if stalled > _STALLED:  # it could hear nobody meanwhile
             self._grace_until = max(self._grace_until, now + _GRACE)
         has_slept, self._slept = slept > self._slept + _NAP, max(slept, self._slept)
-        if not self._fence.is_cut_off and (has_slept or self._has_ended(now, stalled)):
+        if not self._fence.is_cut_off and (
+            has_slept or self._has_ended(now, age, stalled)
+        ):
             self._fence.cut()
-        self._extend(self._until(now) + self._slept)
+        self._extend(self._until(now, age) + self._slept)
 
-    def _has_ended(self, now: float, stalled: float) -> bool:
+    def _has_ended(self, now: float, age: float, stalled: float) -> bool:
         if not self.is_leased:
             return stalled > UNCUT_LEASE
         if self._lease.is_revoked(self._computer, self._fence.token):
             return True
-        return now >= self._grace_until and self._until(now) <= now
+        return now >= self._grace_until and self._until(now, age) <= now
 
-    def _until(self, now: float) -> float:
+    def _until(self, now: float, age: float | None = None) -> float:
         """Return when leased components must stop [s]: they look themselves.
 
         While there is no manager nothing is started elsewhere: then it is enough that
@@ -265,5 +270,5 @@ class HeartbeatExchange:
         if not self.is_leased:
             return now + UNCUT_LEASE
         if self._fence.is_managed() or now < self._grace_until:
-            return self._lease.until(now)
+            return self._lease.until(now, age)
         return now + LEASE

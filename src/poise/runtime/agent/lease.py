@@ -73,9 +73,15 @@ class Lease:
         ]
         return min([direct, *ages, self._unheard(now)])
 
-    def until(self, now: float) -> float:
-        """Return when it ends, for all that is known at `now` [s]."""
-        return now - self.age(now) + LEASE
+    def until(self, now: float, age: float | None = None) -> float:
+        """Return when it ends, for all that is known at `now` [s].
+
+        Parameters
+        ----------
+        age
+            What `age` says of that moment [s]; None: it is worked out.
+        """
+        return now - (self.age(now) if age is None else age) + LEASE
 
     def revoked(self) -> Mapping[str, int]:
         """Return whose fencing tokens the manager has revoked, to repeat it."""

@@ -70,7 +70,8 @@ class SupervisedParts:
 
     def is_resting(self, part: str) -> bool:
         """Return whether a part waits after an error."""
-        return self._clock.now() < self.again_at(part)
+        rest = self._rests.get(part)
+        return rest is not None and self._clock.now() < rest.again_at
 
     def again_at(self, part: str) -> float:
         """Return when a part may be done again [s]."""

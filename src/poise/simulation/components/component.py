@@ -67,7 +67,8 @@ class SimulatedComponent:
         self._waiting: dict[str, int] = {}
         self._is_changing = False
         self._due_at = inf
-        process.after(drawn(world.choices, self.model.start), self._configured)
+        start = self.model.start if container.is_new else self.model.start_later
+        process.after(drawn(world.choices, start), self._configured)
 
     @property
     def is_busy(self) -> bool:

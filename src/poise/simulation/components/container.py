@@ -100,6 +100,8 @@ class SimulatedContainer:
     ----------
     tell_agent
         Sends its agent a record; None: it has no agent at the moment.
+    is_new
+        Whether it has had no component yet.
     lease_end
         The end of the lease that its page shows [s, CLOCK_BOOTTIME].
     cpu
@@ -113,6 +115,7 @@ class SimulatedContainer:
         self.tell_agent: Callable[[FromContainer], object] | None = None
         self.lease_end = inf
         self.components: dict[Key, SimulatedComponent] = {}
+        self.is_new = True
         self.senders: dict[str, SimulatedSender] = {}
         self._wanted: ContainerSpec | None = None
         self._connectors: Mapping[str, ConnectorSpec] = {}
@@ -269,6 +272,7 @@ class SimulatedContainer:
             gone = before[name]
             if target := self.components.get((gone.target, gone.target_epoch)):
                 target.overtaken.forget(gone.name, gone.source_epoch)
+        self.is_new = not self.components
         for key, component in wanted.items():
             if key not in self.components:
                 self.components[key] = SimulatedComponent(self, component)

@@ -69,8 +69,9 @@ class ComponentModel(Struct, frozen=True, kw_only=True):
     keep
         Slot -> how many messages wait at most, the oldest of them make room; the others
         have room for `MOST_KEPT`.
-    start
-        Shortest and longest time until it is configured [s].
+    start, start_later
+        Shortest and longest time until it is configured [s], in a container that is
+        started for it and in one that runs already.
     activate
         Longest time that `activate` or `deactivate` takes [s].
     state_size
@@ -85,6 +86,7 @@ class ComponentModel(Struct, frozen=True, kw_only=True):
     other: HandlerModel = _TAKE
     keep: Mapping[str, int] = {}
     start: tuple[float, float] = (0.02, 0.2)
+    start_later: tuple[float, float] = (0.02, 0.1)
     activate: float = 0.01
     state_size: float = 10_000
     memory: float = 10e6

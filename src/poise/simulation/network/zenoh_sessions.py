@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from functools import partial
+from functools import lru_cache, partial
 from types import SimpleNamespace
 from typing import Any, Self
 
@@ -229,6 +229,7 @@ class _Declared:
             self._among.remove(self)
 
 
+@lru_cache(maxsize=1024)
 def matches(pattern: str, key: str) -> bool:
     """Return whether a key is among those of a pattern with `*`, or `**` at its end."""
     if pattern == key:

@@ -1,7 +1,7 @@
 """Locks and threads of the code under test, as tasks in virtual time.
 
-The conditions, events and queues of the standard library are written in Python over a
-plain lock, so one lock and one thread are all that is replaced.
+The conditions, events and queues of the standard library are written in Python over
+these locks, so the locks and the thread are all that is replaced.
 """
 
 from __future__ import annotations
@@ -32,7 +32,9 @@ class SimulatedLock:
         if not self._is_locked:
             self._is_locked = True
             if task is not None and blocking:
-                self._give_way()
+                scheduler.locks_left -= 1
+                if scheduler.locks_left < 0:
+                    self._give_way()
             return True
         if not blocking or task is None:
             return False
@@ -68,10 +70,51 @@ class SimulatedLock:
 
     def _give_way(self) -> None:
         scheduler = self._scheduler
-        scheduler.locks_left -= 1
-        if scheduler.locks_left < 0:
-            scheduler.locks_left = scheduler.choices.pause(YIELDS)
-            scheduler.wait(0, "its turn")
+        scheduler.locks_left = scheduler.choices.pause(YIELDS)
+        scheduler.wait(0, "its turn")
+
+
+class SimulatedRLock(SimulatedLock):
+    """As `threading.RLock`, also for conditions; the library's is slow in Python."""
+
+    def __init__(self, scheduler: Scheduler) -> None:
+        super().__init__(scheduler)
+        self._owner: SimulatedTask | None = None
+        self._count = 0
+
+    def acquire(self, blocking: bool = True, timeout: float = -1) -> bool:  # noqa: FBT001, FBT002, as the library's
+        """Take it, or take it once more; return whether that was done."""
+        if self._count and self._is_owned():
+            self._count += 1
+            return True
+        is_taken = super().acquire(blocking, timeout)
+        if is_taken:
+            self._owner, self._count = self._scheduler.current, 1
+        return is_taken
+
+    def release(self) -> None:
+        """Give it back, when that was done as often as it was taken."""
+        if not self._count or not self._is_owned():
+            raise RuntimeError("cannot release un-acquired lock")
+        self._count -= 1
+        if not self._count:
+            self._owner = None
+            super().release()
+
+    __enter__ = acquire
+
+    def _is_owned(self) -> bool:
+        return self._owner is self._scheduler.current
+
+    def _release_save(self) -> int:
+        """Give it back wholly; return what `_acquire_restore` needs."""
+        count, self._count, self._owner = self._count, 0, None
+        super().release()
+        return count
+
+    def _acquire_restore(self, count: int) -> None:
+        super().acquire()
+        self._owner, self._count = self._scheduler.current, count
 
 
 class SimulatedThread:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import heapq
 import struct
 from collections.abc import Callable
+from functools import partial
 from hashlib import blake2b
 from math import inf
 from typing import Any, Protocol
@@ -22,6 +23,7 @@ SLACK = 60e-6
 """The kernel ends a wait this much late, as Linux does [s]."""
 YIELDS = 0.02
 """How often a task gives way to others where it takes a lock that is free."""
+_STEP = struct.Struct("<dI")
 _MOST_AT_ONCE = 200_000
 """So many steps without any time passing are a loop that never ends."""
 
@@ -145,7 +147,8 @@ class Scheduler:
     def at(self, moment: float, action: Callable[[], object]) -> SimulatedTimer:
         """Let something happen in the simulated world at a moment [s]."""
         timer = SimulatedTimer(action)
-        heapq.heappush(self._timers, (max(moment, self.now), self.number(), timer))
+        self._number += 1
+        heapq.heappush(self._timers, (max(moment, self.now), self._number, timer))
         return timer
 
     def wait(self, seconds: float = inf, why: str = "time") -> bool:
@@ -167,7 +170,7 @@ class Scheduler:
             self._waiting[task.number] = task
             if seconds < inf:
                 at = self.now + seconds + SLACK
-                task.timer = self.at(at, lambda: self._make_ready(task))
+                task.timer = self.at(at, partial(self._make_ready, task))
         self._world.switch()
         task.waits_for = ""
         self.raise_if_dead(task)
@@ -201,24 +204,25 @@ class Scheduler:
         SimulationError
             Nothing can ever run again, or time does not pass.
         """
+        timers = self._timers
         while True:
-            while self._timers and self._timers[0][0] <= self.now:
-                self._happen(heapq.heappop(self._timers)[-1])
+            while timers and timers[0][0] <= self.now:
+                self._happen(heapq.heappop(timers)[-1])
             if self._ready:
                 self._step()
                 continue
-            while self._timers and self._timers[0][-1].action is None:
-                heapq.heappop(self._timers)
-            if not self._timers and self._waiting:
+            while timers and timers[0][-1].action is None:
+                heapq.heappop(timers)
+            if not timers and self._waiting:
                 waiting = ", ".join(f"{t} ({t.waits_for})" for t in self.waiting())
                 raise SimulationError(
                     f"at {self.now:.3f} s nothing can run and nothing will happen: "
                     f"{waiting} waits for ever"
                 )
-            if not self._timers or self._timers[0][0] > until:
+            if not timers or timers[0][0] > until:
                 self.now = max(self.now, until)
                 return
-            self.now, self._at_once = self._timers[0][0], 0
+            self.now, self._at_once = timers[0][0], 0
 
     def waiting(self) -> list[SimulatedTask]:
         """Return the tasks that wait, oldest first."""
@@ -260,7 +264,7 @@ class Scheduler:
                 f"at {self.now:.3f} s {_MOST_AT_ONCE} steps passed without any time: "
                 f"{task} ({task.waits_for or 'begins'}) is one of those that loop"
             )
-        self._trace.update(struct.pack("<dI", self.now, task.number))
+        self._trace.update(_STEP.pack(self.now, task.number))
         self._switch_to(task)
         self.on_step()
 

@@ -28,7 +28,11 @@ import zenoh
 from poise.simulation.computers.process import Process
 from poise.simulation.network.datagrams import SimulatedSocket
 from poise.simulation.network.zenoh_sessions import ZenohNetwork
-from poise.simulation.schedule.locks import SimulatedLock, SimulatedThread
+from poise.simulation.schedule.locks import (
+    SimulatedLock,
+    SimulatedRLock,
+    SimulatedThread,
+)
 from poise.simulation.schedule.scheduler import SLACK, Scheduler, SimulationError
 
 _FORBIDDEN = ((os, "fork"), (subprocess, "Popen"), (socket, "socketpair"))
@@ -114,6 +118,9 @@ def _threads(scheduler: Scheduler) -> list[Replaced]:
     def lock() -> SimulatedLock:
         return SimulatedLock(scheduler)
 
+    def rlock() -> SimulatedRLock:
+        return SimulatedRLock(scheduler)
+
     def ident() -> int:
         return 0 if scheduler.current is None else scheduler.current.number
 
@@ -131,7 +138,7 @@ def _threads(scheduler: Scheduler) -> list[Replaced]:
     return [
         (threading, "Lock", lock),
         (threading, "_allocate_lock", lock),
-        (threading, "RLock", threading._PyRLock),  # type: ignore[attr-defined]  # noqa: SLF001, written in Python
+        (threading, "RLock", rlock),
         (threading, "get_ident", ident),
         (threading, "get_native_id", ident),
         (threading, "current_thread", current),
@@ -227,7 +234,8 @@ def _in_tasks(
     """Return what is simulated for tasks, and real for all others."""
 
     def either(*args: Any, **kwargs: Any) -> Any:  # noqa: ANN401, as the library's
-        use = real if scheduler.current is None else simulated
-        return use(*args, **kwargs)
+        if scheduler.current is None:
+            return real(*args, **kwargs)
+        return simulated(*args, **kwargs)
 
     return either

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import cached_property
 from typing import Literal
 
 from msgspec import Struct
@@ -309,7 +310,7 @@ class ContainerHealth(Struct, frozen=True, kw_only=True):
     memory: int = 0
 
 
-class AgentStatus(Struct, frozen=True, kw_only=True):
+class AgentStatus(Struct, frozen=True, kw_only=True, dict=True):
     """A computer as its agent sees it.
 
     Parameters
@@ -374,3 +375,8 @@ class AgentStatus(Struct, frozen=True, kw_only=True):
     cut_off: float = 0.0
     unmanaged: float = 0.0
     links: Mapping[str, LinkQuality] = {}
+
+    @cached_property
+    def components(self) -> tuple[ComponentStatus, ...]:
+        """The components in all containers."""
+        return tuple(c for each in self.containers for c in each.components)

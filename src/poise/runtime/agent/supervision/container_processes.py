@@ -92,8 +92,11 @@ class ContainerProcess:
 
     def tell(self, spec: ContainerSpec) -> None:
         """Tell it what it should be now, if that changed."""
-        if spec != self.spec and not self.is_deaf:
-            self.spec = spec
+        if self.is_deaf or spec is self.spec:
+            return
+        is_new = spec != self.spec
+        self.spec = spec  # also if it is equal: then it is the same the next time
+        if is_new:
             self._send(spec)
 
     def tell_clocks(self, known: Mapping[str, ClockStatus]) -> None:

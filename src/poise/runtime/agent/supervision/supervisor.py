@@ -8,7 +8,7 @@ earlier agent left are adopted. An error in the handling of one stops no other.
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from math import inf
 from random import Random
 
@@ -103,12 +103,11 @@ class Supervisor:
         """
         self.lease_end = until
         wanted = self.wanted.containers if self.wanted else ()
-        specs = {each.name: each for each in wanted}
         for process in list(self.processes.values()):
             if (
                 until == -inf
                 or not process.is_fenced()
-                or process.runs_only(specs.get(process.name))
+                or process.runs_only(_named(process.name, wanted))
             ):
                 process.extend_lease(until)
 
@@ -334,6 +333,10 @@ class Supervisor:
         self.health.enter(container, "restarting")
         backoff = self._backoffs.setdefault(container, BackOff())
         backoff.note_end(self._clock.now(), self._random.uniform(0.5, 1))
+
+
+def _named(name: str, containers: Iterable[ContainerSpec]) -> ContainerSpec | None:
+    return next((each for each in containers if each.name == name), None)
 
 
 def part_of(container: str) -> str:
