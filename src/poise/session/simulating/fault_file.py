@@ -62,7 +62,7 @@ class FaultKeys(Struct, frozen=True, kw_only=True):
     ] = 0.0
 
 
-class FileKeys(Struct, frozen=True):
+class DocumentKeys(Struct, frozen=True):
     """A file with faults."""
 
     faults: Annotated[tuple[FaultKeys, ...], says("What breaks, in any order.")]
@@ -104,12 +104,12 @@ def read_faults(path: Path, robot: Robot, seconds: float) -> tuple[SimulatedFaul
     """
     problems: list[FileProblem] = []
     root = read_file(path, None, problems)
-    found = root and validate(root, msgspec.inspect.type_info(FileKeys), problems)
+    found = root and validate(root, msgspec.inspect.type_info(DocumentKeys), problems)
     if root is None or found is None or problems:
         raise RobotError(problems=sorted(problems))
     positions = Positions(root)
     faults = []
-    for number, keys in enumerate(msgspec.convert(found, FileKeys).faults):
+    for number, keys in enumerate(msgspec.convert(found, DocumentKeys).faults):
         findings = list(_shape(keys)) or list(_findings(keys, robot, seconds))
         problems += [
             positions.problem(Finding(("faults", number, *path), message))
