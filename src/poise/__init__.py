@@ -62,7 +62,16 @@ if TYPE_CHECKING:
     from poise.session.running_robots.without_manager import (
         stop_without_manager as stop_without_manager,
     )
+    from poise.session.simulating.simulate import (
+        compare_simulations as compare_simulations,
+    )
+    from poise.session.simulating.simulate import simulate as simulate
+    from poise.session.simulating.simulation_results import Simulation as Simulation
+    from poise.session.simulating.simulation_results import (
+        SimulationComparison as SimulationComparison,
+    )
     from poise.session.up import up as up
+    from poise.simulation.faults import SimulatedFault as SimulatedFault
     from poise.view.record import RobotRecording as RobotRecording
     from poise.view.record import record as record
     from poise.wire.connections.blocks import loan as loan
@@ -95,6 +104,9 @@ else:
         "Running": "session.running_robots.running",
         "Seen": "model.policy.seen",
         "Conditions": "estimate.success",
+        "SimulatedFault": "simulation.faults",
+        "Simulation": "session.simulating.simulation_results",
+        "SimulationComparison": "session.simulating.simulation_results",
         "Stamp": "clock",
         "TakenOver": "errors",
         "Timeout": "errors",
@@ -102,6 +114,7 @@ else:
         "UsageError": "errors",
         "calibrate": "session.profiling.calibrate",
         "check": "session.robot_file",
+        "compare_simulations": "session.simulating.simulate",
         "connect": "session.running_robots.running",
         "draw": "session.diagrams.draw",
         "emulated": "session.launch.emulated",
@@ -115,6 +128,7 @@ else:
         "read_journal": "manage.journal",
         "record": "view.record",
         "run": "session.run",
+        "simulate": "session.simulating.simulate",
         "status_without_manager": "session.running_robots.without_manager",
         "stop_without_manager": "session.running_robots.without_manager",
         "subscribed": "runtime.component.ports",

@@ -13,6 +13,7 @@ import typer
 COMMANDS = {
     "check": ("design_time.check", "Check a robot file and the code that it names."),
     "plan": ("design_time.plan", "Decide where each component runs."),
+    "simulate": ("design_time.simulate", "Simulate a task in virtual time."),
     "draw": ("design_time.draw", "Draw components, placements or a transition."),
     "profile": ("design_time.profile", "Measure what each component needs."),
     "profile show": ("design_time.profile", "Show the last profile."),

@@ -32,6 +32,7 @@ from poise.session.reports.run_report import RunReport
 from poise.session.running_robots.local_robots import Robots
 from poise.session.running_robots.rates import Rate
 from poise.session.scenes import SCENES
+from poise.simulation.report import SimulationReport
 from poise.view.record import RobotRecording
 from poise.wire.records.output import OutputLine
 
@@ -95,6 +96,13 @@ class Compared(TypedDict):
     results: Mapping[str, Any]
 
 
+class ComparedSimulations(TypedDict):
+    """Simulations by method of placement, and why others have no result."""
+
+    results: Mapping[str, SimulationReport]
+    without: Mapping[str, str]
+
+
 class SmallestShown(TypedDict):
     """The cheapest computers for tasks."""
 
@@ -109,6 +117,7 @@ _SCENES = dict.fromkeys(get_type_hints(play)["return"] for _, play in SCENES.val
 OUTPUTS: Mapping[str, Sequence[Any]] = {
     "check": [Checked],
     "plan": [PlannedPlacement, PlannedPhases, Compared, SmallestShown],
+    "simulate": [SimulationReport, ComparedSimulations],
     "profile": [Profile],
     "profile show": [Profile],
     "calibrate": [Calibration],

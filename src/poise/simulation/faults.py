@@ -9,13 +9,14 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from math import log
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from msgspec import Struct
 
-from poise.simulation.computers.process import Process
-from poise.simulation.robot.robot import OUTSIDE, SimulatedRobot
-from poise.simulation.schedule.choices import Choices
+if TYPE_CHECKING:  # they need greenlet, which is an extra; a fault is named without it
+    from poise.simulation.computers.process import Process
+    from poise.simulation.robot.robot import SimulatedRobot
+    from poise.simulation.schedule.choices import Choices
 
 Kind = Literal[
     "kill agent",
@@ -37,6 +38,8 @@ Kind = Literal[
     "another manager",
 ]
 KINDS: tuple[Kind, ...] = Kind.__args__  # type: ignore[attr-defined]
+LINK_KINDS: tuple[Kind, ...] = ("cut link", "cut one way", "clog link")
+"""Those that happen between two computers."""
 _ALLOWED = 0.4
 """Each kind is allowed in this share of runs."""
 _MEAN_PAUSE = 4.0
@@ -74,15 +77,23 @@ def plan_faults(
     begin: float,
     end: float,
     kinds: Sequence[Kind] = KINDS,
+    *,
+    mean_pause: float = _MEAN_PAUSE,
 ) -> list[SimulatedFault]:
-    """Return the faults of a run, all over before `end` [s]."""
+    """Return the faults of a run, all over before `end` [s].
+
+    Parameters
+    ----------
+    mean_pause
+        From one fault to the next [s].
+    """
     allowed = [kind for kind in kinds if choices.happens("faults", _ALLOWED)]
     allowed = allowed or [kinds[choices.among("faults", len(kinds))]]
     weights = [choices.draw("faults") for _ in allowed]
     faults: list[SimulatedFault] = []
     now = begin
     while True:
-        now += -_MEAN_PAUSE * log(1 - choices.draw("faults"))
+        now += -mean_pause * log(1 - choices.draw("faults"))
         lasts = _LONGEST * choices.draw("faults") ** 2
         if now + lasts >= end:
             return faults
@@ -95,7 +106,7 @@ def plan_faults(
                 at=now,
                 kind=kind,
                 target=computers[target],
-                other=other if "link" in kind or "way" in kind else "",
+                other=other if kind in LINK_KINDS else "",
                 lasts=lasts,
                 pick=choices.draw("faults"),
             )
@@ -225,8 +236,7 @@ def _pause(robot: SimulatedRobot, fault: SimulatedFault) -> Mend:
 def _cut(robot: SimulatedRobot, fault: SimulatedFault) -> Mend:
     ways = [(fault.target, fault.other)]
     if fault.kind == "isolate computer":
-        others = {*robot.computers, OUTSIDE} - {fault.target}
-        ways = [(fault.target, name) for name in sorted(others)]
+        ways = [(fault.target, other) for other in robot.others_than(fault.target)]
     if fault.kind != "cut one way":
         ways += [(there, here) for here, there in ways]
     for way in ways:

@@ -96,7 +96,7 @@ class Rehearsal:
         Raises
         ------
         RunError
-            It is not up within `UP_LIMIT`.
+            It is not up within `UP_LIMIT`, or a defect of Poise ended it.
         """
         robot = self._robot
         with self._running():
@@ -113,6 +113,9 @@ class Rehearsal:
             for fault in self._plan.faults:
                 at = robot.scheduler.now + fault.at
                 robot.scheduler.at(at, partial(self._break, fault))
+        if self._violations:
+            why = "; ".join(self._violations)
+            raise RunError(f"the simulated robot does not come up: {why}")
 
     def advance(self, seconds: float) -> None:
         """Let virtual time [s] pass."""

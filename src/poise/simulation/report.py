@@ -13,7 +13,7 @@ class SimulatedLoad(Struct, frozen=True, kw_only=True):
     Parameters
     ----------
     capacity, memory_capacity
-        What it has [cores, bytes]; infinite: not stated.
+        What it has [cores, bytes]; None: not stated.
     cpu, peak
         Mean share of its capacity, and the largest of single seconds, in [0, 1].
     memory
@@ -23,11 +23,11 @@ class SimulatedLoad(Struct, frozen=True, kw_only=True):
     """
 
     computer: str
-    capacity: float
+    capacity: float | None
     cpu: float
     peak: float
     memory: float
-    memory_capacity: float
+    memory_capacity: float | None
     over_time: tuple[tuple[float, float], ...] = ()
 
 

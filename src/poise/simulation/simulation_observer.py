@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from math import inf
 
 from poise.manage.journal import JournalEntry
 from poise.manage.migration.report import MigrationReport
@@ -85,7 +84,7 @@ class SimulationObserver:
                     cpu=series.mean(),
                     peak=series.peak,
                     memory=series.memory,
-                    memory_capacity=known.capacity.get("memory", inf),
+                    memory_capacity=known.capacity.get("memory"),
                     over_time=series.points(),
                 )
             )

@@ -3,16 +3,22 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
+from math import inf
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 
 from poise.manage.agent_connections.statuses import components_of
 from poise.manage.deploy.running_components import RunningComponents
+from poise.session.callbacks import nothing
+from poise.session.render.simulation_tables import span
 from poise.session.run import Meanwhile
+from poise.session.simulating.simulate import Watch
 
 _LINE_EVERY = 5.0
+_DRAW_EVERY = 0.2
 
 
 @contextlib.contextmanager
@@ -38,11 +44,60 @@ def progress(
 
         yield tell
         return
+    with _bar(console, seconds) as draw:
+        yield lambda run, now: draw(now, _sentence(run, now, seconds))
+
+
+@contextlib.contextmanager
+def virtual_progress(
+    console: Console, seconds: float, clock: Callable[[], float] = time.monotonic
+) -> Iterator[Watch]:
+    """Draw how a simulation of `seconds` [virtual s] goes, where it is a terminal.
+
+    Parameters
+    ----------
+    clock
+        Gives real time [s].
+    """
+    if not console.is_terminal:
+        yield nothing
+        return
+    before, drawn = 0.0, -inf
+    began = seen = clock()
+
+    def watch(now: float) -> None:
+        nonlocal before, began, seen, drawn
+        if now < before:  # the next simulation, since the last one ended
+            began = seen
+        before, seen = now, clock()
+        if seen - drawn >= _DRAW_EVERY:
+            drawn = seen
+            times = now / max(seen - began, 1e-9)
+            draw(now, f"{span(now)} of {span(seconds)}, {times:.3g} times real time")
+
+    # no thread draws: while a step runs, the standard library is the simulation's
+    with _bar(console, seconds, by_thread=False) as draw:
+        yield watch
+
+
+@contextlib.contextmanager
+def _bar(
+    console: Console, seconds: float, *, by_thread: bool = True
+) -> Iterator[Callable[[float, str], object]]:
+    """Draw a bar for some time [s], with a sentence beside it.
+
+    Parameters
+    ----------
+    by_thread
+        Whether a thread draws it now and then, not only each call.
+    """
     columns = BarColumn(), TextColumn("{task.description}")
-    with Progress(*columns, console=console, transient=True) as bar:
+    with Progress(
+        *columns, console=console, transient=True, auto_refresh=by_thread
+    ) as bar:
         task = bar.add_task("", total=seconds)
-        yield lambda run, now: bar.update(
-            task, completed=now, description=_sentence(run, now, seconds)
+        yield lambda now, sentence: bar.update(
+            task, completed=now, description=sentence, refresh=not by_thread
         )
 
 

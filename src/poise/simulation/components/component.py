@@ -148,13 +148,14 @@ class SimulatedComponent:
         self._go_on()
 
     def status(self) -> ComponentStatus:
-        """Return what its container reports of it."""
+        """Return what its container reports of it, or reported last."""
+        now = min(self._now, self.container.process.died_at)
         return ComponentStatus(
             name=self.spec.name,
             epoch=self.spec.epoch,
             state=self.state,
             cpu=self.cpu,
-            timers=self.timers.status(self._now),
+            timers=self.timers.status(now),
             chains=self.ages.status() if self.ages else (),
         )
 

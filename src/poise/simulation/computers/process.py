@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from math import inf
 from random import Random
 
 from poise.simulation.computers.cpu import Cpu
@@ -121,6 +122,8 @@ class Process:
         Called when it has ended, in order.
     awake_since
         When it began, or its last pause ended [s].
+    died_at
+        When it was killed or ended; infinite while it lives [s].
     on_pause
         Called when it is paused, or goes on, with whether it is.
     """
@@ -134,6 +137,7 @@ class Process:
         self.pid = pid
         self.parent = parent
         self.is_dead = False
+        self.died_at = inf
         self.is_paused = False
         self._num_pauses = 0
         self.awake_since = self.scheduler.now
@@ -191,6 +195,7 @@ class Process:
         if self.is_dead:
             return
         self.is_dead = True
+        self.died_at = self.scheduler.now
         self.computer.processes.pop(self.pid, None)
         self.scheduler.at(self.scheduler.now, self._bury)
 

@@ -111,6 +111,10 @@ class SimulatedRobot:
         """Return what gives the code under test virtual time, while it is entered."""
         return simulated_library(self.scheduler, self.sessions)
 
+    def others_than(self, computer: str) -> list[str]:
+        """Return the other computers, and where a manager beside them runs."""
+        return [name for name in (*self.computers, OUTSIDE) if name != computer]
+
     def start_agent(self, computer: str) -> None:
         """Start an agent where none runs."""
         if computer in self.agents:

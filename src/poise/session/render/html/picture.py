@@ -37,14 +37,14 @@ def picture(shares: Mapping[str, float], hosted: Iterable[Hosted]) -> str:
     boxes = []
     for computer, share in shares.items():
         rows = [
-            _row(
+            bar_row(
                 each.name, f"{each.cpu:.1%} of a core", each.cpu / most if most else 0.0
             )
             for each in placed
             if each.computer == computer
         ]
         full = " ▲ more than it has" if share > 1 else ""
-        head = _row(computer, f"CPU {share:.0%}{full}", share, weight="bold")
+        head = bar_row(computer, f"CPU {share:.0%}{full}", share, weight="bold")
         boxes.append(f'<div style="{_BOX}">{head}{"".join(rows)}</div>')
     return f"<div>{''.join(boxes)}</div>"
 
@@ -68,7 +68,7 @@ def planned_picture(result: plan.Result, title: str) -> str:
     return head + picture(shares, hosted)
 
 
-def _row(name: str, value: str, share: float, weight: str = "normal") -> str:
+def bar_row(name: str, value: str, share: float, weight: str = "normal") -> str:
     """Return a name and a value above a bar that is as long as the share says."""
     colour = "#c0392b" if share > 1 else "#3b7dd8"
     bar = f"{_BAR};width:{min(share, 1):.1%};background:{colour}"

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from html import escape
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from poise.manage.journal import JournalEntry
-from poise.session.render.html.svg import line, svg, text
+from poise.session.render.html.svg import Point, line, svg, text
 
 if TYPE_CHECKING:
     from poise.session.reports.history import Moment
@@ -19,6 +19,15 @@ _MOST_NUMBERS = 40
 _STEPS = (1, 2, 5, 10, 20, 30, 60, 120, 300, 600, 1800, 3600, 7200, 21600, 86400)
 _MISSED = "worst missed"
 _DASHED = 'stroke-dasharray="3 2"'
+_BAR = 18
+"""The height of a row of bars [pixels]."""
+
+
+class Mark(NamedTuple):
+    """Something that happened at a moment [s]."""
+
+    at: float
+    says: str
 
 
 def time_line(
@@ -42,11 +51,45 @@ def time_line(
     strips[_MISSED] = [
         (m.at - began, max(m.missed.values(), default=0.0)) for m in moments
     ]
-    height = len(strips) * (_HEIGHT + _GAP) + 2 * _GAP + 10
-    parts = [*_axis(end, height), *_marks(entries, began, end, height)]
+    marks = {
+        number: Mark(entry.at - began, str(entry))
+        for number, entry in entries.items()
+        if entry.at >= began
+    }
+    return over_time(strips, marks, end, "CPU and missed deadlines over time")
+
+
+def over_time(
+    strips: Mapping[str, Sequence[Point]],
+    marks: Mapping[int, Mark],
+    end: float,
+    label: str,
+    bars: Mapping[str, Sequence[tuple[float, float]]] | None = None,
+    *,
+    every: float = 1.0,
+) -> str:
+    """Return strips of shares over time, rows of bars below, and marks through all.
+
+    Parameters
+    ----------
+    strips
+        Name -> moments [s], and the share of the time before each.
+    end
+        Of the time that is shown [s].
+    bars
+        Name -> when each bar begins and ends [s].
+    every
+        How much time the first moment of each strip stands for [s].
+    """
+    rows = bars or {}
+    below = _GAP + len(strips) * (_HEIGHT + _GAP)
+    height = below + len(rows) * _BAR + _GAP + 10
+    parts = [*_axis(end, height), *_marks(marks, end, height)]
     for row, (name, points) in enumerate(strips.items()):
-        parts += _strip(name, points, _GAP + row * (_HEIGHT + _GAP), end)
-    return svg(_WIDTH, height, "CPU and missed deadlines over time", parts)
+        parts += _strip(name, points, _GAP + row * (_HEIGHT + _GAP), end, every)
+    for row, (name, spans) in enumerate(rows.items()):
+        parts += _bars(name, spans, below + row * _BAR, end)
+    return svg(_WIDTH, height, label, parts)
 
 
 def _x(seconds: float, end: float) -> float:
@@ -62,21 +105,29 @@ def _axis(end: float, height: int) -> Iterator[str]:
         yield text(x, height - 6, f"{second} s", text_anchor="middle")
 
 
-def _marks(
-    entries: Mapping[int, JournalEntry], began: float, end: float, height: int
-) -> Iterator[str]:
-    for number, entry in entries.items():
-        if entry.at < began:
-            continue
-        x = _x(entry.at - began, end)
-        says = f"<title>{escape(str(entry))}</title>"
+def _marks(marks: Mapping[int, Mark], end: float, height: int) -> Iterator[str]:
+    for number, (at, what) in marks.items():
+        x = _x(at, end)
+        says = f"<title>{escape(what)}</title>"
         mark = line([(x, 0), (x, height - 22)], "#d98c00", 1.5, _DASHED)
         told = text(x + 2, 11, str(number), font_size=10)
-        yield f"<g>{says}{mark}{told if len(entries) <= _MOST_NUMBERS else ''}</g>"
+        yield f"<g>{says}{mark}{told if len(marks) <= _MOST_NUMBERS else ''}</g>"
+
+
+def _bars(
+    name: str, spans: Sequence[tuple[float, float]], top: float, end: float
+) -> Iterator[str]:
+    """Yield a row of bars; the shortest is still seen."""
+    yield text(_LEFT - 8, top + 12, name, text_anchor="end")
+    for begin, over in spans:
+        x, y = _x(begin, end), top + _BAR / 2
+        says = f"<title>{escape(f'{name}: {begin:.1f} s to {over:.1f} s')}</title>"
+        bar = line([(x, y), (max(x + 2, _x(over, end)), y)], "#c0392b", _BAR - 6)
+        yield f"<g>{says}{bar}</g>"
 
 
 def _strip(
-    name: str, points: Sequence[tuple[float, float]], top: float, end: float
+    name: str, points: Sequence[Point], top: float, end: float, every: float
 ) -> Iterator[str]:
     """Yield shares over time; the top is 1, or the most if that is more."""
     most = max([1.0, *(share for _, share in points)])
@@ -88,7 +139,7 @@ def _strip(
     yield line([(_LEFT, bottom), (_WIDTH - 20, bottom)], "#888")
     if not points:
         return
-    began = max(0.0, points[0][0] - 1)
+    began = max(0.0, points[0][0] - every)
     steps = [f"M{_x(began, end):.1f} {bottom}"]
     for at, share in points:  # which is of the time before it
         steps.append(f"V{bottom - share / most * _HEIGHT:.1f}H{_x(at, end):.1f}")

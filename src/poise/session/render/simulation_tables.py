@@ -1,0 +1,274 @@
+"""What a simulation showed, for people."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from math import isfinite
+
+from rich.console import RenderableType
+from rich.markup import escape
+from rich.table import Table
+
+from poise.session.render.shared_tables.columns import table
+from poise.simulation.report import (
+    Outage,
+    SimulatedLoad,
+    SimulatedMove,
+    SimulationReport,
+    TimerMisses,
+)
+from poise.units import counted, format_bytes, format_seconds
+
+MOST_ROWS = 12
+"""More timers, moves, outages or guesses than this are counted; `--json` has all."""
+_EARLY = 1e-3
+"""What the time may be short by because of rounding [s]."""
+_MINUTE, _HOUR = 60.0, 3600.0
+
+
+def simulation_parts(report: SimulationReport) -> Iterator[RenderableType]:
+    """Yield the verdict, then computers, deadlines, chains, moves and outages."""
+    colour = "red" if report.violations else "bold"
+    yield f"[{colour}]{escape(verdict(report))}[/]"
+    for sentence in report.violations[1:]:
+        yield f"[red]a promise of Poise did not hold: {escape(sentence)}[/]"
+    yield _computers(report)
+    yield from _timers(report)
+    yield from _chains(report)
+    yield from _moves(report)
+    yield from _outages(report)
+    yield _messages(report)
+    for guess in report.guesses[:MOST_ROWS]:
+        yield f"[yellow]assumed: {escape(guess)}[/]"
+    yield from _more(len(report.guesses), "assumption")
+    yield took(report)
+
+
+def verdict(report: SimulationReport) -> str:
+    """Return what came of it, in one sentence."""
+    if report.violations:
+        broken = counted(len(report.violations), "promise")
+        return (
+            f"a defect of Poise: {broken} did not hold in {span(report.seconds)} of "
+            f"virtual time: {report.violations[0]}"
+        )
+    early = ", then it was ended early" if ended_early(report) else ""
+    asked = f" of {span(report.asked)}" if early else ""
+    facts = [_missed(report), _stopped(report)]
+    if report.moves:
+        facts.append(counted(len(report.moves), "move"))
+    return f"{span(report.seconds)}{asked} of virtual time{early}: {', '.join(facts)}"
+
+
+def ended_early(report: SimulationReport) -> bool:
+    """Return whether it was ended before the time that was asked for."""
+    return report.seconds < report.asked - _EARLY
+
+
+def took(report: SimulationReport) -> str:
+    """Return how much quicker than real time it was, and with which seed."""
+    times = f", {report.ratio:.3g} times real time" if report.took else ""
+    return (
+        f"{span(report.seconds)} of virtual time took {span(report.took)} of CPU time"
+        f"{times}; {report.method} placement, seed {report.seed}"
+    )
+
+
+def span(seconds: float) -> str:
+    """Return a time [s] for people, in hours and minutes where it is long."""
+    if seconds < _MINUTE:
+        return format_seconds(seconds)
+    whole = round(seconds)
+    hours, minutes, rest = whole // 3600, whole % 3600 // 60, whole % 60
+    parts = {"h": hours, "min": minutes, "s": 0 if hours else rest}
+    return " ".join(f"{number} {unit}" for unit, number in parts.items() if number)
+
+
+def late(timers: Sequence[TimerMisses]) -> list[TimerMisses]:
+    """Return the timers with a deadline, the worst first."""
+    timed = [each for each in timers if each.deadline is not None]
+    return sorted(timed, key=lambda t: (-share(t.missed, t.due), t.component, t.timer))
+
+
+def share(part: int, whole: int) -> float:
+    """Return a share; 0 of nothing."""
+    return part / whole if whole else 0.0
+
+
+def used_cpu(loads: Sequence[SimulatedLoad]) -> str:
+    """Return the mean CPU of each computer and its peak."""
+    return ", ".join(f"{c.computer} {c.cpu:.0%} ({c.peak:.0%})" for c in loads)
+
+
+def comparison_parts(
+    results: Mapping[str, SimulationReport], without: Mapping[str, str]
+) -> Iterator[RenderableType]:
+    """Yield a row for each placement, then what was violated."""
+    rows = table(*COMPARED, folds=2)
+    for method, report in results.items():
+        rows.add_row(*map(escape, compared(method, report)))
+    yield rows
+    for method, why in without.items():
+        yield f"[red]{escape(method)}: {escape(why)}[/]"
+    for method, report in results.items():
+        for sentence in report.violations:
+            where = escape(f"{method}: {sentence}")
+            yield f"[red]a promise of Poise did not hold: {where}[/]"
+        if ended_early(report):
+            whole = span(report.asked)
+            yield (
+                f"[yellow]{escape(method)} was ended after {span(report.seconds)} of "
+                f"{whole}[/]"
+            )
+
+
+COMPARED = (
+    "placement",
+    "deadlines missed",
+    "CPU mean (peak)",
+    "data too old",
+    "moves",
+    "outages",
+    "longest",
+    "dropped",
+)
+
+
+def compared(method: str, report: SimulationReport) -> tuple[str, ...]:
+    """Return a row of the comparison, under `COMPARED`."""
+    uses = sum(each.uses for each in report.chains if each.deadline is not None)
+    old = sum(each.missed for each in report.chains)
+    longest = max((each.lasts for each in report.outages), default=None)
+    return (
+        method,
+        f"{share(report.missed, report.due):.2%}",
+        used_cpu(report.loads),
+        f"{share(old, uses):.2%}" if uses else "",
+        str(len(report.moves)),
+        str(len(report.outages)),
+        "" if longest is None else format_seconds(longest),
+        str(report.dropped),
+    )
+
+
+def _missed(report: SimulationReport) -> str:
+    if not report.due:
+        return "no timer has a deadline"
+    if not report.missed:
+        return f"none of {counted(report.due, 'deadline')} missed"
+    part = share(report.missed, report.due)
+    return f"{report.missed} of {counted(report.due, 'deadline')} missed ({part:.2%})"
+
+
+def _stopped(report: SimulationReport) -> str:
+    names = list(dict.fromkeys(each.function for each in report.outages))
+    if not names:
+        return "no function stopped"
+    longest = max(each.lasts for each in report.outages)
+    if len(names) > 1:
+        return f"{len(names)} functions stopped, for up to {format_seconds(longest)}"
+    return f"{names[0]} stopped, for up to {format_seconds(longest)}"
+
+
+def _computers(report: SimulationReport) -> Table:
+    rows = table(
+        "computer", "CPU mean", "peak", "memory", "components at first", folds=4
+    )
+    for load in report.loads:
+        here = (c for c, at in report.placement.items() if at == load.computer)
+        rows.add_row(
+            escape(load.computer),
+            f"{load.cpu:.1%}",
+            f"{load.peak:.1%}",
+            memory(load),
+            escape(", ".join(sorted(here))),
+        )
+    return rows
+
+
+def memory(load: SimulatedLoad) -> str:
+    """Return the most memory that a computer needed, and what it has if known."""
+    has = load.memory_capacity
+    known = f" of {format_bytes(has)}" if has is not None and isfinite(has) else ""
+    return f"{format_bytes(load.memory)}{known}"
+
+
+def _timers(report: SimulationReport) -> Iterator[RenderableType]:
+    rows = table("timer", "period", "deadline", "missed", "share")
+    timers = [each for each in late(report.timers) if each.missed]
+    for each in timers[:MOST_ROWS]:
+        rows.add_row(
+            escape(f"{each.component}.{each.timer}"),
+            format_seconds(each.period),
+            format_seconds(each.deadline or 0.0),
+            f"{each.missed} of {each.due}",
+            f"{share(each.missed, each.due):.2%}",
+        )
+    yield from _rows(rows, len(timers), "late timer")
+
+
+def _chains(report: SimulationReport) -> Iterator[RenderableType]:
+    rows = table(
+        "chain, data age", "deadline", "used", "missed", "median", "p99", "maximum"
+    )
+    for chain in report.chains:
+        until = "" if chain.deadline is None else format_seconds(chain.deadline)
+        head = escape(chain.name), until, str(chain.uses)
+        if not chain.uses:
+            rows.add_row(*head)
+            continue
+        part = (
+            "" if chain.deadline is None else f"{share(chain.missed, chain.uses):.1%}"
+        )
+        ages = map(format_seconds, (chain.median, chain.p99, chain.maximum))
+        rows.add_row(*head, part, *ages)
+    if rows.row_count:
+        yield rows
+
+
+def _moves(report: SimulationReport) -> Iterator[RenderableType]:
+    rows = table("at", "component", "from", "to", "how", "downtime", "why", folds=6)
+    for each in report.moves[:MOST_ROWS]:
+        rows.add_row(*map(escape, move_cells(each)))
+    yield from _rows(rows, len(report.moves), "move")
+
+
+def move_cells(move: SimulatedMove) -> tuple[str, ...]:
+    """Return when what moved from where to where, how, for how long, and why."""
+    where = move.component, move.before, move.after, move.kind
+    return span(move.at), *where, format_seconds(move.downtime), move.why
+
+
+def _outages(report: SimulationReport) -> Iterator[RenderableType]:
+    rows = table("at", "function that stopped", "for", "components", folds=3)
+    for each in report.outages[:MOST_ROWS]:
+        rows.add_row(*map(escape, outage_cells(each)))
+    yield from _rows(rows, len(report.outages), "outage")
+
+
+def outage_cells(outage: Outage) -> tuple[str, ...]:
+    """Return when which function stopped, for how long, and by which components."""
+    lasts = format_seconds(outage.lasts) + ("" if outage.over else ", to the end")
+    return span(outage.at), outage.function, lasts, ", ".join(outage.components)
+
+
+def _messages(report: SimulationReport) -> str:
+    sentences = [f"{counted(report.messages, 'message')} processed"]
+    if report.dropped:
+        sentences.append(f"{report.dropped} dropped, as newer ones came")
+    if report.calls:
+        sentences.append(f"{counted(report.calls, 'call')} answered")
+    if report.failed_calls:
+        sentences.append(f"{report.failed_calls} not answered")
+    return ", ".join(sentences)
+
+
+def _rows(rows: Table, count: int, noun: str) -> Iterator[RenderableType]:
+    if rows.row_count:
+        yield rows
+    yield from _more(count, noun)
+
+
+def _more(count: int, noun: str) -> Iterator[str]:
+    if count > MOST_ROWS:
+        yield f"{counted(count - MOST_ROWS, f'more {noun}')}; `--json` has all"

@@ -1,0 +1,1 @@
+"""A robot in virtual time: what it does, with which placement, under which faults."""

@@ -1,0 +1,170 @@
+"""Which faults a simulation has: from a file, from the seed, or as they are given."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from os import PathLike
+from pathlib import Path
+from typing import Annotated, TypeAlias
+
+import msgspec
+from msgspec import Struct
+
+from poise.errors import FileProblem, RobotError, UsageError
+from poise.model.file_keys import Name, Seconds, Share, says
+from poise.model.robot import Robot
+from poise.model.yaml.include import read_file
+from poise.model.yaml.positions import Finding, Positions
+from poise.model.yaml.positions import Path as KeyPath
+from poise.model.yaml.validate import validate
+from poise.session.simulating.fault_checks import fault_findings
+from poise.simulation.faults import KINDS, LINK_KINDS, Kind, SimulatedFault, plan_faults
+from poise.simulation.schedule.choices import Choices
+
+Faults: TypeAlias = Sequence[SimulatedFault] | str | PathLike[str]
+"""Faults, the file that they are in, or `RANDOM`."""
+RANDOM = "random"
+_LONGEST_PAUSE, _FEWEST = 300.0, 6
+"""The seed picks a fault every five minutes, or about six in a short simulation."""
+_TIMELESS: tuple[Kind, ...] = ("kill container", "step wall clock", "another manager")
+"""These are over at once: `for` says nothing about them."""
+_AT_ONCE = 1.0
+"""What such a fault has instead [s]."""
+_ANYWHERE: tuple[Kind, ...] = ("lose datagrams",)
+"""These are about no computer of their own."""
+_KEYS: Mapping[str, KeyPath] = {"target": ("computer",), "lasts": ("for",)}
+
+
+class FaultKeys(Struct, frozen=True, kw_only=True):
+    """Something that breaks, and is whole again a while later."""
+
+    at: Annotated[
+        Seconds, says("When it begins, counted from when the robot is up: 10 min.")
+    ]
+    fault: Annotated[Kind, says("What breaks.")]
+    computer: Annotated[Name | None, says("Where.")] = None
+    between: Annotated[
+        tuple[Name, Name] | None,
+        says(
+            "Of links: two computers; `cut one way` cuts from the first to the other."
+        ),
+    ] = None
+    lasts: Annotated[
+        Seconds | None, says("How long it lasts: 30 s.", key="for", gt=0)
+    ] = None
+    pick: Annotated[
+        Share,
+        says(
+            "Which of several containers, how many datagrams are lost, or how far a "
+            "clock steps: from 0, the first or the least, to below 1.",
+            lt=1,
+        ),
+    ] = 0.0
+
+
+class DocumentKeys(Struct, frozen=True):
+    """A file with faults."""
+
+    faults: Annotated[tuple[FaultKeys, ...], says("What breaks, in any order.")]
+
+
+def faults_of(
+    robot: Robot, faults: Faults, seconds: float, seed: int
+) -> tuple[SimulatedFault, ...]:
+    """Return the faults of a simulation of `seconds` [virtual s].
+
+    Raises
+    ------
+    RobotError
+        The file is wrong; `problems` has all that was found.
+    UsageError
+        Faults that were given name what is not there, or begin too late.
+    """
+    if isinstance(faults, str) and faults == RANDOM:
+        return _random(robot, seconds, seed)
+    if isinstance(faults, str | PathLike):
+        return read_faults(Path(faults), robot, seconds)
+    findings = [
+        f"{fault}: {message}"
+        for fault in faults
+        for _, message in fault_findings(fault, robot, seconds)
+    ]
+    if findings:
+        raise UsageError("; ".join(findings))
+    return tuple(faults)
+
+
+def read_faults(path: Path, robot: Robot, seconds: float) -> tuple[SimulatedFault, ...]:
+    """Return the faults in a file.
+
+    Raises
+    ------
+    RobotError
+        The file is wrong; `problems` has all that was found.
+    """
+    problems: list[FileProblem] = []
+    root = read_file(path, None, problems)
+    found = root and validate(root, msgspec.inspect.type_info(DocumentKeys), problems)
+    if root is None or found is None or problems:
+        raise RobotError(problems=sorted(problems))
+    positions = Positions(root)
+    faults = []
+    for number, keys in enumerate(msgspec.convert(found, DocumentKeys).faults):
+        findings = list(_shape(keys)) or list(_findings(keys, robot, seconds))
+        problems += [
+            positions.problem(Finding(("faults", number, *path), message))
+            for path, message in findings
+        ]
+        if not findings:
+            faults.append(_fault(keys, robot))
+    if problems:
+        raise RobotError(problems=sorted(problems))
+    return tuple(faults)
+
+
+def _shape(keys: FaultKeys) -> Iterator[tuple[KeyPath, str]]:
+    """Yield the keys that a kind of fault lacks, or does not take."""
+    kind = keys.fault
+    wanted = "between" if kind in LINK_KINDS else "computer"
+    given = {"computer": keys.computer, "between": keys.between}
+    for key, example in (("between", "[main, vision]"), ("computer", "main")):
+        is_wanted = key == wanted and kind not in _ANYWHERE
+        if is_wanted and given[key] is None:
+            yield (), f"'{kind}' lacks the key '{key}': write `{key}: {example}`"
+        if not is_wanted and given[key] is not None:
+            yield (key,), f"'{kind}' takes no '{key}'"
+    if kind in _TIMELESS and keys.lasts is not None:
+        yield ("for",), f"'{kind}' takes no 'for': it is over at once"
+    if kind not in _TIMELESS and keys.lasts is None:
+        yield (), f"'{kind}' lacks the key 'for': write how long, as in `for: 30 s`"
+
+
+def _findings(
+    keys: FaultKeys, robot: Robot, seconds: float
+) -> Iterator[tuple[KeyPath, str]]:
+    ends: Mapping[str, KeyPath] = {"target": ("between", 0), "other": ("between", 1)}
+    paths = {**_KEYS, **ends} if keys.between else _KEYS
+    for field, message in fault_findings(_fault(keys, robot), robot, seconds):
+        yield paths.get(field, (field,)), message
+
+
+def _fault(keys: FaultKeys, robot: Robot) -> SimulatedFault:
+    anywhere = robot.computers[0].name
+    target, other = keys.between or (keys.computer or anywhere, "")
+    return SimulatedFault(
+        at=keys.at,
+        kind=keys.fault,
+        target=target,
+        other=other,
+        lasts=_AT_ONCE if keys.lasts is None else keys.lasts,
+        pick=keys.pick,
+    )
+
+
+def _random(robot: Robot, seconds: float, seed: int) -> tuple[SimulatedFault, ...]:
+    """Return what a seed picks: the same for every placement."""
+    names = [each.name for each in robot.computers]
+    kinds = [each for each in KINDS if len(names) > 1 or each not in LINK_KINDS]
+    pause = min(_LONGEST_PAUSE, seconds / _FEWEST)
+    choices = Choices(seed)
+    return tuple(plan_faults(choices, names, 0.0, seconds, kinds, mean_pause=pause))

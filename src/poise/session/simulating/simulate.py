@@ -1,0 +1,226 @@
+"""Simulates a task of a robot in virtual time, and compares placements so."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from contextlib import closing, suppress
+from math import isfinite
+from typing import TYPE_CHECKING
+
+from msgspec import Struct
+
+from poise.errors import RobotError, RunError, UsageError
+from poise.model.robot import Robot
+from poise.session.callbacks import Check, Say, log, nothing
+from poise.session.placing.first_phase import first_phase
+from poise.session.placing.placement import Placement, place
+from poise.session.profiling.stored_profiles import read_profile
+from poise.session.robot_file import task_of
+from poise.session.simulating.fault_file import Faults, faults_of
+from poise.session.simulating.held_interrupts import interrupts_held
+from poise.session.simulating.simulation_results import Simulation, SimulationComparison
+from poise.simulation.faults import SimulatedFault
+
+if TYPE_CHECKING:
+    from poise.simulation.rehearsal import Rehearsal, RehearsalPlan
+
+Watch = Callable[[float], object]
+"""Called a few times a second with the virtual time so far [s]."""
+_STEP = 0.5
+"""So much virtual time passes between two looks at whether it is to end [s]."""
+_ROUNDING = 1e-6
+"""What is left of the time, and is only what sums of times are wrong by [s]."""
+
+
+def simulate(  # noqa: PLR0913 - each is a choice of the user
+    robot: Robot,
+    task: str | None = None,
+    *,
+    seconds: float = 60.0,
+    placement: Placement | None = None,
+    faults: Faults = (),
+    seed: int = 0,
+    adapt: bool = True,
+    say: Say = log.info,
+    meanwhile: Watch = nothing,
+    check: Check = nothing,
+) -> Simulation:
+    """Simulate a task in virtual time, with the robot's own manager and agents.
+
+    Nothing is started, and no handler of a component runs. The same seed gives the same
+    simulation. Ctrl-C (`KeyboardInterrupt`) ends it early, and the report has what is
+    known by then; the same before the robot is up is raised.
+
+    Parameters
+    ----------
+    task
+        Its name; None: the robot's first.
+    seconds
+        How long, from the moment when the robot is up [virtual s].
+    placement
+        What `poise.place` decided; None: it is decided here.
+    faults
+        What breaks; or a file with it; or ``random``: the seed picks.
+    seed
+        Of chance in what is simulated, and of random faults.
+    adapt
+        Whether Poise changes the placement by itself, as `up` does.
+    say
+        Takes a sentence at every step.
+    meanwhile
+        Called a few times a second with the virtual time so far [s].
+    check
+        Called several times a second; may raise `KeyboardInterrupt`.
+
+    Raises
+    ------
+    RobotError
+        There is no placement, or the file with faults is wrong.
+    RunError
+        The robot does not come up.
+    UsageError
+        A fault cannot happen to this robot, or the extra `simulate` is not installed.
+    """
+    asked = _asked(robot, task, seconds, faults, seed, adapt=adapt)
+    placed = first_phase(robot, [asked.task], placement, say).placed
+    return _simulated(asked, placed, meanwhile, check)
+
+
+def compare_simulations(  # noqa: PLR0913 - each is a choice of the user
+    robot: Robot,
+    task: str | None = None,
+    *,
+    methods: Sequence[str],
+    seconds: float = 60.0,
+    faults: Faults = (),
+    seed: int = 0,
+    adapt: bool = True,
+    say: Say = log.info,
+    meanwhile: Watch = nothing,
+    check: Check = nothing,
+) -> SimulationComparison:
+    """Simulate a task once for each placement, under the same seed and faults.
+
+    After Ctrl-C it returns what is known by then.
+
+    Parameters
+    ----------
+    methods
+        What decides the placements, as `poise.place` takes it, such as ``auto`` and
+        ``static``. The others are as in `simulate`.
+
+    Raises
+    ------
+    RobotError
+        The file with faults is wrong.
+    UsageError
+        As in `simulate`, or there is no such method.
+    """
+    if not methods:
+        raise UsageError("name the placements to compare, such as auto and static")
+    asked = _asked(robot, task, seconds, faults, seed, adapt=adapt)
+    without: dict[str, str] = {}
+    placements: dict[str, Placement] = {}
+    for method in dict.fromkeys(methods):
+        try:
+            planned = place(robot, asked.task, method=method, fewer=True)
+            placements[method] = first_phase(robot, [asked.task], planned, say).placed
+        except RobotError as error:
+            without[method] = str(error)
+    results: dict[str, Simulation] = {}
+    for method, placed in placements.items():
+        say(f"simulating {method} placement")
+        try:
+            results[method] = _simulated(asked, placed, meanwhile, check)
+        except RunError as error:
+            without[method] = str(error)
+        except KeyboardInterrupt:
+            if not results:
+                raise
+            break
+        else:
+            if results[method].is_early:
+                break
+    return SimulationComparison(results=results, without=without)
+
+
+class _Asked(Struct, frozen=True, kw_only=True):
+    """What is simulated, but for the placement."""
+
+    robot: Robot
+    task: str
+    seconds: float
+    faults: tuple[SimulatedFault, ...]
+    seed: int
+    adapts: bool
+
+
+def _asked(
+    robot: Robot,
+    task: str | None,
+    seconds: float,
+    faults: Faults,
+    seed: int,
+    *,
+    adapt: bool,
+) -> _Asked:
+    """Return what the user asks for, when it can be simulated."""
+    _engine()  # before anything is decided
+    if not (isfinite(seconds) and seconds > 0):
+        raise UsageError(f"{seconds:g} s: a simulation lasts longer than 0 s")
+    return _Asked(
+        robot=robot,
+        task=task_of(robot, task),
+        seconds=seconds,
+        faults=faults_of(robot, faults, seconds, seed),
+        seed=seed,
+        adapts=adapt,
+    )
+
+
+def _simulated(
+    asked: _Asked, placed: Placement, meanwhile: Watch, check: Check
+) -> Simulation:
+    """Return what comes of a placement."""
+    rehearsal, plan = _engine()
+    scenario = plan(
+        robot=asked.robot,
+        placement=placed.where,
+        method=placed.method,
+        tasks=(asked.task,),
+        profile=read_profile(asked.robot),
+        faults=asked.faults,
+        adapts=asked.adapts,
+        seconds=asked.seconds,
+    )
+    check()
+    with closing(rehearsal(scenario, asked.seed)) as simulated:
+        with interrupts_held():
+            simulated.come_up()
+        with suppress(KeyboardInterrupt):  # the report says that it was ended early
+            _go_on(simulated, asked.seconds, meanwhile, check)
+        return Simulation.of(simulated.report())
+
+
+def _go_on(
+    simulated: Rehearsal, seconds: float, meanwhile: Watch, check: Check
+) -> None:
+    """Let virtual time [s] pass; a defect of Poise may keep it from passing."""
+    before = -1.0
+    while before < simulated.now < seconds - _ROUNDING:
+        check()
+        before = simulated.now
+        with interrupts_held():
+            simulated.advance(min(_STEP, seconds - before))
+        meanwhile(simulated.now)
+
+
+def _engine() -> tuple[type[Rehearsal], type[RehearsalPlan]]:
+    """Return what simulates; UsageError when its extra is missing."""
+    try:
+        from poise.simulation.rehearsal import Rehearsal, RehearsalPlan
+    except ImportError as error:
+        raise UsageError(
+            f"simulating needs greenlet: pip install 'poise[simulate]' ({error})"
+        ) from error
+    return Rehearsal, RehearsalPlan

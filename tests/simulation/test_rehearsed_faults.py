@@ -1,0 +1,53 @@
+"""What faults and defects do to a robot that a user rehearses."""
+
+from __future__ import annotations
+
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+
+from poise.errors import RunError
+from poise.model.load import load
+from poise.simulation.faults import SimulatedFault
+from poise.simulation.rehearsal import Rehearsal, RehearsalPlan
+from poise.simulation.robot.robot import SimulatedRobot
+from poise.simulation.schedule.scheduler import SimulationError
+
+HELLO = Path(__file__).parents[2] / "examples/hello/robot.yaml"
+
+
+def plan(*faults: SimulatedFault) -> RehearsalPlan:
+    return RehearsalPlan(
+        robot=load(HELLO),
+        placement={"counter": "left", "printer": "right"},
+        method="auto",
+        tasks=("greet",),
+        faults=faults,
+    )
+
+
+@pytest.mark.slow
+def test_what_is_killed_misses_no_deadlines_afterwards() -> None:
+    """10 Hz for 5 s, of which a restart takes a little."""
+    kill = SimulatedFault(1.0, "kill container", "left")
+    with closing(Rehearsal(plan(kill))) as rehearsal:
+        rehearsal.come_up()
+        rehearsal.advance(5.0)
+        (timer,) = rehearsal.report().timers
+        assert 40 <= timer.due <= 50
+        assert timer.missed <= 5
+
+
+def test_a_defect_before_the_robot_is_up_is_said(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def broken(_: SimulatedRobot) -> list[str]:
+        raise SimulationError("a thread broke")
+
+    monkeypatch.setattr("poise.simulation.rehearsal.unsettled", broken)
+    with (
+        closing(Rehearsal(plan())) as rehearsal,
+        pytest.raises(RunError, match=r"does not come up: .*a thread broke"),
+    ):
+        rehearsal.come_up()
