@@ -6,6 +6,9 @@ Each robot is profiled where it has no profile, run on emulated computers, and
 simulated. Then one of its computers loses power, and a component is moved, in both.
 Run it where computers can be emulated, on a machine with nothing else to do: what else
 runs there delays the emulated robot only.
+
+It imports internal modules: a move at a chosen moment is no part of what users ask of a
+simulation.
 """
 
 from __future__ import annotations
