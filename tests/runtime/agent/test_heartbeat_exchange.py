@@ -158,6 +158,18 @@ def test_a_manager_that_was_heard_a_moment_before_has_ended(rig: Rig) -> None:
         assert rig.beat(0.1) > 0
 
 
+def test_one_that_is_heard_after_its_token_went_has_not_ended(rig: Rig) -> None:
+    """It does not hear this agent: it may start elsewhere what runs here."""
+    rig.exchange.begin("k", AGENTS, is_leased=True)
+    heard(rig, 1)
+    rig.exchange.note_liveliness("k", is_there=False)
+    heard(rig, 2)  # that was under way
+    assert not rig.fence.is_managed()
+    rig.beat(0.1)
+    heard(rig, 3)
+    assert rig.fence.is_managed()
+
+
 def test_one_whose_token_goes_long_after_its_last_heartbeat_may_be_cut_off(
     rig: Rig,
 ) -> None:

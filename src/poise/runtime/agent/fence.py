@@ -135,6 +135,10 @@ class Fence:
             if has_ended:
                 self._ended.add(key)
 
+    def note_alive(self, key: str) -> None:
+        """Note that a manager is at work though its liveliness token went."""
+        self._ended.discard(key)
+
     def claim(self, claim: Claim, token: int) -> Refused | None:
         """Obey a manager from now on; return why not.
 

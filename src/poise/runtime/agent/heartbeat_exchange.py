@@ -35,6 +35,8 @@ _NAP = 0.05
 """A computer that was suspended for so long [s] has lost its lease."""
 _CLOCKS_EVERY = 1.0
 """What is known of clocks is worked out this often [s]."""
+_LATE = 0.05
+"""A heartbeat may come so long [s] after the end of whoever sent it."""
 _AT_FIRST = 2.0
 """For so long it is with each heartbeat [s]: the quickest round trip counts."""
 
@@ -90,6 +92,7 @@ class HeartbeatExchange:
         self._began: float | None = None
         self._targets: dict[str, Address] = {}
         self._claimed_by = ""
+        self._token_gone = inf
         self._lock = threading.Lock()
         self._looked_at = clock.now()
         self._grace_until = 0.0
@@ -172,12 +175,15 @@ class HeartbeatExchange:
         """Note that a manager's liveliness token came or went; from any thread.
 
         The token of one that is cut off goes, too, but a while after its last
-        heartbeat: only one that was heard a moment before has surely ended.
+        heartbeat: only one that was heard a moment before has ended, unless it is heard
+        again. That one does not hear this agent, over a link that is cut one way.
         """
         with self._lock:
             manager = self._contacts.get(MANAGER)
             silent = inf if manager is None else self._clock.now() - manager.heard_at
             is_mine = key == self._claimed_by and self.is_leased
+            if is_mine and not is_there:
+                self._token_gone = self._clock.now()
         has_ended = not is_mine or silent < DETECTED
         self._fence.note_liveliness(key, is_there=is_there, has_ended=has_ended)
 
@@ -202,6 +208,8 @@ class HeartbeatExchange:
                 return False
             now = self._clock.now()
             is_news = self._contacts.note(beat, now)
+            if beat.sender == MANAGER and is_news and now > self._token_gone + _LATE:
+                self._fence.note_alive(beat.key)
             echo = beat.heard.get(self._computer) if is_news else None
             if echo is not None and beat.sender != MANAGER:
                 if beat.sender not in self._offsets:
