@@ -8,6 +8,7 @@ simulation's tasks, such as a test, gets the real library meanwhile.
 
 from __future__ import annotations
 
+import getpass
 import os
 import queue
 import random
@@ -159,6 +160,8 @@ def _process(scheduler: Scheduler) -> list[Replaced]:
         (os, "setpriority", nothing),
         (os, "sched_setscheduler", nothing),
         (socket, "gethostname", lambda: _host(scheduler).computer.name),
+        # a longer name would make longer messages
+        (getpass, "getuser", lambda: "user"),
     ]
 
 
