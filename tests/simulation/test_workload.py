@@ -1,0 +1,103 @@
+"""What simulated components do, from what was measured and what the code says."""
+
+from __future__ import annotations
+
+import pytest
+from msgspec import structs
+
+from poise.estimate.profile import Costs, KindCosts, Profile
+from poise.model.robot import Robot
+from poise.simulation.components.models import HandlerModel
+from poise.simulation.schedule.choices import Choices
+from poise.simulation.workload import SimulatedWork, workload_of
+from poise.wire.records.deployment import ConnectorSpec
+from tests.simulation.conftest import small_scenario
+from tests.simulation.test_rehearsal import profile_of
+
+
+@pytest.fixture
+def robot() -> Robot:
+    return small_scenario().robot
+
+
+def cpu_of(work: SimulatedWork, component: str, coming: float) -> float:
+    """Return what a model takes when messages come at a rate [1/s]."""
+    model = work.models[component]
+    timers = sum(t.handler.work / t.timer.period for t in model.timers)
+    return timers + sum(coming * each.work for each in model.takes.values())
+
+
+@pytest.mark.parametrize("component", ["camera", "filter", "mind", "arm"])
+def test_all_handlers_together_take_what_was_measured(
+    robot: Robot, component: str
+) -> None:
+    work = workload_of(robot, profile_of(robot, **{component: 0.3}))
+    assert cpu_of(work, component, coming=10.0) == pytest.approx(0.3)
+
+
+def test_timers_take_what_they_were_measured_to_take_and_messages_the_rest(
+    robot: Robot,
+) -> None:
+    profile = profile_of(robot, filter=0.3)
+    measured = profile.components["filter"]
+    tick = structs.replace(measured.timers["tick"], median=0.02, p99=0.04)
+    known = structs.replace(measured, timers={"tick": tick})
+    profile = structs.replace(
+        profile, components={**profile.components, "filter": known}, speed=0.5
+    )
+    model = workload_of(robot, profile).models["filter"]
+    (timer,) = model.timers
+    # 20 ms of a computer of half speed, ten times a second: 0.1 of the 0.3 cores
+    assert timer.handler.work == pytest.approx(0.01)
+    assert 0.2 < timer.handler.spread < 0.4  # log(2) / 2.33
+    (message,) = model.takes.values()
+    assert message.work == pytest.approx(0.02)
+
+
+def test_a_connector_is_fed_by_the_handler_of_its_rate(robot: Robot) -> None:
+    """Of the filter's timer at 10 Hz every second run sends, of 5 messages a second."""
+    profile = profile_of(robot)
+    out = "filter.out-mind.seen"
+    slower = structs.replace(profile.connectors[out], messages=5.0)
+    profile = structs.replace(profile, connectors={**profile.connectors, out: slower})
+    (timer,) = workload_of(robot, profile).models["filter"].timers
+    assert timer.handler.publishes == {out: 0.5}
+
+
+def test_what_nobody_says_is_guessed_and_said(robot: Robot) -> None:
+    work = workload_of(robot, None)
+    assert "nothing sends over" not in " ".join(work.guesses)
+    assert any("'arm'" in guess for guess in work.guesses)
+    assert work.models["arm"].timers == ()
+
+
+def test_sending_over_a_wire_costs_more_than_together(robot: Robot) -> None:
+    costs = {
+        "local": KindCosts(source=Costs(message=1e-4)),
+        "remote": KindCosts(source=Costs(message=3e-4, byte=1e-7)),
+    }
+    profile: Profile = structs.replace(profile_of(robot), costs=costs)
+    traffic = workload_of(robot, profile).traffic
+    spec = small_connector(robot)
+    assert traffic.cost(spec, "local", "source") == pytest.approx(3e-4)
+    together = structs.replace(spec, kind="local")
+    assert traffic.cost(together, "local", "source") == 0.0
+
+
+def small_connector(robot: Robot) -> ConnectorSpec:
+    name = str(next(robot.all_connectors()))
+    return ConnectorSpec(
+        name=name,
+        kind="remote",
+        source="camera",
+        source_port="out",
+        target="filter",
+        target_port="raw",
+    )
+
+
+def test_the_mean_of_what_is_drawn_is_the_work() -> None:
+    handler, choices = HandlerModel(work=0.01, spread=0.5), Choices(1)
+    drawn = [handler.draw(choices) for _ in range(20_000)]
+    assert sum(drawn) / len(drawn) == pytest.approx(0.01, rel=0.02)
+    assert HandlerModel(work=0.01).draw(choices) == 0.01
