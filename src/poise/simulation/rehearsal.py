@@ -46,6 +46,9 @@ class RehearsalPlan(Struct, frozen=True, kw_only=True):
         Of the robot; None: nothing was measured.
     faults
         What breaks; `at` counts from the moment when the robot is up [s].
+    cores
+        Component -> what it takes in each second, again and again [cores of the
+        reference]; of the others the profile's mean counts.
     adapts
         Whether Poise changes the placement by itself.
     seconds
@@ -58,6 +61,7 @@ class RehearsalPlan(Struct, frozen=True, kw_only=True):
     tasks: tuple[str, ...]
     profile: Profile | None = None
     faults: tuple[SimulatedFault, ...] = ()
+    cores: Mapping[str, tuple[float, ...]] = {}
     adapts: bool = True
     seconds: float = 60.0
 
@@ -72,7 +76,7 @@ class Rehearsal:
     def __init__(self, plan: RehearsalPlan, seed: int = 0) -> None:
         self._plan = plan
         self._seed = seed
-        self._work = workload_of(plan.robot, plan.profile)
+        self._work = workload_of(plan.robot, plan.profile, plan.cores)
         managed = ManagedRobot(
             robot=plan.robot,
             placement=plan.placement,

@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from math import log
 
-from msgspec import Struct
+from msgspec import Struct, structs
 
 from poise.errors import PoiseError
 from poise.estimate.profile import ConnectorProfile, Profile
@@ -61,13 +61,20 @@ class SimulatedWork(Struct, frozen=True, kw_only=True):
     guesses: tuple[str, ...] = ()
 
 
-def workload_of(robot: Robot, profile: Profile | None) -> SimulatedWork:
+def workload_of(
+    robot: Robot,
+    profile: Profile | None,
+    cores: Mapping[str, tuple[float, ...]] = {},
+) -> SimulatedWork:
     """Return what the components of a robot do.
 
     Parameters
     ----------
     profile
         Its measurements; None: the robot file's demands and rates count.
+    cores
+        Component -> what it takes in each second, again and again [cores of the
+        reference]; of the others the mean counts.
     """
     profile = profile or Profile(
         robot=robot.name, poise="", computer="", speed=1.0, at="", seconds=0.0
@@ -84,7 +91,9 @@ def workload_of(robot: Robot, profile: Profile | None) -> SimulatedWork:
         if code.why:
             guesses.append(code.why)
         part = _ComponentWork(robot, plan, over, entry, code, profile, guesses.append)
-        models[entry.name] = part.model()
+        mean, taken = part.cpu(), cores.get(entry.name, ())
+        factors = tuple(each / mean for each in taken) if mean else ()
+        models[entry.name] = structs.replace(part.model(), factors=factors)
     traffic = Traffic(
         sizes={name: each.size for name, each in over.items() if each.size},
         calling=frozenset(name for name, each in over.items() if each.calls),
@@ -221,7 +230,7 @@ class _ComponentWork:
 
     def _share_work(self, timers: list[_Rated], others: list[_Rated]) -> None:
         """Let all handlers together take the CPU that the component takes."""
-        total = self._cpu()
+        total = self.cpu()
         measured = sum(each.rate * each.work for each in timers)
         rest = sum(each.rate for each in others)
         if rest:
@@ -240,7 +249,7 @@ class _ComponentWork:
             what = f"'{self._entry.name}' has no timer and gets nothing: it idles here"
             self._guess(what)
 
-    def _cpu(self) -> float:
+    def cpu(self) -> float:
         """Return the mean CPU that it takes [cores of the reference]."""
         if self._known is not None:
             return self._known.cpu.mean + self._known.share

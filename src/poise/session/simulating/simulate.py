@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing, suppress
 from math import isfinite
+from os import PathLike
 from typing import TYPE_CHECKING
 
 from msgspec import Struct
@@ -15,6 +16,7 @@ from poise.session.callbacks import Check, Say, log, nothing
 from poise.session.placing.first_phase import first_phase
 from poise.session.placing.placement import Placement, place
 from poise.session.profiling.stored_profiles import read_profile
+from poise.session.recordings.recorded_run import RecordedRun
 from poise.session.robot_file import task_of
 from poise.session.simulating.fault_file import Faults, faults_of
 from poise.session.simulating.held_interrupts import interrupts_held
@@ -41,6 +43,7 @@ def simulate(  # noqa: PLR0913 - each is a choice of the user
     faults: Faults = (),
     seed: int = 0,
     adapt: bool = True,
+    recording: str | PathLike[str] | None = None,
     say: Say = log.info,
     meanwhile: Watch = nothing,
     check: Check = nothing,
@@ -65,6 +68,9 @@ def simulate(  # noqa: PLR0913 - each is a choice of the user
         Of chance in what is simulated, and of random faults.
     adapt
         Whether Poise changes the placement by itself, as `up` does.
+    recording
+        What `poise.up` or `poise.run` recorded: components take in each second what
+        they took then, again and again; None: what they take on average.
     say
         Takes a sentence at every step.
     meanwhile
@@ -81,7 +87,7 @@ def simulate(  # noqa: PLR0913 - each is a choice of the user
     UsageError
         A fault cannot happen to this robot, or the extra `simulate` is not installed.
     """
-    asked = _asked(robot, task, seconds, faults, seed, adapt=adapt)
+    asked = _asked(robot, task, seconds, faults, seed, recording, adapt=adapt)
     placed = first_phase(robot, [asked.task], placement, say).placed
     return _simulated(asked, placed, meanwhile, check)
 
@@ -95,6 +101,7 @@ def compare_simulations(  # noqa: PLR0913 - each is a choice of the user
     faults: Faults = (),
     seed: int = 0,
     adapt: bool = True,
+    recording: str | PathLike[str] | None = None,
     say: Say = log.info,
     meanwhile: Watch = nothing,
     check: Check = nothing,
@@ -118,7 +125,7 @@ def compare_simulations(  # noqa: PLR0913 - each is a choice of the user
     """
     if not methods:
         raise UsageError("name the placements to compare, such as auto and static")
-    asked = _asked(robot, task, seconds, faults, seed, adapt=adapt)
+    asked = _asked(robot, task, seconds, faults, seed, recording, adapt=adapt)
     without: dict[str, str] = {}
     placements: dict[str, Placement] = {}
     for method in dict.fromkeys(methods):
@@ -153,6 +160,7 @@ class _Asked(Struct, frozen=True, kw_only=True):
     faults: tuple[SimulatedFault, ...]
     seed: int
     adapts: bool
+    cores: Mapping[str, tuple[float, ...]]
 
 
 def _asked(
@@ -161,6 +169,7 @@ def _asked(
     seconds: float,
     faults: Faults,
     seed: int,
+    recording: str | PathLike[str] | None,
     *,
     adapt: bool,
 ) -> _Asked:
@@ -175,6 +184,7 @@ def _asked(
         faults=faults_of(robot, faults, seconds, seed),
         seed=seed,
         adapts=adapt,
+        cores=RecordedRun(recording).cores(robot) if recording else {},
     )
 
 
@@ -191,6 +201,7 @@ def _simulated(
         profile=read_profile(asked.robot),
         faults=asked.faults,
         adapts=asked.adapts,
+        cores=asked.cores,
         seconds=asked.seconds,
     )
     check()

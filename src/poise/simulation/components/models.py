@@ -66,6 +66,9 @@ class ComponentModel(Struct, frozen=True, kw_only=True):
     takes, serves
         Slot of a connector -> what a message or a call that comes over it costs; the
         others cost what `other` says.
+    factors
+        How much dearer handlers are in each second than on average, again and again;
+        empty: always the same.
     keep
         Slot -> how many messages wait at most, the oldest of them make room; the others
         have room for `MOST_KEPT`.
@@ -84,12 +87,17 @@ class ComponentModel(Struct, frozen=True, kw_only=True):
     takes: Mapping[str, HandlerModel] = {}
     serves: Mapping[str, HandlerModel] = {}
     other: HandlerModel = _TAKE
+    factors: tuple[float, ...] = ()
     keep: Mapping[str, int] = {}
     start: tuple[float, float] = (0.02, 0.2)
     start_later: tuple[float, float] = (0.02, 0.1)
     activate: float = 0.01
     state_size: float = 10_000
     memory: float = 10e6
+
+    def factor(self, now: float) -> float:
+        """Return how much dearer its handlers are than on average."""
+        return self.factors[int(now) % len(self.factors)] if self.factors else 1.0
 
 
 MOST_KEPT = 50

@@ -95,7 +95,9 @@ class Turn:
     def _work(self) -> None:
         component, item = self._component, self._item
         container = component.container
-        work = self._handler.draw(container.world.choices)
+        world = container.world
+        work = self._handler.draw(world.choices)
+        work *= component.model.factor(world.scheduler.now)
         if item is not None:
             work += container.cost_of(item.spec, "target")
         self._cost = work

@@ -50,6 +50,12 @@ def simulate_command(
     adapt: Annotated[
         bool, typer.Option(help="Change the placement as `poise up` does.")
     ] = True,
+    recording: Annotated[
+        Path | None,
+        typer.Option(
+            help="What `poise up --record` wrote: the load, second by second."
+        ),
+    ] = None,
     compare: Annotated[
         str | None, typer.Option(help="Placements side by side: auto,static,greedy.")
     ] = None,
@@ -111,6 +117,7 @@ def simulate_command(
                 faults=faults or (),
                 seed=seed,
                 adapt=adapt,
+                recording=recording,
                 say=say,
                 meanwhile=show,
                 check=interrupts.check,
