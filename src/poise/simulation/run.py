@@ -5,22 +5,28 @@ from __future__ import annotations
 import re
 import time
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 
 from msgspec import Struct
 
 from poise.errors import TakenOver
-from poise.manage.control_socket.records import MoveCommand, Refusal, Result
+from poise.manage.control_socket.records import (
+    MoveCommand,
+    Refusal,
+    Result,
+    RobotStatus,
+)
 from poise.manage.migration.report import MigrationReport
 from poise.model.robot import Robot
+from poise.simulation.aimed_faults import AimedFaults
 from poise.simulation.faults import KINDS, Kind, SimulatedFault, inject, plan_faults
 from poise.simulation.invariants import Violation
 from poise.simulation.robot.manager import ManagedRobot, SimulatedManager
 from poise.simulation.robot.robot import SimulatedRobot
 from poise.simulation.schedule.choices import Choices
 from poise.simulation.schedule.scheduler import SimulationError
-from poise.simulation.settled import unsettled
+from poise.simulation.settled import not_well, unsettled
 from poise.simulation.workload import SimulatedWork
 
 UP_LIMIT = 30.0
@@ -149,7 +155,7 @@ def simulate(
         took=time.process_time() - began,
         steps=robot.scheduler.steps,
         digest=robot.scheduler.digest(),
-        faults=run.faults,
+        faults=run.all_faults(),
         choices=choices.made,
         trace=tuple(trace),
         handled=robot.ledger.handled,
@@ -165,7 +171,7 @@ class _Run:
         self.faults: tuple[SimulatedFault, ...] = ()
         self._scenario = scenario
         self._scheduler = robot.scheduler
-        self._is_healed = False
+        self._aimed: AimedFaults | None = None
         self._scheduler.on_step = self._check
 
     def go(self) -> None:
@@ -182,6 +188,7 @@ class _Run:
             names = tuple(robot.computers)
             kinds = self._scenario.kinds
             self.faults = tuple(plan_faults(robot.choices, names, begin, end, kinds))
+            self._aimed = AimedFaults(robot, end, self._inject)
         for fault in self.faults:
             self._scheduler.at(fault.at, partial(self._inject, fault))
         if self._scenario.moves:
@@ -189,7 +196,7 @@ class _Run:
         robot.run(max([end, *(f.at + f.lasts for f in self.faults)]) + 0.01)
         self._heal()
         limit = self._scenario.converges
-        self._until(limit, f"{limit:g} s after the last fault")
+        self._until(limit, f"{limit:g} s after the last fault", not_well)
 
     def _heal(self) -> None:
         """Start what was killed and never came back."""
@@ -200,9 +207,19 @@ class _Run:
             robot.keep_managed(next(iter(robot.computers)))
         robot.note("run", "all faults are over")
 
-    def _until(self, limit: float, what: str) -> None:
+    def all_faults(self) -> tuple[SimulatedFault, ...]:
+        """Return what was to break, in the order of time."""
+        aimed = self._aimed.faults if self._aimed else ()
+        return tuple(sorted((*self.faults, *aimed), key=lambda fault: fault.at))
+
+    def _until(
+        self,
+        limit: float,
+        what: str,
+        troubles: Callable[[SimulatedRobot], list[str]] = unsettled,
+    ) -> None:
         deadline = self._scheduler.now + limit
-        while found := unsettled(self.robot):
+        while found := troubles(self.robot):
             if self._scheduler.now >= deadline:
                 raise Violation("desired-is-reached", f"{what}: {'; '.join(found)}")
             self.robot.run(self._scheduler.now + _LOOK_EVERY)
@@ -223,10 +240,12 @@ class _Run:
             process = manager.process
             if process.is_dead or process.is_paused or process.awake_since > at:
                 return
-            status = manager.status()
-            said = [d.what for d in status.deviations] if status else []
-            if status and not any(f"'{fault.target}'" in what for what in said):
-                raise Violation(
+            manager.ask_status(judge)
+
+        def judge(status: RobotStatus) -> None:
+            said = [deviation.what for deviation in status.deviations]
+            if not any(f"'{fault.target}'" in what for what in said):
+                self.robot.ledger.violate(
                     "failures-are-shown",
                     f"status says {said} {SHOWN_WITHIN:g} s after {fault}",
                 )

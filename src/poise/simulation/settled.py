@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from poise.manage.control_socket.records import RobotStatus
 from poise.simulation.robot.robot import SimulatedRobot
+
+_ANSWERED = 0.01
+"""A manager answers within this time [s]."""
 
 
 def unsettled(robot: SimulatedRobot) -> list[str]:
@@ -26,3 +30,22 @@ def unsettled(robot: SimulatedRobot) -> list[str]:
     ]
     lost = sorted(manager.manager.lost())
     return found + [f"the manager takes '{name}' for lost" for name in lost]
+
+
+def not_well(robot: SimulatedRobot) -> list[str]:
+    """Return what is not as it is desired, or is said not to be."""
+    found, manager = unsettled(robot), robot.manager
+    if found or manager is None:
+        return found
+    said: list[str] = []
+    is_told: list[RobotStatus] = []
+
+    def take(status: RobotStatus) -> None:
+        is_told.append(status)
+        # a wall clock that jumped is said for a while, of no computer
+        wrong = (each.what for each in status.deviations if each.computer)
+        said.extend(f"status says: {what}" for what in wrong)
+
+    manager.ask_status(take)
+    robot.run(robot.scheduler.now + _ANSWERED)
+    return said if is_told else ["the manager does not say how it is"]

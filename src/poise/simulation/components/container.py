@@ -54,6 +54,7 @@ class World(Protocol):
     clock: ComponentClock
     agent_cpu: float
     components: list[SimulatedComponent]
+    on_moment: Callable[[str, str], object]
 
     def model_of(self, component: str) -> ComponentModel:
         """Return the model of a component."""

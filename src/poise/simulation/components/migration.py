@@ -69,6 +69,8 @@ class MigrationModel:
             done = StepsDone(batch.number, is_committed=self._is_committed)
             self._container.answer(done)
             return
+        world, computer = self._container.world, self._container.process.computer
+        world.on_moment("steps", computer.name)
         received, deployment = self._now, self._num_deployments
         self._container.process.spawn(
             f"steps {batch.number % 1000}",

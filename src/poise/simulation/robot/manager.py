@@ -83,15 +83,24 @@ class SimulatedManager:
         self._endpoints = endpoints
         self.process = process
         self.manager: Manager | None = None
+        self.on_up: Callable[[], object] = lambda: None
         self.run: RunningComponents | None = None
         self.error: PoiseError | None = None
         self._note = note
         self._takes_over = take_over
         process.spawn("manager", self._main)
 
-    def status(self) -> RobotStatus | None:
-        """Return the status that a client gets now; None: it is not up."""
-        return None if self.manager is None else self.manager.status()
+    def ask_status(self, take: Callable[[RobotStatus], object]) -> None:
+        """Let a client ask for the status; nobody answers while it is not up.
+
+        It is worked out on a task, for the simulated world has another clock.
+        """
+
+        def answer() -> None:
+            if self.manager is not None:
+                take(self.manager.status())
+
+        self.process.spawn("client status", answer)
 
     def ask(self, command: Command, take: Callable[[Result | Refusal], object]) -> None:
         """Submit a command from a client; `take` gets its result."""
@@ -134,6 +143,7 @@ class SimulatedManager:
                 samples,
                 adapts=setup.adapts,
             )
+            self.on_up()
             try:
                 while not self.manager.is_stopping:
                     self.manager.work(_LOOK_EVERY)

@@ -57,6 +57,9 @@ class SimulatedRobot:
         Those that run, by computer; and all managers so far, the last one last.
     components
         All incarnations of components so far.
+    on_moment
+        Called with ``steps`` and a computer when a container gets steps of a migration,
+        and with ``up`` when a manager is up there.
     on_entry
         Called with each entry of a manager's journal.
     """
@@ -83,6 +86,7 @@ class SimulatedRobot:
         self.managers: list[SimulatedManager] = []
         self.endpoints: dict[str, str] = {}
         self.is_stopped = False
+        self.on_moment: Callable[[str, str], object] = lambda *_: None
         self.on_entry: Callable[[JournalEntry], object] = lambda _: None
         self.components: list[SimulatedComponent] = []
         self.workload = workload
@@ -148,8 +152,13 @@ class SimulatedRobot:
                 self.ledger.violate("no-bug-stops-the-robot", what)
 
         manager = SimulatedManager(
-            self._managed, self.endpoints, process, note, take_over=take_over
+            self._managed,
+            self.endpoints,
+            process,
+            note,
+            take_over=take_over,
         )
+        manager.on_up = lambda: self.on_moment("up", computer)
         self.managers.append(manager)
         return manager
 
