@@ -227,9 +227,15 @@ class _Run:
     def _inject(self, fault: SimulatedFault) -> None:
         """Let a fault begin; in a second `status` has to say what is lost."""
         manager, agent = self.robot.manager, self.robot.agents.get(fault.target)
-        is_new = agent is not None and not agent.process.is_paused
+        # one that is back only now has sent no heartbeat yet: its connection's lease
+        # tells of its loss
+        was_there = (
+            agent is not None
+            and not agent.process.is_paused
+            and self._scheduler.now - agent.process.awake_since > SHOWN_WITHIN
+        )
         inject(self.robot, fault)
-        if fault.kind not in _LOSSES or fault.lasts < SHOWN_WITHIN or not is_new:
+        if fault.kind not in _LOSSES or fault.lasts < SHOWN_WITHIN or not was_there:
             return
         is_judge = manager is not None and manager.process.computer.name != fault.target
         if manager is None or not is_judge or fault.target in _lost(manager):

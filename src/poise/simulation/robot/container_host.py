@@ -212,6 +212,7 @@ class SimulatedAdoption:
     def give_up(self) -> None:
         """Kill what did not ask in time."""
         if self._agent.process.computer.monotonic() >= self._limit:
+            self._limit = inf
             self.close()
 
     def close(self) -> None:
