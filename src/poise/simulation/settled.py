@@ -42,10 +42,12 @@ def not_well(robot: SimulatedRobot) -> list[str]:
 
     def take(status: RobotStatus) -> None:
         is_told.append(status)
-        for each in status.deviations:
-            # a clock that jumped is said for a while, and so are many restarts
-            if each.computer and not each.what.startswith("container '"):
-                said.append(f"status says: {each.what}")
+        # a clock that jumped is said for a while, and so are many restarts
+        said.extend(
+            f"status says: {each.what}"
+            for each in status.deviations
+            if each.computer and not each.what.startswith("container '")
+        )
 
     manager.ask_status(take)
     robot.run(robot.scheduler.now + _ANSWERED)
