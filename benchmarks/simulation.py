@@ -1,6 +1,7 @@
 """How near `poise simulate` comes to the emulated robot, with the same placement.
 
     python -m benchmarks.simulation [--seconds 30] [--only two tight t-rot] [--json]
+    python -m benchmarks.simulation --speed 1h
 
 Each robot is profiled where it has no profile, run on emulated computers, and
 simulated. Then one of its computers loses power, and a component is moved, in both.
@@ -17,18 +18,33 @@ import argparse
 import sys
 import time
 from collections.abc import Callable
+from itertools import pairwise
 from pathlib import Path
 
 import msgspec
 from msgspec import Struct
 
 import poise
-from poise.model.robot import Robot
+from poise.estimate.profile import ComponentProfile, ConnectorProfile, Profile
+from poise.estimate.profile.distribution import Distribution
+from poise.estimate.profile.records import TimerProfile
+from poise.model.robot import (
+    Action,
+    Architecture,
+    ComponentEntry,
+    Computer,
+    Connector,
+    ConnectorEnd,
+    Robot,
+    Task,
+)
 from poise.session.profiling.stored_profiles import read_profile
 from poise.session.running_robots.running import Running
-from poise.simulation.faults import SimulatedFault
+from poise.simulation.faults import SimulatedFault, plan_faults
 from poise.simulation.rehearsal import Rehearsal, RehearsalPlan
 from poise.simulation.report import SimulationReport
+from poise.simulation.schedule.choices import Choices
+from poise.units import SECONDS, parse
 
 ROOT = Path(__file__).parents[1]
 FILES = {
@@ -71,7 +87,11 @@ def main() -> int:
     parser.add_argument("--seconds", type=float, default=30.0)
     parser.add_argument("--only", nargs="*", default=list(FILES), choices=list(FILES))
     parser.add_argument("--json", action="store_true")
+    parser.add_argument("--speed", help="only how long so much virtual time takes")
     asked = parser.parse_args()
+    if asked.speed:
+        print_speed(parse(asked.speed, SECONDS))
+        return 0
     found = {name: compare(name, asked.seconds) for name in asked.only}
     if asked.json:
         print(msgspec.json.format(msgspec.json.encode(found)).decode())
@@ -79,6 +99,98 @@ def main() -> int:
         for name, figures in found.items():
             print_table(name, figures)
     return not all(each.is_near for figures in found.values() for each in figures)
+
+
+def print_speed(seconds: float) -> None:
+    """Print how long virtual time takes, under random faults."""
+    trot = poise.load(FILES["t-rot"])
+    for what, robot, profile in (
+        ("T-Rot, 25 components on 2 computers", trot, read_profile(trot)),
+        ("200 components on 20 computers", *crowd()),
+    ):
+        task = robot.tasks[0].name
+        faults = random_faults(robot, seconds)
+        placed = poise.place(robot, task)
+        plan = RehearsalPlan(
+            robot=robot,
+            placement=dict(placed.where),
+            method="auto",
+            tasks=(task,),
+            profile=profile,
+            faults=faults,
+            seconds=seconds,
+        )
+        told = rehearse(plan, seconds)
+        print(
+            f"{what}: {seconds:g} virtual s, {len(faults)} faults, "
+            f"{told.messages} messages in {told.took:.1f} s of CPU: "
+            f"{told.ratio:.0f} times real time; {len(told.violations)} violations"
+        )
+
+
+def random_faults(robot: Robot, seconds: float) -> tuple[SimulatedFault, ...]:
+    """Return about one fault every five minutes."""
+    names = [computer.name for computer in robot.computers]
+    return tuple(plan_faults(Choices(1), names, 0.0, seconds, mean_pause=300.0))
+
+
+def crowd() -> tuple[Robot, Profile]:
+    """Return a robot of 40 chains of five components, on 20 computers."""
+    chains = [[f"c{k}_{i}" for i in range(5)] for k in range(40)]
+    robot = Robot(
+        name="crowd",
+        folder="/crowd",
+        computers=tuple(
+            Computer(name=f"m{k}", capacity={"cpu": 1.0, "memory": 1e9})
+            for k in range(20)
+        ),
+        architectures=tuple(
+            Architecture(
+                name=f"a{k}",
+                function=f"f{k}",
+                components=tuple(
+                    ComponentEntry(
+                        name=name,
+                        implementation=f"crowd:{name}",
+                        demand={"cpu": 0.05, "memory": 1e6},
+                    )
+                    for name in names
+                ),
+                connectors=tuple(
+                    Connector(
+                        between=(ConnectorEnd(one, "out"), ConnectorEnd(other, "in"))
+                    )
+                    for one, other in pairwise(names)
+                ),
+            )
+            for k, names in enumerate(chains)
+        ),
+        tasks=(
+            Task(
+                name="all",
+                actions=(
+                    Action(name="go", functions=tuple(f"f{k}" for k in range(40))),
+                ),
+            ),
+        ),
+    )
+    timer = TimerProfile(period=0.1, median=0.0, p99=0.0, maximum=0.0)
+    known = ComponentProfile(
+        version="1", cpu=Distribution(mean=0.04), start=0.2, timers={"tick": timer}
+    )
+    return robot, Profile(
+        robot="crowd",
+        poise="1",
+        computer="m0",
+        speed=1.0,
+        at="",
+        seconds=1.0,
+        components={c.name: known for c in robot.components()},
+        connectors={
+            str(each): ConnectorProfile(messages=10.0, size=500.0)
+            for each in robot.all_connectors()
+        },
+    )
 
 
 def print_table(name: str, figures: list[Compared]) -> None:
