@@ -11,12 +11,13 @@ long they run, and what goes over each connector; not which handler sends what. 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from math import log
+from math import log, sqrt
 
 from msgspec import Struct, structs
 
 from poise.errors import PoiseError
 from poise.estimate.profile import ConnectorProfile, Profile
+from poise.estimate.profile.distribution import WINDOW
 from poise.manage.deploy.deployment_plan import DeploymentPlan
 from poise.model.robot import ComponentEntry, Connector, Robot
 from poise.runtime.component.implementation import find
@@ -30,8 +31,8 @@ from poise.simulation.components.models import (
 from poise.simulation.components.traffic import Traffic
 
 _SPREAD, _MOST_SPREAD = 0.3, 1.0
-_P99 = 2.326
-"""The 99th percentile of a standard normal distribution."""
+_P95, _P99 = 1.645, 2.326
+"""Percentiles of a standard normal distribution."""
 _HEADROOM = 1.05
 """A demand in the robot file is more than the mean by about this factor."""
 _START, _USUAL_START = (0.8, 1.2), 0.2
@@ -176,8 +177,9 @@ class _ComponentWork:
         entry, known = self._entry, self._known
         start = known.start if known else _USUAL_START
         timers = {timer.name: self._timer(timer) for timer in self._timers()}
-        taken = {slot: _run(t.messages) for slot, t in self._coming() if t.messages}
-        served = {slot: _run(t.calls) for slot, t in self._coming() if t.calls}
+        coming = list(self._coming())
+        taken = {slot: self._run(t.messages) for slot, t in coming if t.messages}
+        served = {slot: self._run(t.calls) for slot, t in coming if t.calls}
         self._share_work(list(timers.values()), [*taken.values(), *served.values()])
         self._feed([*timers.values(), *taken.values(), *served.values()])
         return ComponentModel(
@@ -206,11 +208,23 @@ class _ComponentWork:
 
     def _timer(self, timer: Timer) -> _Rated:
         measured = self._known.timers.get(timer.name) if self._known else None
-        spread = _SPREAD
+        spread = self._spread(1 / timer.period)
         if measured and measured.median > 0 and measured.p99 > measured.median:
-            spread = min(_MOST_SPREAD, log(measured.p99 / measured.median) / _P99)
+            # what it waited for is in that, too
+            spread = min(spread, log(measured.p99 / measured.median) / _P99)
         work = measured.median * self._speed if measured else 0.0
         return _Rated(1 / timer.period, work, spread, {}, {})
+
+    def _run(self, rate: float) -> _Rated:
+        return _Rated(rate, 0.0, self._spread(rate), {}, {})
+
+    def _spread(self, rate: float) -> float:
+        """Return how much runs differ, by how much windows with several of them do."""
+        cpu = self._known.cpu if self._known else None
+        if cpu is None or not cpu.mean or not cpu.p95:
+            return _SPREAD
+        of_windows = max(0.0, cpu.p95 / cpu.mean - 1.0) / _P95
+        return min(_MOST_SPREAD, of_windows * sqrt(max(1.0, rate * WINDOW)))
 
     def _coming(self) -> Iterator[tuple[str, ConnectorProfile]]:
         for connector in self._robot.all_connectors():
@@ -274,10 +288,6 @@ class _ComponentWork:
                 by.publishes[slot] = over.messages / by.rate
             else:
                 self._guess(f"nobody says what goes over '{slot}': nothing does here")
-
-
-def _run(rate: float) -> _Rated:
-    return _Rated(rate, 0.0, _SPREAD, {}, {})
 
 
 def _feeding(handlers: list[_Rated], rate: float) -> _Rated | None:
