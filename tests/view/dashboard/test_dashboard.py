@@ -96,6 +96,12 @@ def on(page: Any, computer: str, component: str) -> Any:
     return page.locator(f'[data-computer="{computer}"] [data-component="{component}"]')
 
 
+_STILL = """() => document.getAnimations().every(
+  each =>
+    each.playState !== "running" || each.effect.getTiming().iterations === Infinity
+)"""
+
+
 def test_shows_a_robot_its_log_asks_what_if_moves_and_undoes(
     robot: Path, page: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -142,6 +148,7 @@ def test_shows_a_robot_its_log_asks_what_if_moves_and_undoes(
             assert table.get_by_role("cell", name="move").count()
             page.get_by_role("button", name="Close").click()
             page.wait_for_selector(".q-dialog", state="detached")
+        page.wait_for_function(_STILL)  # what fades has no colour of its own
         found = axe.Axe().run(page).response["violations"]
         assert [v["id"] for v in found if v["impact"] in {"serious", "critical"}] == []
         page.goto("about:blank")  # it would complain that the server has ended
