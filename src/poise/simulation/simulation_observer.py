@@ -22,7 +22,7 @@ LOOK_EVERY = 0.05
 """What works is looked at so often [s]; outages are known to that."""
 _SECOND = 1.0
 _POINTS = 600
-"""At most so many points of a computer's load over time."""
+"""A computer's load over time has at most this many points."""
 _MOST_EVENTS = 5000
 _KINDS = {"seen", "decided", "done", "failed", "wrong", "right"}
 
@@ -67,9 +67,11 @@ class SimulationObserver:
 
     def note(self, who: str, kind: str, what: str) -> None:
         """Keep an event."""
-        if len(self.events) < _MOST_EVENTS:
-            event = SimulatedEvent(at=self.now, who=who, kind=kind, what=what)
-            self.events.append(event)
+        if len(self.events) > _MOST_EVENTS:
+            return
+        if len(self.events) == _MOST_EVENTS:
+            kind, what = "wrong", f"after {_MOST_EVENTS} events no more are kept"
+        self.events.append(SimulatedEvent(at=self.now, who=who, kind=kind, what=what))
 
     def loads(self) -> tuple[SimulatedLoad, ...]:
         """Return how busy each computer was."""

@@ -58,7 +58,7 @@ class Serving:
         }
 
     def _whole(self) -> list[Architecture]:
-        """Return what is placed wholly; worked out anew when something else is."""
+        """Return what is placed wholly; computed when the placed components change."""
         run, placed = self._run, self._run.placed.keys()
         if placed != self._placed:
             self._placed = frozenset(placed)

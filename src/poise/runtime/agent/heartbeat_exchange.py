@@ -36,7 +36,7 @@ _NAP = 0.05
 _CLOCKS_EVERY = 1.0
 """What is known of clocks is worked out this often [s]."""
 _LATE = 0.05
-"""A heartbeat may come so long [s] after the end of whoever sent it."""
+"""A heartbeat may arrive this long after its sender has ended [s]."""
 _AT_FIRST = 2.0
 """For so long it is with each heartbeat [s]: the quickest round trip counts."""
 
