@@ -60,7 +60,7 @@ lint: setup
 
 # The stubs of the native modules, as their signatures say; what they do stands in the headers.
 stubs: setup
-	@for module in plan/_core estimate/_change_point runtime/_calls wire/_channel; do \
+	@for module in plan/_core estimate/_change_point runtime/_calls simulation/_engine wire/_channel; do \
 	  $(BIN)/python -m nanobind.stubgen -q -m poise.$$(echo $$module | tr / .) -o src/poise/$$module.pyi; \
 	done
 	@$(BIN)/ruff check -q --fix --exit-zero src/poise/*/_*.pyi >/dev/null
@@ -75,7 +75,7 @@ sanitize: setup
 	@rm -rf build/sanitize/site && mkdir -p build/sanitize/site
 	@cp -r $(SITE)/poise src/poise build/sanitize/site
 	@cp build/sanitize/_core*.so build/sanitize/site/poise/plan
-	@for part in estimate runtime wire; do \
+	@for part in estimate runtime simulation wire; do \
 	  cp build/sanitize/src/poise/$$part/native/*.so build/sanitize/site/poise/$$part; done
 	@LD_PRELOAD="$$(gcc -print-file-name=libasan.so) $$(gcc -print-file-name=libstdc++.so)" ASAN_OPTIONS=detect_leaks=0 \
 	  PYTHONPATH=build/sanitize/site:$(SITE) $(BIN)/python -S -m pytest -q -s --timeout 600 \
@@ -84,7 +84,7 @@ sanitize: setup
 	  tests/wire/connections/test_channel.py \
 	  tests/runtime/connectors tests/runtime/execution/test_histogram.py tests/runtime/hosting/test_stats_page.py \
 	  tests/runtime/component/test_deadline.py tests/runtime/test_served_call.py \
-	  tests/runtime/execution/test_exclusion.py tests/estimate/test_change_point.py
+	  tests/runtime/execution/test_exclusion.py tests/estimate/test_change_point.py tests/simulation/native
 
 # the site in build/docs; a warning is an error
 docs: setup

@@ -14,6 +14,7 @@ MODULES = (
     "poise.plan._core",
     "poise.estimate._change_point",
     "poise.runtime._calls",
+    "poise.simulation._engine",
     "poise.wire._channel",
 )
 

@@ -33,7 +33,6 @@ from poise.runtime.agent import lease
 from poise.runtime.agent.fence import Fence
 from poise.runtime.agent.heartbeat_exchange import HeartbeatExchange
 from poise.runtime.agent.lease import Lease
-from poise.runtime.connectors.overtaken_sources import OvertakenSources
 from poise.simulation.robot.container_host import SimulatedControl
 from poise.simulation.run import simulate
 from poise.simulation.shrink import Shrunk
@@ -236,10 +235,6 @@ DEFECTS: Defects = {
     "other-lease": (
         "another manager's agents extend the lease",
         _lease_of_another_manager,
-    ),
-    "late-messages": (
-        "messages of a lost incarnation are processed",
-        _put(OvertakenSources, "note", lambda *_: False),
     ),
     # mutations
     "long-lease": ("agents keep leases for 2 s", _put(lease, "LEASE", 2.0)),

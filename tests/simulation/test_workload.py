@@ -7,8 +7,6 @@ from msgspec import structs
 
 from poise.estimate.profile import Costs, KindCosts, Profile
 from poise.model.robot import Robot
-from poise.simulation.components.models import HandlerModel
-from poise.simulation.schedule.choices import Choices
 from poise.simulation.workload import SimulatedWork, workload_of
 from poise.wire.records.deployment import ConnectorSpec
 from tests.simulation.conftest import small_scenario
@@ -94,10 +92,3 @@ def small_connector(robot: Robot) -> ConnectorSpec:
         target="filter",
         target_port="raw",
     )
-
-
-def test_the_mean_of_what_is_drawn_is_the_work() -> None:
-    handler, choices = HandlerModel(work=0.01, spread=0.5), Choices(1)
-    drawn = [handler.draw(choices) for _ in range(20_000)]
-    assert sum(drawn) / len(drawn) == pytest.approx(0.01, rel=0.02)
-    assert HandlerModel(work=0.01).draw(choices) == 0.01

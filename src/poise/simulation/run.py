@@ -25,7 +25,7 @@ from poise.simulation.invariants import Violation
 from poise.simulation.robot.manager import ManagedRobot, SimulatedManager
 from poise.simulation.robot.robot import SimulatedRobot
 from poise.simulation.schedule.choices import Choices
-from poise.simulation.schedule.scheduler import SimulationError
+from poise.simulation.schedule.scheduler import ENGINE, SimulationError
 from poise.simulation.settled import not_well, unsettled
 from poise.simulation.workload import SimulatedWork
 
@@ -156,7 +156,7 @@ def simulate(
         steps=robot.scheduler.steps,
         digest=robot.scheduler.digest(),
         faults=run.all_faults(),
-        choices=choices.made,
+        choices={**choices.made, ENGINE: robot.scheduler.engine.draws()},
         trace=tuple(trace),
         handled=robot.ledger.handled,
         processed=robot.ledger.processed,

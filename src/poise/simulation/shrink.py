@@ -9,6 +9,7 @@ from msgspec import structs
 
 from poise.simulation.faults import SimulatedFault
 from poise.simulation.run import RunOutcome, Scenario, simulate
+from poise.simulation.schedule.scheduler import ENGINE
 
 MOST_RUNS = 500
 T = TypeVar("T")
@@ -48,7 +49,7 @@ class Shrunk:
         self._drop(lambda: self.scenario.faults or (), self._with_faults)
         self._try(structs.replace(self.scenario, moves=False), self.recorded)
         self._drop(lambda: self.scenario.faults or (), self._with_faults)
-        for stream in ("clients", "schedule", "network", "components"):
+        for stream in ("clients", "schedule", "network", "components", ENGINE):
             self._calm(stream)
 
     def _with_faults(self, faults: Sequence[SimulatedFault]) -> bool:
@@ -80,7 +81,8 @@ class Shrunk:
                 continue
             calm = [*made[:start], *[0.0] * (min(end, len(made)) - start), *made[end:]]
             recorded = {**self.outcome.choices, stream: calm}
-            if not self._try(self.scenario, recorded) and end - start > len(made) // 16:
+            smallest = max(1, len(made) // 16)
+            if not self._try(self.scenario, recorded) and end - start > smallest:
                 middle = (start + end) // 2
                 parts += [(start, middle), (middle, end)]
 

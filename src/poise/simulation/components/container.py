@@ -4,19 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from math import inf
-from typing import Literal, Protocol
+from typing import Protocol
 
-from poise.clock import ComponentClock
 from poise.errors import RunError
-from poise.simulation.components.channels import (
-    Answer,
-    Incoming,
-    QueuedItem,
-    SimulatedSender,
-    Stamps,
-)
+from poise.simulation._engine import Connector, Ledger, Model, Sender
 from poise.simulation.components.component import SimulatedComponent
-from poise.simulation.components.ledger import Ledger
 from poise.simulation.components.migration import MigrationModel
 from poise.simulation.components.models import ComponentModel
 from poise.simulation.computers.process import Process
@@ -25,7 +17,7 @@ from poise.simulation.schedule.choices import Choices
 from poise.simulation.schedule.scheduler import Scheduler, SimulatedTask
 from poise.wire.records.clocks import Clocks
 from poise.wire.records.container import FromContainer, ToContainer
-from poise.wire.records.deployment import ComponentSpec, ConnectorSpec, ContainerSpec
+from poise.wire.records.deployment import ConnectorSpec, ContainerSpec
 from poise.wire.records.migration import MigrationSteps
 from poise.wire.records.status import ConnectorStatus, ContainerStatus, Side
 from poise.wire.records.taps import TapReading
@@ -51,7 +43,6 @@ class World(Protocol):
     network: Network
     ledger: Ledger
 
-    clock: ComponentClock
     agent_cpu: float
     components: list[SimulatedComponent]
     on_moment: Callable[[str, str], object]
@@ -60,23 +51,16 @@ class World(Protocol):
         """Return the model of a component."""
         ...
 
+    def engine_model_of(self, component: str) -> Model:
+        """Return the model of a component as the engine has it."""
+        ...
+
+    def connector_of(self, spec: ConnectorSpec) -> Connector:
+        """Return a connector as the engine has it."""
+        ...
+
     def size_of(self, connector: str) -> float:
         """Return the size of a message, or of a call both ways [bytes]."""
-        ...
-
-    def cost_of(self, spec: ConnectorSpec, side: Literal["source", "target"]) -> float:
-        """Return the work of one message or call beyond that of a local one."""
-        ...
-
-    def send_back(
-        self,
-        here: str,
-        there: str,
-        size: float,
-        answer: Answer,
-        stamps: Stamps | None,
-    ) -> None:
-        """Send an answer from one computer to another."""
         ...
 
     def containers(self) -> list[SimulatedContainer]:
@@ -105,8 +89,10 @@ class SimulatedContainer:
         Whether it has had no component yet.
     lease_end
         The end of the lease that its page shows [s, CLOCK_BOOTTIME].
-    cpu
-        What its threads share: one interpreter, so one core at most.
+    execution
+        What runs its components: one interpreter, so one core at most.
+    senders
+        The slots of its components, with their epochs -> their sending ends.
     """
 
     def __init__(self, world: World, process: Process, name: str) -> None:
@@ -117,18 +103,21 @@ class SimulatedContainer:
         self.lease_end = inf
         self.components: dict[Key, SimulatedComponent] = {}
         self.is_new = True
-        self.senders: dict[str, SimulatedSender] = {}
+        self.senders: dict[str, Sender] = {}
         self._wanted: ContainerSpec | None = None
         self._connectors: Mapping[str, ConnectorSpec] = {}
         self.migration = MigrationModel(self)
         self._waiting: list[SimulatedTask] = []
-        self._costs: dict[tuple[str, str, str], float] = {}
-        self._missed: dict[Key, int] = {}
-        self._is_reporting = self._reports_missed = False
+        self._is_reporting = False
         self._reported: tuple[ConnectorStatus, ...] = ()
         self._orphan_since = inf
-        self.cpu = process.computer.cpu.group()
-        process.on_pause = lambda is_paused: self.cpu.pause(is_paused=is_paused)
+        self.execution = world.scheduler.engine.container(
+            process.computer.cpu,
+            process.computer.name,
+            self.look_again,
+            lambda: process.after(_MISSED_WITHIN, self._report),
+        )
+        process.on_pause = self.execution.pause
         process.on_end.append(self._close)
 
     def hear(self, record: ToContainer) -> None:
@@ -136,7 +125,7 @@ class SimulatedContainer:
         if isinstance(record, ContainerSpec):
             self.migration.note_deployment(record)
             self._wanted = record
-            self.cpu.weight = record.weight or _WEIGHT
+            self.execution.cpu.weight = record.weight or _WEIGHT
             self._apply(record)
             self._report()
             self._report_later()
@@ -152,9 +141,10 @@ class SimulatedContainer:
         if self.tell_agent is not None:
             self.tell_agent(record)
 
-    def may_work(self, spec: ComponentSpec) -> bool:
-        """Return whether no lease keeps a component from its work."""
-        return not spec.leased or self.process.computer.boottime() < self.lease_end
+    def extend_lease(self, until: float) -> None:
+        """Let leased components work until a moment [s, CLOCK_BOOTTIME]."""
+        self.lease_end = until
+        self.execution.set_lease_end(self.process.computer.moment_of(until))
 
     def note_change(self) -> None:
         """Report soon, and let steps that wait look again."""
@@ -185,6 +175,7 @@ class SimulatedContainer:
             task = scheduler.current
             assert task is not None  # noqa: S101, steps are tasks
             self._waiting.append(task)
+            self.execution.await_progress()
             scheduler.wait(left, what)
             if task in self._waiting:
                 self._waiting.remove(task)
@@ -195,47 +186,6 @@ class SimulatedContainer:
             if name_or_key in {spec.key, spec.name}:
                 return spec
         raise RunError(f"container '{self.name}' has no connector '{name_or_key}'")
-
-    def senders_of(self, component: SimulatedComponent) -> list[SimulatedSender]:
-        """Return the connectors that begin at a component."""
-        key = component.who[:2]
-        return [
-            sender
-            for sender in self.senders.values()
-            if (sender.spec.source, sender.spec.source_epoch) == key
-        ]
-
-    def sender_of(
-        self, component: SimulatedComponent, slot: str
-    ) -> SimulatedSender | None:
-        """Return the end of a slot at a component; None: it is not joined."""
-        return self.senders.get(f"{slot}/{component.spec.epoch}")
-
-    def take_item(self, spec: ConnectorSpec, item: QueuedItem) -> None:
-        """Take what arrived over a connector; for the simulated world."""
-        self.process.do(lambda: self._take_item(spec, item))
-
-    def cost_of(self, spec: ConnectorSpec, side: Literal["source", "target"]) -> float:
-        """Return the work of one message or call beyond that of a local one."""
-        cost = self._costs.get((spec.name, spec.kind, side))
-        if cost is None:
-            cost = self.world.cost_of(spec, side)
-            self._costs[spec.name, spec.kind, side] = cost
-        return cost
-
-    def charge(self, spec: ConnectorSpec) -> None:
-        """Let sending a message or call cost what it does."""
-        if cost := self.cost_of(spec, "source"):
-            self.cpu.run(cost, nothing)
-
-    def report_missed(self, component: SimulatedComponent) -> None:
-        """Report soon that a deadline was missed."""
-        missed = component.timers.missed(self.world.scheduler.now)
-        if missed > self._missed.get(component.who[:2], 0):
-            self._missed[component.who[:2]] = missed
-            if not self._reports_missed:
-                self._reports_missed = True
-                self.process.after(_MISSED_WITHIN, self._report)
 
     def note_agent_gone(self) -> None:
         """Go on without an agent, for a limited time."""
@@ -251,28 +201,10 @@ class SimulatedContainer:
 
         self.process.after(limit, end)
 
-    def _take_item(self, spec: ConnectorSpec, item: QueuedItem) -> None:
-        target = self.components.get((spec.target, spec.target_epoch))
-        if target is None or spec.key not in self._connectors:
-            return  # its connection is not there any more
-        if item.kind == "marker":
-            target.markers[spec.name] = item.number
-        elif item.kind == "call" or not target.overtaken.note(
-            spec.name, spec.source_epoch
-        ):
-            slot = spec.slot or spec.name
-            target.take(Incoming(slot, item.number, spec, item.stamps, item.answer))
-        if self._waiting:
-            self.look_again()
-
     def _apply(self, spec: ContainerSpec) -> None:
         wanted = {(c.name, c.epoch): c for c in spec.components}
-        before = self._connectors
         self._connectors = {each.key: each for each in spec.connectors}
-        for name in sorted(before.keys() - self._connectors.keys()):
-            gone = before[name]
-            if target := self.components.get((gone.target, gone.target_epoch)):
-                target.overtaken.forget(gone.name, gone.source_epoch)
+        self.execution.connect(list(map(self.world.connector_of, spec.connectors)))
         self.is_new = not self.components
         for key, component in wanted.items():
             if key not in self.components:
@@ -284,12 +216,7 @@ class SimulatedContainer:
                 running.aim("finalized")
                 self._remove_later(key)
                 continue
-            running.spec = wanted[key]
-            goal = wanted[key].goal
-            if goal == "stay":
-                running.stay()
-            else:
-                running.aim(goal)
+            running.deploy(wanted[key])
 
     def _join(self, connectors: tuple[ConnectorSpec, ...]) -> None:
         """Let each slot lead to one target; during a move it stays where it is."""
@@ -299,15 +226,16 @@ class SimulatedContainer:
                 key = f"{each.slot or each.name}/{each.source_epoch}"
                 slots.setdefault(key, []).append(each)
         for key in sorted(self.senders.keys() - slots.keys()):
-            self.senders.pop(key).close()
+            self.execution.remove_sender(self.senders.pop(key))
         for key, choices in slots.items():
             sender = self.senders.get(key)
+            connector = self.world.connector_of(choices[0])
             if sender is None:
-                self.senders[key] = SimulatedSender(self, choices[0])
+                self.senders[key] = self.execution.add_sender(connector)
             elif len(choices) == 1 and (
-                sender.is_buffering or sender.spec.key != choices[0].key
+                sender.is_buffering or sender.connector.key != connector.key
             ):
-                sender.switch(choices[0])
+                sender.redirect(connector)
 
     def _remove_later(self, key: Key) -> None:
         """Forget a component once it has ended."""
@@ -315,7 +243,7 @@ class SimulatedContainer:
         if component is None:
             return
         if component.state in {"finalized", "failed"}:
-            del self.components[key]
+            self.execution.remove(self.components.pop(key).executor)
             if self._wanted is not None:
                 self._apply(self._wanted)  # it may be wanted again by now
             self.note_change()
@@ -333,7 +261,8 @@ class SimulatedContainer:
         self.process.after(REPORT_EVERY, report)
 
     def _report(self) -> None:
-        self._is_reporting = self._reports_missed = False
+        self._is_reporting = False
+        self.execution.await_missed()
         if self._wanted is None:
             return
         connectors = self._joined()
@@ -345,7 +274,7 @@ class SimulatedContainer:
                 name=self.name,
                 pid=self.process.pid,
                 at=self.process.computer.monotonic(),
-                cpu=self.cpu.used,
+                cpu=self.execution.cpu.used,
                 components=tuple(c.status() for c in self.components.values()),
                 connectors=connectors,
             )
@@ -390,10 +319,4 @@ class SimulatedContainer:
         return True
 
     def _close(self) -> None:
-        self.cpu.end()
-        for sender in self.senders.values():
-            sender.close()
-
-
-def nothing() -> None:
-    """Follow on nothing."""
+        self.execution.end()

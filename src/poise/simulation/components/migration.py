@@ -5,12 +5,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
-from poise.clock import Stamp
 from poise.errors import PoiseError, RunError
-from poise.simulation.components.channels import Incoming, SimulatedSender
+from poise.simulation._engine import ExecutorState, Sender
 from poise.simulation.components.models import drawn
 from poise.wire.migration_phases import MigrationPhases
 from poise.wire.records.deployment import ContainerSpec
@@ -31,14 +29,6 @@ _SHARE = 0.75
 _LOOK_EVERY = 0.002
 
 
-class State(NamedTuple):
-    """What moves beside the snapshot: what waits, timers' phases, ages of data."""
-
-    waiting: list[Incoming]
-    due: Mapping[str, float]
-    held: Mapping[str, Stamp]
-
-
 class MigrationModel:
     """The steps of one container.
 
@@ -54,7 +44,7 @@ class MigrationModel:
         self._is_committed = False
         self._told: ContainerSpec | None = None
         self._phases: dict[tuple[str, int], tuple[int, MigrationPhases]] = {}
-        self.states: dict[tuple[str, int], State] = {}
+        self.states: dict[tuple[str, int], ExecutorState] = {}
 
     def note_deployment(self, spec: ContainerSpec) -> None:
         """Refuse the steps that were received until now."""
@@ -120,12 +110,13 @@ class MigrationModel:
             case "release to targets" | "release to sources":
                 for key in step.connectors:
                     spec = container.connector(key)
-                    self._sender(spec.name).switch(spec)
+                    connector = container.world.connector_of(spec)
+                    self._sender(spec.name).redirect(connector)
             case "drain channels":
                 receiver = self._component(step)
                 container.wait(
                     lambda: all(
-                        receiver.markers.get(name) == migration
+                        receiver.executor.marker(name) == migration
                         for name in step.connectors
                     ),
                     deadline,
@@ -148,27 +139,22 @@ class MigrationModel:
         migration: int,
         deadline: float,
     ) -> None:
-        container, key = self._container, component.who[:2]
+        container, key, executor = self._container, component.key, component.executor
         match step.name:
             case "await idle":
                 until = min(deadline, self._now + step.limit)
-                while component.is_busy and self._now < until:
+                while executor.is_busy and self._now < until:
                     container.world.scheduler.wait(_LOOK_EVERY, "an idle component")
             case "pause":
-                component.pause()
-                container.wait(lambda: not component.is_busy, deadline, "its handler")
-                for sender in container.senders.values():
-                    if (sender.spec.source, sender.spec.source_epoch) == key:
-                        sender.mark(migration)
+                executor.pause()
+                container.wait(lambda: not executor.is_busy, deadline, "its handler")
+                for sender in container.execution.senders_of(key):
+                    sender.mark(migration)
             case "send state":
-                self.states[key] = State(
-                    component.hand_over(),
-                    {e.timer.name: e.due for e in component.timers},
-                    component.ages.held(),
-                )
+                self.states[key] = executor.hand_over()
             case "roll back":
                 if (state := self.states.pop(key, None)) is not None:
-                    component.take_over(state.waiting)
+                    executor.take_back(state)
                 component.resume()
 
     def _take_target(
@@ -178,14 +164,13 @@ class MigrationModel:
             case "restore state":
                 self._restore(component, deadline)
             case "activate":
-                component.pause()
+                component.executor.pause()
                 component.aim("ready")
                 self._container.wait(
                     lambda: component.state == "active", deadline, "`activate`"
                 )
             case "resume":
-                component.goal = "active"
-                component.resume()
+                component.aim("active")
 
     def _restore(self, component: SimulatedComponent, deadline: float) -> None:
         """Wait until the source has sent its state, and take it."""
@@ -211,9 +196,7 @@ class MigrationModel:
             world.scheduler.wait(_LOOK_EVERY, "a state")
         state = states[name, epoch]
         world.scheduler.wait(seconds, "a state's transfer")
-        component.take_over(state.waiting)
-        component.timers.begin_at(state.due)
-        component.ages.restore(state.held)
+        component.executor.restore(state)
 
     def _source_of(
         self, component: SimulatedComponent
@@ -233,9 +216,9 @@ class MigrationModel:
             text = f"component '{step.component}' ({step.epoch}) is not here"
             raise RunError(text) from None
 
-    def _sender(self, name: str) -> SimulatedSender:
+    def _sender(self, name: str) -> Sender:
         for sender in self._container.senders.values():
-            if sender.spec.name == name:
+            if sender.connector.name == name:
                 return sender
         container = self._container.name
         raise RunError(f"no connector '{name}' begins in container '{container}'")
@@ -243,7 +226,7 @@ class MigrationModel:
     def _phases_of(
         self, component: SimulatedComponent, step: Step, migration: int
     ) -> MigrationPhases:
-        key = component.who[:2]
+        key = component.key
         number, phases = self._phases.get(key, (-1, None))
         if phases is None or number < migration:
             assert step.role is not None  # noqa: S101, asked before

@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from math import exp
-from statistics import NormalDist
 
 from msgspec import Struct
 
 from poise.runtime.component.ports import Timer
+from poise.simulation._engine import Engine, Handler, Model
 from poise.simulation.schedule.choices import Choices
-
-_NORMAL = NormalDist()
-_LEAST = 1e-9
 
 
 class HandlerModel(Struct, frozen=True, kw_only=True):
@@ -36,12 +32,11 @@ class HandlerModel(Struct, frozen=True, kw_only=True):
     publishes: Mapping[str, float] | None = {}
     calls: Mapping[str, float] = {}
 
-    def draw(self, choices: Choices) -> float:
-        """Return the work of one run."""
-        if not self.spread:
-            return self.work
-        normal = _NORMAL.inv_cdf(max(_LEAST, choices.draw("components")))
-        return self.work * exp(self.spread * (normal - self.spread / 2))
+    def made_in(self, engine: Engine) -> Handler:
+        """Return it as the engine has it."""
+        publishes, calls = self.publishes, list(self.calls.items())
+        sent = None if publishes is None else list(publishes.items())
+        return engine.handler(self.work, self.spread, sent, calls)
 
 
 class TimerModel(Struct, frozen=True, kw_only=True):
@@ -95,9 +90,25 @@ class ComponentModel(Struct, frozen=True, kw_only=True):
     state_size: float = 10_000
     memory: float = 10e6
 
-    def factor(self, now: float) -> float:
-        """Return how much dearer its handlers are than on average."""
-        return self.factors[int(now) % len(self.factors)] if self.factors else 1.0
+    def made_in(self, engine: Engine) -> Model:
+        """Return it as the engine has it."""
+        return engine.model(
+            timers=[
+                (
+                    each.timer.name,
+                    each.timer.period,
+                    each.timer.deadline,
+                    each.handler.made_in(engine),
+                )
+                for each in self.timers
+            ],
+            takes={slot: each.made_in(engine) for slot, each in self.takes.items()},
+            serves={slot: each.made_in(engine) for slot, each in self.serves.items()},
+            other=self.other.made_in(engine),
+            factors=self.factors,
+            keep=self.keep,
+            keep_other=MOST_KEPT,
+        )
 
 
 MOST_KEPT = 50

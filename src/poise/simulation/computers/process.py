@@ -6,7 +6,6 @@ from collections.abc import Callable
 from math import inf
 from random import Random
 
-from poise.simulation.computers.cpu import Cpu
 from poise.simulation.schedule.scheduler import (
     Scheduler,
     SimulatedTask,
@@ -58,7 +57,7 @@ class SimulatedComputer:
     ) -> None:
         self.scheduler = scheduler
         self.name = name
-        self.cpu = Cpu(scheduler, cores, speed)
+        self.cpu = scheduler.engine.cpu(cores, speed)
         self.wall_ahead = 0.0
         self.processes: dict[int, Process] = {}
         self._boot = boot
@@ -74,6 +73,10 @@ class SimulatedComputer:
     def boottime(self) -> float:
         """Return CLOCK_BOOTTIME [s]."""
         return self._boot + self.scheduler.now * self._rate
+
+    def moment_of(self, boottime: float) -> float:
+        """Return when CLOCK_BOOTTIME shows so much [virtual s]."""
+        return (boottime - self._boot) / self._rate
 
     def wall(self) -> float:
         """Return the wall clock [s since 1970]."""

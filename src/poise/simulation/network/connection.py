@@ -179,7 +179,7 @@ class Side:
             if scheduler.now - self._heard_at > self.other.session.lease:
                 self.connection.close(self, is_told=True)
                 return
-            if not self.connection.network.is_cut(*self.stream.ends):
+            if not self.stream.is_cut:
                 self.stream.send(_SMALL, self.other.note_beat)
         pause = self.connection.network.choices.between("network", 0.9, 1.0)
         scheduler.at(scheduler.now + pause * lease / _BEATS, self._beat)

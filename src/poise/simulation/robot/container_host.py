@@ -87,7 +87,7 @@ class SimulatedControl:
 
     def extend_lease(self, until: float) -> None:
         """Write the end of the lease into the container's page."""
-        self._container.lease_end = until
+        self._container.extend_lease(until)
 
     def is_lease_past(self) -> bool:
         """Return whether the page says that the lease has ended."""

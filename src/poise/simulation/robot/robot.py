@@ -4,21 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager
-from typing import Literal
 
-from poise.clock import ComponentClock
 from poise.estimate.overhead import kinds_together
 from poise.manage.journal import JournalEntry
-from poise.simulation.components.channels import Answer, Stamps
+from poise.simulation._engine import Connector, Model
 from poise.simulation.components.component import SimulatedComponent
 from poise.simulation.components.container import SimulatedContainer
-from poise.simulation.components.ledger import Ledger
 from poise.simulation.components.models import ComponentModel
-from poise.simulation.computers.clock import SimulatedClock
 from poise.simulation.computers.process import SimulatedComputer
 from poise.simulation.network.addresses import Addresses
 from poise.simulation.network.links import links_of
-from poise.simulation.network.network import Network, Stream
+from poise.simulation.network.network import Network
 from poise.simulation.network.zenoh_sessions import ZenohNetwork
 from poise.simulation.robot.agent import PORT, SimulatedAgent
 from poise.simulation.robot.disk import SimulatedDisk
@@ -75,9 +71,8 @@ class SimulatedRobot:
         robot = self.robot = managed.robot
         self.choices = choices
         self.scheduler = Scheduler(choices)
-        self.clock: ComponentClock = SimulatedClock(self.scheduler)
         self.network = Network(self.scheduler, choices, links=links_of(robot))
-        self.ledger = Ledger()
+        self.ledger = self.scheduler.engine.ledger
         self.addresses = Addresses()
         self.sessions = ZenohNetwork(self.network, self.addresses)
         self.computers: dict[str, SimulatedComputer] = {}
@@ -93,7 +88,8 @@ class SimulatedRobot:
         self.agent_cpu = workload.agent
         self._kinds = kinds_together(robot)
         self._where: dict[tuple[str, str, int], SimulatedContainer] = {}
-        self._back: dict[tuple[str, str], Stream] = {}
+        self._models: dict[str, Model] = {}
+        self._connectors: dict[ConnectorSpec, Connector] = {}
         self._note = note
         self._containers: dict[int, SimulatedContainer] = {}
         random = choices.random("clocks")
@@ -182,6 +178,20 @@ class SimulatedRobot:
         """Return the model of a component."""
         return self.workload.models.get(component, _USUAL)
 
+    def engine_model_of(self, component: str) -> Model:
+        """Return the model of a component as the engine has it."""
+        if component not in self._models:
+            model = self.model_of(component).made_in(self.scheduler.engine)
+            self._models[component] = model
+        return self._models[component]
+
+    def connector_of(self, spec: ConnectorSpec) -> Connector:
+        """Return a connector as the engine has it."""
+        known = self._connectors.get(spec)
+        if known is None:
+            known = self._connectors[spec] = self._made_in_engine(spec)
+        return known
+
     def add_container(self, container: SimulatedContainer) -> None:
         """Let a container be found until its process ends."""
         pid = container.process.pid
@@ -215,20 +225,6 @@ class SimulatedRobot:
         """Return the size of a message, or of a call both ways [bytes]."""
         return self.workload.traffic.sizes.get(connector, SIZE)
 
-    def cost_of(self, spec: ConnectorSpec, side: Literal["source", "target"]) -> float:
-        """Return the work of one message or call beyond that of a local one."""
-        together = self._kinds.get(spec.name, "local")
-        return self.workload.traffic.cost(spec, together, side)
-
-    def send_back(
-        self, here: str, there: str, size: float, answer: Answer, stamps: Stamps | None
-    ) -> None:
-        """Send an answer from one computer to another."""
-        stream = self._back.get((here, there))
-        if stream is None:
-            stream = self._back[here, there] = self.network.stream(here, there)
-        stream.send(size, lambda: answer(stamps))
-
     def run(self, until: float) -> None:
         """Let virtual time pass until a moment [s]."""
         self.scheduler.run(until)
@@ -239,3 +235,25 @@ class SimulatedRobot:
             for process in list(computer.processes.values()):
                 process.kill()
         self.scheduler.run(self.scheduler.now)
+        self.scheduler.engine.end()
+
+    def _made_in_engine(self, spec: ConnectorSpec) -> Connector:
+        together = self._kinds.get(spec.name, "local")
+        traffic = self.workload.traffic
+        return self.scheduler.engine.connector(
+            name=spec.name,
+            key=spec.key,
+            slot=spec.slot or spec.name,
+            source=(spec.source, spec.source_epoch),
+            target=(spec.target, spec.target_epoch),
+            computer=spec.target_computer,
+            is_direct=spec.kind == "direct",
+            limit=spec.limit,
+            size=self.size_of(spec.name),
+            costs=(
+                traffic.cost(spec, together, "source"),
+                traffic.cost(spec, together, "target"),
+            ),
+            carries=spec.carries,
+            answers=spec.answers,
+        )

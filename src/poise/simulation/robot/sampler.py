@@ -7,7 +7,7 @@ from collections.abc import Callable
 import msgspec
 
 from poise.runtime.agent.supervision.health import Usage
-from poise.simulation.components.container import SimulatedContainer, World, nothing
+from poise.simulation.components.container import SimulatedContainer, World
 from poise.simulation.computers.process import Process
 from poise.wire.records.samples import (
     SAMPLE_EVERY,
@@ -53,7 +53,7 @@ class SimulatedSampler:
 
     def _sample(self) -> None:
         if work := self._world.agent_cpu * SAMPLE_EVERY:
-            self._group.run(work, nothing)
+            self._group.run(work)
         computer = self._process.computer
         busy = computer.cpu.used()
         here = [c for c in self._world.containers() if c.process.computer is computer]
@@ -77,27 +77,27 @@ class SimulatedSampler:
             name=container.name,
             pid=container.process.pid,
             at=container.process.computer.monotonic(),
-            cpu=container.cpu.used,
+            cpu=container.execution.cpu.used,
             memory=round(sum(each.model.memory for each in components)),
             components=tuple(
                 ComponentSample(
                     each.spec.name,
                     each.spec.epoch,
-                    each.cpu,
+                    each.executor.cpu,
                     0.0,
-                    each.asked,
-                    each.done,
+                    each.executor.asked,
+                    each.executor.done,
                 )
                 for each in components
             ),
             connectors=tuple(
                 ConnectorSample(
-                    each.spec.name,
+                    each.connector.name,
                     each.calls,
                     each.messages,
                     round(
                         (each.calls + each.messages)
-                        * self._world.size_of(each.spec.name)
+                        * self._world.size_of(each.connector.name)
                     ),
                     0,
                     0,

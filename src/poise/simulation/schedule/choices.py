@@ -46,6 +46,10 @@ class Choices:
             self._random[stream] = Random(f"{self.seed}/{stream}")  # noqa: S311
         return self._random[stream]
 
+    def recorded(self, stream: str) -> Sequence[float]:
+        """Return the first draws of an earlier run, for one that draws them itself."""
+        return self._recorded.get(stream, ())
+
     def draw(self, stream: Stream) -> float:
         """Return the next draw of a stream, in [0, 1)."""
         made, value = self.made[stream], self._next[stream]()

@@ -17,12 +17,15 @@ from typing import Any, Protocol
 from greenlet import getcurrent, greenlet
 
 from poise.errors import PoiseError
+from poise.simulation._engine import Engine
 from poise.simulation.schedule.choices import Choices
 
 SLACK = 60e-6
 """The kernel ends a wait this much late, as Linux does [s]."""
 YIELDS = 0.02
 """How often a task gives way to others where it takes a lock that is free."""
+ENGINE = "engine"
+"""The stream of what the engine draws."""
 _STEP = struct.Struct("<dI")
 _MOST_AT_ONCE = 200_000
 """So many steps without any time passing are a loop that never ends."""
@@ -97,6 +100,9 @@ class Scheduler:
 
     Attributes
     ----------
+    engine
+        What happens often: it has its own events, and gets the time until the next one
+        here.
     now
         The present moment [s]; the run begins at 0.
     current
@@ -111,6 +117,8 @@ class Scheduler:
 
     def __init__(self, choices: Choices) -> None:
         self.choices = choices
+        seed = choices.random(ENGINE).getrandbits(64)
+        self.engine = Engine(seed, choices.recorded(ENGINE))
         self.now = 0.0
         self.current: SimulatedTask | None = None
         self.steps = 0
@@ -204,7 +212,7 @@ class Scheduler:
         SimulationError
             Nothing can ever run again, or time does not pass.
         """
-        timers = self._timers
+        timers, engine = self._timers, self.engine
         while True:
             while timers and timers[0][0] <= self.now:
                 self._happen(heapq.heappop(timers)[-1])
@@ -213,16 +221,18 @@ class Scheduler:
                 continue
             while timers and timers[0][-1].action is None:
                 heapq.heappop(timers)
-            if not timers and self._waiting:
+            if not timers and self._waiting and engine.next() == inf:
                 waiting = ", ".join(f"{t} ({t.waits_for})" for t in self.waiting())
                 raise SimulationError(
                     f"at {self.now:.3f} s nothing can run and nothing will happen: "
                     f"{waiting} waits for ever"
                 )
-            if not timers or timers[0][0] > until:
-                self.now = max(self.now, until)
+            moment = min(timers[0][0], until) if timers else until
+            before, self.now = self.now, engine.run(moment)
+            if self.now > before:
+                self._at_once = 0
+            if not engine.notify() and (not timers or timers[0][0] > until):
                 return
-            self.now, self._at_once = timers[0][0], 0
 
     def waiting(self) -> list[SimulatedTask]:
         """Return the tasks that wait, oldest first."""

@@ -1,0 +1,262 @@
+#include "executor.h"
+
+#include <algorithm>
+#include <limits>
+
+#include "elementary.h"
+#include "engine.h"
+
+namespace poise::simulation {
+
+constexpr double never = std::numeric_limits<double>::infinity();
+constexpr double least_quantile = 1e-9;
+
+// Draw the work of one run: log-normally around its mean.
+static double draw_work(const Handler& handler, Draws& draws) {
+  if (handler.spread == 0.0) return handler.work;
+  const double normal = normal_quantile(std::max(least_quantile, draws.next()));
+  return handler.work * exponential(handler.spread * (normal - handler.spread / 2));
+}
+
+Executor::Executor(Container& container, ComponentKey key, Incarnation& who, const Model& model,
+                   DataAges ages)
+    : container_(container),
+      engine_(container.engine()),
+      key_(key),
+      who_(who),
+      model_(model),
+      ages_(std::move(ages)),
+      due_at_(never) {
+  for (const TimerModel& each : model_.timers)
+    timers_.declare(each.name, each.period, each.deadline);
+}
+
+double Executor::now() const { return engine_.events.now(); }
+
+bool Executor::is_working() const {
+  return is_active_ && is_wanted_ && !is_paused_ && may_work();
+}
+
+void Executor::activate() {
+  is_active_ = true;
+  if (is_paused_) return;
+  timers_.start(now());
+  plan();
+}
+
+void Executor::deactivate() {
+  is_active_ = false;
+  timers_.stop(now());
+}
+
+void Executor::pause() {
+  if (!is_paused_ && is_active_) timers_.stop(now());
+  is_paused_ = true;
+}
+
+void Executor::resume() {
+  if (!is_paused_) return;
+  is_paused_ = false;
+  if (is_active_) activate();
+}
+
+void Executor::take(Item item) {
+  ++asked_;
+  if (item.kind == Item::Kind::message) {
+    Slot* const slot = item.connector->slot;
+    const auto keep = model_.keep.find(slot);
+    std::size_t& waiting = waiting_[slot];
+    const std::size_t room = keep == model_.keep.end() ? model_.keep_other : keep->second;
+    if (waiting < room || !drop_oldest(slot)) ++waiting;
+  }
+  mailbox_.push_back(std::move(item));
+  work();
+}
+
+bool Executor::drop_oldest(const Slot* slot) {
+  const auto oldest = std::find_if(mailbox_.begin(), mailbox_.end(), [slot](const Item& item) {
+    return item.kind == Item::Kind::message && item.connector->slot == slot;
+  });
+  if (oldest == mailbox_.end()) return false;
+  mailbox_.erase(oldest);
+  ++engine_.ledger.dropped;
+  return true;
+}
+
+ExecutorState Executor::hand_over() {
+  ExecutorState state{{}, {}, ages_.held()};
+  state.waiting.swap(mailbox_);
+  waiting_.clear();
+  for (const Timer& timer : timers_.all()) state.due[timer.name()] = timer.due();
+  return state;
+}
+
+void Executor::take_back(const ExecutorState& state) {
+  mailbox_.insert(mailbox_.begin(), state.waiting.begin(), state.waiting.end());
+  for (const Item& item : state.waiting)
+    if (item.kind == Item::Kind::message) ++waiting_[item.connector->slot];
+}
+
+void Executor::restore(const ExecutorState& state) {
+  take_back(state);
+  timers_.begin_at(state.due);
+  ages_.restore(state.held);
+}
+
+void Executor::note_marker(const Connector& connector, std::uint64_t migration) {
+  markers_[connector.name_number] = migration;
+}
+
+std::uint64_t Executor::marker(int connector) const {
+  const auto found = markers_.find(connector);
+  return found == markers_.end() ? 0 : found->second;
+}
+
+bool Executor::is_overtaken(const Connector& connector) {
+  const int epoch = connector.source.epoch;
+  int& latest = latest_.try_emplace(connector.name_number, epoch).first->second;
+  latest = std::max(latest, epoch);
+  return epoch < latest;
+}
+
+void Executor::forget_source(const Connector& connector) {
+  const auto found = latest_.find(connector.name_number);
+  if (found != latest_.end() && found->second == connector.source.epoch) latest_.erase(found);
+}
+
+void Executor::plan() {
+  const double due = timers_.next_due();
+  if (due == never || due == due_at_) return;
+  due_at_ = due;
+  engine_.events.at(due, [this, due] { container_.perform([this, due] { on_due(due); }); });
+}
+
+void Executor::on_due(double due) {
+  if (due != due_at_) return;
+  due_at_ = never;
+  work();
+  if (!is_busy_ && is_working()) plan();
+}
+
+void Executor::work() {
+  if (is_busy_ || !is_working()) return;
+  auto& timers = timers_.all();
+  for (std::size_t i = 0; i < timers.size(); ++i)
+    if (timers[i].due() <= now()) {
+      ++asked_;
+      begin_turn({&model_.timers[i].handler, &timers[i], {}, timers[i].begin(now()), now(), 0.0, {}});
+      return;
+    }
+  plan();
+  if (mailbox_.empty()) return;
+  Item item = std::move(mailbox_.front());
+  mailbox_.pop_front();
+  const bool is_call = item.kind == Item::Kind::call;
+  auto& handlers = is_call ? model_.serves : model_.takes;
+  if (!is_call) --waiting_[item.connector->slot];
+  const auto found = handlers.find(item.connector->slot);
+  Handler* const handler = found == handlers.end() ? &model_.other : &found->second;
+  begin_turn({handler, nullptr, std::move(item), 0.0, now(), 0.0, {}});
+}
+
+void Executor::begin_turn(Turn turn) {
+  is_busy_ = true;
+  turn_ = std::move(turn);
+  engine_.ledger.begin(who_, now());
+  ages_.begin();
+  const Item& item = turn_.item;
+  if (item.kind == Item::Kind::message && !turn_.timer)
+    engine_.ledger.process(*item.connector->slot, item.number, who_);
+  if (!item.stamps.empty()) ages_.take(item.connector->carries, item.stamps);
+  turn_.to_call = senders(turn_.handler->calls);
+  std::reverse(turn_.to_call.begin(), turn_.to_call.end());
+  call_next();
+}
+
+void Executor::call_next() {
+  if (turn_.to_call.empty())
+    begin_work();
+  else
+    turn_.to_call.back()->call(*this);
+}
+
+std::uint64_t Executor::begin_call() {
+  is_calling_ = true;
+  return ++call_;
+}
+
+void Executor::end_call(std::uint64_t number, const Stamps* answer) {
+  if (number != call_ || !is_calling_) return;
+  is_calling_ = false;
+  ++(answer ? engine_.ledger.calls : engine_.ledger.failed_calls);
+  container_.perform([this, stamps = answer ? *answer : Stamps{}] {
+    if (!stamps.empty()) ages_.take(turn_.to_call.back()->connector().answers, stamps);
+    turn_.to_call.pop_back();
+    call_next();
+  });
+}
+
+void Executor::begin_work() {
+  const auto& factors = model_.factors;
+  double work = draw_work(*turn_.handler, engine_.draws);
+  if (!factors.empty()) work *= factors[static_cast<std::size_t>(now()) % factors.size()];
+  if (!turn_.timer) work += turn_.item.connector->target_cost;
+  turn_.cost = work;
+  container_.group().run(work, [this] { finish_work(); });
+}
+
+void Executor::finish_work() {
+  cpu_ += turn_.cost;
+  engine_.ledger.end(who_, container_.awake_since(), now());
+  if (may_work()) publish();
+  ages_.end(turn_.timer != nullptr, now());
+  if (turn_.timer) turn_.timer->end(turn_.release, turn_.began, now());
+  end_turn();
+}
+
+void Executor::publish() {
+  auto& publishes = turn_.handler->publishes;
+  if (!publishes || !publishes->empty()) {
+    engine_.ledger.act(who_, now());
+    for (Sender* sender : publishes ? senders(*publishes) : container_.senders_of(key_))
+      sender->publish(*this);
+  }
+  const Item& item = turn_.item;
+  if (turn_.timer || item.kind != Item::Kind::call) return;
+  const Call& call = item.call;
+  Stamps stamps = ages_.stamps(item.connector->answers, now());
+  if (!call.back)
+    call.caller->end_call(call.number, &stamps);
+  else
+    call.back->send(call.size, [caller = call.caller, number = call.number,
+                                stamps = std::move(stamps)] { caller->end_call(number, &stamps); });
+}
+
+void Executor::end_turn() {
+  is_busy_ = false;
+  ++done_;
+  container_.note_progress();
+  const std::int64_t missed = timers_.missed(now());
+  if (missed > missed_) container_.note_missed();
+  missed_ = std::max(missed, missed_);
+  if (when_idle_) {
+    engine_.events.tell(std::move(when_idle_));
+    when_idle_ = nullptr;
+  }
+  work();
+}
+
+std::vector<Sender*> Executor::senders(std::vector<Output>& outputs) {
+  std::vector<Sender*> found;
+  for (Output& output : outputs) {
+    output.credit += output.rate;
+    const int times = static_cast<int>(output.credit);
+    output.credit -= times;
+    if (times == 0) continue;
+    if (Sender* sender = container_.sender_of(*output.slot, key_.epoch))
+      found.insert(found.end(), static_cast<std::size_t>(times), sender);
+  }
+  return found;
+}
+
+}  // namespace poise::simulation

@@ -1,0 +1,71 @@
+#include "ledger.h"
+
+#include <cstdio>
+
+namespace poise::simulation {
+
+static std::string text(const Incarnation& who) {
+  return "'" + who.component + "' (" + std::to_string(who.epoch) + ") on '" + who.computer + "'";
+}
+
+static std::string text(double moment) {
+  char written[32];
+  std::snprintf(written, sizeof written, "%.3f s", moment);
+  return written;
+}
+
+static std::string has_worked(const Life& life) {
+  return text(*life.current) + " has worked since " + text(life.since);
+}
+
+Incarnation& Ledger::incarnation(const std::string& component, int epoch,
+                                 const std::string& computer, std::int64_t process) {
+  const Incarnation who{component, epoch, computer, lives_[component]};
+  return incarnations_.try_emplace({component, epoch, process}, who).first->second;
+}
+
+Slot& Ledger::slot(const std::string& name) {
+  return slots_.try_emplace(name, Slot{name}).first->second;
+}
+
+void Ledger::begin(Incarnation& who, double now) {
+  ++handled;
+  Life& life = who.life;
+  if (life.current == &who) return;
+  if (who.epoch < life.committed)
+    violate("committed-stays", text(who) + " began a handler at " + text(now) +
+                                   ", but a move to incarnation " +
+                                   std::to_string(life.committed) + " was committed");
+  if (who.is_past) {
+    violate("nothing-active-twice",
+            text(who) + " began a handler at " + text(now) + ", but " + has_worked(life));
+    return;
+  }
+  if (life.current) life.current->is_past = true;
+  life.current = &who;
+  life.since = now;
+}
+
+void Ledger::end(const Incarnation& who, double awake, double now) {
+  const double since = who.life.since > awake ? who.life.since : awake;
+  if (who.is_past && now - since > late_handler)
+    violate("nothing-active-twice", "a handler of " + text(who) + " went on until " + text(now) +
+                                        ", but " + has_worked(who.life));
+}
+
+void Ledger::act(const Incarnation& who, double now) {
+  if (who.is_past)
+    violate("nothing-active-twice",
+            text(who) + " published at " + text(now) + ", but " + has_worked(who.life));
+}
+
+void Ledger::process(Slot& slot, std::uint64_t number, const Incarnation& who) {
+  ++processed;
+  if (number <= slot.last)
+    violate("each-message-once-in-order", text(who) + " processed message " +
+                                              std::to_string(number) + " of '" + slot.name +
+                                              "' after " + std::to_string(slot.last));
+  slot.last = number;
+}
+
+}  // namespace poise::simulation

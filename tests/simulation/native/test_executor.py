@@ -1,0 +1,283 @@
+"""Mailboxes, calls, publications, leases and moves of simulated components."""
+
+from __future__ import annotations
+
+import pytest
+
+from poise.simulation._engine import Container, Engine, Executor
+from tests.simulation.native.parts import LOCAL, container, joined, model, worker
+
+
+@pytest.fixture
+def engine() -> Engine:
+    return Engine(1)
+
+
+def publisher(engine: Engine, place: Container, rate: float = 1.0) -> Executor:
+    """Return a component that publishes every 100 ms, so much in each run."""
+    handler = engine.handler(0.001, publishes=[("out", rate)])
+    return worker(place, "source", model(engine, [("tick", 0.1, None, handler)]))
+
+
+def pair(
+    engine: Engine, work: float = 0.01, keep: int = 50, *, chain: str = ""
+) -> tuple[Container, Executor, Container, Executor]:
+    """Return a publisher, and one that takes its messages in another container."""
+    one, other = container(engine), container(engine)
+    source = publisher(engine, one)
+    takes = {"out": engine.handler(work)}
+    target = worker(other, "target", model(engine, takes=takes, keep={"out": keep}))
+    joined(engine, one, other, ("source", "target"), chain=chain)
+    return one, source, other, target
+
+
+def test_each_message_is_processed_once(engine: Engine) -> None:
+    _, source, _, target = pair(engine)
+    engine.run(10.05)
+    assert source.done == 100
+    assert target.done == 100
+    assert target.cpu == pytest.approx(1.0)
+    assert engine.ledger.processed == 100
+    assert engine.ledger.handled == 200
+
+
+def test_the_oldest_message_makes_room(engine: Engine) -> None:
+    _, _, _, target = pair(engine, work=1.0, keep=2)
+    engine.run(1.05)  # ten came: one runs, two wait, and seven made room
+    assert target.asked == 10
+    assert engine.ledger.dropped == 7
+    engine.run(1.11)
+    assert engine.ledger.violations == []
+
+
+def test_fractions_of_messages_add_up_over_the_runs(engine: Engine) -> None:
+    place = container(engine)
+    publisher(engine, place, 0.25)
+    sender, _ = joined(engine, place, container(engine), ("source", "target"))
+    engine.run(10.05)
+    assert sender.messages == 25
+
+
+def calling(engine: Engine, limit: float) -> tuple[Executor, Container]:
+    """Return a component that calls another container every second, before it works."""
+    one, other = container(engine), container(engine)
+    ask = engine.handler(0.01, calls=[("out", 1.0)])
+    caller = worker(one, "caller", model(engine, [("tick", 1.0, None, ask)]))
+    joined(engine, one, other, ("caller", "server"), limit=limit)
+    return caller, other
+
+
+def test_a_caller_waits_for_the_answer(engine: Engine) -> None:
+    caller, other = calling(engine, 0.5)
+    worker(other, "server", model(engine, serves={"out": engine.handler(0.2)}))
+    engine.run(5.9)
+    (status,) = caller.timers(5.9)
+    assert status.duration.maximum == pytest.approx(0.2 + 2 * LOCAL + 0.01)
+    assert (engine.ledger.calls, engine.ledger.failed_calls) == (5, 0)
+
+
+def test_a_call_that_nobody_answers_ends_at_its_limit(engine: Engine) -> None:
+    caller, _ = calling(engine, 0.5)
+    engine.run(5.9)
+    (status,) = caller.timers(5.9)
+    assert status.duration.maximum == pytest.approx(0.5 + 0.01)
+    assert (engine.ledger.calls, engine.ledger.failed_calls) == (0, 5)
+
+
+def test_an_answer_after_the_limit_is_not_heard(engine: Engine) -> None:
+    caller, other = calling(engine, 0.1)
+    worker(other, "server", model(engine, serves={"out": engine.handler(0.3)}))
+    engine.run(5.9)
+    (status,) = caller.timers(5.9)
+    assert status.duration.maximum == pytest.approx(0.1 + 0.01)
+    assert (engine.ledger.calls, engine.ledger.failed_calls) == (0, 5)
+
+
+def test_a_call_in_one_container_takes_no_time_of_its_own(engine: Engine) -> None:
+    place = container(engine)
+    ask = engine.handler(0.01, calls=[("out", 2.0)])
+    caller = worker(place, "caller", model(engine, [("tick", 1.0, None, ask)]))
+    worker(place, "server", model(engine, serves={"out": engine.handler(0.1)}))
+    joined(engine, place, place, ("caller", "server"))
+    engine.run(1.5)
+    (status,) = caller.timers(1.5)
+    assert status.duration.maximum == pytest.approx(2 * 0.1 + 0.01)
+    assert engine.ledger.calls == 2
+
+
+def test_a_leased_component_works_until_its_lease_ends(engine: Engine) -> None:
+    place = container(engine)
+    source = publisher(engine, place)
+    sender, _ = joined(engine, place, container(engine), ("source", "target"))
+    source.set_leased(True)
+    place.set_lease_end(0.5005)  # the run that begins at 0.5 s may not publish
+    engine.run(2.0)
+    assert source.done == 5
+    assert sender.messages == 4
+    assert not source.is_working
+    place.set_lease_end(9.0)
+    assert source.is_working
+
+
+def test_what_comes_in_a_pause_is_taken_after_it(engine: Engine) -> None:
+    _, _, other, target = pair(engine)
+    engine.run(0.25)
+    other.pause(True)
+    engine.run(1.05)
+    assert (target.asked, target.done) == (2, 2)
+    other.pause(False)
+    assert target.asked == 10
+    engine.run(1.15)
+    assert engine.ledger.violations == []
+    assert target.done == 11
+
+
+def test_a_container_that_ended_does_nothing(engine: Engine) -> None:
+    one, source, other, target = pair(engine)
+    engine.run(0.55)
+    other.end()
+    engine.run(1.05)
+    assert (source.done, target.done) == (10, 5)
+    one.end()
+    engine.run(2.0)
+    assert source.done == 10
+
+
+def test_a_sender_buffers_during_a_move_and_then_sends_in_order(engine: Engine) -> None:
+    one, other, new = (container(engine) for _ in range(3))
+    publisher(engine, one)
+    sender, _ = joined(engine, one, other, ("source", "target"))
+    before = worker(other, "target", model(engine))
+    engine.run(0.55)
+    sender.buffer()
+    sender.mark(7)
+    before.pause()
+    engine.run(1.05)
+    assert (before.done, before.marker("out"), before.marker("other")) == (5, 7, 0)
+    after = worker(new, "target", model(engine), epoch=1)
+    _, connector = joined(engine, one, new, ("source", "target"), epochs=(0, 1))
+    sender.redirect(connector)
+    engine.run(1.15)
+    assert after.done == 6  # those of 0.6 to 1.0 s were buffered
+    assert engine.ledger.processed == 11
+    assert engine.ledger.violations == []
+
+
+def test_what_waits_moves_and_comes_back(engine: Engine) -> None:
+    _, _, other, target = pair(engine)
+    target.pause()
+    engine.run(0.35)
+    state = target.hand_over()
+    engine.run(0.55)
+    target.take_back(state)
+    target.resume()
+    target.work()
+    engine.run(0.65)
+    assert target.done == 6
+    assert engine.ledger.violations == []
+    other.remove(target)
+    engine.run(1.0)
+    assert target.done == 6
+
+
+def test_a_message_of_a_lost_source_is_refused_once_the_next_one_has_sent(
+    engine: Engine,
+) -> None:
+    lost, next_one, other = (container(engine) for _ in range(3))
+    target = worker(other, "target", model(engine))
+    handler = engine.handler(0.001, publishes=[("out", 1.0)])
+    publishing = model(engine, [("tick", 0.1, None, handler)])
+    _, first = joined(engine, lost, other, ("source", "target"))
+    _, second = joined(engine, next_one, other, ("source", "target"), epochs=(1, 0))
+    other.connect([first, second])
+    worker(next_one, "source", publishing, epoch=1)
+    engine.run(0.15)
+    assert target.done == 1
+    lost_source = worker(lost, "source", publishing, epoch=0)
+    engine.run(0.29)
+    assert lost_source.done == 1
+    assert target.done == 2  # of the next one; it works at 0.1, 0.2 s
+    other.connect([first])  # the next one is not joined any more
+    engine.run(0.36)
+    assert target.done == 3
+
+
+def test_two_that_work_at_one_time_are_a_violation(engine: Engine) -> None:
+    one, other = container(engine, "a"), container(engine, "b")
+    publisher(engine, one)
+    engine.run(0.15)
+    worker(
+        other,
+        "source",
+        model(engine, [("tick", 0.1, None, engine.handler(0.001))]),
+        epoch=1,
+    )
+    engine.run(0.35)
+    assert engine.ledger.violations[0] == (
+        "nothing-active-twice",
+        (
+            "'source' (0) on 'a' began a handler at 0.300 s, but 'source' (1) on 'b' "
+            "has worked since 0.250 s"
+        ),
+    )
+
+
+def test_an_earlier_one_that_works_after_a_committed_move_is_a_violation(
+    engine: Engine,
+) -> None:
+    publisher(engine, container(engine))
+    engine.ledger.commit("source", 3)
+    engine.run(0.15)
+    assert engine.ledger.violations == [
+        (
+            "committed-stays",
+            (
+                "'source' (0) on 'a' began a handler at 0.100 s, but a move to "
+                "incarnation 3 was committed"
+            ),
+        )
+    ]
+
+
+def test_a_message_that_is_processed_twice_is_a_violation(engine: Engine) -> None:
+    _, _, _, target = pair(engine)
+    target.pause()
+    engine.run(0.15)
+    state = target.hand_over()
+    for _ in range(2):
+        target.take_back(state)
+    target.resume()
+    target.work()
+    engine.run(0.19)
+    assert engine.ledger.violations == [
+        (
+            "each-message-once-in-order",
+            "'target' (0) on 'a' processed message 1 of 'out' after 1",
+        )
+    ]
+
+
+def test_the_end_of_a_turn_and_missed_deadlines_are_told_when_asked_for(
+    engine: Engine,
+) -> None:
+    told = list[str]()
+    place = engine.container(
+        engine.cpu(1.0),
+        "a",
+        lambda: told.append("progress"),
+        lambda: told.append("missed"),
+    )
+    tick = ("tick", 0.1, 0.005, engine.handler(0.01))
+    executor = worker(place, "it", model(engine, [tick]))
+    place.await_progress()
+    engine.run(0.105)
+    executor.when_idle(lambda: told.append("idle"))
+    assert executor.is_busy
+    assert engine.run(5.0) == pytest.approx(0.11)
+    engine.notify()
+    assert told == ["progress", "missed", "idle"]
+    assert engine.run(0.3) == 0.3  # nobody asked again
+    place.await_missed()
+    engine.run(5.0)
+    engine.notify()
+    assert told[3:] == ["missed"]
