@@ -56,7 +56,5 @@ def test_handlers_are_as_dear_in_each_second_as_they_were_then(
     recorded: RecordedRun, robot: Robot
 ) -> None:
     work = workload_of(robot, profile_of(robot, arm=0.2), recorded.cores(robot))
-    arm = work.models["arm"]
-    factors = [arm.factor(second) for second in (0.5, 1.0, 2.9, 3.0)]
-    assert factors == pytest.approx([0.5, 1.5, 1.0, 0.5])
-    assert work.models["mind"].factor(1.0) == 1.0
+    assert work.models["arm"].factors == pytest.approx((0.5, 1.5, 1.0))
+    assert work.models["mind"].factors == ()

@@ -1,5 +1,5 @@
 // How old data is when a component of a chain uses it, as poise.runtime.execution.data_age
-// has it: the rule stands there. tests/simulation/native/test_data_ages.py compares both.
+// has it: the rule stands there.
 #pragma once
 
 #include <cstdint>
