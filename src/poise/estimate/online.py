@@ -25,8 +25,8 @@ from poise.estimate.profile.distribution import error_of_mean, quantile
 
 SPAN = 30.0
 """An estimate covers this time [s]."""
-_SPREAD_EVERY = 5
-"""How much single windows differ is looked at after as many new ones."""
+_NEW = 1 / 6
+"""How much single windows differ is looked at when this share of them is new."""
 LEAST_SHARE = 0.25
 LEAST_CORES = 0.01
 """A demand that differs by less than this share, or by fewer cores, is unchanged."""
@@ -86,7 +86,7 @@ class RunningEstimate:
         self._windows: deque[Window] = deque()
         self._sums = Sums()
         self._spread: tuple[float, float | None] = 0.0, None
-        self._since_spread = _SPREAD_EVERY
+        self._since_spread = 0
         self._has_jobs = False
         self._drift: Drift | None = None
         self._load = _change_point.ChangePointDetector(expected)
@@ -142,7 +142,7 @@ class RunningEstimate:
 
         All windows are looked at for that: not each time when one is added.
         """
-        if self._since_spread >= min(_SPREAD_EVERY, len(self._windows)):
+        if self._since_spread >= _NEW * len(self._windows):
             loads = [window.cpu / window.seconds for window in self._windows]
             self._spread = quantile(loads, 0.95), error_of_mean(loads)
             self._since_spread = 0
@@ -207,7 +207,6 @@ class RunningEstimate:
         """Forget the windows before the change."""
         kept = list(self._windows)[-since:]
         self._windows, self._sums = deque(), Sums()
-        self._since_spread = _SPREAD_EVERY
         for each in kept:
             self._keep(each)
         self._drift = drift
