@@ -50,6 +50,7 @@ from poise.manage.migration.planned import Planned
 from poise.manage.migration.replacement import plan_architecture_replacement
 from poise.manage.observe.chains import ChainAges, ChainReader
 from poise.manage.observe.deadline_misses import DeadlineMisses
+from poise.manage.observe.deviations import Deviation
 from poise.manage.observe.estimates import Estimates
 from poise.manage.observe.manager_troubles import ManagerTroubles
 from poise.manage.observe.recording import Recording, RecordingFile
@@ -61,6 +62,10 @@ from poise.manage.tasks.task_manager import TaskManager
 
 MOST_COMMANDS = 64
 """At most this many commands queue; further ones are refused."""
+LOOK_EVERY = 0.2
+"""While something is wrong or under way, a manager looks at its robot so often [s]."""
+REST = 0.3
+"""While nothing is, it waits so much longer for something new [s]."""
 Results = Future[Result | Refusal]
 T = TypeVar("T")
 
@@ -116,6 +121,7 @@ class Manager:
         self._stops: list[Results] = []
         self._stopping = threading.Event()
         self._has_successor = False
+        self._num_changes = 0
         self._watch = Watch(run)
         self._troubles = ManagerTroubles(
             run.journal, others=(samples, *([recording.file] if recording else []))
@@ -169,17 +175,7 @@ class Manager:
         known = status_of(self._run, self.tasks.reports, self._estimates)
         return structs.replace(
             known,
-            deviations=(
-                *self._tick.deviations(),
-                *known.deviations,
-                *self._troubles.deviations(),
-                *self.failures.deviations(),
-                *self._lost.deviations(),
-                *self._watch.deviations,
-                *self._watch.code_errors.deviations(),
-                *self._adaptation.deviations,
-                *self._put_aside.deviations(),
-            ),
+            deviations=(*known.deviations, *self._deviations()),
             under_way=tuple(p.under_way() for _, p, _ in self._planned.copy()),
             faults=self._watch.num_faults,
             prefetch=self._prefetch.report(),
@@ -189,15 +185,22 @@ class Manager:
         """Return the computers that nobody hears."""
         return self._lost.computers()
 
-    def work(self, limit: float) -> None:
+    def work(self, limit: float, rest: float = 0.0) -> None:
         """Carry out a command if one comes within `limit` [s]; look at the robot.
+
+        Parameters
+        ----------
+        rest
+            When nothing is wrong or under way, it waits so much longer [s], unless
+            something changes.
 
         Raises
         ------
         TakenOver
             The agents obey another manager.
         """
-        if self._tick.run("wait for news", partial(self._wait_news, limit)) is None:
+        wait = partial(self._wait_news, limit, rest)
+        if self._tick.run("wait for news", wait) is None:
             self._run.clock.sleep(limit)
         try:
             command, future = self._commands.get_nowait()
@@ -281,8 +284,37 @@ class Manager:
     def _prepare_next(self) -> None:
         self._prefetch.look(self.tasks.likely_next(), self._estimates.loads.loads())
 
-    def _wait_news(self, limit: float) -> bool:
-        return self._run.agents.wait_news(self._has_news, limit)
+    def _wait_news(self, limit: float, rest: float) -> bool:
+        agents, seen = self._run.agents, self._num_changes
+        has_news = agents.wait_news(self._has_news, limit)
+        if not has_news and rest and self._is_at_rest():
+            has_news = agents.wait_news(
+                lambda: agents.num_changes != seen or self._has_news(), rest
+            )
+        self._num_changes = agents.num_changes
+        return has_news
+
+    def _is_at_rest(self) -> bool:
+        """Return whether nothing that takes time is wrong or under way."""
+        return not (
+            self._planned
+            or self._adaptation.is_watching()
+            or self.tasks.ends_within(REST)
+            or self._deviations()
+        )
+
+    def _deviations(self) -> tuple[Deviation, ...]:
+        """Return what is wrong, so far as this manager looks after it."""
+        return (
+            *self._tick.deviations(),
+            *self._troubles.deviations(),
+            *self.failures.deviations(),
+            *self._lost.deviations(),
+            *self._watch.deviations,
+            *self._watch.code_errors.deviations(),
+            *self._adaptation.deviations,
+            *self._put_aside.deviations(),
+        )
 
     def _has_news_of_tasks(self) -> bool:
         backs_off = self._tick.backs_off("look after tasks")

@@ -17,7 +17,7 @@ from poise.manage.control_socket.records import StopCommand
 from poise.manage.control_socket.server import ControlServer
 from poise.manage.deploy.takeover import start_or_take_over
 from poise.manage.journal import Journal, check_journal
-from poise.manage.manager import Manager
+from poise.manage.manager import LOOK_EVERY, REST, Manager
 from poise.manage.observe.estimates import Estimates
 from poise.manage.observe.recording import Recording, RecordingFile
 from poise.manage.tasks.saved import goes_on_with
@@ -35,7 +35,6 @@ from poise.session.state_folder import make_journal
 if TYPE_CHECKING:
     from poise.manage.observe.export.opentelemetry import Telemetry
 
-_LOOK_EVERY = 0.2
 _END_LIMIT = 60.0
 """What the manager has begun, such as a move, ends within this time [s]."""
 
@@ -97,13 +96,13 @@ class Up(Running):
         try:
             while not self._manager.is_stopping:
                 if not run.tick.run("carry on", self._work):
-                    run.clock.sleep(_LOOK_EVERY)
+                    run.clock.sleep(LOOK_EVERY)
         finally:  # it was asked for, or another manager has the robot
             self._manager.stop()
 
     def _work(self) -> bool:
         world = self.started.world
-        self._manager.work(_LOOK_EVERY)
+        self._manager.work(LOOK_EVERY, REST)
         if world is not None and world.has_ended():
             self._manager.end_estimates()
         return True

@@ -14,7 +14,7 @@ from poise.manage.control_socket.records import Command, Refusal, Result, RobotS
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.deploy.takeover import start_or_take_over
 from poise.manage.journal import Journal, JournalEntry
-from poise.manage.manager import Manager
+from poise.manage.manager import LOOK_EVERY, REST, Manager
 from poise.manage.observe.estimates import Estimates
 from poise.manage.observe.recording import Recording
 from poise.manage.tasks.saved import goes_on_with
@@ -24,7 +24,6 @@ from poise.simulation.computers.process import Process
 
 SOLVE_STEPS = 20_000
 """The planner searches so much, whatever the machine: a seed gives one run."""
-_LOOK_EVERY = 0.2
 _MISSING_LIMIT = 2.0
 _AGENT_LIMIT = 20.0
 _LEASE = 2.0
@@ -146,7 +145,7 @@ class SimulatedManager:
             self.on_up()
             try:
                 while not self.manager.is_stopping:
-                    self.manager.work(_LOOK_EVERY)
+                    self.manager.work(LOOK_EVERY, REST)
             except TakenOver as error:
                 self.error = error
                 self.manager.end()

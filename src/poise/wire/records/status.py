@@ -227,7 +227,7 @@ class ComponentStatus(Struct, frozen=True, kw_only=True):
     measures: Mapping[str, Summary] = {}
 
 
-class ContainerStatus(Struct, frozen=True, kw_only=True, tag=True):
+class ContainerStatus(Struct, frozen=True, kw_only=True, tag=True, dict=True):
     """A container as it sees itself.
 
     Parameters
@@ -247,6 +247,22 @@ class ContainerStatus(Struct, frozen=True, kw_only=True, tag=True):
     trouble: str = ""
     components: tuple[ComponentStatus, ...] = ()
     connectors: tuple[ConnectorStatus, ...] = ()
+
+    @cached_property
+    def states(self) -> tuple[object, ...]:
+        """What is worth a word at once when it changes; counters are not."""
+        components = [
+            (each.name, each.epoch, each.state, each.errors, each.wishes)
+            for each in self.components
+        ]
+        connectors = [(each.name, each.ready) for each in self.connectors]
+        return self.name, components, connectors
+
+    @cached_property
+    def missed(self) -> int:
+        """How many deadlines its timers have missed."""
+        timers = (timer for each in self.components for timer in each.timers)
+        return sum(timer.missed for timer in timers)
 
 
 class Fault(Struct, frozen=True, kw_only=True):
@@ -380,3 +396,21 @@ class AgentStatus(Struct, frozen=True, kw_only=True, dict=True):
     def components(self) -> tuple[ComponentStatus, ...]:
         """The components in all containers."""
         return tuple(c for each in self.containers for c in each.components)
+
+    @cached_property
+    def states(self) -> tuple[object, ...]:
+        """What is worth a word at once when it changes; counters are not."""
+        return (
+            self.generation,
+            self.token,
+            self.faults[-1].number if self.faults else 0,
+            bool(self.cut_off),
+            [(error.where, error.count) for error in self.errors],
+            [(health.name, health.state) for health in self.health],
+            [container.states for container in self.containers],
+        )
+
+    @cached_property
+    def missed(self) -> int:
+        """How many deadlines the timers of its components have missed."""
+        return sum(container.missed for container in self.containers)
