@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import socket
 from collections import deque
+from functools import partial
 from math import inf
 
 from poise.simulation.computers.process import Process
@@ -54,14 +55,10 @@ class SimulatedSocket:
         if target is None:
             raise OSError(errno.EHOSTUNREACH, f"nothing is at {address}")
 
-        def deliver() -> None:
-            receiver = self._addresses.bound(address)
-            if receiver is not None:
-                receiver.take(data, own)
-
-        source = self._process.computer.name
-        self._network.send_datagram(source, target, len(data), deliver)
-        return len(data)
+        source, size = self._process.computer.name, len(data)
+        deliver = partial(self._deliver, address, data, own)
+        self._network.send_datagram(source, target, size, deliver)
+        return size
 
     def recvfrom(self, _size: int) -> tuple[bytes, Address]:
         """Return the next datagram and its sender's address."""
@@ -80,6 +77,11 @@ class SimulatedSocket:
             self._waiting.append((data, source))
         if self._reader is not None:
             self._process.scheduler.wake(self._reader)
+
+    def _deliver(self, address: Address, data: bytes, source: Address) -> None:
+        receiver = self._addresses.bound(address)
+        if receiver is not None:
+            receiver.take(data, source)
 
     def close(self) -> None:
         """Receive no more."""

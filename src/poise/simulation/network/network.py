@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import partial
 
 from msgspec import Struct
 
@@ -106,7 +107,7 @@ class Network:
             copies += self.choices.happens("network", self.model.duplication)
         for _ in range(copies):
             arrival = self._engine.arrival(source, target, size)
-            self.scheduler.at(arrival, lambda: self._arrive(source, target, deliver))
+            self.scheduler.at(arrival, partial(self._arrive, source, target, deliver))
 
     def _gets_through(self, source: str, target: str) -> bool:
         loss = self.model.loss + self.loss

@@ -6,11 +6,11 @@ where it waits. Time passes only while nothing can run.
 
 from __future__ import annotations
 
-import heapq
 import struct
 from collections.abc import Callable
 from functools import partial
 from hashlib import blake2b
+from heapq import heappop, heappush
 from math import inf
 from typing import Any, Protocol
 
@@ -82,17 +82,18 @@ class SimulatedTask:
         return f"{self.host.name}/{self.name}"
 
 
-class SimulatedTimer:
-    """Something that happens at its moment, unless it is cancelled."""
+class SimulatedTimer(list[Any]):
+    """Something that happens at its moment, unless it is cancelled.
 
-    __slots__ = ("action",)
+    A list of the moment, a number and the action: the heap compares such without a call
+    of Python, and there are several for each message.
+    """
 
-    def __init__(self, action: Callable[[], object]) -> None:
-        self.action: Callable[[], object] | None = action
+    __slots__ = ()
 
     def cancel(self) -> None:
         """Let it not happen; harmless when repeated."""
-        self.action = None
+        self[2] = None
 
 
 class Scheduler:
@@ -125,7 +126,7 @@ class Scheduler:
         self.on_step: Callable[[], object] = lambda: None
         self._number = 0
         self._ready: list[SimulatedTask] = []
-        self._timers: list[tuple[float, int, SimulatedTimer]] = []
+        self._timers: list[SimulatedTimer] = []
         self._waiting: dict[int, SimulatedTask] = {}
         self._world = getcurrent()
         self._trace = blake2b(digest_size=16)
@@ -154,9 +155,10 @@ class Scheduler:
 
     def at(self, moment: float, action: Callable[[], object]) -> SimulatedTimer:
         """Let something happen in the simulated world at a moment [s]."""
-        timer = SimulatedTimer(action)
         self._number += 1
-        heapq.heappush(self._timers, (max(moment, self.now), self._number, timer))
+        moment = max(moment, self.now)
+        timer = SimulatedTimer((moment, self._number, action))
+        heappush(self._timers, timer)
         return timer
 
     def wait(self, seconds: float = inf, why: str = "time") -> bool:
@@ -170,7 +172,8 @@ class Scheduler:
         task = self.current
         if task is None:
             raise SimulationError(f"the simulated world waits for {why}: a task should")
-        self.raise_if_dead(task)
+        if task.host.is_dead:
+            raise Killed
         task.waits_for, task.is_woken = why, False
         if seconds <= 0:
             self._ready.append(task)
@@ -181,7 +184,8 @@ class Scheduler:
                 task.timer = self.at(at, partial(self._make_ready, task))
         self._world.switch()
         task.waits_for = ""
-        self.raise_if_dead(task)
+        if task.host.is_dead:
+            raise Killed
         return task.is_woken
 
     def wake(self, task: SimulatedTask) -> bool:
@@ -212,15 +216,17 @@ class Scheduler:
         SimulationError
             Nothing can ever run again, or time does not pass.
         """
-        timers, engine = self._timers, self.engine
+        timers, ready, engine = self._timers, self._ready, self.engine
         while True:
             while timers and timers[0][0] <= self.now:
-                self._happen(heapq.heappop(timers)[-1])
-            if self._ready:
+                action = heappop(timers)[2]
+                if action is not None:
+                    action()
+            if ready:
                 self._step()
                 continue
-            while timers and timers[0][-1].action is None:
-                heapq.heappop(timers)
+            while timers and timers[0][2] is None:
+                heappop(timers)
             if not timers and self._waiting and engine.next() == inf:
                 waiting = ", ".join(f"{t} ({t.waits_for})" for t in self.waiting())
                 raise SimulationError(
@@ -237,16 +243,6 @@ class Scheduler:
     def waiting(self) -> list[SimulatedTask]:
         """Return the tasks that wait, oldest first."""
         return [self._waiting[number] for number in sorted(self._waiting)]
-
-    def raise_if_dead(self, task: SimulatedTask) -> None:
-        """Raise `Killed` in a task whose process was killed."""
-        if task.host.is_dead:
-            raise Killed
-
-    def _happen(self, timer: SimulatedTimer) -> None:
-        if timer.action is not None:
-            action, timer.action = timer.action, None
-            action()
 
     def _make_ready(self, task: SimulatedTask) -> None:
         if task.timer is not None:
@@ -287,8 +283,8 @@ class Scheduler:
 
     def _main(self, task: SimulatedTask, work: Callable[[], object]) -> None:
         try:
-            self.raise_if_dead(task)
-            work()
+            if not task.host.is_dead:
+                work()
         except Killed:
             pass
         except BaseException as error:  # noqa: BLE001, its process says what it means
