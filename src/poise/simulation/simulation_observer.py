@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 
+from poise.manage.deploy.desired import Desired
 from poise.manage.journal import JournalEntry
 from poise.manage.migration.report import MigrationReport
 from poise.model.robot import Robot
@@ -47,7 +48,8 @@ class SimulationObserver:
         self._outages: list[Outage] = []
         self._moves: list[SimulatedMove] = []
         self._restarting: dict[str, tuple[float, str]] = {}
-        self._placed = self._placement()
+        self._desired = self._wanted()
+        self._placed = self._desired.placement() if self._desired else {}
         self._functions = functions_of(robot.robot)
         self._before = {
             id(each): {t.name: (t.releases, t.missed) for t in each.status().timers}
@@ -178,15 +180,18 @@ class SimulationObserver:
             share = cpu.used() / (cpu.cores * cpu.speed)
             self._loads[name].add(self.now, share, memory[name])
 
-    def _placement(self) -> dict[str, str]:
+    def _wanted(self) -> Desired | None:
         manager = self._robot.manager
         if manager is None or manager.run is None or manager.manager is None:
-            return {}
-        return manager.run.placement()
+            return None
+        return manager.run.desired
 
     def _note_placement(self) -> None:
         """Note what is placed elsewhere, though no move brought it there."""
-        placed = self._placement()
+        desired = self._wanted()
+        if desired is None or desired is self._desired:
+            return
+        self._desired, placed = desired, desired.placement()
         for name, at in placed.items():
             before = self._placed.get(name)
             if before is not None and before != at:
@@ -197,6 +202,9 @@ class SimulationObserver:
     def _note_outages(self) -> None:
         now = self._robot.scheduler.now
         working = set(_working(self._robot))
+        is_calm = not (self._down or self._since or self._restarting)
+        if is_calm and working >= self._placed.keys():
+            return
         for name in self._placed:
             if name in working:
                 self._down.pop(name, None)

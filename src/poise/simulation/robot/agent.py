@@ -16,7 +16,11 @@ from poise.runtime.agent.inbox import AgentInbox
 from poise.runtime.agent.surroundings import Hear, NextBeat, Surroundings
 from poise.simulation.components.container import World
 from poise.simulation.computers.process import Process
-from poise.simulation.robot.container_host import SimulatedAdoption, SimulatedHost
+from poise.simulation.robot.container_host import (
+    SimulatedAdoption,
+    SimulatedHost,
+    SimulatedWatchdog,
+)
 from poise.simulation.robot.disk import SimulatedDisk
 from poise.simulation.robot.sampler import SimulatedSampler
 from poise.simulation.schedule.scheduler import SimulatedTask
@@ -68,6 +72,7 @@ class SimulatedAgent:
         self._is_woken = False
         self._sampler: SimulatedSampler
         self.core: AgentCore
+        self.watchdog: SimulatedWatchdog
         self._task = process.spawn("agent", self._main)
 
     def post(self, event: Callable[[], object]) -> None:
@@ -102,6 +107,7 @@ class SimulatedAgent:
                 ):
                     session.liveliness().declare_token(key)
 
+            self.watchdog = SimulatedWatchdog(self)
             adoption = SimulatedAdoption(self._world, self)
             self.core = AgentCore(
                 setup,

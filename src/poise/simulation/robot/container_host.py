@@ -140,7 +140,7 @@ class SimulatedHost:
             agent.post(lambda: agent.core.on_born(spec.name, process.pid))
 
         process.on_end.append(self._tells_end(process.pid))
-        SimulatedWatchdog(agent, container)
+        agent.watchdog.watch(container)
         process.after(drawn(world.choices, _FORK), be_born)
         return control
 
@@ -229,7 +229,7 @@ class SimulatedAdoption:
             if self._left.pop(pid, None) is None:
                 return
             control = SimulatedControl(agent, container, born=True)
-            SimulatedWatchdog(agent, container)
+            agent.watchdog.watch(container)
             if agent.core.on_orphan(container.name, pid, control):
                 self.num_adopted += 1
             else:
@@ -250,30 +250,45 @@ class SimulatedAdoption:
 
 
 class SimulatedWatchdog:
-    """Tells an agent's core when a container stands still, as the sampler does."""
+    """Tells an agent's core when containers stand still, as the sampler does."""
 
-    def __init__(self, agent: SimulatedAgent, container: SimulatedContainer) -> None:
+    def __init__(self, agent: SimulatedAgent) -> None:
         self._agent = agent
-        self._container = container
-        self._since = inf
-        self._is_told = False
+        self._since: dict[SimulatedContainer, float] = {}
+        self._silent: set[SimulatedContainer] = set()
         self._look()
 
+    def watch(self, container: SimulatedContainer) -> None:
+        """Look at a container from now on, until its process ends."""
+        self._since[container] = inf
+        container.process.on_end.append(lambda: self._forget(container))
+
+    def _forget(self, container: SimulatedContainer) -> None:
+        self._since.pop(container, None)
+        self._silent.discard(container)
+
     def _look(self) -> None:
-        process, now = self._container.process, self._agent.process.computer.monotonic()
-        if process.is_dead:
-            return
-        self._since = min(self._since, now) if process.is_paused else inf
-        is_silent = now - self._since > _SUSPICIOUS
-        if is_silent != self._is_told:
-            self._is_told = is_silent
-            silence = Silence(
-                container=self._container.name,
-                pid=process.pid,
-                seconds=max(0.0, now - self._since) if is_silent else 0.0,
-                reason="its process is stopped" if is_silent else "",
-                remedy="`kill -CONT` lets it go on" if is_silent else "",
-            )
-            agent = self._agent
-            agent.post(lambda: agent.core.on_silence(silence))
+        now = self._agent.process.computer.monotonic()
+        for container, since in self._since.items():
+            if container.process.is_paused:
+                self._since[container] = min(since, now)
+                if now - since > _SUSPICIOUS and container not in self._silent:
+                    self._silent.add(container)
+                    self._tell(container, now - since)
+            elif since < inf:
+                self._since[container] = inf
+                if container in self._silent:
+                    self._silent.remove(container)
+                    self._tell(container, 0.0)
         self._agent.process.after(_WATCH_EVERY, self._look)
+
+    def _tell(self, container: SimulatedContainer, seconds: float) -> None:
+        silence = Silence(
+            container=container.name,
+            pid=container.process.pid,
+            seconds=seconds,
+            reason="its process is stopped" if seconds else "",
+            remedy="`kill -CONT` lets it go on" if seconds else "",
+        )
+        agent = self._agent
+        agent.post(lambda: agent.core.on_silence(silence))

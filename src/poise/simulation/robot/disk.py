@@ -13,7 +13,7 @@ from poise.wire.records.deployment import Deployment
 from poise.wire.records.output import OutputLines, ReadOutput
 from poise.wire.records.requests import Accepted, Refused
 
-_LOOK_EVERY = 0.1
+_SEND_WITHIN = 0.1
 Key = tuple[str, int]
 
 
@@ -40,12 +40,14 @@ class SimulatedDisk:
         self._checkpoints: dict[Key, tuple[float, bytes]] = {}
         self._sent: dict[Key, float] = {}
         self._send: Callable[[CheckpointCopy], object] = lambda _: None
+        self._is_sending = False
 
     def begin(self, process: Process, send: Callable[[CheckpointCopy], object]) -> None:
         """Serve another agent."""
         self._process, self._send, self._sent = process, send, {}
         self._kept = self.left
-        self._look()
+        self._is_sending = False
+        self._send_soon()
 
     def keep(self, state: AgentState) -> None:
         """Keep what the next agent must know, if it changed."""
@@ -74,10 +76,12 @@ class SimulatedDisk:
         kept = {(c.name, c.epoch) for c in components}
         self._checkpoints = {k: v for k, v in self._checkpoints.items() if k in kept}
         self._wanted = tuple((c.name, c.epoch) for c in components if c.checkpoint)
+        self._send_soon()
 
     def resend(self) -> None:
         """Send all checkpoints again."""
         self._sent = {}
+        self._send_soon()
 
     def checkpoint_age(self, component: str, epoch: int) -> float | None:
         """Return how old the last checkpoint is [s]; None: there is none."""
@@ -92,17 +96,25 @@ class SimulatedDisk:
         """Keep a checkpoint that a container took."""
         if not self.is_full:
             self._checkpoints[component, epoch] = self._computer.boottime(), data
+            self._send_soon()
 
     def _store(self, copy: CheckpointCopy) -> None:
         at = self._computer.boottime() - copy.age
         self._checkpoints[copy.component, copy.epoch] = at, copy.data or b""
+        self._send_soon()
 
     def _write(self, act: Callable[[], object]) -> None:
         if not self.is_full:
             self._process.after(self.delay, act)
 
-    def _look(self) -> None:
-        """Send copies of new checkpoints now and then."""
+    def _send_soon(self) -> None:
+        """Send copies of new checkpoints within a moment; of several one."""
+        if not self._is_sending:
+            self._is_sending = True
+            self._process.after(_SEND_WITHIN, self._send_new)
+
+    def _send_new(self) -> None:
+        self._is_sending = False
         for key in self._wanted:
             at, data = self._checkpoints.get(key, (0.0, b""))
             if data and self._sent.get(key) != at:
@@ -112,4 +124,3 @@ class SimulatedDisk:
                     component=key[0], epoch=key[1], data=data, age=age
                 )
                 self._process.spawn("checkpoint", partial(self._send, copy))
-        self._process.after(_LOOK_EVERY, self._look)
