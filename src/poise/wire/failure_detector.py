@@ -167,8 +167,12 @@ class Contacts:
         """
         contact = self._contacts.get(name)
         acked = contact.acked if contact is not None else None
-        sent = (at for at in self._sent if acked is None or at > acked)
-        return next(sent, float("inf"))
+        first = float("inf")
+        for at in reversed(self._sent):
+            if acked is not None and at <= acked:
+                break
+            first = at
+        return first
 
     def relayed(self, name: str, now: float) -> tuple[str, float] | None:
         """Return who heard another last, and when at the latest [s], but for itself."""

@@ -21,7 +21,11 @@ class ClockOffset:
     """The offset of one other computer's clock, from the last round trips."""
 
     def __init__(self) -> None:
-        self._bounds: deque[tuple[float, float, float]] = deque(maxlen=_KEPT)
+        self._sent: deque[float] = deque(maxlen=_KEPT)
+        # bounds widen with age: what each would have been when this clock showed 0
+        self._lows: deque[float] = deque(maxlen=_KEPT)
+        self._highs: deque[float] = deque(maxlen=_KEPT)
+        self._trips: deque[float] = deque(maxlen=_KEPT)
 
     def add(
         self, sent: float, received: float, answered: float, returned: float
@@ -32,30 +36,39 @@ class ClockOffset:
         """
         low, high = answered - returned, received - sent
         if low <= high and received <= answered:
-            self._bounds.append((sent, low, high))
+            self._sent.append(sent)
+            self._lows.append(low + DRIFT * sent)
+            self._highs.append(high - DRIFT * sent)
+            self._trips.append(high - low)
 
     def at(self, now: float) -> ClockStatus | None:
         """Return what is known at `now` [s, on this clock]; None before any round trip.
 
         When bounds contradict each other a clock was set: older bounds are dropped.
         """
-        low, high = float("-inf"), float("inf")
-        for began, least, most in reversed(self._bounds):
-            wide = DRIFT * abs(now - began)
-            lowest, highest = max(low, least - wide), min(high, most + wide)
-            if lowest > highest:
-                self._forget_until(began)
-                break
-            low, high = lowest, highest
-        if not self._bounds:  # heartbeats that overtook each other contradict all
+        if not self._sent:
             return None
+        wide = DRIFT * now
+        low, high = max(self._lows) - wide, min(self._highs) + wide
+        if low > high:
+            self._forget_contradicted(wide)
+            if not self._sent:  # heartbeats that overtook each other contradict all
+                return None
+            low, high = max(self._lows) - wide, min(self._highs) + wide
         return ClockStatus(
             offset=(low + high) / 2,
             error=(high - low) / 2,
             at=now,
-            trip=min(most - least for _, least, most in self._bounds),
+            trip=min(self._trips),
         )
 
-    def _forget_until(self, began: float) -> None:
-        while self._bounds and self._bounds[0][0] <= began:
-            self._bounds.popleft()
+    def _forget_contradicted(self, wide: float) -> None:
+        """Forget the newest bound that contradicts newer ones, and all before it."""
+        low, high = float("-inf"), float("inf")
+        bounds = list(zip(self._sent, self._lows, self._highs, strict=True))
+        while low <= high:
+            began, least, most = bounds.pop()
+            low, high = max(low, least - wide), min(high, most + wide)
+        while self._sent and self._sent[0] <= began:
+            for each in (self._sent, self._lows, self._highs, self._trips):
+                each.popleft()

@@ -9,7 +9,7 @@ from msgspec import Struct
 from poise.wire.records.requests import PROTOCOL
 
 
-class Echo(Struct, frozen=True, array_like=True):
+class Echo(Struct, frozen=True, array_like=True, gc=False):
     """The last heartbeat that the sender has heard of another participant.
 
     Parameters
