@@ -281,6 +281,21 @@ def test_a_container_that_ends_is_started_again_with_a_delay_that_grows() -> Non
     assert [fault.container for fault in world.status.faults] == ["see", "see"]
 
 
+def test_a_report_that_only_counts_on_waits_for_the_next_status() -> None:
+    world = World()
+    world.deploy("see")
+    world.disk.kept = None  # each tick that looks at all keeps it again
+    world.core.on_record("see", ContainerStatus(name="see", pid=100, cpu=1.5))
+    assert world.core.moment() > world.clock.now()
+    world.core.tick()
+    assert world.disk.kept is None
+    eye = ComponentStatus(name="eye", state="active")
+    world.core.on_record("see", ContainerStatus(name="see", pid=100, components=(eye,)))
+    assert world.core.moment() <= world.clock.now()
+    world.core.tick()
+    assert world.disk.kept is not None
+
+
 def test_what_a_container_said_before_it_ended_is_in_its_fault() -> None:
     world = World()
     world.deploy("see")

@@ -269,7 +269,7 @@ class Agent:
 
     def _note_thread(self, name: str, error: BaseException) -> None:
         self._core.supervised.report(f"thread '{name}'", error)
-        self._waker.wake()
+        self._core.wake()
 
     def _on_signal(self, _signal: int, _frame: FrameType | None) -> None:
         self._is_asked_to_end = True

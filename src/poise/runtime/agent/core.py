@@ -8,6 +8,7 @@ container is shown in the status and stops nothing else (`SupervisedParts`).
 from __future__ import annotations
 
 from collections.abc import Callable
+from math import inf
 from typing import NamedTuple, TypeVar
 
 from msgspec import structs
@@ -68,11 +69,13 @@ class AgentCore:
         self, setup: AgentSetup, world: Surroundings, left: AgentState
     ) -> None:
         self.is_ready = False
+        self._has_news = True
+        self._due = 0.0
         self._setup = setup
         self._world = world
         self._clock = world.clock
         self._born = world.clock.now()
-        self._end_limit = float("inf")
+        self._end_limit = inf
         self.supervised = SupervisedParts(world.clock, world.wall)
         self.supervisor = Supervisor(
             world.host,
@@ -90,7 +93,7 @@ class AgentCore:
         self.fence = Fence(
             setup.robot,
             setup.computer,
-            world.wake,
+            self.wake,
             world.say,
             left.manager,
             left.token,
@@ -112,8 +115,14 @@ class AgentCore:
         self._reports = StatusReports(world.publish, world.clock, self._last)
         self._parts = self._table()
 
+    def wake(self) -> None:
+        """Let `tick` look at everything soon; from any thread."""
+        self._has_news = True
+        self._world.wake()
+
     def on_request(self, asked: ManagerRequest, reply: Reply) -> None:
         """Do what a manager asks for, or refuse it; it is answered once."""
+        self._has_news = True
         try:
             self._attend(asked, reply)
         except Exception as error:  # noqa: BLE001, it is logged and shown
@@ -126,7 +135,10 @@ class AgentCore:
 
     def on_record(self, container: str, said: FromContainer) -> None:
         """Take in what a container says."""
-        outcome = self._about(container, self.supervisor.note, container, said)
+        if self.fence.is_cut_off or self.supervisor.is_news(container, said):
+            self._has_news = True
+        note = self.supervisor.note
+        outcome = self.supervised.attempt(part_of(container), note, container, said)
         if outcome is not None:
             self.supervised.attempt("steps", self._relay.end, outcome)
 
@@ -169,22 +181,35 @@ class AgentCore:
                 self._about(process.name, self._world.adoption.watch, process.pid)
 
     def tick(self) -> None:
-        """Do what is due; harmless when nothing is."""
+        """Do what is due; harmless when nothing is.
+
+        What containers say every half a second, though nothing has changed, waits for
+        the next status.
+        """
+        is_idle = self.is_ready and not self._has_news and self._end_limit == inf
+        if is_idle and self._clock.now() < self._due:
+            return
+        self._has_news = False
         for part in self._parts:
             self.supervised.run(part.name, part.act)
+        self._due = self._next_due()
 
     def moment(self) -> float:
-        """Return when `tick` is due though nothing happens [s]."""
+        """Return when `tick` is due though nothing more happens [s]."""
+        return -inf if self._has_news else self._due
+
+    def _next_due(self) -> float:
         moments = [self._born + ADOPT_LIMIT] if not self.is_ready else []
         for part in self._parts:
             if part.due is None:
                 continue
-            due = self.supervised.run(part.name, part.due) or float("-inf")
+            due = self.supervised.run(part.name, part.due) or -inf
             moments.append(max(due, self.supervised.again_at(part.name)))
         return min([*moments, self._end_limit])
 
     def end(self) -> None:
         """End every container in stages, in the ticks until `has_ended`."""
+        self._has_news = True
         self._end_limit = self._clock.now() + STOP_LIMIT + 1
         self._parts = tuple(
             part for part in self._parts if part.name in {"steps", "containers"}
@@ -217,6 +242,7 @@ class AgentCore:
         )
 
     def _about(self, container: str, work: Callable[..., T], *args: object) -> T | None:
+        self._has_news = True
         return self.supervised.attempt(part_of(container), work, *args)
 
     def _adopt(self, container: str, pid: int, control: ContainerControl) -> bool:

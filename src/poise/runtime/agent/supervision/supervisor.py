@@ -147,6 +147,17 @@ class Supervisor:
         is_resting = self._supervised.is_resting(part_of(container))
         return process is not None and not process.is_deaf and not is_resting
 
+    def is_news(self, container: str, said: FromContainer) -> bool:
+        """Return whether what a container says is more than that it counted on."""
+        process = self.processes.get(container)
+        before = None if process is None else process.status
+        return (
+            before is None
+            or not isinstance(said, ContainerStatus)
+            or said.states != before.states
+            or said.missed != before.missed
+        )
+
     def note(self, container: str, said: FromContainer) -> Outcome | None:
         """Take in what a container says; return the outcome of a step, if it is one."""
         process = self.processes.get(container)
