@@ -20,7 +20,7 @@ from poise.simulation.network.network import Network
 from poise.simulation.network.zenoh_sessions import ZenohNetwork
 from poise.simulation.schedule.choices import Choices
 from poise.simulation.schedule.scheduler import Scheduler, SimulationError
-from poise.simulation.schedule.simulated_library import simulated_library
+from poise.simulation.schedule.simulated_library import SimulatedLibrary
 
 Run = Callable[[Callable[[], Any]], Any]
 
@@ -35,7 +35,7 @@ def run(scheduler: Scheduler) -> Run:
     def in_process(work: Callable[[], Any]) -> Any:
         found: list[Any] = []
         process.spawn("test", lambda: found.append(work()))
-        with simulated_library(scheduler, ZenohNetwork(network, addresses)):
+        with SimulatedLibrary(scheduler, ZenohNetwork(network, addresses)):
             scheduler.run(scheduler.now + 1000.0)
         return found[0]
 
@@ -62,7 +62,7 @@ def test_code_outside_of_the_simulation_reads_the_real_clock(
     process.spawn("test", lambda: read.append(time.monotonic()))
     sessions = ZenohNetwork(Network(scheduler, scheduler.choices), Addresses())
     before = time.monotonic()
-    with simulated_library(scheduler, sessions):
+    with SimulatedLibrary(scheduler, sessions):
         scheduler.run(1.0)
         assert time.monotonic() >= before
     assert read == [50.0]
@@ -128,7 +128,7 @@ def test_chance_is_drawn_from_the_seed() -> None:
         scheduler.at(9.0, lambda: None)
         process = SimulatedComputer(scheduler, "a").start("program")
         process.spawn("test", lambda: found.append((random.random(), uuid.uuid4().hex)))
-        with simulated_library(scheduler, sessions):
+        with SimulatedLibrary(scheduler, sessions):
             scheduler.run(1.0)
         return found[0]
 

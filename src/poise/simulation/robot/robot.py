@@ -21,7 +21,7 @@ from poise.simulation.robot.disk import SimulatedDisk
 from poise.simulation.robot.manager import ManagedRobot, SimulatedManager
 from poise.simulation.schedule.choices import Choices
 from poise.simulation.schedule.scheduler import Scheduler
-from poise.simulation.schedule.simulated_library import simulated_library
+from poise.simulation.schedule.simulated_library import SimulatedLibrary
 from poise.simulation.workload import SimulatedWork
 from poise.wire.records.deployment import ConnectorSpec
 
@@ -75,6 +75,7 @@ class SimulatedRobot:
         self.ledger = self.scheduler.engine.ledger
         self.addresses = Addresses()
         self.sessions = ZenohNetwork(self.network, self.addresses)
+        self._library = SimulatedLibrary(self.scheduler, self.sessions)
         self.computers: dict[str, SimulatedComputer] = {}
         self.disks: dict[str, SimulatedDisk] = {}
         self.agents: dict[str, SimulatedAgent] = {}
@@ -109,7 +110,7 @@ class SimulatedRobot:
 
     def library(self) -> AbstractContextManager[None]:
         """Return what gives the code under test virtual time, while it is entered."""
-        return simulated_library(self.scheduler, self.sessions)
+        return self._library
 
     def others_than(self, computer: str) -> list[str]:
         """Return the other computers, and where a manager beside them runs."""

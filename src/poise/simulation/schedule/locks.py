@@ -137,7 +137,7 @@ class SimulatedThread:
         self._task: SimulatedTask | None = None
 
     scheduler: Scheduler
-    """Of the run; set by `simulated_library`."""
+    """Of the run; set by `SimulatedLibrary`."""
 
     @property
     def ident(self) -> int | None:

@@ -19,7 +19,6 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Container, Hashable, Iterator, Mapping
-from contextlib import contextmanager
 from functools import partial
 from types import FunctionType, SimpleNamespace
 from typing import Any
@@ -43,41 +42,74 @@ Replaced = tuple[Any, str, Callable[..., Any]]
 """A module, the name of what is replaced in it, and what tasks get instead."""
 
 
-@contextmanager
-def simulated_library(scheduler: Scheduler, sessions: ZenohNetwork) -> Iterator[None]:
-    """Replace what the code under test uses of the library, until the block ends."""
-    replaced = [
-        *_clocks(scheduler),
-        *_threads(scheduler),
-        *_process(scheduler),
-        *_chance(scheduler),
-        *_network(scheduler, sessions),
-        *((m, name, _refusal(f"{m.__name__}.{name}")) for m, name in _FORBIDDEN),
-    ]
-    real = [getattr(module, name) for module, name, _ in replaced]
-    instead = {
-        before: _in_tasks(scheduler, function, before)
-        for (_, _, function), before in zip(replaced, real, strict=True)
-    }
-    instead[time.monotonic] = _monotonic(scheduler, time.monotonic)
-    bound = [
-        (each, each.__defaults__ or (), each.__kwdefaults__ or {})
-        for each in _with_defaults(instead)
-    ]
-    try:
-        for (module, name, _), before in zip(replaced, real, strict=True):
-            setattr(module, name, instead[before])
-        for function, defaults, named in bound:
-            function.__defaults__ = tuple(_swapped(each, instead) for each in defaults)
-            function.__kwdefaults__ = {
-                name: _swapped(each, instead) for name, each in named.items()
-            }
-        yield
-    finally:
-        for (module, name, _), before in zip(replaced, real, strict=True):
-            setattr(module, name, before)
-        for function, defaults, named in bound:
-            function.__defaults__, function.__kwdefaults__ = defaults, named
+class SimulatedLibrary:
+    """Replaces what the code under test uses of the library, while it is entered.
+
+    It may be entered again and again. It is made while no other one is entered.
+    """
+
+    def __init__(self, scheduler: Scheduler, sessions: ZenohNetwork) -> None:
+        replaced = [
+            *_clocks(scheduler),
+            *_threads(scheduler),
+            *_process(scheduler),
+            *_chance(scheduler),
+            *_network(scheduler, sessions),
+            *((m, name, _refusal(f"{m.__name__}.{name}")) for m, name in _FORBIDDEN),
+        ]
+        self._real = [
+            (module, name, getattr(module, name)) for module, name, _ in replaced
+        ]
+        self._instead = {
+            real: _in_tasks(scheduler, function, real)
+            for (_, _, function), (_, _, real) in zip(replaced, self._real, strict=True)
+        }
+        self._instead[time.monotonic] = _monotonic(scheduler, time.monotonic)
+        self._num_modules = 0
+        self._bound: list[_Bound] = []
+
+    def __enter__(self) -> None:
+        if len(sys.modules) != self._num_modules:  # some were imported meanwhile
+            self._num_modules = len(sys.modules)
+            self._bound = [
+                _Bound(each, self._instead) for each in _with_defaults(self._instead)
+            ]
+        for module, name, real in self._real:
+            setattr(module, name, self._instead[real])
+        for each in self._bound:
+            each.swap()
+
+    def __exit__(self, *_: object) -> None:
+        for module, name, real in self._real:
+            setattr(module, name, real)
+        for each in self._bound:
+            each.restore()
+
+
+class _Bound:
+    """A function whose default arguments were bound to the library."""
+
+    def __init__(
+        self, function: FunctionType, instead: Mapping[Any, Callable[..., Any]]
+    ) -> None:
+        self._function = function
+        self._real = function.__defaults__, function.__kwdefaults__
+        self._defaults = tuple(
+            _swapped(each, instead) for each in function.__defaults__ or ()
+        )
+        self._named = {
+            name: _swapped(each, instead)
+            for name, each in (function.__kwdefaults__ or {}).items()
+        }
+
+    def swap(self) -> None:
+        """Let it get what is simulated."""
+        self._function.__defaults__ = self._defaults
+        self._function.__kwdefaults__ = self._named
+
+    def restore(self) -> None:
+        """Let it get the library again."""
+        self._function.__defaults__, self._function.__kwdefaults__ = self._real
 
 
 def _host(scheduler: Scheduler) -> Process:
