@@ -59,7 +59,7 @@ def test_heartbeats_go_out_while_others_flood_the_port() -> None:
         )
         return beat, 0.01
 
-    def hear(_beat: Heartbeat, _source: Address) -> bool:
+    def hear(_beat: Heartbeat, _source: Address, _now: float) -> bool:
         return False
 
     listen = Endpoint(HOST, free_port())
@@ -80,7 +80,7 @@ def test_an_error_in_what_hears_them_does_not_end_them(
         beat = Heartbeat(robot="r", sender="a", key="k", number=1, sent=0.0)
         return beat, 0.01
 
-    def hear(_beat: Heartbeat, _source: Address) -> bool:
+    def hear(_beat: Heartbeat, _source: Address, _now: float) -> bool:
         heard.append(1)
         if len(heard) < 3:
             raise KeyError("a bug")

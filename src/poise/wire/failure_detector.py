@@ -63,7 +63,7 @@ class Contact:
     def note(self, beat: Heartbeat, echo: Echo | None, now: float) -> None:
         """Take in a heartbeat, which says what the other has heard of this side."""
         gap = beat.number - self.last.number - 1
-        self._lost.append(min(max(0, gap), _IN_A_ROW))
+        self._lost.append(min(gap, _IN_A_ROW) if gap > 0 else 0)
         self.last, self.heard_at = beat, now
         if echo is not None and (self.acked is None or echo.sent > self.acked):
             self.acked = echo.sent

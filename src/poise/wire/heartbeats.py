@@ -35,8 +35,8 @@ class Heartbeats:
     Parameters
     ----------
     hear
-        Called with each heartbeat and where it came from; returns whether to send one
-        at once.
+        Called with each heartbeat, where it came from, and when [s]; returns whether to
+        send one at once.
     next_beat
         Called before each sending, when all that came was heard; returns what is sent,
         and how long to wait for the next time [s].
@@ -47,7 +47,7 @@ class Heartbeats:
     def __init__(
         self,
         clock: Clock,
-        hear: Callable[[Heartbeat, Address], bool],
+        hear: Callable[[Heartbeat, Address, float], bool],
         next_beat: Callable[[], tuple[Heartbeat, float]],
         listen: Endpoint | None = None,
         *,
@@ -100,8 +100,9 @@ class Heartbeats:
 
         When more comes than can be read, the own heartbeat goes first.
         """
-        most = max(until, self._clock.now() + _READING)
-        while (now := self._clock.now()) < most:
+        now = self._clock.now()
+        most = max(until, now + _READING)
+        while now < most:
             left = until - now
             self._socket.settimeout(max(left, 1e-6))
             try:
@@ -111,12 +112,14 @@ class Heartbeats:
             except OSError:  # what an earlier datagram met on its way
                 if left <= 0:
                     return
+                now = self._clock.now()
                 continue
+            now = self._clock.now()
             try:
                 beat = self._decode(data)
             except msgspec.DecodeError:  # not of this version
                 continue
-            if self._hear(beat, source[:2]):
+            if self._hear(beat, source[:2], now):
                 return
 
     def _send(self) -> float:

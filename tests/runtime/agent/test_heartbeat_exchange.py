@@ -145,7 +145,7 @@ def heard(rig: Rig, number: int) -> None:
         heard={"left": Echo(now, 0.0)},
         managed=0.0,
     )
-    rig.exchange._hear(beat, ("127.0.0.1", 3))
+    rig.exchange._hear(beat, ("127.0.0.1", 3), now)
 
 
 def test_a_manager_that_was_heard_a_moment_before_has_ended(rig: Rig) -> None:

@@ -108,9 +108,9 @@ class AgentHeartbeats:
                 self._revoked |= tokens
             return have_ended
 
-    def _hear(self, beat: Heartbeat, _: Address) -> bool:
+    def _hear(self, beat: Heartbeat, _: Address, now: float) -> bool:
         with self._lock:
-            is_news = self._contacts.note(beat, self._clock.now())
+            is_news = self._contacts.note(beat, now)
         return is_news and MANAGER in beat.asks
 
     def _next_beat(self) -> tuple[Heartbeat, float]:

@@ -194,7 +194,7 @@ class HeartbeatExchange:
         with self._lock:
             return self._contacts.qualities(self._clock.now())
 
-    def _hear(self, beat: Heartbeat, source: Address) -> bool:
+    def _hear(self, beat: Heartbeat, source: Address, now: float) -> bool:
         """Take in a heartbeat; return whether to answer at once.
 
         The manager is always answered: one wake-up serves for both.
@@ -206,7 +206,6 @@ class HeartbeatExchange:
                 self._targets[MANAGER] = source
             elif beat.sender not in self._targets:
                 return False
-            now = self._clock.now()
             is_news = self._contacts.note(beat, now)
             if beat.sender == MANAGER and is_news and now > self._token_gone + _LATE:
                 self._fence.note_alive(beat.key)

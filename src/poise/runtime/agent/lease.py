@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from math import inf
 
-from poise.wire.failure_detector import LEASE, Contacts
+from poise.wire.failure_detector import ASK_AFTER, LEASE, Contacts
 from poise.wire.records.heartbeats import MANAGER
 
 
@@ -63,6 +63,8 @@ class Lease:
         direct = self.managed(now)
         if direct is None:
             return 0.0
+        if direct <= ASK_AFTER:  # no other agent is needed
+            return direct
         others = [c for name in self._others if (c := self._contacts.get(name))]
         ages = [
             now - other.acked + other.last.managed
@@ -93,11 +95,12 @@ class Lease:
 
         A token grows by one when its lease ends.
         """
-        sides = (self._contacts.get(name) for name in (MANAGER, *self._others))
-        return any(
-            side is not None and token <= side.last.revoked.get(computer, -2) + 1
-            for side in sides
-        )
+        for name in (MANAGER, *self._others):
+            side = self._contacts.get(name)
+            revoked = side.last.revoked if side is not None else {}
+            if revoked and token <= revoked.get(computer, -2) + 1:
+                return True
+        return False
 
     def _unheard(self, now: float) -> float:
         """Return how long ago it sent what all other agents have heard [s]."""

@@ -167,7 +167,7 @@ class HeartbeatTransport(Protocol):
         """End."""
 
 
-Hear = Callable[[Heartbeat, Address], bool]
+Hear = Callable[[Heartbeat, Address, float], bool]
 NextBeat = Callable[[], tuple[Heartbeat, float]]
 """As for `poise.wire.heartbeats.Heartbeats`, on whose thread both are called."""
 
