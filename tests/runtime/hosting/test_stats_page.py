@@ -7,14 +7,18 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
 
 from poise.runtime import _calls
-from poise.runtime._calls import ComponentCounters, Counts, PageSampler
+from poise.runtime._calls import ComponentCounters, Counts, PageSampler, ServedCall
+from poise.runtime.connectors.direct import direct_call, raise_callee_error
+from poise.runtime.execution.exclusion import Exclusion
 from poise.runtime.hosting.stats_page import new_memory
+from poise.wire.frame import Frame, Kind
 from tests.waiting import wait_until
 
 EPOCH = 3
@@ -295,3 +299,108 @@ def test_a_process_that_has_ended_is_not_told_of(memory: int) -> None:
         process.wait(20)
         pid = process.pid
     assert PageSampler(memory, pid).read() is None
+
+
+class Calls:
+    """A chain of direct calls on a thread of the first; the last one spins."""
+
+    def __init__(self, book: Book, names: list[str]) -> None:
+        self.counters = [book.counters(name) for name in names]
+        self.counts = [
+            book.counts(f"{a}.x-{b}.x", self.counters[at], self.counters[at + 1])
+            for at, (a, b) in enumerate(pairwise(names))
+        ]
+        self.may_end, self.may_leave = threading.Event(), threading.Event()
+        work: Callable[[], object] = self._spin
+        for name, counts in zip(names[:0:-1], reversed(self.counts), strict=True):
+            exclusion = Exclusion(name)
+            exclusion.resume()
+            work = direct_call(work, exclusion, 20.0, counts)
+        self._work = work
+        self.thread = threading.Thread(target=self._main, daemon=True)
+        self.thread.start()
+
+    def _spin(self) -> None:
+        while not self.may_end.is_set():
+            burn(0.001)
+
+    def _main(self) -> None:
+        self.counters[0].begin()
+        self._work()
+        self.may_leave.wait(20)
+        self.counters[0].end()
+
+
+def test_the_cpu_time_of_a_call_counts_for_its_callee_while_it_runs(book: Book) -> None:
+    """The caller's thread runs it all; the second and the caller only wait."""
+    calls = Calls(book, ["caller", "second", "third"])
+    book.reader.read()  # from here on it is known
+    wait_until(lambda: book.cpu("third") >= 0.1)
+    assert abs(book.cpu("second")) < 0.02
+    assert book.cpu("caller") < 0.1
+    calls.may_end.set()
+    calls.may_leave.set()
+    calls.thread.join(20)
+
+
+def test_a_call_that_ends_is_counted_once(book: Book) -> None:
+    calls = Calls(book, ["caller", "callee"])
+    wait_until(lambda: book.cpu("callee") >= 0.1)
+    calls.may_end.set()
+    wait_until(lambda: calls.counts[0].calls == 1)
+    assert book.cpu("callee") == pytest.approx(calls.counts[0].cpu)
+    calls.may_leave.set()
+    calls.thread.join(20)
+    used = calls.counters[0].cpu()
+    assert book.cpu("caller") + book.cpu("callee") == pytest.approx(used, abs=1e-6)
+
+
+def test_a_call_from_another_container_counts_while_it_runs(book: Book) -> None:
+    callee = book.counters("callee")
+    counts = book.counts("caller.x-callee.x", None, callee)
+    exclusion = Exclusion("callee")
+    exclusion.resume()
+    may_end = threading.Event()
+
+    def spin(*_: object) -> None:
+        while not may_end.is_set():
+            burn(0.001)
+
+    served = ServedCall(
+        decode=lambda body, buffers: (body, bytes(buffers)),
+        method=spin,
+        encode=lambda _: [b""],
+        exclusion=exclusion,
+        limit=20.0,
+        counts=counts,
+        translate=raise_callee_error,
+        is_over=lambda: False,
+    )
+    frame = Frame(Kind.CALL, 0, 0, 7, b"body", memoryview(b"buffers"), 0, 0.0, 0.0)
+    thread = threading.Thread(target=served, args=(frame,), daemon=True)
+    thread.start()
+    wait_until(lambda: book.cpu("callee") >= 0.1)
+    may_end.set()
+    thread.join(20)
+    assert book.cpu("callee") == pytest.approx(counts.cpu)
+
+
+def test_a_call_that_waits_uses_nothing(book: Book) -> None:
+    caller, callee = book.counters("caller"), book.counters("callee")
+    counts = book.counts("caller.x-callee.x", caller, callee)
+    exclusion, may_end, runs = Exclusion("callee"), threading.Event(), threading.Event()
+    exclusion.resume()
+
+    def wait() -> None:
+        runs.set()
+        may_end.wait(20)
+
+    call = direct_call(wait, exclusion, 20.0, counts)
+    thread = threading.Thread(target=call, daemon=True)
+    thread.start()
+    assert runs.wait(20)
+    book.reader.read()
+    burn(0.05)  # on another thread
+    assert book.cpu("callee") < 0.01
+    may_end.set()
+    thread.join(20)

@@ -1,5 +1,6 @@
 #include "chain.h"
 
+#include "counters/running_call.h"
 #include "deadline.h"
 
 namespace poise {
@@ -12,6 +13,7 @@ static Chain next = 1;  // under the GIL
 void begin_chains(Chain first) {
   next = first;
   thread_chain = no_chain;
+  thread_number = 0;  // of the thread that forked
 }
 
 Chain new_chain() { return thread_chain = next++; }

@@ -12,7 +12,8 @@ constexpr Chain no_chain = 0;
 
 extern thread_local Chain thread_chain;
 
-// Let the numbers of this process go on from `first`; also ends this thread's chain.
+// Let the numbers of this process go on from `first`; also ends this thread's chain. In a
+// forked process, call it before anything else here.
 void begin_chains(Chain first);
 
 // Begin a chain on this thread.

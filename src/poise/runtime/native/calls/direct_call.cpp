@@ -59,6 +59,7 @@ PyObject* invoke(PyObject* self, PyObject* const* args, Py_ssize_t count, PyObje
   const nb::object held = nb::borrow(self);
   const bool measured = counts.totals().cpu.should_measure(inside);
   const std::int64_t cpu_began = measured ? cpu_now() : 0;
+  const bool is_outermost = counts.totals().running.begin();
   PyObject* result;
   {
     const Deadline deadline(moment_after(began, limit));
@@ -69,6 +70,7 @@ PyObject* invoke(PyObject* self, PyObject* const* args, Py_ssize_t count, PyObje
 
   const Moment ended = wall_now();
   ConnectorTotals& totals = counts.totals();  // by now it may be elsewhere than before
+  if (is_outermost) totals.running.end();
   if (measured)
     totals.cpu.add_measured(inside, ended - inside, cpu);
   else

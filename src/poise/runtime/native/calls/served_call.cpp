@@ -113,6 +113,7 @@ nb::object ServedCall::answer(nb::handle frame, double ahead) {
   const nb::object values = decode_(frame.attr(fields().body), frame.attr(fields().buffers));
   const auto chain = nb::cast<Chain>(frame.attr(fields().chain));
   nb::object pieces;
+  bool is_outermost = false;
   {
     const ChainHold holding(chain, until);
     thread_chain = chain;
@@ -122,10 +123,13 @@ nb::object ServedCall::answer(nb::handle frame, double ahead) {
     if ((holding.waited() || inside.waited()) && nb::cast<bool>(is_over_()))
       refuse(nb::str("its caller is gone"));
     const Deadline deadline(until);
+    is_outermost = counts_of_.totals().running.begin();
     pieces = run(values);
   }
 
-  CpuShare& cpu = counts_of_.totals().cpu;  // by now it may be elsewhere than before
+  ConnectorTotals& totals = counts_of_.totals();  // by now it may be elsewhere than before
+  if (is_outermost) totals.running.end();
+  CpuShare& cpu = totals.cpu;
   const std::int64_t wall = wall_now() - began;
   if (measured)
     cpu.add_measured(began, wall, cpu_now() - cpu_began);

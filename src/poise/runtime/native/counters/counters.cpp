@@ -1,15 +1,12 @@
 #include "counters.h"
 
-#include <unistd.h>
-#include <sys/syscall.h>
-
 #include "kernel_counters.h"
 
 namespace poise {
 
 void ComponentCounters::begin() {
   slot_->jobs.is_process.set(0);
-  slot_->jobs.thread.set(static_cast<std::int32_t>(syscall(SYS_gettid)));
+  slot_->jobs.thread.set(this_thread());
 }
 
 void ComponentCounters::watch(int process) {

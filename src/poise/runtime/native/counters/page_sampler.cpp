@@ -66,8 +66,8 @@ PageSampler::Known* PageSampler::component(std::uint64_t id) {
 }
 
 // Find whose CPU time it was: a call runs on its caller's thread, for its callee. A
-// connector counts its calls' CPU time with all that they called in turn, so a
-// component's own is that of its thread, plus the calls into it, less those out of it.
+// connector counts its calls' CPU time with all that they called in turn, also while
+// they run, so a component's own is that of its thread, plus the calls into it, less those out of it.
 // Calls from other containers run on threads of their transport: nobody else loses.
 void PageSampler::attribute(double now) {
   for (Known& known : known_) {
@@ -85,7 +85,7 @@ void PageSampler::attribute(double now) {
       target->asked += timer_releases(record, now);
       continue;
     }
-    const double cpu = record.totals.cpu.seconds();
+    const double cpu = called_over(i);
     const std::uint64_t calls = record.totals.calls.get();
     Known* source = component(record.source.get());
     if (!memory_.is_still(i, known_[i].id)) continue;
@@ -93,6 +93,32 @@ void PageSampler::attribute(double now) {
     target->served += calls;
     if (source) source->called -= cpu;
   }
+}
+
+// The CPU time of all calls over a connector [s].
+double PageSampler::called_over(std::size_t index) {
+  const ConnectorTotals& totals = memory_[index].totals;
+  const double running = running_over(index), ended = totals.cpu.seconds();
+  // one that ended meanwhile may be in both
+  const bool still_runs = totals.running.thread() && totals.running.number() == known_[index].call;
+  return still_runs ? ended + running : totals.cpu.seconds();
+}
+
+// The CPU time of the call that runs over a connector [s], since it was first seen.
+double PageSampler::running_over(std::size_t index) {
+  const RunningCall& running = memory_[index].totals.running;
+  Known& known = known_[index];
+  const std::uint64_t number = running.number();
+  const int thread = running.thread();
+  if (!thread) return 0.0;
+  if (!known.thread || known.thread->thread() != thread)
+    known.thread = std::make_unique<ThreadCounters>(proc_, thread);
+  if (!known.thread->read()) return 0.0;
+  if (known.call != number) {
+    known.call = number;
+    known.began = known.thread->cpu;
+  }
+  return 1e-9 * static_cast<double>(known.thread->cpu - known.began);
 }
 
 nb::tuple PageSampler::component_sample(std::size_t index, double& of_commands) {

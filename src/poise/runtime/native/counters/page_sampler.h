@@ -31,7 +31,9 @@ class PageSampler {
   struct Known {  // of a record, as long as its id stays
     std::uint64_t id = 0;
     nanobind::object name;
-    std::unique_ptr<ThreadCounters> thread;
+    std::unique_ptr<ThreadCounters> thread;  // of a component, or a call that runs
+    std::uint64_t call = 0;    // that runs over it
+    std::int64_t began = 0;    // the CPU time of that one's thread when it was first seen [ns]
     double called = 0.0;       // what calls add to its thread's CPU time [s]
     std::uint64_t served = 0;  // calls
     std::uint64_t asked = 0;   // by timers
@@ -39,6 +41,8 @@ class PageSampler {
 
   void learn();
   void attribute(double now);
+  double called_over(std::size_t index);
+  double running_over(std::size_t index);
   Known* component(std::uint64_t id);
   nanobind::tuple component_sample(std::size_t index, double& of_commands);
   nanobind::tuple connector_sample(std::size_t index) const;

@@ -12,6 +12,7 @@
 #include <vector>
 
 #include "cpu_share.h"
+#include "running_call.h"
 #include "../shared_number.h"
 
 namespace poise {
@@ -40,6 +41,7 @@ struct ConnectorTotals {
   Shared<std::uint64_t> latency;        // of these, in all [ns]
   Shared<std::uint64_t> latency_error;  // of these, in all [ns]
   CpuShare cpu;  // of the callee's code, and of what it called
+  RunningCall running;  // is not in `cpu` yet
 };
 
 // What is read often comes first, so that the rest stays out of the caches.
