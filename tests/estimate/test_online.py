@@ -203,3 +203,107 @@ def test_survives_a_restart_of_the_component() -> None:
     fresh.now = load.now
     fresh.asked = int(fresh.now * fresh.rate)
     assert drifts(running, fresh, 20) == []
+
+
+class Spinning(Load):
+    """One whose jobs, from some moment on, do not end."""
+
+    ends = True
+
+    def reading(self, seconds: float = STEP) -> Reading:
+        if self.ends:
+            return super().reading(seconds)
+        self.now += seconds
+        self.asked = int(self.now * self.rate)
+        self.cpu += seconds
+        return Reading(self.now, self.cpu, self.wait, self.asked, self.done)
+
+
+def spinning(rate: float, cost: float, seconds: float) -> tuple[RunningEstimate, Load]:
+    """Return a component that did its jobs for 25 s, and then spins."""
+    running, load = RunningEstimate(), Spinning(rate, cost)
+    assert drifts(running, load, 25) == []
+    load.ends = False
+    drifts(running, load, seconds)
+    return running, load
+
+
+def test_a_handler_that_never_ends_is_needed_in_full_within_3_s() -> None:
+    """20 jobs a second of 1 ms, 2 %; then one that takes all of a core."""
+    running, _ = spinning(20, 0.001, 3)
+    estimate = running.estimate()
+    assert estimate is not None
+    assert estimate.mean == pytest.approx(1.0, abs=0.02)
+    assert estimate.error == pytest.approx(0.0, abs=0.02)
+    assert 2.0 <= estimate.long_job <= 3.0
+    assert estimate.drift is not None
+    assert (estimate.drift.before, estimate.drift.after) == pytest.approx(
+        (0.02, 1.0), rel=0.1
+    )
+
+
+def test_who_does_one_job_for_ever_is_not_starved() -> None:
+    running, _ = spinning(20, 0.001, 10)
+    estimate = running.estimate()
+    assert estimate is not None
+    assert estimate.starved == 0.0
+
+
+def test_a_call_that_never_ends_is_needed_in_full_within_3_s() -> None:
+    """Calls count as asked for when they end: nothing seems undone."""
+    running, cpu, calls = RunningEstimate(), 0.0, 0
+    for k in range(125 + 15):
+        is_spinning = k >= 125
+        calls += 0 if is_spinning else 2
+        cpu += STEP if is_spinning else 0.002
+        running.update(Reading(k * STEP, cpu, 0.0, calls, calls))
+    estimate = running.estimate()
+    assert estimate is not None
+    assert estimate.mean == pytest.approx(1.0, abs=0.02)
+
+
+def test_what_was_idle_needs_what_it_uses_as_soon_as_it_works() -> None:
+    """It has no jobs yet: its first call has not ended."""
+    running, cpu = RunningEstimate(), 0.0
+    for k in range(60 + 12):
+        cpu += STEP if k >= 60 else 0.0
+        running.update(Reading(k * STEP, cpu))
+    estimate = running.estimate()
+    assert estimate is not None
+    assert estimate.mean == pytest.approx(1.0, abs=0.02)
+    assert estimate.error is not None
+
+
+def test_a_first_handler_that_never_ends_is_known() -> None:
+    running, load = RunningEstimate(), Spinning(20, 0.001)
+    load.ends = False
+    drifts(running, load, 3)
+    estimate = running.estimate()
+    assert estimate is not None
+    assert estimate.mean == pytest.approx(1.0, abs=0.02)
+    assert estimate.long_job > 0
+
+
+def test_a_long_handler_that_ends_is_forgotten_within_a_second() -> None:
+    running, load = spinning(20, 0.001, 10)
+    assert isinstance(load, Spinning)
+    load.done, load.ends = load.asked, True  # timers skip what they missed
+    drifts(running, load, 1)
+    estimate = running.estimate()
+    assert estimate is not None
+    assert estimate.mean < 0.05
+    assert (estimate.long_job, estimate.drift) == (0.0, None)
+
+
+def test_a_handler_that_takes_twice_its_usual_time_is_no_long_one() -> None:
+    """One job of 1.5 s every 5 s; then one of 3 s."""
+    running, cpu, done = RunningEstimate(), 0.0, 0
+    found = []
+    for k in range(250):
+        at = k % 25
+        cpu += STEP if at < (15 if k >= 225 else 7) else 0.0
+        done += at == (15 if k >= 225 else 7)
+        found.append(running.update(Reading(k * STEP, cpu, 0.0, k // 25 + 1, done)))
+        estimate = running.estimate()
+        assert estimate is None or k < 25 or estimate.long_job == 0.0
+    assert not any(found)

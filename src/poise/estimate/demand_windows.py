@@ -52,8 +52,8 @@ class Window(Struct, frozen=True):
     seconds
         Length [s]; > 0.
     cpu
-        CPU time used [s]. A call counts for its caller until it ends, then for its
-        callee: a window in which a long call ends may be below zero.
+        CPU time used [s]. A call counts for its caller until it is first seen (0.2 s at
+        most) or ends, then for its callee: the caller's may then be below zero.
     asked, done
         Jobs that arrived, and that ended.
     is_cut

@@ -3,8 +3,9 @@
 The estimate covers the last `SPAN` seconds, and restarts when the demand has changed.
 The CPU time of a starved component is not its demand, nor is that of one that works off
 a backlog: the demand is then arriving jobs x CPU time per job
-(`poise.estimate.demand_windows`). Windows that give only a lower bound count only if
-they raise the estimate.
+(`poise.estimate.demand_windows`). While one job runs on (`poise.estimate.long_jobs`),
+the demand is what that uses. Windows that give only a lower bound count only if they
+raise the estimate.
 """
 
 from __future__ import annotations
@@ -15,12 +16,14 @@ from msgspec import Struct
 
 from poise.estimate import _change_point
 from poise.estimate.demand_windows import (
+    Demand,
     Reading,
     Sums,
     Window,
     demand_in,
     window_between,
 )
+from poise.estimate.long_jobs import PresentJob
 from poise.estimate.profile.distribution import error_of_mean, quantile
 
 SPAN = 30.0
@@ -30,6 +33,9 @@ _NEW = 1 / 6
 LEAST_SHARE = 0.25
 LEAST_CORES = 0.01
 """A demand that differs by less than this share, or by fewer cores, is unchanged."""
+_IDLE_FOR = 5.0
+"""One that did nothing for this time [s] and then works needs what it uses: nothing is
+known of its noise."""
 
 
 class Drift(Struct, frozen=True):
@@ -56,6 +62,9 @@ class Estimate(Struct, frozen=True, kw_only=True):
     starved
         The share of its jobs that were not done or, without jobs, of its windows that
         give only a lower bound; in [0, 1].
+    long_job
+        For how long a job has run that used far more CPU than any before, and has not
+        ended [s]; 0: there is none.
     drift
         The last change within the span; None: there was none.
     """
@@ -64,6 +73,7 @@ class Estimate(Struct, frozen=True, kw_only=True):
     p95: float
     error: float | None
     starved: float = 0.0
+    long_job: float = 0.0
     drift: Drift | None = None
 
 
@@ -88,6 +98,7 @@ class RunningEstimate:
         self._spread: tuple[float, float | None] = 0.0, None
         self._since_spread = 0
         self._has_jobs = False
+        self._job = PresentJob()
         self._drift: Drift | None = None
         self._load = _change_point.ChangePointDetector(expected)
         self._cost = _change_point.ChangePointDetector()
@@ -104,6 +115,16 @@ class RunningEstimate:
         if window is None or self._is_useless(window):
             return None
         self._keep(window)
+        was_long = self._is_at_long_job
+        self._job.add(window)
+        if was_long:
+            if not self._is_at_long_job:
+                self._start_again(None, 1)
+            return None
+        if self._is_at_long_job or self._was_idle():
+            drift = self._drift_since(self._job.windows, reading.at)
+            self._start_again(drift, self._job.windows)
+            return drift
         since = self._changed_since(window)
         if not since:
             return None
@@ -123,8 +144,8 @@ class RunningEstimate:
         if not self._windows:
             return None
         sums = self._sums
-        demand = demand_in(self._windows, sums)
-        used = sums.cpu / sums.seconds
+        used, is_long = sums.cpu / sums.seconds, self._is_at_long_job
+        demand = Demand(used, 0.0) if is_long else demand_in(self._windows, sums)
         scale = demand.cores / used if used > 0 else 1.0
         p95, error = self._spread_of_windows()
         if error is not None:
@@ -133,9 +154,22 @@ class RunningEstimate:
             mean=max(0.0, demand.cores),  # `Window` says why it may be below
             p95=scale * p95,
             error=error,
-            starved=sums.undone or sums.cut / len(self._windows),
+            starved=0.0 if is_long else sums.undone or sums.cut / len(self._windows),
+            long_job=self._job.seconds if is_long else 0.0,
             drift=self._drift,
         )
+
+    @property
+    def _is_at_long_job(self) -> bool:
+        return self._has_jobs and self._job.is_long
+
+    def _was_idle(self) -> bool:
+        """Whether it works now, after it did nothing for long enough to know."""
+        if self._has_jobs or not self._job.is_long:
+            return False
+        seconds = self._sums.seconds - self._job.seconds
+        cpu = self._sums.cpu - self._job.cpu
+        return seconds >= _IDLE_FOR and cpu <= LEAST_CORES * seconds
 
     def _spread_of_windows(self) -> tuple[float, float | None]:
         """Return what single windows used (p95), and the error of their mean [cores].
@@ -203,7 +237,7 @@ class RunningEstimate:
             return None
         return Drift(at, before, demand_in(recent).cores)
 
-    def _start_again(self, drift: Drift, since: int) -> None:
+    def _start_again(self, drift: Drift | None, since: int) -> None:
         """Forget the windows before the change."""
         kept = list(self._windows)[-since:]
         self._windows, self._sums = deque(), Sums()
