@@ -11,6 +11,7 @@ from rich.console import Console
 from poise.estimate.online import Drift, Estimate
 from poise.manage.control_socket.records import RobotStatus
 from poise.manage.observe.estimates import DemandEstimate
+from poise.manage.observe.loads import Load
 from poise.session.render.shared_tables.columns import table
 from poise.session.render.status import (
     _remarks,
@@ -65,6 +66,21 @@ def test_says_what_is_needed_how_sure_that_is_and_what_was_expected() -> None:
     assert "10.0% ± 1.2%" in row
     assert "5.0%" in row
     assert list(remarks(answer)) == [f"{NAME}: 12 errors, starved 40%"]
+
+
+def test_a_starved_component_is_shown_with_the_culprit() -> None:
+    load = Load(capacity=1.0, used=1.0, components={"spinner": 0.9, NAME: 0.1})
+    answer = status(Estimate(mean=0.1, p95=0.1, error=0.012, starved=0.8))
+    answer = replace(answer, loads={"vision": load})
+    culprit = "component 'spinner' takes 0.9 cores there"
+    assert list(remarks(answer)) == [f"{NAME}: 12 errors, starved 80% ({culprit})"]
+
+
+def test_a_component_with_a_job_that_does_not_end_is_named() -> None:
+    estimate = Estimate(mean=1.0, p95=1.0, error=0.0, long_job=25.0)
+    answer = status(estimate)
+    expected = f"{NAME}: 12 errors, a call has computed for 25 s and not ended"
+    assert list(remarks(answer)) == [expected]
 
 
 def test_the_state_on_a_computer_that_is_out_of_reach_is_unknown() -> None:

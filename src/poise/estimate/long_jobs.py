@@ -9,7 +9,7 @@ from __future__ import annotations
 from poise.estimate.demand_windows import Window
 
 AFTER, USED = 2.0, 1.0
-"""A job is not looked at before it has run for this time [s], and used this much CPU."""
+"""A job is looked at when it has run for this time [s] and used this much CPU [s]."""
 _OUTWEIGHS = 3.0
 """It must have used this many times the CPU of any job before."""
 _AT_WORK = 0.05

@@ -6,7 +6,7 @@ import pytest
 
 from poise.manage.observe.loads import Loads
 from poise.model.robot import Robot
-from poise.wire.records.samples import AgentSample
+from poise.wire.records.samples import AgentSample, ComponentSample, ContainerSample
 
 
 def test_another_program_is_known_0_6_s_after_it_began(robot: Robot) -> None:
@@ -19,3 +19,18 @@ def test_another_program_is_known_0_6_s_after_it_began(robot: Robot) -> None:
     found = loads.loads()["a"]
     assert found.used == pytest.approx(1.0)
     assert found.background == pytest.approx(0.9)
+
+
+def test_what_each_component_uses_now_is_known(robot: Robot) -> None:
+    """From 2 s on one spins; the other one is idle."""
+    loads = Loads(robot, emulated=True)
+    for tick in range(14):
+        at = 0.2 * tick
+        cpu = max(0.0, at - 2.0)
+        components = (
+            ComponentSample("eye", 1, cpu, 0.0, 0, 0),
+            ComponentSample("mind", 1, 0.5, 0.0, 0, 0),
+        )
+        container = ContainerSample("one", 7, at, cpu, 0, components, ())
+        loads.take(AgentSample("a", at, 0.0, (container,), cpu))
+    assert loads.loads()["a"].components == {"eye": pytest.approx(1.0)}

@@ -25,6 +25,8 @@ class DemandEstimate(Struct, frozen=True, kw_only=True):
     ----------
     expected
         Mean CPU by the profile [cores]; None: it has none.
+    demand
+        What it was placed by [cores]; 0: it has none.
     estimate
         In cores of the reference computer.
     """
@@ -32,7 +34,13 @@ class DemandEstimate(Struct, frozen=True, kw_only=True):
     component: str
     computer: str
     expected: float | None
+    demand: float = 0.0
     estimate: Estimate
+
+    @property
+    def usual(self) -> float:
+        """What is expected of it [cores]; 0: nothing is known."""
+        return max(self.expected or 0.0, self.demand)
 
 
 class _Followed(Struct):
@@ -67,6 +75,7 @@ class Estimates:
         self, robot: Robot, profile: Profile | None, *, emulated: bool
     ) -> None:
         self._speeds = {c.name: 1.0 if emulated else c.speed for c in robot.computers}
+        self._demands = {c.name: c.demand.get("cpu", 0.0) for c in robot.components()}
         self._profile = profile
         self.loads = Loads(robot, emulated=emulated)
         self._lock = threading.Lock()
@@ -103,6 +112,7 @@ class Estimates:
                 component=name,
                 computer=known.computer,
                 expected=known.expected,
+                demand=self._demands.get(name, 0.0),
                 estimate=estimate,
             )
             for name, known, estimate in found

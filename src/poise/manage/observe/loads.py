@@ -30,11 +30,14 @@ class Load(Struct, frozen=True, kw_only=True):
         By all programs.
     background
         By programs that are not the robot's; it counts in `used`.
+    components
+        By each component there; they count in `used`.
     """
 
     capacity: float
     used: float
     background: float = 0.0
+    components: Mapping[str, float] = {}
 
     @property
     def share(self) -> float:
@@ -48,12 +51,13 @@ class Load(Struct, frozen=True, kw_only=True):
 
 
 class _Total(Struct, frozen=True):
-    """CPU time so far [s]: of the whole computer, of its agent, of each container."""
+    """CPU time so far [s]: of a computer, its agent, containers and components."""
 
     at: float
     all: float
     agent: float
     containers: Mapping[int, float]
+    components: Mapping[str, float]
 
 
 class Loads:
@@ -82,6 +86,7 @@ class Loads:
             sample.busy,
             sample.cpu,
             {each.pid: _used(each) for each in sample.containers},
+            {c.name: c.cpu for each in sample.containers for c in each.components},
         )
         with self._lock:
             totals = self._totals.setdefault(sample.computer, deque())
@@ -115,6 +120,11 @@ class Loads:
             capacity=self._capacities[name],
             used=used / seconds * speed,
             background=background if background > _NOTICEABLE else 0.0,
+            components={
+                component: (cpu - before.components[component]) / seconds * speed
+                for component, cpu in after.components.items()
+                if before.components.get(component, cpu) < cpu
+            },
         )
 
 

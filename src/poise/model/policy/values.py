@@ -46,6 +46,9 @@ class ComputerValues(Struct, frozen=True, kw_only=True):
     short: Annotated[
         Cores, says("What its components need and it does not have, reserves kept.")
     ] = 0.0
+    culprit: Annotated[
+        str, says("What takes most beyond what was expected there, in words.")
+    ] = ""
     memory: Annotated[Bytes, says("Memory use of the robot's programs.")] = 0.0
     components: Annotated[int, says("Components that are placed there.")] = 0
 
@@ -80,6 +83,10 @@ class ComponentValues(Struct, frozen=True, kw_only=True):
     starved: Annotated[Share, says("The share of its jobs that were not done.")] = 0.0
     hung: Annotated[
         Seconds, says("For how long a handler has run, or a due timer could not.")
+    ] = 0.0
+    long_job: Annotated[
+        Seconds,
+        says("For how long a job has computed, far longer than any before it."),
     ] = 0.0
     errors: Annotated[int, says("What its timers and handlers raised so far.")] = 0
     memory: Annotated[Bytes, says("Memory use of its container.")] = 0.0

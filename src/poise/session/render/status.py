@@ -12,6 +12,7 @@ from rich.text import Text
 
 from poise.manage.agent_connections.statuses import connectors_of, located
 from poise.manage.control_socket.records import RobotStatus
+from poise.manage.observe.culprits import culprit_on
 from poise.manage.observe.estimates import DemandEstimate
 from poise.session.render.shared_tables.chains import chain_tables
 from poise.session.render.shared_tables.clocks import clock_tables
@@ -119,8 +120,10 @@ def _clock(moment: float) -> str:
 
 def remarks(answer: RobotStatus) -> Iterator[str]:
     """Give what is wrong with components, a line for each, by computer."""
-    for _, component, standing in _each(answer):
-        found = ", ".join(_remarks(component, standing))
+    for computer, component, standing in _each(answer):
+        load = answer.loads.get(computer)
+        culprit = culprit_on(load, answer.demand_estimates, component.name)
+        found = ", ".join(_remarks(component, standing, culprit))
         if found:
             yield f"{component.name}: {found}"
 
@@ -134,7 +137,7 @@ def _each(
 
 
 def _remarks(
-    component: ComponentStatus, standing: DemandEstimate | None
+    component: ComponentStatus, standing: DemandEstimate | None, culprit: str = ""
 ) -> Iterator[str]:
     if component.errors:
         last = component.error.rstrip().rpartition("\n")[2]
@@ -142,7 +145,12 @@ def _remarks(
             f" ({escape(last)})" if last else ""
         )
     if standing is not None and standing.estimate.starved:
-        yield f"starved {standing.estimate.starved:.0%}"
+        why = f" ({culprit})" if culprit else ""
+        yield f"starved {standing.estimate.starved:.0%}{why}"
+    if standing is not None and standing.estimate.long_job:
+        what = f"'{component.handler}'" if component.handler else "a call"
+        lasted = format_seconds(standing.estimate.long_job)
+        yield f"{what} has computed for {lasted} and not ended"
     for timer in component.timers:
         if timer.deadline is not None and timer.missed:
             share = timer.missed / timer.releases

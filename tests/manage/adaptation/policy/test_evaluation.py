@@ -35,8 +35,8 @@ def test_a_full_computer_whose_components_are_late_is_overloaded(
     loaded = situation(background={"left": 0.2}, missed=("a",))
     (found,) = seen(loaded, "overload")
     assert found == (
-        "computer 'left' is overloaded: 0.5 cores of 0.5 cores are used, 0.2 cores of "
-        "them by other programs"
+        "computer 'left' is overloaded: 0.5 cores of 0.5 cores are used: other "
+        "programs take 0.2 cores there"
     )
 
 

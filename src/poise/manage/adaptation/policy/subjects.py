@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Mapping
 from poise.manage.adaptation.bad_links import link_values
 from poise.manage.adaptation.decision import shortages_of
 from poise.manage.adaptation.situation import Situation
+from poise.manage.observe.culprits import culprit_on
 from poise.model.policy.values import (
     ChainValues,
     ComponentValues,
@@ -50,6 +51,8 @@ def _computers(situation: Situation) -> Iterator[Values]:
                 for e in situation.demand_estimates
             ),
             short=shortages[computer.name],
+            culprit=culprit_on(load, situation.demand_estimates)
+            or "nothing takes more than was expected there",
             memory=status.memory if status else 0.0,
             components=len(here),
         )
@@ -84,6 +87,7 @@ def _components(situation: Situation) -> Iterator[Values]:
                 expected=entry.demand.get("cpu", 0.0),
                 starved=demand.starved if demand else 0.0,
                 hung=component.hung if component else 0.0,
+                long_job=demand.long_job if demand else 0.0,
                 errors=component.errors if component else 0,
                 memory=memory.get((computer, container.name), 0.0)
                 if container
