@@ -307,3 +307,16 @@ def test_a_handler_that_takes_twice_its_usual_time_is_no_long_one() -> None:
         estimate = running.estimate()
         assert estimate is None or k < 25 or estimate.long_job == 0.0
     assert not any(found)
+
+
+def test_many_calls_between_two_jobs_are_no_long_job() -> None:
+    """A timer every 20 s; from 50 s on it is called so often that it uses a core."""
+    running, cpu, found = RunningEstimate(), 0.0, []
+    for k in range(325):
+        cpu += STEP if k >= 255 else 0.01 * STEP
+        asked = k // 100
+        done = asked - (k == 100)  # that job ends in the next window
+        found.append(running.update(Reading(k * STEP, cpu, 0.0, asked, done)))
+        estimate = running.estimate()
+        assert estimate is None or estimate.long_job == 0.0
+    assert any(found)

@@ -28,17 +28,22 @@ class PresentJob:
     def __init__(self) -> None:
         self.windows = 0
         self.seconds = self.cpu = 0.0
+        self._asked = 0
         self._costliest = 0.0
+        self._only_answers = True
 
     def add(self, window: Window) -> None:
         """Add the next window; one without work means that there is no job."""
+        if window.asked != window.done:  # calls count as asked for when they end
+            self._only_answers = False
         if window.done > 0:
             cost = (self.cpu + window.cpu) / window.done
             self._costliest = max(self._costliest, cost)
         if window.done > 0 or window.cpu < _AT_WORK * window.seconds:
-            self.windows, self.seconds, self.cpu = 0, 0.0, 0.0
+            self.windows, self.seconds, self.cpu, self._asked = 0, 0.0, 0.0, 0
             return
         self.windows += 1
+        self._asked += window.asked
         self.seconds += window.seconds
         self.cpu += window.cpu
 
@@ -47,4 +52,7 @@ class PresentJob:
         """Whether it stands out among the jobs before."""
         # windows are rounded
         has_lasted = self.seconds >= AFTER - 1e-6
-        return has_lasted and self.cpu >= max(USED, _OUTWEIGHS * self._costliest)
+        outweighs = self.cpu >= max(USED, _OUTWEIGHS * self._costliest)
+        # else it answers calls between two jobs of its own
+        is_job = self._asked > 0 or self._only_answers
+        return has_lasted and outweighs and is_job
