@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from msgspec import Struct
+
+NO_LIMIT = 1 << 60
+"""A memory limit from this on is none [bytes]."""
 
 
 class Mount(Struct, frozen=True):
@@ -25,6 +29,15 @@ def mounts(
     entries = [line.split(":", 2) for line in cgroup.read_text().splitlines()]
     paths = {frozenset(names.split(",")): path for _, names, path in entries}
     return list(_mounts(mountinfo.read_text().splitlines(), paths))
+
+
+def memory_group(proc: Path = Path("/proc")) -> Mount | None:
+    """Return the hierarchy that counts this process's memory; None: none does."""
+    found: list[Mount] = []
+    with contextlib.suppress(OSError):
+        found = mounts(proc / "self/mountinfo", proc / "self/cgroup")
+    files = ("memory.events", "memory.oom_control")
+    return next((m for m in found if any((m.own / f).exists() for f in files)), None)
 
 
 def _mounts(lines: Sequence[str], paths: dict[frozenset[str], str]) -> Iterator[Mount]:

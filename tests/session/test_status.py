@@ -18,6 +18,7 @@ from poise.session.render.status import (
     component_table,
     computer_table,
     container_lines,
+    container_table,
     remarks,
     status_parts,
 )
@@ -79,7 +80,7 @@ def test_a_starved_component_is_shown_with_the_culprit() -> None:
 def test_a_component_with_a_job_that_does_not_end_is_named() -> None:
     estimate = Estimate(mean=1.0, p95=1.0, error=0.0, long_job=25.0)
     answer = status(estimate)
-    expected = f"{NAME}: 12 errors, a call has computed for 25 s and not ended"
+    expected = f"{NAME}: 12 errors, a job has computed for 25 s and not ended"
     assert list(remarks(answer)) == [expected]
 
 
@@ -189,3 +190,25 @@ def test_a_computer_that_never_reported_is_shown_as_not_known() -> None:
     assert "not known how these are now: main" in text
     row = next(line for line in text.splitlines() if line.startswith("main"))
     assert row.split() == ["main", *["not", "known"] * 4, "never"]
+
+
+def test_says_what_containers_hold_and_what_was_expected() -> None:
+    answer = status(Estimate(mean=0.1, p95=0.1, error=0.01))
+    health = ContainerHealth(
+        name="one",
+        state="running",
+        since=9.0,
+        memory=300 << 20,
+        growth=2 << 20,
+        limit=512 << 20,
+        full_in=40.0,
+    )
+    agent = replace(answer.computers["vision"], health=(health,))
+    answer = replace(
+        answer, computers={"vision": agent}, memory_demands={NAME: 100 << 20}
+    )
+    out = StringIO()
+    Console(file=out, width=120).print(container_table(answer))
+    row = out.getvalue().splitlines()[-1]
+    for text in ("one", "300 MiB", "100 MiB", "2 MiB/s: 512 MiB in 40 s", NAME):
+        assert text in row

@@ -14,8 +14,9 @@ from pathlib import Path
 import pytest
 
 from poise.runtime import _calls
-from poise.runtime._calls import ComponentCounters, Counts, PageSampler, ServedCall
+from poise.runtime._calls import ComponentCounters, PageSampler, ServedCall
 from poise.runtime.connectors.direct import direct_call, raise_callee_error
+from poise.runtime.execution.connector_counters import Counts
 from poise.runtime.execution.exclusion import Exclusion
 from poise.runtime.hosting.stats_page import new_memory
 from poise.wire.frame import Frame, Kind

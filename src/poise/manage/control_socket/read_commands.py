@@ -83,6 +83,9 @@ def status_of(
         demand_estimates=tuple(estimates.demand_estimates()),
         chains=chain_reports(run.robot, statuses),
         capacities={c.name: _capacity(c) for c in run.robot.computers},
+        memory_demands={
+            c.name: c.demand.get("memory", 0.0) for c in run.robot.components()
+        },
         recent=run.journal.recent(),
         tasks=tuple(tasks),
         loads=estimates.loads.loads(),

@@ -145,6 +145,8 @@ class RobotStatus(Struct, frozen=True, tag=True, kw_only=True):
         How old the data of the robot's chains was.
     capacities
         Computer -> what it has: ``cpu`` [its own cores], ``memory`` [bytes], ...
+    memory_demands
+        Component -> the memory that it was placed by [bytes].
     recent
         The last entries of the journal, without their facts.
     task
@@ -176,6 +178,7 @@ class RobotStatus(Struct, frozen=True, tag=True, kw_only=True):
     demand_estimates: tuple[DemandEstimate, ...] = ()
     chains: tuple[ChainReport, ...] = ()
     capacities: Mapping[str, Mapping[str, float]] = {}
+    memory_demands: Mapping[str, float] = {}
     recent: tuple[JournalEntry, ...] = ()
     tasks: tuple[TaskReport, ...] = ()
     prefetch: PrefetchReport = PrefetchReport()

@@ -98,10 +98,23 @@ class ContainerValues(Struct, frozen=True, kw_only=True):
     name: Annotated[str, _NAME]
     computer: Annotated[str, _COMPUTER]
     state: Annotated[ContainerState, says("As its agent sees it.")]
+    components: Annotated[str, says("The components in it.")] = ""
     restarts: Annotated[int, says("Restarts since the agent started.")] = 0
     restarts_lately: Annotated[int, says("Restarts within the last minute.")] = 0
     cpu: Annotated[Cores, says("CPU use.")] = 0.0
     memory: Annotated[Bytes, says("Memory use.")] = 0.0
+    expected: Annotated[
+        Bytes, says("The memory demand of its components by the robot file or profile.")
+    ] = 0.0
+    growth: Annotated[
+        Bytes, says("By how much its memory grows in each second; 0: not steadily.")
+    ] = 0.0
+    limit: Annotated[
+        Bytes, says("While it grows: the limit of its computer's memory.")
+    ] = 0.0
+    full_in: Annotated[
+        Seconds, says("While it grows: the time until the limit is reached.")
+    ] = 0.0
 
 
 class TimerValues(Struct, frozen=True, kw_only=True):

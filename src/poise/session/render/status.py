@@ -20,7 +20,7 @@ from poise.session.render.shared_tables.columns import table
 from poise.session.render.shared_tables.connectors import connector_tables
 from poise.session.render.shared_tables.tasks import task_lines
 from poise.units import counted, format_bytes, format_seconds
-from poise.wire.records.status import ComponentStatus
+from poise.wire.records.status import ComponentStatus, ContainerHealth
 
 
 def status_parts(status: RobotStatus) -> Iterator[RenderableType]:
@@ -51,6 +51,7 @@ def status_parts(status: RobotStatus) -> Iterator[RenderableType]:
     known = {name: each.clocks for name, each in sorted(status.computers.items())}
     yield from clock_tables(known)
     yield computer_table(status)
+    yield container_table(status)
     if means := {
         n: c.cpu_weights for n, c in status.computers.items() if c.cpu_weights
     }:
@@ -97,6 +98,41 @@ def computer_table(answer: RobotStatus) -> Table:
             *[heard] * bool(unknown),
         )
     return rows
+
+
+def container_table(answer: RobotStatus) -> Table:
+    """Return the memory of containers, and what their components were placed by.
+
+    Where it grows steadily, it says how fast, and when the computer's limit is reached.
+    """
+    rows = table("container", "computer", "memory", "demand", "grows", "components")
+    for name, computer in sorted(answer.computers.items()):
+        inside = {
+            container.name: [component.name for component in container.components]
+            for container in computer.containers
+        }
+        for health in computer.health:
+            if health.name not in inside:
+                continue
+            components = inside[health.name]
+            demand = sum(answer.memory_demands.get(each, 0.0) for each in components)
+            text = format_bytes(health.memory)
+            rows.add_row(
+                health.name,
+                name,
+                f"[yellow]{text}[/]" if 0 < demand < health.memory else text,
+                format_bytes(demand) if demand else "",
+                _growth(health),
+                ", ".join(components),
+            )
+    return rows
+
+
+def _growth(health: ContainerHealth) -> str:
+    if not health.growth:
+        return ""
+    limit = f"{format_bytes(health.limit)} in {format_seconds(health.full_in)}"
+    return f"[yellow]{format_bytes(health.growth)}/s: {limit}[/]"
 
 
 def container_lines(answer: RobotStatus) -> Iterator[str]:
@@ -148,7 +184,7 @@ def _remarks(
         why = f" ({culprit})" if culprit else ""
         yield f"starved {standing.estimate.starved:.0%}{why}"
     if standing is not None and standing.estimate.long_job:
-        what = f"'{component.handler}'" if component.handler else "a call"
+        what = f"'{component.handler}'" if component.handler else "a job"
         lasted = format_seconds(standing.estimate.long_job)
         yield f"{what} has computed for {lasted} and not ended"
     for timer in component.timers:

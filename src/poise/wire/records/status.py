@@ -313,6 +313,11 @@ class ContainerHealth(Struct, frozen=True, kw_only=True):
         What went wrong last.
     cpu, memory
         CPU use [cores] and memory use [bytes] of its processes.
+    growth
+        By how much its memory grows steadily [bytes/s]; 0: it does not.
+    limit, full_in
+        While it grows: the limit of its computer's memory [bytes], and when that is
+        reached [s from now]; else 0.
     """
 
     name: str
@@ -324,6 +329,9 @@ class ContainerHealth(Struct, frozen=True, kw_only=True):
     last_fault: Fault | None = None
     cpu: float = 0.0
     memory: int = 0
+    growth: float = 0.0
+    limit: float = 0.0
+    full_in: float = 0.0
 
 
 class AgentStatus(Struct, frozen=True, kw_only=True, dict=True):

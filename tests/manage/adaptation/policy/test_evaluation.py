@@ -15,6 +15,13 @@ from poise.manage.observe.chains import ChainAge
 from poise.model.policy.policy import Policy
 from poise.model.policy.shipped import shipped
 from poise.model.policy.values import SUBJECTS, Subject
+from poise.wire.records.status import (
+    AgentStatus,
+    ComponentStatus,
+    ContainerHealth,
+    ContainerStatus,
+    State,
+)
 from tests.manage.adaptation.conftest import Make
 
 
@@ -151,3 +158,42 @@ def test_every_subject_has_values_of_its_record(
     for values in values_of(late, subject):
         assert isinstance(values, SUBJECTS[subject])
         assert msgspec.convert(msgspec.to_builtins(values), SUBJECTS[subject]) == values
+
+
+def growing(situation: Situation, state: State, full_in: float) -> Situation:
+    """Return the situation with a container on `left` that grows by 1 MiB a second."""
+    components = tuple(ComponentStatus(name=n, state=state) for n in ("a", "b"))
+    container = ContainerStatus(name="all", pid=1, components=components)
+    health = ContainerHealth(
+        name="all",
+        state="running",
+        since=0.0,
+        memory=100 << 20,
+        growth=1 << 20,
+        limit=128 << 20,
+        full_in=full_in,
+    )
+    status = AgentStatus(
+        computer="left",
+        generation=1,
+        uptime=1.0,
+        cpu=1.0,
+        containers=(container,),
+        health=(health,),
+    )
+    return msgspec.structs.replace(situation, statuses={"left": status})
+
+
+def test_a_container_that_will_be_killed_within_a_minute_is_named(
+    situation: Make,
+) -> None:
+    (found,) = seen(growing(situation(), "active", 28.0), "memory-leak")
+    assert found == (
+        "container 'all' on 'left' (a, b) takes 100 MiB, 0 B were expected, and 1 MiB "
+        "more each second: the limit of 128 MiB is reached in 28 s"
+    )
+
+
+def test_a_container_that_grows_slowly_or_starts_is_not(situation: Make) -> None:
+    assert not seen(growing(situation(), "active", 61.0), "memory-leak")
+    assert not seen(growing(situation(), "unconfigured", 28.0), "memory-leak")

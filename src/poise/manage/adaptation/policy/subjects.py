@@ -96,8 +96,16 @@ def _components(situation: Situation) -> Iterator[Values]:
 
 
 def _containers(situation: Situation) -> Iterator[Values]:
+    demands = {
+        each.name: each.demand.get("memory", 0.0)
+        for each in situation.robot.components()
+    }
     for computer, status in situation.statuses.items():
+        inside = {each.name: each.components for each in status.containers}
         for health in status.health:
+            components = inside.get(health.name, ())
+            # what a component allocates in `configure` is no leak
+            is_starting = any(each.state == "unconfigured" for each in components)
             yield ContainerValues(
                 name=health.name,
                 computer=computer,
@@ -106,6 +114,11 @@ def _containers(situation: Situation) -> Iterator[Values]:
                 restarts_lately=health.restarts_lately,
                 cpu=health.cpu,
                 memory=health.memory,
+                components=", ".join(each.name for each in components),
+                expected=sum(demands.get(each.name, 0.0) for each in components),
+                growth=0.0 if is_starting else health.growth,
+                limit=health.limit,
+                full_in=health.full_in,
             )
 
 

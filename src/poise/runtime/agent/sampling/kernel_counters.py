@@ -91,6 +91,18 @@ class Processes:
         return found
 
 
+def private_memory(process: int) -> int:
+    """Return what a process has allocated [bytes]; 0 when it has ended.
+
+    Files that it maps are not in it: the kernel drops these when memory is short.
+    """
+    try:
+        fields = Path(f"/proc/{process}/statm").read_bytes().split()
+    except OSError:
+        return 0
+    return (int(fields[1]) - int(fields[2])) * PAGESIZE
+
+
 def resident_memory(process: int) -> int:
     """Return what a process holds, shared or not [bytes]; 0 when it has ended."""
     try:

@@ -13,13 +13,16 @@ from msgspec import Struct, structs
 
 from poise import threads
 from poise.runtime._calls import PageSampler
+from poise.runtime.agent.sampling.computer_memory import ComputerMemory
 from poise.runtime.agent.sampling.kernel_counters import (
     ComputerCpu,
+    private_memory,
     proportional_memory,
     resident_memory,
 )
+from poise.runtime.agent.sampling.memory_growth import MemoryGrowth
 from poise.runtime.agent.sampling.watchdog import LOOK_EVERY, Silence, Watchdog
-from poise.runtime.agent.supervision.health import Usage
+from poise.runtime.agent.supervision.health import Usage, Use
 
 log = logging.getLogger(__name__)
 
@@ -75,7 +78,9 @@ class Sampler:
         self._watchdog = Watchdog()
         self._memory: dict[int, _Weight] = {}
         self._own_memory: _Weight | None = None
+        self._growth: dict[int, MemoryGrowth] = {}
         self._computer_cpu = ComputerCpu()
+        self._computer_memory = ComputerMemory()
         self._count = 0
         self._rates: dict[str, _Rate] = {}
         self._usage: Usage = {}
@@ -101,6 +106,7 @@ class Sampler:
         """Return what is counted now, encoded."""
         containers = self._containers()
         self._weigh(containers)
+        growth = self._follow_growth(containers, time.monotonic())
         found = []
         for name, pid, page in containers:
             read = page.read()
@@ -109,13 +115,30 @@ class Sampler:
                 memory = self._memory[pid].proportional
                 found.append((name, pid, at, cpu, memory, components, connectors))
         now, own = time.monotonic(), time.process_time()
-        self._note_usage(now, own, {n: (cpu, m) for n, _, _, cpu, m, *_ in found})
+        used = {n: (cpu, memory) for n, _, _, cpu, memory, *_ in found}
+        self._note_usage(now, own, used, growth)
         # an `AgentSample`, whose records are arrays
         sample = (self._computer, now, own, found, self._computer_cpu.read())
         return self._encoder.encode(sample)
 
+    def _follow_growth(
+        self, containers: Sequence[tuple[str, int, PageSampler]], now: float
+    ) -> dict[str, float]:
+        """Return how fast the memory of each container grows [bytes/s]."""
+        before, self._growth = self._growth, {}
+        for _, pid, page in containers:
+            growth = self._growth[pid] = before.get(pid) or MemoryGrowth()
+            if growth.is_due(now):
+                size = sum(map(private_memory, [pid, *page.commands()]))
+                growth.update(now, size)
+        return {name: self._growth[pid].rate for name, pid, _ in containers}
+
     def _note_usage(
-        self, now: float, own: float, containers: dict[str, tuple[float, int]]
+        self,
+        now: float,
+        own: float,
+        containers: dict[str, tuple[float, int]],
+        growth: dict[str, float],
     ) -> None:
         before, self._rates = self._rates, {}
         if self._count % _SELDOM == 0:
@@ -123,7 +146,14 @@ class Sampler:
         agent = own, self._own_memory.proportional if self._own_memory else 0
         for name, (cpu, size) in {_AGENT: agent, **containers}.items():
             self._rates[name] = _Rate.next(before.get(name), now, cpu, size)
-        self._usage = {n: (rate.cores, rate.memory) for n, rate in self._rates.items()}
+        total = sum(growth.values())
+        room = self._computer_memory.read() if total else None
+        self._usage = {
+            name: Use(rate.cores, rate.memory, grows, room.limit, room.free / total)
+            if room and (grows := growth.get(name, 0.0))
+            else Use(rate.cores, rate.memory)
+            for name, rate in self._rates.items()
+        }
 
     def _main(self) -> None:
         period = min(self._every or LOOK_EVERY, LOOK_EVERY)

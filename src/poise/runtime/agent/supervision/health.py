@@ -6,7 +6,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Mapping
 
-from msgspec import structs
+from msgspec import Struct, structs
 
 from poise.clock import wall_time
 from poise.wire.records.status import ContainerHealth, ContainerState, Fault
@@ -16,8 +16,26 @@ _MOST_RESTARTS = 100
 _LATELY = 60.0
 """Restarts within this time are counted as `restarts_lately` [s]."""
 
-Usage = Mapping[str, tuple[float, int]]
-"""Container -> CPU use [cores] and memory use [bytes]."""
+
+class Use(Struct, frozen=True):
+    """What a container uses.
+
+    Parameters
+    ----------
+    cpu, memory, growth, limit, full_in
+        As in `ContainerHealth`.
+    """
+
+    cpu: float = 0.0
+    memory: int = 0
+    growth: float = 0.0
+    limit: float = 0.0
+    full_in: float = 0.0
+
+
+Usage = Mapping[str, Use]
+"""Container -> what it uses; the agent itself has an empty name."""
+_NOTHING = Use()
 
 
 class HealthRecords:
@@ -101,11 +119,9 @@ class HealthRecords:
         """Return the health of all containers, with what they use now."""
         since, found = self._clock() - _LATELY, []
         for name, health in self._of.items():
-            cpu, memory = usage.get(name, (0.0, 0))
+            used = structs.asdict(usage.get(name, _NOTHING))
             lately = sum(moment > since for moment in self._restarts.get(name, ()))
-            found.append(
-                structs.replace(health, cpu=cpu, memory=memory, restarts_lately=lately)
-            )
+            found.append(structs.replace(health, **used, restarts_lately=lately))
         return tuple(found)
 
     def _enter(

@@ -6,16 +6,14 @@ The kernel counts such kills per cgroup (``memory.oom_control`` of version 1,
 
 from __future__ import annotations
 
-import contextlib
 from collections import deque
 from pathlib import Path
 
-from poise.cgroup_mounts import Mount, mounts
+from poise.cgroup_mounts import NO_LIMIT, memory_group
 from poise.units import format_bytes
 
 _LATE = 10.0
 """The end of a killed process is known within this time after the kill [s]."""
-_NO_LIMIT = 1 << 60
 
 
 class OomKills:
@@ -28,7 +26,8 @@ class OomKills:
     """
 
     def __init__(self, proc: Path = Path("/proc")) -> None:
-        group = _memory_group(proc)
+        mount = memory_group(proc)
+        group = mount.own if mount is not None else Path("/nonexistent")
         counters = [
             group / "memory.events",
             group / "memory.oom_control",
@@ -64,7 +63,7 @@ class OomKills:
                 limit = int(file.read_text())
             except (OSError, ValueError):
                 continue
-            return f" (limit {format_bytes(limit)})" if limit < _NO_LIMIT else ""
+            return f" (limit {format_bytes(limit)})" if limit < NO_LIMIT else ""
         return ""
 
 
@@ -75,14 +74,3 @@ def _count(file: Path) -> int | None:
         return None
     counts = (line.split()[1] for line in lines if line.startswith("oom_kill "))
     return next(map(int, counts), None)
-
-
-def _memory_group(proc: Path) -> Path:
-    """Return the folder of this process's cgroup that counts memory."""
-    found: list[Mount] = []
-    with contextlib.suppress(OSError):
-        found = mounts(proc / "self/mountinfo", proc / "self/cgroup")
-    for group in (mount.own for mount in found):
-        if any((group / f).exists() for f in ("memory.events", "memory.oom_control")):
-            return group
-    return Path("/nonexistent")
