@@ -14,8 +14,9 @@ from tests.waiting import LONG, wait_long
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(LONG)]
 
 CODE = '''
-"""One spins in a timer, one in a call; another one needs what the first takes."""
+"""They spin in a timer, a call and native code; one needs what the first takes."""
 
+import re
 import time
 
 from typing import Protocol
@@ -42,6 +43,18 @@ class Sleeper(Component):
     @every(0.1)
     def look(self) -> None:
         burn(0.035)
+
+
+class Holder(Component):
+    """Native code that does not end, and never gives up the interpreter."""
+
+    ticks = 0
+
+    @every(0.1)
+    def tick(self) -> None:
+        self.ticks += 1
+        if self.ticks == 20:
+            re.match("(a+)+$", "a" * 60 + "b")
 
 
 class Sum(Message):
@@ -74,6 +87,7 @@ robot: culprits
 computers:
   left: {cpu: 0.5, memory: 1 GiB}
   right: {cpu: 0.5, memory: 1 GiB}
+  native: {cpu: 0.5, memory: 1 GiB}
 architectures:
   work:
     function: work
@@ -89,15 +103,23 @@ architectures:
       worker: {implementation: "culprit_code:Worker", cpu: 2%}
     connectors:
       - {between: [caller.sums, worker.sums], limit: 1 h}
+  natives:
+    function: natives
+    home: native
+    components:
+      holder: {implementation: "culprit_code:Holder", cpu: 2%}
 tasks:
-  work: {actions: [{name: work, functions: [work, sums]}]}
+  work: {actions: [{name: work, functions: [work, sums, natives]}]}
 """
 
 
 def test_who_spins_is_seen_while_it_does(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """`spinner` spins in its own timer, `worker` in a call; `sleeper` lacks the CPU."""
+    """`spinner` spins in its own timer, `worker` in a call, `holder` in native code.
+
+    `sleeper` lacks the CPU that the first takes.
+    """
     (tmp_path / "culprit_code.py").write_text(CODE)
     (tmp_path / "robot.yaml").write_text(ROBOT)
     monkeypatch.chdir(tmp_path)
@@ -119,7 +141,9 @@ def test_who_spins_is_seen_while_it_does(
 
         wait_long(lambda: (d := demands().get("spinner")) and d.long_job > 0)
         wait_long(lambda: (d := demands().get("worker")) and d.mean > 0.4)
+        wait_long(lambda: (d := demands().get("holder")) and d.long_job > 0)
         now = demands()
+        assert now["holder"].mean > 0.2
         assert now["spinner"].mean > 0.2
         assert now["spinner"].starved == 0.0
         assert now["caller"].mean < 0.1
@@ -127,6 +151,10 @@ def test_who_spins_is_seen_while_it_does(
     told = "\n".join(said)
     assert "'left' is overloaded" in told
     assert "component 'worker' takes" in told
-    for name, computer in (("spinner", "left"), ("worker", "right")):
+    for name, computer in (
+        ("spinner", "left"),
+        ("worker", "right"),
+        ("holder", "native"),
+    ):
         start = f"component '{name}' on '{computer}' takes "
         assert any(start in x and "a job that does not end" in x for x in said)
