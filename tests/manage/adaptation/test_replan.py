@@ -8,7 +8,8 @@ import pytest
 from msgspec.structs import replace
 
 from poise.errors import RobotError
-from poise.estimate.online import Drift, Estimate
+from poise.estimate.demand_windows import Reading
+from poise.estimate.online import Drift, Estimate, RunningEstimate
 from poise.manage.adaptation.proposals import Proposal
 from poise.manage.adaptation.replan import propose
 from poise.manage.adaptation.situation import Situation
@@ -97,6 +98,20 @@ def test_a_demand_shifts_as_the_mean_does(robot: Robot) -> None:
     assert counted(found) == pytest.approx({"eye": 0.6})
     assert found.trouble
     assert all(step.source and step.target for step in found.steps)
+    assert found.placement["eye"] != found.placement["mind"]
+
+
+def test_a_handler_that_does_not_end_is_counted_with_within_3_s(robot: Robot) -> None:
+    """It took 2 % for 20 jobs a second, and then all of the 0.6 cores that there are."""
+    running, cpu = RunningEstimate(), 0.0
+    for k in range(125 + 15):
+        cpu += 0.6 * 0.2 if k >= 125 else 0.02 * 0.2
+        running.update(Reading(0.2 * k, cpu, 0.0, 4 * k, min(4 * k, 4 * 125)))
+    now = running.estimate()
+    assert now is not None
+    eye = replace(standing("eye", 0.0), estimate=now)
+    found = proposed(robot, NOW, [eye], 0.01)
+    assert counted(found) == pytest.approx({"eye": 0.6})
     assert found.placement["eye"] != found.placement["mind"]
 
 
