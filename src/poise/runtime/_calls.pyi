@@ -41,7 +41,7 @@ class StatsPage:
     def __init__(self, descriptor: int) -> None: ...
     def beat(self) -> None: ...
 
-RECORD_SIZE: int = 448
+RECORD_SIZE: int = 512
 
 class PageSampler:
     """The agent's end of a container's stats page (page_sampler.h)."""

@@ -102,7 +102,7 @@ def test_a_demand_shifts_as_the_mean_does(robot: Robot) -> None:
 
 
 def test_a_handler_that_does_not_end_is_counted_with_within_3_s(robot: Robot) -> None:
-    """It took 2 % for 20 jobs a second, and then all of the 0.6 cores that there are."""
+    """It took 2 % for 20 jobs a second, and then all of the 0.6 cores there are."""
     running, cpu = RunningEstimate(), 0.0
     for k in range(125 + 15):
         cpu += 0.6 * 0.2 if k >= 125 else 0.02 * 0.2

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import msgspec
 
-from poise.runtime.agent.supervision.health import Usage, Use
+from poise.runtime.agent.supervision.health import ContainerUse, Usage
 from poise.simulation.components.container import SimulatedContainer, World
 from poise.simulation.computers.process import Process
 from poise.wire.records.samples import (
@@ -59,7 +59,7 @@ class SimulatedSampler:
         here = [c for c in self._world.containers() if c.process.computer is computer]
         containers = tuple(map(self._of_container, here))
         self.usage = {
-            each.name: Use(
+            each.name: ContainerUse(
                 (each.cpu - self._before.get(each.pid, each.cpu)) / SAMPLE_EVERY,
                 each.memory,
             )

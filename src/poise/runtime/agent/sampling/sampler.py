@@ -22,7 +22,7 @@ from poise.runtime.agent.sampling.kernel_counters import (
 )
 from poise.runtime.agent.sampling.memory_growth import MemoryGrowth
 from poise.runtime.agent.sampling.watchdog import LOOK_EVERY, Silence, Watchdog
-from poise.runtime.agent.supervision.health import Usage, Use
+from poise.runtime.agent.supervision.health import ContainerUse, Usage
 
 log = logging.getLogger(__name__)
 
@@ -148,12 +148,14 @@ class Sampler:
             self._rates[name] = _Rate.next(before.get(name), now, cpu, size)
         total = sum(growth.values())
         room = self._computer_memory.read() if total else None
-        self._usage = {
-            name: Use(rate.cores, rate.memory, grows, room.limit, room.free / total)
-            if room and (grows := growth.get(name, 0.0))
-            else Use(rate.cores, rate.memory)
-            for name, rate in self._rates.items()
-        }
+        usage = {}
+        for name, rate in self._rates.items():
+            use, grows = ContainerUse(rate.cores, rate.memory), growth.get(name, 0.0)
+            if grows and room is not None:
+                limit, full_in = room.limit, room.free / total
+                use = structs.replace(use, growth=grows, limit=limit, full_in=full_in)
+            usage[name] = use
+        self._usage = usage
 
     def _main(self) -> None:
         period = min(self._every or LOOK_EVERY, LOOK_EVERY)

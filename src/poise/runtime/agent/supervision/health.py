@@ -17,7 +17,7 @@ _LATELY = 60.0
 """Restarts within this time are counted as `restarts_lately` [s]."""
 
 
-class Use(Struct, frozen=True):
+class ContainerUse(Struct, frozen=True):
     """What a container uses.
 
     Parameters
@@ -33,9 +33,9 @@ class Use(Struct, frozen=True):
     full_in: float = 0.0
 
 
-Usage = Mapping[str, Use]
+Usage = Mapping[str, ContainerUse]
 """Container -> what it uses; the agent itself has an empty name."""
-_NOTHING = Use()
+_NOTHING = ContainerUse()
 
 
 class HealthRecords:
