@@ -17,6 +17,7 @@ class World(Processes):
         self.stopped = False
         self.used = 0.0
         self.waited = 0.0
+        self.is_runnable = False
         self.dog = Watchdog(self, lambda: self.now)
 
     def is_stopped(self, pid: int) -> bool:
@@ -29,6 +30,10 @@ class World(Processes):
 
     def delays(self, pid: int) -> dict[int, float]:
         return {pid: self.waited}
+
+    def has_one_that_goes_on(self, pid: int) -> bool:
+        assert pid == PID
+        return self.is_runnable
 
     def heartbeat(self) -> int:
         return self.beats
@@ -78,6 +83,15 @@ def test_a_container_that_gets_no_cpu_for_a_while_is_only_slow() -> None:
     world = World()
     world.go_on(1.0, beats=True)
     assert world.go_on(4.0, wait=0.9, cpu=0.1) == []
+    assert world.go_on(1.0, beats=True) == []
+
+
+def test_a_wait_for_a_cpu_that_is_not_over_is_no_held_interpreter() -> None:
+    world = World()
+    world.go_on(1.0, beats=True)
+    world.is_runnable = True
+    assert world.go_on(4.0) == []
+    world.is_runnable = False
     assert world.go_on(1.0, beats=True) == []
 
 

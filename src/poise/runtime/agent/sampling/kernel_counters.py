@@ -71,6 +71,14 @@ class Processes:
             return False
         return text.rpartition(")")[2].split()[0] in {"T", "t"}
 
+    def has_one_that_goes_on(self, pid: int) -> bool:
+        """Return whether a thread is runnable, or waits for a disk or for memory."""
+        for thread in (self._proc / str(pid) / "task").glob("*/stat"):
+            with contextlib.suppress(OSError):  # it has ended
+                if thread.read_text().rpartition(")")[2].split()[0] in {"R", "D"}:
+                    return True
+        return False
+
     def cpu(self, pid: int) -> float:
         """Return the CPU time of a process so far [s]; 0 when it has ended."""
         try:

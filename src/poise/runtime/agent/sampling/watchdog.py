@@ -148,6 +148,9 @@ class Watchdog:
         }
         # where the kernel does not tell, it may be
         is_starved = not waited or max(waited.values()) > _SHARE * window
+        # the kernel counts a wait when it is over: one that lasts is not in it yet
+        if cpu - known.cpu < _SHARE * window and kernel.has_one_that_goes_on(pid):
+            is_starved = True
         if is_starved and cpu - known.cpu < _LONG and seconds < _STARVED:
             return None
         if cpu - known.cpu >= _SHARE * window:
