@@ -137,7 +137,12 @@ class _Relaxation:
         self._limits()
         self._squares: list[tuple[IntVar, _Affine]] = []
         self._tangents: set[tuple[int, int]] = set()
-        terms = [*self._connectors(), *self._costs(), *self._spreads()]
+        terms = [
+            *self._connectors(),
+            *self._costs(),
+            *self._spreads(),
+            *self._shortages(),
+        ]
         self.program.minimize(sum(terms))
         self.error = (self._roundings + 1) / self.scale
 
@@ -171,7 +176,8 @@ class _Relaxation:
         )
         costs = t.n * max((abs(c) for c in t.cost), default=0.0)
         overhead = sum(o for _, _, o, _ in t.connectors)
-        return t.communication * overhead * far + sum(spreads) + costs or 1.0
+        short = sum(price * sum(t.demand[k :: t.r]) for k, price in enumerate(t.price))
+        return t.communication * overhead * far + sum(spreads) + costs + short or 1.0
 
     def _whole(self, value: float) -> int:
         """Return a part of F in whole numbers, rounded down."""
@@ -190,11 +196,16 @@ class _Relaxation:
             for h in range(t.m):
                 self.program.add(self.on[i][h] + self.on[j][h] <= 1)
         for k in range(t.r):
-            for h in range(t.m):
-                column = [row[h] for row in self.on]
-                self._hold(t.demand[k :: t.r], column, t.limit[h * t.r + k])
+            self._hold_resource(k)
         if t.bandwidth:
             self._links()
+
+    def _hold_resource(self, k: int) -> None:
+        t = self.arrays
+        for h in range(t.m if not t.price[k] else 0):
+            if t.limit[h * t.r + k] < inf:
+                column = [row[h] for row in self.on]
+                self._hold(t.demand[k :: t.r], column, t.limit[h * t.r + k])
 
     def _hold(
         self, amounts: Sequence[float], used: Sequence[LinearExprT], limit: float
@@ -233,6 +244,8 @@ class _Relaxation:
         load = loads(t, placed)
         for h in range(t.m):
             for k in range(t.r):
+                if t.price[k]:
+                    continue
                 if not fits(load[h * t.r + k], t.limit[h * t.r + k]):
                     yield [
                         u
@@ -295,6 +308,18 @@ class _Relaxation:
                     self.program.add(high >= self._below(residue, weight))
                     self.program.add(low <= -self._below(residue, -weight))
                 yield high - low
+
+    def _shortages(self) -> Iterator[LinearExprT]:
+        t = self.arrays
+        for k, price in enumerate(t.price):
+            for h in range(t.m if price else 0):
+                slopes = np.zeros((t.n, t.m))
+                slopes[:, h] = t.demand[k :: t.r]
+                beyond = _Affine(-t.limit[h * t.r + k], slopes)
+                short = self.program.new_int_var(0, 2 * UNITS, "")
+                self.program.add(short >= self._below(beyond, price))
+                self._roundings += t.n + 1
+                yield short
 
     def _residue(self, k: int, h: int) -> _Affine:
         """Return the residue of a resource as what F measures it in."""

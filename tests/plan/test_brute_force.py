@@ -9,7 +9,7 @@ from msgspec.structs import replace
 
 from poise import plan
 from poise.model.robot import Computer, Objective
-from poise.plan import Bundle, Edge, Item, Problem
+from poise.plan import Bundle, Edge, Item, Problem, SoftLimit
 from poise.plan.problem.arrays import arrays_of
 from poise.plan.violations import violations
 from tests.plan.reference import objective
@@ -46,6 +46,29 @@ def problem(random: Random, components: int, computers: int) -> Problem:
     )
 
 
+def softened(random: Random, asked: Problem) -> Problem:
+    """Return a problem with one or two soft limits of CPU, one for some of it only."""
+    names = [c.name for c in asked.components]
+
+    def limits() -> dict[str, float]:
+        some = [h for h in asked.computers if random.random() < 0.7]
+        return {h.name: random.choice([0.0, 0.5, 1.0, 2.0]) for h in some}
+
+    every = SoftLimit(resource="cpu", price=random.choice([0.1, 1.0, 30.0]))
+    some = SoftLimit(
+        resource="cpu",
+        price=random.choice([0.5, 100.0]),
+        components=tuple(name for name in names if random.random() < 0.5),
+    )
+    return replace(
+        asked,
+        soft_limits=(
+            replace(every, limits=limits()),
+            *([replace(some, limits=limits())] if random.random() < 0.7 else []),
+        ),
+    )
+
+
 def least(asked: Problem) -> float:
     """Return the least F of all placements that keep every limit."""
     arrays = arrays_of(asked)
@@ -61,12 +84,31 @@ def least(asked: Problem) -> float:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("seeds", [range(start, start + 50) for start in (0, 50)])
+def test_no_placement_costs_less_with_soft_limits(seeds: range) -> None:
+    for seed in seeds:
+        random = Random(seed)
+        asked = softened(random, problem(random, random.randint(3, 7), 2 + seed % 2))
+        proven, found = plan.solve(asked, 60.0), plan.solve(asked, 0.05, "search")
+        assert proven.proven
+        if proven.objective is None:
+            assert least(asked) == math.inf
+            continue
+        assert proven.objective.total == pytest.approx(least(asked), abs=1e-9)
+        assert found.objective is not None
+        assert found.objective.total == pytest.approx(least(asked), abs=1e-9)
+        assert found.bound is not None
+        assert found.bound <= least(asked) + 1e-9
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("seeds", [range(start, start + 30) for start in (0, 30, 60)])
 def test_cpsat_proves_the_same(seeds: range) -> None:
     cpsat = pytest.importorskip("benchmarks.cpsat")
     for seed in seeds:
         random = Random(seed)
         asked = problem(random, random.randint(4, 10), random.randint(2, 3))
+        asked = softened(random, asked) if seed % 3 == 0 else asked
         ours = plan.solve(asked, 60.0, why=False)
         theirs = cpsat.certificate(asked, 60.0)
         assert ours.proven

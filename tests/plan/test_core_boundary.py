@@ -20,6 +20,7 @@ GOOD: dict[str, Any] = {
     "component_demand": [1.0, 1.0],
     "capacity": [2.0, 2.0],
     "limit": [2.0, 2.0],
+    "price": [0.0],
     "size_weight": [1.0],
     "allowed": {0: (1,)},
     "connectors": [(0, 1, 1.0, 0.0)],
@@ -106,6 +107,7 @@ def test_every_shape_and_size_has_an_answer(data: st.DataObject) -> None:
         spread=numbers(r),
         capacity=numbers(m * r),
         limit=numbers(m * r),
+        price=numbers(r),
         allowed={},
         connectors=list(
             zip(units(), units(), numbers(edges), numbers(edges), strict=True)

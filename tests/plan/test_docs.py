@@ -14,7 +14,8 @@ REFERENCE = (DOCS / "problem-file.md").read_text()
 
 
 def test_the_example_is_a_problem_with_a_placement(tmp_path: Path) -> None:
-    (example,) = re.findall(r"```json\n(.*?)```", REFERENCE, re.DOTALL)
+    example, soft = re.findall(r"```json\n(.*?)```", REFERENCE, re.DOTALL)
+    example = json.dumps(json.loads(example) | json.loads("{" + soft + "}"))
     path = tmp_path / "problem.json"
     path.write_text(example)
     assert plan.solve(plan.load(path)).feasible

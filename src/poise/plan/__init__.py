@@ -4,16 +4,18 @@ from poise.model.terms import Terms
 from poise.plan.phases.problem import PhasedProblem, PhaseProblem, phased_problem_of
 from poise.plan.phases.result import PhasedResult, PhaseMove
 from poise.plan.phases.solve import solve_phases
-from poise.plan.planner import Planner, evaluate, solve
+from poise.plan.planner import Overload, Planner, evaluate, solve
 from poise.plan.problem.file import load, schema
 from poise.plan.problem.from_robot import problem_of, static
-from poise.plan.problem.problem import Bundle, Edge, Item, Problem
+from poise.plan.problem.problem import Bundle, Edge, Item, Problem, SoftLimit
+from poise.plan.problem.share_cpu import PRICE, Margin, share_cpu
 from poise.plan.result import Result
 from poise.plan.result_records import (
     ComputerTried,
     Conflict,
     GreedyStep,
     More,
+    Shortage,
     Tightest,
 )
 from poise.plan.what_if.changed_problem import add, keep_components, scale, without
@@ -21,6 +23,7 @@ from poise.plan.what_if.fewest_computers import Smallest, smallest
 from poise.plan.why.explain import Explanation, Option, Rejection, explain
 
 __all__ = [
+    "PRICE",
     "Bundle",
     "ComputerTried",
     "Conflict",
@@ -28,8 +31,10 @@ __all__ = [
     "Explanation",
     "GreedyStep",
     "Item",
+    "Margin",
     "More",
     "Option",
+    "Overload",
     "PhaseMove",
     "PhaseProblem",
     "PhasedProblem",
@@ -38,7 +43,9 @@ __all__ = [
     "Problem",
     "Rejection",
     "Result",
+    "Shortage",
     "Smallest",
+    "SoftLimit",
     "Terms",
     "Tightest",
     "add",
@@ -50,6 +57,7 @@ __all__ = [
     "problem_of",
     "scale",
     "schema",
+    "share_cpu",
     "smallest",
     "solve",
     "solve_phases",

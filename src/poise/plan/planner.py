@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from math import inf
 from time import perf_counter
+from typing import Literal, get_args
 
 from msgspec.structs import replace
 
 from poise.errors import UsageError
 from poise.plan.problem.problem import Item, Problem
+from poise.plan.problem.share_cpu import share_cpu
 from poise.plan.problem.snapshot import Snapshot
 from poise.plan.result import Result
 from poise.plan.result_records import Ask
@@ -22,6 +24,8 @@ LONGEST = 1e9
 """A budget beyond this is as good as none [s]."""
 BUDGET = 0.1
 """How long to decide by default [s]."""
+Overload = Literal["refuse", "share"]
+"""What is done where CPU is short: nothing fits, or it is shared (`share_cpu`)."""
 
 
 class Planner:
@@ -51,6 +55,7 @@ class Planner:
 
     def _keep(self, snapshot: Snapshot) -> None:
         self._parts: dict[frozenset[str], Planner] = {}
+        self._sharing: Planner | None = None
         self._snapshot = snapshot
         self._greedy = snapshot.core.greedy
 
@@ -67,6 +72,7 @@ class Planner:
         *,
         steps: int | None = None,
         fewer: bool = False,
+        overload: Overload = "refuse",
         stop: Ask | None = None,
     ) -> Result:
         """Return the best placement found within `budget` [s].
@@ -89,6 +95,10 @@ class Planner:
             gives the same placement.
         fewer
             Put architectures aside, lowest priority first, when not all fits.
+        overload
+            ``share``: CPU may be short; the placement has the least shortage, counted
+            by priority, and of such placements the least F. `Result.shortages` says
+            where.
         stop
             Asked up to 100 times a second, in any thread, whether to return the best
             placement so far, such as ``threading.Event().is_set``. What it raises is
@@ -97,9 +107,14 @@ class Planner:
         Raises
         ------
         UsageError
-            When the budget, method, seed or steps are not ones.
+            When the budget, method, seed, steps or overload are not ones.
         """
         start = perf_counter()
+        if overload != "refuse":
+            sharing = self._for_overload(overload)
+            return sharing.decide(
+                method, budget, seed, steps=steps, fewer=fewer, stop=stop
+            )
         if method == "greedy" and not (fewer or self._has_alternatives):
             placed, complete = self._greedy()
             return Result(self._snapshot, placed, complete, perf_counter() - start)
@@ -118,6 +133,14 @@ class Planner:
         result.seconds = perf_counter() - start
         result.seed = seed
         return result
+
+    def _for_overload(self, overload: Overload) -> Planner:
+        if overload not in get_args(Overload):
+            choices = " or ".join(get_args(Overload))
+            raise UsageError(f"overload is {overload!r}, must be {choices}")
+        if self._sharing is None:
+            self._sharing = Planner(share_cpu(self.problem))
+        return self._sharing
 
     def _decide_part(
         self, components: frozenset[str], method: str, effort: Effort
@@ -218,6 +241,7 @@ def solve(  # noqa: PLR0913 - each says how to decide, and has a default
     *,
     steps: int | None = None,
     fewer: bool = False,
+    overload: Overload = "refuse",
     stop: Ask | None = None,
     why: bool = True,
 ) -> Result:
@@ -233,7 +257,9 @@ def solve(  # noqa: PLR0913 - each says how to decide, and has a default
     """
     start = perf_counter()
     planner = Planner(problem)
-    result = planner.decide(method, budget, seed, steps=steps, fewer=fewer, stop=stop)
+    result = planner.decide(
+        method, budget, seed, steps=steps, fewer=fewer, overload=overload, stop=stop
+    )
     if why and method != "greedy":
         result.find_conflict(stop)
     result.seconds = perf_counter() - start

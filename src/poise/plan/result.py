@@ -13,8 +13,15 @@ from poise.model.terms import Terms
 from poise.plan.problem.arrays import Placed
 from poise.plan.problem.problem import Problem
 from poise.plan.problem.snapshot import Snapshot
-from poise.plan.result_records import Ask, Conflict, GreedyStep, Stopped, Tightest
-from poise.plan.violations import tightest, violations
+from poise.plan.result_records import (
+    Ask,
+    Conflict,
+    GreedyStep,
+    Shortage,
+    Stopped,
+    Tightest,
+)
+from poise.plan.violations import shortages, tightest, violations
 from poise.plan.why.conflict import conflict
 
 LONGEST_TRACE = 2_000
@@ -63,6 +70,7 @@ class PlainResult(TypedDict):
     seconds: float
     seed: int
     tightest: Tightest | None
+    shortages: tuple[Shortage, ...]
     trace: tuple[GreedyStep, ...]
     architectures: Mapping[str, str]
     aside: tuple[str, ...]
@@ -165,7 +173,7 @@ class Result:
 
     @property
     def feasible(self) -> bool:
-        """Whether it keeps every limit."""
+        """Whether it keeps every limit but soft ones."""
         return self._complete and not (self._given and self._broken)
 
     @property
@@ -243,6 +251,13 @@ class Result:
         if not self._complete:
             return None
         return tightest(self.snapshot.arrays, self.placed)
+
+    @cached_property
+    def shortages(self) -> tuple[Shortage, ...]:
+        """What computers are short of, where limits are soft; none: they are kept."""
+        if not self._complete:
+            return ()
+        return tuple(shortages(self.snapshot.arrays, self.placed))
 
     @cached_property
     def trace(self) -> tuple[GreedyStep, ...]:

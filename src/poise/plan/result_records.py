@@ -62,6 +62,14 @@ class Tightest(Struct, frozen=True, kw_only=True):
     used: float
 
 
+class Shortage(Struct, frozen=True, kw_only=True):
+    """What components need on a computer beyond what they can use there."""
+
+    computer: str
+    resource: str
+    amount: float
+
+
 class More(Struct, frozen=True, kw_only=True):
     """A limit to be raised.
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from poise.model.hardware import fits
 from poise.plan.problem.arrays import Arrays, Placed
-from poise.plan.result_records import Tightest
+from poise.plan.result_records import Shortage, Tightest
 from poise.units import format_bandwidth, format_bytes
 
 KIBIBYTE, MILLION = 1024, 1e6
@@ -62,7 +62,7 @@ def obstacle(arrays: Arrays, placed: Placed, unit: int, computer: int) -> str:
 def _overfull(arrays: Arrays, placed: Placed) -> Iterator[str]:
     load = loads(arrays, placed)
     for h, computer in enumerate(arrays.problem.computers):
-        for k, resource in enumerate(arrays.resources):
+        for k, resource in enumerate(arrays.resources):  # soft limits come after them
             used, limit = load[h * arrays.r + k], arrays.limit[h * arrays.r + k]
             if used > 0 and not fits(used, limit):
                 needs, has = amount_of(resource, used), amount_of(resource, limit)
@@ -99,19 +99,30 @@ def _overloaded(arrays: Arrays, placed: Placed) -> Iterator[str]:
             yield f"link between {names}: needs {needs}, has {has}"
 
 
+def shortages(arrays: Arrays, placed: Placed) -> Iterator[Shortage]:
+    """Yield by how much resources with soft limits are beyond what is usable."""
+    soft = {each.resource for each in arrays.problem.soft_limits}
+    load = loads(arrays, placed) if soft else []
+    for h, computer in enumerate(arrays.problem.computers if soft else ()):
+        for k, resource in enumerate(arrays.resources):
+            used, limit = load[h * arrays.r + k], computer.usable(resource)
+            if resource in soft and used > 0 and not fits(used, limit):
+                yield Shortage(
+                    computer=computer.name, resource=resource, amount=used - limit
+                )
+
+
 def tightest(arrays: Arrays, placed: Placed) -> Tightest | None:
     """Return the resource whose use is closest to its limit, or None without any."""
+    load = loads(arrays, placed)
     shares = [
-        (used / limit, e)
-        for e, (used, limit) in enumerate(
-            zip(loads(arrays, placed), arrays.limit, strict=True)
+        Tightest(
+            computer=computer.name,
+            resource=resource,
+            used=load[h * arrays.r + k] / computer.usable(resource),
         )
-        if limit > 0
+        for h, computer in enumerate(arrays.problem.computers)
+        for k, resource in enumerate(arrays.resources)
+        if computer.usable(resource) > 0
     ]
-    if not shares:
-        return None
-    used, entry = max(shares, key=lambda share: share[0])
-    h, k = divmod(entry, arrays.r)
-    return Tightest(
-        computer=arrays.computer(h), resource=arrays.resources[k], used=used
-    )
+    return max(shares, key=lambda share: share.used, default=None)

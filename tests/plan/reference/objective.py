@@ -3,6 +3,7 @@
 F(x) = communication * sum of overhead * distance over pairs that are apart
      + sum over resources of weight * spread of the residue over all computers
      + sum of linear costs
+     + sum over soft limits of price * what is used beyond them, over all computers
 
 The paper's eq. 1 is the case of scale ``paper``, one resource and no linear cost.
 """
@@ -19,11 +20,13 @@ def terms(arrays: Arrays, placed: Placed) -> Terms:
     communication = arrays.communication * crossing(arrays, placed)
     balance = spread(arrays, loads(arrays, placed))
     move = linear(arrays, placed)
+    beyond = shortage(arrays, loads(arrays, placed))
     return Terms(
-        total=communication + balance + move,
+        total=communication + balance + move + beyond,
         communication=communication,
         balance=balance,
         move=move,
+        shortage=beyond,
     )
 
 
@@ -83,4 +86,15 @@ def linear(arrays: Arrays, placed: Placed) -> float:
         arrays.cost[unit * arrays.m + computer]
         for unit, computer in enumerate(placed)
         if computer >= 0
+    )
+
+
+def shortage(arrays: Arrays, load: list[float]) -> float:
+    """Return what is used beyond soft limits, at their prices."""
+    r = arrays.r
+    return sum(
+        price * max(0.0, used - limit)
+        for k, price in enumerate(arrays.price)
+        for used, limit in zip(load[k::r], arrays.limit[k::r], strict=True)
+        if price > 0
     )

@@ -7,15 +7,12 @@ from collections.abc import Mapping
 
 from msgspec import Struct
 
+from poise.model.priorities import importance
 from poise.model.robot import Robot
 from poise.model.tasks.steps import actions_of
 
 USUAL = 100
 """The weight of the lowest priority: that of any other program."""
-STEP = 10.0
-"""How many times more CPU the next higher priority gets, when both want all."""
-RANGE = 100.0
-"""How many times more the highest gets than the lowest, at most."""
 _LESS_A_STEP = 1.25
 """A thread that is nicer by 1 gets about this times less CPU."""
 _NICEST = 19
@@ -42,18 +39,17 @@ def cpu_weights(robot: Robot) -> Mapping[str, CpuWeight]:
     What is prepared for a later action has none: so where there may be such, others
     have one though all priorities are equal.
     """
-    priorities = sorted({a.priority for a in robot.architectures})
-    steps = len(priorities) - 1
-    if steps < 1:
+    counts = importance(a.priority for a in robot.architectures)
+    if len(counts) < 2:  # noqa: PLR2004 - nothing is above anything
         alike = CpuWeight(USUAL if _may_prepare(robot) else 0)
         return {a.name: alike for a in robot.architectures}
-    step = min(STEP, RANGE ** (1 / steps))
-    nicer = math.log(step) / math.log(_LESS_A_STEP)
+    most = max(counts.values())
     weights = {
         priority: CpuWeight(
-            round(USUAL * step**rank), min(round(nicer * (steps - rank)), _NICEST)
+            round(USUAL * times),
+            min(round(math.log(most / times) / math.log(_LESS_A_STEP)), _NICEST),
         )
-        for rank, priority in enumerate(priorities)
+        for priority, times in counts.items()
     }
     return {a.name: weights[a.priority] for a in robot.architectures}
 

@@ -38,6 +38,7 @@ bool Greedy::run(Placement& placed) {
   for (const std::int32_t unit : p_.order) {
     pay_for_ties(unit, placed);
     for (int k = 0; k < p_.r; ++k) add_balance(k, p_.need(unit)[k]);
+    for (const int k : p_.priced) add_shortage(k, p_.need(unit)[k]);
     shut(unit, placed);
     const int computer = best();
     if (computer < 0) return false;
@@ -52,6 +53,10 @@ void Greedy::start() {
   for (std::size_t e = 0; e < room_.size(); ++e) room_[e] = p_.capacity[e] - p_.floor[e];
   share_ = first_share_;
   balance_ = first_balance_;
+  if (!p_.priced.empty()) {
+    over_goal_.resize(p_.capacity.size());
+    for (std::size_t e = 0; e < room_.size(); ++e) over_goal_[e] = p_.capacity[e] - p_.goal[e];
+  }
   traffic_.assign(p_.bandwidth.size(), 0.0);
   paid_ = 0;
 }
@@ -114,6 +119,14 @@ void Greedy::add_balance(int k, double need) {
   }
 }
 
+// Add by how much a shortage grows with `need` on each computer, at its price.
+void Greedy::add_shortage(int k, double need) {
+  const double* over = &over_goal_[static_cast<std::size_t>(k) * p_.m];
+  for (int h = 0; h < p_.m; ++h) {
+    total_[h] += p_.price[k] * (std::max(0.0, need - over[h]) - std::max(0.0, -over[h]));
+  }
+}
+
 // Set F to infinity where something else than room keeps the unit out.
 void Greedy::shut(int unit, const Placement& placed) {
   if (p_.restricted(unit)) {
@@ -168,6 +181,7 @@ void Greedy::put(int unit, int computer) {
     const std::size_t e = static_cast<std::size_t>(k) * m + computer;
     const double less = need * p_.scale[e], before = share_[e];
     room_[e] -= need;
+    if (!p_.priced.empty()) over_goal_[e] -= need;
     if (p_.scale[e] <= 0) continue;
     share_[e] -= less;
     b.sum -= less;

@@ -29,6 +29,7 @@ class Greedy {
   void start();
   void pay_for_ties(int unit, const Placement& placed);
   void add_balance(int resource, double need);
+  void add_shortage(int resource, double need);
   void shut(int unit, const Placement& placed);
   void shut_full_links();
   int best() const;
@@ -38,6 +39,7 @@ class Greedy {
   const Problem& p_;
   std::vector<double> first_share_;   // (r, m) with nothing placed
   std::vector<double> share_, room_;  // (r, m): residue; what of it may still be used
+  std::vector<double> over_goal_;     // (r, m): residue beyond the goal, where priced
   std::vector<double> total_;         // (m): F with the unit there
   std::vector<Balance> balance_, first_balance_;
   std::vector<double> traffic_;       // (m, m), when bandwidth is limited

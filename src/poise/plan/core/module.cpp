@@ -76,6 +76,7 @@ Problem read(const Fields& in) {
   p.distance = in.table("distance", m * m);
   p.cost = in.table("cost", n * m);
   p.bandwidth = in.table("bandwidth", m * m);
+  p.price = in.numbers("price", r);
   p.variance = in.get<bool>("variance");
   p.set_rooms(in.numbers("capacity", m * r), in.numbers("limit", m * r), in.get<bool>("share"));
   const auto connectors = in.get<Connectors>("connectors");
@@ -156,7 +157,7 @@ class Core {
         unit_of_(in.get<std::vector<std::int32_t>>("unit_of")),
         demand_(in.numbers("component_demand", unit_of_.size() * problem_.r)) {
     if (nb::len(index_) != unit_of_.size() ||
-        nb::len(resources_) != static_cast<std::size_t>(problem_.r)) {
+        nb::len(resources_) > static_cast<std::size_t>(problem_.r)) {
       throw std::invalid_argument("unit_of, index and resources do not agree");
     }
     for (const std::int32_t unit : unit_of_) {
@@ -226,7 +227,7 @@ class Core {
 
   nb::tuple terms(nb::handle known) {
     const Terms out = poise::terms(problem_, checked(known, -1));
-    return nb::make_tuple(out.communication, out.balance, out.linear);
+    return nb::make_tuple(out.communication, out.balance, out.linear, out.shortage);
   }
 
   bool keeps_limits(nb::handle known) { return feasible(problem_, checked(known, -1)); }
@@ -280,7 +281,8 @@ class Core {
   static std::string text(nb::handle value) { return nb::repr(value).c_str(); }
 
   int resource_index(nb::handle resource, nb::handle component) {
-    for (int k = 0; k < problem_.r; ++k) {
+    const auto resources = static_cast<int>(nb::len(resources_));
+    for (int k = 0; k < resources; ++k) {  // columns of soft limits have no name
       PyObject* known = PyTuple_GET_ITEM(resources_.ptr(), k);
       if (known == resource.ptr() || resource.equal(nb::handle(known))) return k;
     }
@@ -352,7 +354,7 @@ NB_MODULE(_core, module) {
            nb::arg("demands"),
            nb::sig("def updated(self, demands: dict[str, dict[str, float]]) -> Core"))
       .def("terms", &Core::terms, nb::arg("placed"),
-           nb::sig("def terms(self, placed: list[int]) -> tuple[float, float, float]"))
+           nb::sig("def terms(self, placed: list[int]) -> tuple[float, float, float, float]"))
       .def("feasible", &Core::keeps_limits, nb::arg("placed"),
            nb::sig("def feasible(self, placed: list[int]) -> bool"))
       .def("bound", &Core::bound, nb::sig("def bound(self) -> float"))

@@ -155,6 +155,12 @@ class Level {
       const double da = need * sa, db = need * sb;
       change += price_[k] * (da * (da + 2 * a) + db * (db - 2 * b));
     }
+    for (const int k : p_.priced) {
+      const double need = p_.demand[static_cast<std::size_t>(unit) * p_.r + k];
+      const double a = left_[k * p_.m + from], b = left_[k * p_.m + to];
+      change += p_.price[k] * (p_.shortage(k, from, a + need) - p_.shortage(k, from, a) +
+                               p_.shortage(k, to, b - need) - p_.shortage(k, to, b));
+    }
     return change;
   }
 

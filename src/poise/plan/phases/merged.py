@@ -57,6 +57,7 @@ def merged(parts: Sequence[Arrays], moves: Mapping[tuple[Unit, Unit], float]) ->
         _own([part.demand for part in parts], a.r),
         _by_computer([part.capacity for part in parts], a),
         _by_computer([part.limit for part in parts], a),
+        [price for part in parts for price in part.price],
         [weight for part in parts for weight in part.size_weight],
         {u + at: hosts for part, at in pairs for u, hosts in part.allowed.items()},
         [*inside, *across],

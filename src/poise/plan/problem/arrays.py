@@ -1,7 +1,8 @@
 """A problem in flat arrays of numbers: what the C++ core reads.
 
 Components that must share a computer become one *unit*; everything below is by unit.
-Arrays are flat, row by row.
+Arrays are flat, row by row. After the columns of resources come those of soft limits,
+as if each were a resource of its own.
 """
 
 from __future__ import annotations
@@ -10,9 +11,10 @@ from collections.abc import Iterable, Mapping
 from math import inf
 
 from msgspec import Struct
+from msgspec.structs import replace
 
 from poise.errors import UsageError
-from poise.plan.problem.problem import Problem
+from poise.plan.problem.problem import Item, Problem, SoftLimit
 
 LEAST_LINK_USE = 0.1
 """What communication counts for at least, however little of the links it takes: a
@@ -23,7 +25,7 @@ Placed = list[int]
 
 
 class Arrays(Struct, frozen=True):
-    """The numbers of a problem; n units, m computers, r resources.
+    """The numbers of a problem; n units, m computers, r resources and soft limits.
 
     Parameters
     ----------
@@ -38,7 +40,10 @@ class Arrays(Struct, frozen=True):
     demand
         (n, r).
     capacity, limit
-        (m, r): what a computer has, and what placements may use of it.
+        (m, r): what a computer has, and what placements may use of it; infinite for a
+        resource that has soft limits.
+    price
+        (r,): what F grows by for each unit beyond a limit; 0: it must be kept.
     size_weight
         (r,): the greedy orders by the sum of demand times this, largest first.
     allowed
@@ -72,6 +77,7 @@ class Arrays(Struct, frozen=True):
     demand: list[float]
     capacity: list[float]
     limit: list[float]
+    price: list[float]
     size_weight: list[float]
     allowed: dict[int, tuple[int, ...]]
     connectors: list[tuple[int, int, float, float]]
@@ -147,7 +153,7 @@ def arrays_of(problem: Problem) -> Arrays:
     unit = {name: unit_of[i] for name, i in index.items()} if n < len(index) else index
     connectors = _connectors(problem, unit)
     objective = problem.objective
-    return Arrays(
+    arrays = Arrays(
         problem,
         members,
         unit_of,
@@ -157,6 +163,7 @@ def arrays_of(problem: Problem) -> Arrays:
         demand if unit is index else _summed(demand, unit_of, n, r),
         capacity,
         limit,
+        [0.0] * r,
         _size_weights(problem, resources, limit),
         _allowed(problem, place, unit_of),
         connectors,
@@ -172,6 +179,49 @@ def arrays_of(problem: Problem) -> Arrays:
         m,
         r,
     )
+    return _with_soft_limits(arrays) if problem.soft_limits else arrays
+
+
+def _with_soft_limits(arrays: Arrays) -> Arrays:
+    """Return the numbers with a column for each soft limit of the problem."""
+    problem, resources = arrays.problem, arrays.resources
+    soft, r = problem.soft_limits, arrays.r
+    counts = [[_counts(each, c) for each in soft] for c in problem.components]
+    has = [[h.total(each.resource) for each in soft] for h in problem.computers]
+    most = [
+        [each.limits.get(h.name, h.usable(each.resource)) for each in soft]
+        for h in problem.computers
+    ]
+    demand = _beside(arrays.component_demand, r, counts)
+    softened = {each.resource for each in soft}
+    hard = [
+        inf if resources[e % r] in softened else x for e, x in enumerate(arrays.limit)
+    ]
+    none = [0.0] * len(soft)
+    return replace(
+        arrays,
+        component_demand=demand,
+        demand=_summed(demand, arrays.unit_of, arrays.n, r + len(soft)),
+        capacity=_beside(arrays.capacity, r, has),
+        limit=_beside(hard, r, most),
+        price=[*arrays.price, *(each.price for each in soft)],
+        size_weight=[*arrays.size_weight, *none],
+        spread=[*arrays.spread, *none],
+        r=r + len(soft),
+    )
+
+
+def _counts(limit: SoftLimit, component: Item) -> float:
+    """Return how much of a component's demand counts for a soft limit."""
+    if limit.components is not None and component.name not in limit.components:
+        return 0.0
+    return component.demand.get(limit.resource, 0.0)
+
+
+def _beside(values: list[float], width: int, more: list[list[float]]) -> list[float]:
+    """Return rows of `width` values, each with more behind them."""
+    rows = (values[i * width : (i + 1) * width] + row for i, row in enumerate(more))
+    return [value for row in rows for value in row]
 
 
 def _overhead_scale(

@@ -74,6 +74,8 @@ def _lists(problem: Problem) -> Iterator[tuple[str, object]]:
         yield "link: between", link.between
     for a in problem.architectures:
         yield f"architecture {a.name!r}: components", a.components
+    for s in problem.soft_limits:
+        yield f"soft limit of {s.resource}: components", s.components or ()
     sets: dict[str, Iterable[object]]
     sets = {"together": problem.together, "apart": problem.apart}
     for kind, groups in sets.items():
@@ -114,7 +116,17 @@ def _numbers(problem: Problem) -> Iterator[str]:
         yield from _amounts(where, {"distance": link.distance})
         if link.bandwidth != inf:
             yield from _amounts(where, {"bandwidth": link.bandwidth})
+    yield from _soft_limits(problem)
     yield from _weights(problem)
+
+
+def _soft_limits(problem: Problem) -> Iterator[str]:
+    for s in problem.soft_limits:
+        where = f"soft limit of {s.resource}: "
+        yield from _amounts(f"{where}limit of ", s.limits)
+        yield from _amounts(where, {"price": s.price})
+        if s.price == 0:
+            yield f"{where}price is 0, must be above 0"
 
 
 def _weights(problem: Problem) -> Iterator[str]:
@@ -200,3 +212,6 @@ def _mentions(problem: Problem) -> Iterator[tuple[str, str, tuple[str, ...]]]:
         yield "apart", "component", group
     for a in problem.architectures:
         yield f"architecture {a.name!r}", "component", a.components
+    for s in problem.soft_limits:
+        yield f"soft limit of {s.resource}", "computer", (*s.limits,)
+        yield f"soft limit of {s.resource}", "component", s.components or ()

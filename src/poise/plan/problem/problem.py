@@ -83,6 +83,29 @@ class Bundle(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     required: bool = False
 
 
+class SoftLimit(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A limit that may be broken, for a price, instead of the hard one.
+
+    A resource that has one on any computer has no hard limit. Several of one resource
+    add up, so that a shortage may get dearer the larger it is, or by whom it concerns.
+
+    Parameters
+    ----------
+    limits
+        Computer -> how much of the resource may be used there for nothing, >= 0; where
+        not named, what it can use.
+    price
+        What F grows by for each unit that is used beyond a computer's limit; > 0.
+    components
+        Those whose demand counts; None means all.
+    """
+
+    resource: str
+    price: float
+    limits: Mapping[str, float] = {}
+    components: tuple[str, ...] | None = None
+
+
 class Problem(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Everything that a placement is decided by.
 
@@ -97,6 +120,8 @@ class Problem(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     architectures
         Which components belong together as a function; for priorities and
         alternatives. Empty means that every component is needed.
+    soft_limits
+        Limits that may be broken for a price.
     """
 
     components: tuple[Item, ...] = ()
@@ -107,6 +132,7 @@ class Problem(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     together: tuple[tuple[str, ...], ...] = ()
     apart: tuple[tuple[str, ...], ...] = ()
     architectures: tuple[Bundle, ...] = ()
+    soft_limits: tuple[SoftLimit, ...] = ()
 
     def __post_init__(self) -> None:
         """Raise a RobotError that lists everything that is wrong."""

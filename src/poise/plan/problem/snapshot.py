@@ -32,7 +32,11 @@ class Snapshot:
 
     def updated(self, demands: dict[str, dict[str, float]]) -> Snapshot:
         """Return the same problem with other demands."""
-        return Snapshot(self._problem, self.core.updated(demands))
+        core = self.core.updated(demands)
+        if not self._problem.soft_limits:
+            return Snapshot(self._problem, core)
+        # the core does not know which demands count for which soft limit
+        return Snapshot(_with_demand(self._problem, core.demand))
 
     @property
     def size(self) -> int:
@@ -74,12 +78,13 @@ class Snapshot:
 
     def terms(self, placed: Placed) -> Terms:
         """Return F of a placement; units without a computer (-1) contribute nothing."""
-        communication, balance, move = self.core.terms(placed)
+        communication, balance, move, shortage = self.core.terms(placed)
         return Terms(
-            total=communication + balance + move,
+            total=communication + balance + move + shortage,
             communication=communication,
             balance=balance,
             move=move,
+            shortage=shortage,
         )
 
     def greedy_trace(self) -> tuple[GreedyStep, ...]:
@@ -120,11 +125,13 @@ def _with_demand(problem: Problem, demand: list[float]) -> Problem:
     resources = problem.resources
     if not resources:
         return problem
-    rows = zip(*[iter(demand)] * len(resources), strict=True)
+    rows = zip(
+        *[iter(demand)] * (len(resources) + len(problem.soft_limits)), strict=True
+    )
     return replace(
         problem,
         components=tuple(
-            replace(c, demand=dict(zip(resources, row, strict=True)))
+            replace(c, demand=dict(zip(resources, row, strict=False)))
             for c, row in zip(problem.components, rows, strict=True)
         ),
     )

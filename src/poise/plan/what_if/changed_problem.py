@@ -31,6 +31,12 @@ def keep_components(problem: Problem, names: Collection[str]) -> Problem:
         architectures=tuple(
             a for a in problem.architectures if all(n in names for n in a.components)
         ),
+        soft_limits=tuple(
+            each
+            if each.components is None
+            else replace(each, components=group(each.components))
+            for each in problem.soft_limits
+        ),
     )
 
 
@@ -59,6 +65,10 @@ def without(problem: Problem, names: Collection[str]) -> Problem:
             link
             for link in problem.links
             if not any(name in names for name in link.between)
+        ),
+        soft_limits=tuple(
+            replace(s, limits={h: x for h, x in s.limits.items() if h not in names})
+            for s in problem.soft_limits
         ),
     )
 

@@ -33,7 +33,7 @@ MOST_COMPONENTS = 60
 """Up to how many components are left out one by one, to find those that conflict."""
 
 
-class Shortage(NamedTuple):
+class ShortUnits(NamedTuple):
     """Units that may run on some computers only, and need more than those have."""
 
     units: list[int]
@@ -145,7 +145,7 @@ def _infeasible_subset(
     return part, limits, irreducible
 
 
-def _short(arrays: Arrays, shortage: Shortage | None) -> set[tuple[str, ...]]:
+def _short(arrays: Arrays, shortage: ShortUnits | None) -> set[tuple[str, ...]]:
     """Return the computers and the resource that are short, by name."""
     if shortage is None:
         return set()
@@ -153,7 +153,7 @@ def _short(arrays: Arrays, shortage: Shortage | None) -> set[tuple[str, ...]]:
     return {(arrays.problem.computers[h].name, resource) for h in shortage.computers}
 
 
-def _shortages(arrays: Arrays) -> Iterator[Shortage]:
+def _shortages(arrays: Arrays) -> Iterator[ShortUnits]:
     """Yield sets of computers with less than what may run nowhere else needs."""
     everywhere = tuple(range(arrays.m))
     alike: dict[tuple[int, ...], list[int]] = {everywhere: []}
@@ -161,23 +161,26 @@ def _shortages(arrays: Arrays) -> Iterator[Shortage]:
         alike.setdefault(arrays.allowed.get(u, everywhere), []).append(u)
     need = {
         computers: [
-            sum(arrays.demand[u * arrays.r + k] for u in units) for k in range(arrays.r)
+            sum(arrays.demand[u * arrays.r + k] for u in units)
+            for k in range(len(arrays.resources))
         ]
         for computers, units in alike.items()
     }
     for computers, units in alike.items():
         if not computers:
-            yield Shortage(units[:1], [], 0)
+            yield ShortUnits(units[:1], [], 0)
             continue
         inside = [c for c in alike if {*computers}.issuperset(c)]
-        for k in range(arrays.r):
+        for k in range(len(arrays.resources)):
             limits = [arrays.limit[h * arrays.r + k] for h in computers]
             if not fits(sum(need[c][k] for c in inside), sum(limits)):
                 bound = [u for c in inside for u in alike[c]]
-                yield Shortage(_largest(arrays, bound, sum(limits), k), [*computers], k)
+                yield ShortUnits(
+                    _largest(arrays, bound, sum(limits), k), [*computers], k
+                )
             for u in units:
                 if not fits(arrays.demand[u * arrays.r + k], max(limits)):
-                    yield Shortage([u], [*computers], k)
+                    yield ShortUnits([u], [*computers], k)
 
 
 def _largest(arrays: Arrays, units: list[int], limit: float, k: int) -> list[int]:
@@ -202,7 +205,7 @@ def _sentences(part: Problem, limits: list[Limit]) -> tuple[str, ...]:
     return (_sum_of(arrays, short), *others)
 
 
-def _sum_of(arrays: Arrays, short: Shortage) -> str:
+def _sum_of(arrays: Arrays, short: ShortUnits) -> str:
     k = short.resource
     resource = arrays.resources[k]
     names = arrays.names(short.units)

@@ -219,7 +219,8 @@ def usual(problem: Problem, limit: Limit) -> float:
 
 def limits_of(problem: Problem) -> Iterator[Limit]:
     """Yield each limit of a problem."""
-    for resource in problem.resources:
+    softened = {each.resource for each in problem.soft_limits}
+    for resource in (r for r in problem.resources if r not in softened):
         total = sum(c.demand.get(resource, 0.0) for c in problem.components)
         if total > 0:
             for h in problem.computers:

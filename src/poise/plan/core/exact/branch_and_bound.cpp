@@ -44,7 +44,7 @@ class AnyTree final : public Tree {
       double scale = 0;
       for (int h = 0; h < m_; ++h) scale += p_.scale[k * m_ + h] / m_;
       for (int i = 0; i < n_; ++i) {
-        value[i] += kSizeOverTie * p_.weight[k] * p_.need(i)[k] * scale;
+        value[i] += kSizeOverTie * (p_.weight[k] * scale + p_.price[k]) * p_.need(i)[k];
       }
     }
     order_.reserve(n_);
@@ -90,7 +90,8 @@ class AnyTree final : public Tree {
         bool same = true;
         for (int k = 0; k < r_ && same; ++k) {
           same = p_.capacity[k * m_ + h] == p_.capacity[k * m_ + g] &&
-                 p_.floor[k * m_ + h] == p_.floor[k * m_ + g];
+                 p_.floor[k * m_ + h] == p_.floor[k * m_ + g] &&
+                 p_.goal[k * m_ + h] == p_.goal[k * m_ + g];
         }
         for (int i = 0; i < n_ && same; ++i) same = p_.allowed(i, h) == p_.allowed(i, g);
         if (same) twin_[h] = g;
@@ -156,6 +157,7 @@ class AnyTree final : public Tree {
       if (bound >= threshold_ || !fits(depth, h)) continue;
       for (int k = 0; k < r_ && bound < threshold_; ++k) {
         if (p_.weight[k] > 0) bound += p_.weight[k] * imbalance(depth, k, h);
+        if (p_.price[k] > 0) bound += p_.price[k] * shortage(depth, k, h);
       }
       if (bound >= threshold_) continue;
       int i = count++;
@@ -188,6 +190,14 @@ class AnyTree final : public Tree {
     const Levelling& levelling = levelling_[k];
     return relaxed_spread(share, levelling.size.data(), m_, p_.counted[k], levelling.level,
                           open_[(depth + 1) * r_ + k], p_.variance, levelling.alike);
+  }
+
+  // The least shortage of a priced resource, likewise.
+  double shortage(int depth, int k, int computer) const {
+    double left[kMostComputers];
+    for (int h = 0; h < m_; ++h) left[h] = left_[k * m_ + h];
+    left[computer] -= need_[depth * r_ + k];
+    return relaxed_shortage(p_, k, left, open_[(depth + 1) * r_ + k]);
   }
 
   // Place the unit at `depth`; false when it cannot become better than the best.

@@ -9,14 +9,20 @@ void Problem::set_rooms(const std::vector<double>& has, const std::vector<double
                         bool share) {
   capacity.resize(has.size());
   floor.resize(has.size());
+  goal.assign(has.size(), -kInfinity);
   scale.assign(has.size(), 1.0);
   counted.assign(r, m);
   for (int k = 0; k < r; ++k) {
+    if (price[k] > 0) priced.push_back(k);
     for (int h = 0; h < m; ++h) {
       const std::size_t from = static_cast<std::size_t>(h) * r + k;
       const std::size_t to = static_cast<std::size_t>(k) * m + h;
       capacity[to] = has[from];
       floor[to] = has[from] - limit[from] - kSlack * std::max(1.0, limit[from]);
+      if (price[k] > 0) {
+        goal[to] = has[from] - limit[from];
+        floor[to] = -kInfinity;
+      }
       if (!share) continue;
       scale[to] = has[from] > 0 ? 1.0 / has[from] : 0.0;
       if (has[from] <= 0) --counted[k];
@@ -77,6 +83,9 @@ Problem Problem::joined(const std::vector<std::int32_t>& part, int count) const 
   out.r = r;
   out.capacity = capacity;
   out.floor = floor;
+  out.price = price;
+  out.goal = goal;
+  out.priced = priced;
   out.scale = scale;
   out.weight = weight;
   out.size_weight = size_weight;
@@ -174,7 +183,13 @@ Terms terms(const Problem& p, const Placement& placed) {
       out.communication += other.overhead * p.far(placed[i], placed[other.unit]);
     }
   }
-  out.balance = spread_of(p, residues(p, placed));
+  const std::vector<double> left = residues(p, placed);
+  out.balance = spread_of(p, left);
+  for (const int k : p.priced) {
+    for (int h = 0; h < p.m; ++h) {
+      out.shortage += p.price[k] * p.shortage(k, h, left[k * p.m + h]);
+    }
+  }
   return out;
 }
 

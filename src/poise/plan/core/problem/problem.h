@@ -63,6 +63,8 @@ class Problem {
   std::vector<double> demand;       // (n, r)
   std::vector<double> capacity;     // (r, m)
   std::vector<double> floor;        // (r, m): residue must stay at or above this
+  std::vector<double> price;        // (r): what a unit of shortage adds to F; 0: limits are hard
+  std::vector<double> goal;         // (r, m): residue below this is a shortage, where priced
   std::vector<double> scale;        // (r, m): residue -> unit of the spread; 0: not counted
   std::vector<double> weight;       // (r): what a unit of spread adds to F
   std::vector<double> size_weight;  // (r): by demand times this, units are sorted
@@ -70,11 +72,12 @@ class Problem {
   std::vector<double> distance;     // (m, m), or empty: 1 between any two computers
   std::vector<double> cost;         // (n, m), or empty: 0
   std::vector<double> bandwidth;    // (m, m), or empty: unlimited
+  std::vector<int> priced;          // the resources that have a price
   std::vector<std::int32_t> order;  // units in the order in which the greedy places them
   bool variance = false;
 
-  // Set up what computers have: `has` and `limit` are (m, r). Residues count as shares of
-  // what there is, or as they are.
+  // Set up what computers have: `has` and `limit` are (m, r); a limit whose resource has a
+  // price may be broken. Residues count as shares of what there is, or as they are.
   void set_rooms(const std::vector<double>& has, const std::vector<double>& limit, bool share);
   // `each` calls its argument with (unit, neighbour) for both ends of each connector.
   template <typename Each>
@@ -99,12 +102,17 @@ class Problem {
   }
   double room(int resource, int computer) const {
     const std::size_t e = static_cast<std::size_t>(resource) * m + computer;
-    return capacity[e] - floor[e];
+    return capacity[e] - (price[resource] > 0 ? goal[e] : floor[e]);
   }
   double mean_room(int resource) const {
     double total = 0;
     for (int h = 0; h < m; ++h) total += room(resource, h);
     return total / m;
+  }
+  // By how much a residue is below what it should be at least.
+  double shortage(int resource, int computer, double left) const {
+    const double short_by = goal[static_cast<std::size_t>(resource) * m + computer] - left;
+    return short_by > 0 ? short_by : 0.0;
   }
   double far(int a, int b) const {
     if (distance.empty()) return a == b ? 0.0 : 1.0;
@@ -139,8 +147,8 @@ class Problem {
 using Placement = std::vector<std::int32_t>;  // unit -> computer, -1: none
 
 struct Terms {
-  double communication = 0, balance = 0, linear = 0;
-  double total() const { return communication + balance + linear; }
+  double communication = 0, balance = 0, linear = 0, shortage = 0;
+  double total() const { return communication + balance + linear + shortage; }
 };
 
 // Recompute F from nothing: what every shortcut is held against.

@@ -33,6 +33,9 @@ double relaxation_bound(const Problem& p) {
     }
     total += least;
   }
+  for (const int k : p.priced) {
+    total += p.price[k] * relaxed_shortage(p, k, &p.capacity[k * p.m], demand_of(p, k));
+  }
   std::vector<double> share(p.m);
   for (int k = 0; k < p.r; ++k) {
     if (p.weight[k] <= 0) continue;

@@ -44,6 +44,17 @@ inline double relaxed_spread(const double* share, const double* size, int m, int
   return (squares - sum * sum / m) / m;
 }
 
+// The least shortage of a priced resource. `left` holds residues, and `open` the demand that
+// may still flow anywhere: to where there is room, as far as there is.
+inline double relaxed_shortage(const Problem& p, int k, const double* left, double open) {
+  double total = 0, room = 0;
+  for (int h = 0; h < p.m; ++h) {
+    const double over = left[h] - p.goal[static_cast<std::size_t>(k) * p.m + h];
+    (over > 0 ? room : total) += over > 0 ? over : -over;
+  }
+  return total + (open > room ? open - room : 0.0);
+}
+
 // How one resource is levelled, whatever is placed where.
 struct Levelling {
   Levelling(const Problem& problem, int resource);
@@ -54,7 +65,7 @@ struct Levelling {
 };
 
 // A number that no placement's F is below: no connector is paid, each unit has its
-// cheapest computer, and demand flows freely.
+// cheapest computer, and demand flows freely, also into shortages.
 double relaxation_bound(const Problem& problem);
 
 }  // namespace poise

@@ -146,8 +146,8 @@ void Search::cool(std::int64_t steps, double heat) {
 void Search::try_move(double limit) {
   const auto& [out, back, a, b] = move_;
   const double paid = state_.weigh_paid(out, back, a, b);
-  // At best, balance and excess fall to nothing; often that is not enough already.
-  if (!aimless_ && paid - state_.balance() - price_ * state_.excess() > limit) return;
+  // At best, balance, shortage and excess fall to nothing; often that is not enough already.
+  if (!aimless_ && paid - state_.loads() - price_ * state_.excess() > limit) return;
   const Change rest = state_.weigh_rest(out, back, a, b);
   const double change = aimless_ ? rest.excess : paid + rest.objective + price_ * rest.excess;
   if (change > limit) return;

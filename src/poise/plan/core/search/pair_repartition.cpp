@@ -147,6 +147,7 @@ void PairRepartition::weigh_resources(const State& state, int a, int b) {
       const std::size_t e = static_cast<std::size_t>(k) * p_.m + h;
       out.left[side] = state.left(k, h);
       out.floor[side] = p_.floor[e];
+      out.goal[side] = p_.goal[e];
       out.scale[side] = p_.scale[e];
       out.size[side] = p_.scale[e] > 0 ? 1 / p_.scale[e] : 0.0;
     }
@@ -219,10 +220,23 @@ bool PairRepartition::fits(int depth, int side) const {
   return true;
 }
 
-// What the spread of all computers comes to at least, once the unit at `depth` is on
-// `side` (-1: as things stand) and what is open after it flows freely between the two.
+// What the spread of all computers and the shortages of these two come to at least, once
+// the unit at `depth` is on `side` (-1: as things stand) and what is open after it flows
+// freely between the two.
 double PairRepartition::imbalance(int depth, int side) const {
   double total = 0;
+  for (const int k : p_.priced) {
+    const Resource& resource = resources_[k];
+    double over[2];
+    for (const int s : {0, 1}) {
+      const double need = s == side ? need_[depth * r_ + k] : 0.0;
+      over[s] = resource.left[s] - need - resource.goal[s];
+    }
+    const double open = open_[(depth + 1) * r_ + k];
+    const double room = std::max(0.0, over[0]) + std::max(0.0, over[1]);
+    total += p_.price[k] * (std::max(0.0, -over[0]) + std::max(0.0, -over[1]) +
+                            std::max(0.0, open - room));
+  }
   for (int k = 0; k < r_; ++k) {
     const Resource& resource = resources_[k];
     if (resource.weight <= 0) continue;

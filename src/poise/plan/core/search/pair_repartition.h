@@ -25,7 +25,7 @@ class PairRepartition {
     double overhead;
   };
   struct Resource {
-    double left[2], floor[2], scale[2], size[2];
+    double left[2], floor[2], goal[2], scale[2], size[2];
     // Of all other computers. Range: their extremes. Variance: `high` is the number of
     // computers that are counted, these two among them.
     double high, low;

@@ -47,8 +47,11 @@ void State::reset(const Placement& placed) {
     }
   }
   left_ = residues(p_, placed_);
-  excess_ = 0;
-  for (int h = 0; h < p_.m; ++h) excess_ += over(h);
+  excess_ = shortage_ = 0;
+  for (int h = 0; h < p_.m; ++h) {
+    excess_ += over(h);
+    shortage_ += shortage(h);
+  }
   for (int k = 0; k < p_.r; ++k) {
     find_extremes(k);
     sum_[k] = squares_[k] = 0;
@@ -103,6 +106,14 @@ double State::over(int h) const {
   for (int k = 0; k < p_.r; ++k) {
     const double short_by = p_.floor[k * p_.m + h] - left_[k * p_.m + h];
     if (short_by > 0) total += short_by * share_of_limit_[k];
+  }
+  return total;
+}
+
+double State::shortage(int h) const {
+  double total = 0;
+  for (const int k : p_.priced) {
+    total += p_.price[k] * p_.shortage(k, h, left_[k * p_.m + h]);
   }
   return total;
 }
@@ -185,6 +196,11 @@ Change State::weigh_loads(int a, int b) {
     }
   }
   change.objective = balance - balance_;
+  for (const int k : p_.priced) {
+    const double la = left_[k * p_.m + a], lb = left_[k * p_.m + b], need = need_[k];
+    change.objective += p_.price[k] * (p_.shortage(k, a, la + need) - p_.shortage(k, a, la) +
+                                       p_.shortage(k, b, lb - need) - p_.shortage(k, b, lb));
+  }
   return change;
 }
 
@@ -335,6 +351,7 @@ void State::shift(int unit, int to) {
   }
   const double* need = p_.demand.data() + static_cast<std::size_t>(unit) * p_.r;
   excess_ -= over(from) + over(to);
+  shortage_ -= shortage(from) + shortage(to);
   for (int k = 0; k < p_.r; ++k) {
     const std::size_t ea = static_cast<std::size_t>(k) * m + from;
     const std::size_t eb = static_cast<std::size_t>(k) * m + to;
@@ -348,6 +365,7 @@ void State::shift(int unit, int to) {
     left_[eb] -= need[k];
   }
   excess_ += over(from) + over(to);
+  shortage_ += shortage(from) + shortage(to);
   if (!p_.bandwidth.empty()) over_links_ += shift_traffic(unit, to);
   auto& old = on_[from];
   old[spot_[unit]] = old.back();
@@ -374,6 +392,7 @@ void State::settle(int a, int b) {
   balance_ = balance_now();
   // Sums of many small steps must not keep a limit broken that holds again.
   if (std::fabs(excess_) < 1e-12) excess_ = 0;
+  if (std::fabs(shortage_) < 1e-12) shortage_ = 0;
   if (overfull_ == 0) over_links_ = 0;
 }
 

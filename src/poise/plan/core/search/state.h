@@ -37,8 +37,9 @@ class State {
   const Placement& placed() const { return placed_; }
   int at(int unit) const { return placed_[unit]; }
   const std::vector<std::int32_t>& on(int computer) const { return on_[computer]; }
-  double objective() const { return paid_ + balance_; }
-  double balance() const { return balance_; }
+  double objective() const { return paid_ + balance_ + shortage_; }
+  // What of F is due to loads: neither balance nor shortage can fall below nothing.
+  double loads() const { return balance_ + shortage_; }
   double excess() const { return excess_ + over_links_ + conflicts_; }
   bool feasible() const { return excess_ <= 0 && overfull_ == 0 && conflicts_ == 0; }
 
@@ -76,6 +77,7 @@ class State {
   void shift(int unit, int to);
   void settle(int a, int b);
   double over(int computer) const;
+  double shortage(int computer) const;
   double balance_now() const;
   int conflicts_with(const Units& out, const Units& back, int a, int b);
   double link_excess(const Units& out, const Units& back, int a, int b);
@@ -93,7 +95,7 @@ class State {
   std::vector<double> need_;                   // (r): what a move takes from a to b
   std::vector<char> mark_;                     // (n): 1 in `out`, 2 in `back`
   std::vector<double> traffic_;                // (m, m)
-  double paid_ = 0, balance_ = 0, excess_ = 0, over_links_ = 0;
+  double paid_ = 0, balance_ = 0, shortage_ = 0, excess_ = 0, over_links_ = 0;
   int conflicts_ = 0;  // pairs that must be apart and are not
   int overfull_ = 0;   // links; `over_links_` is a sum of many steps, and not exact
 };
