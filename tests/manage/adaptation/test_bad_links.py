@@ -110,7 +110,7 @@ def test_one_end_of_a_cut_link_moves_to_where_both_are_reached(
     """Nothing can move over the cut link itself; all they compute is in vain."""
     found = decide(over(situation, joined(two), quality(silent=1.0)))
     assert found.acts
-    assert found.gain == pytest.approx((0.2 + 0.2) * 30)
+    assert found.gain == pytest.approx(0.2 + 0.2)
     assert found.proposal is not None
     assert sorted(found.proposal.placement.values()) in (
         ["left", "middle"],
@@ -155,7 +155,7 @@ def test_over_a_slow_link_the_ends_meet_at_once(situation: Make, two: Robot) -> 
     slow = over(situation, joined(two, third=False), quality(delay=0.06))
     found = decide(slow)
     assert found.acts
-    assert found.gain == pytest.approx(0.6 * (0.2 + 0.2) * 30)
+    assert found.gain == pytest.approx(0.6 * (0.2 + 0.2))
     assert found.proposal is not None
     assert len(set(found.proposal.placement.values())) == 1
     assert len(found.proposal.steps) == 1

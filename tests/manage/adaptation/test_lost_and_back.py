@@ -45,7 +45,7 @@ def test_what_is_short_moves_there() -> None:
     back = Returning(cpu=0.6)
     back.look(1.0 + CALM)
     (said,) = back.said()
-    assert "1 step: cost 0.32 core-seconds, gain 6.00" in said
+    assert "cores of work more, for 0.32 core-seconds" in said
     assert "transition of 1 step" in [entry.what for entry in back.journal.entries()]
 
 

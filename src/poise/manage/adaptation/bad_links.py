@@ -18,11 +18,11 @@ from poise.manage.agent_connections.statuses import CUT
 from poise.model.policy.values import LinkValues
 from poise.model.robot import Connector, Link, Robot
 
-_CUT_DISTANCE = 1000.0
+_CUT_DISTANCE = 1e6
 """By this factor the planner takes the ends of a cut link to be further apart."""
-_FAR = 0.001
+_FAR = 1e-6
 """A delay of this much [s] counts as much as the distance itself."""
-_LOST = 0.01
+_LOST = 1e-5
 """So does the loss of this share."""
 
 

@@ -1,10 +1,14 @@
 """Whether another placement is worth its moves. Pure.
 
-Gain and cost are work that is not done [core-seconds]: what computers are short of now
-and would not be there, and what is computed in vain, over the horizon, because chains
-are late or connectors cross links that are cut or slow; against
-what the components that move would have done meanwhile, and the CPU time of starting
-them there.
+Gain is work that would be done and is not: what computers are short of and would not be
+there, by priority, and what is computed in vain because chains are late or connectors
+cross links that are cut or slow. The cost of a move is what its component would have
+done meanwhile, and the CPU time of starting it there.
+
+The gain is taken to go on for as long as something has been wrong, and for half a
+minute at least. Of all placements the one is proposed that leaves least work undone
+within this time, moves included, so each of its moves earns its own cost. When that is
+carried out is up to `LossSuffered`.
 """
 
 from __future__ import annotations
@@ -15,6 +19,7 @@ from collections.abc import Set as AbstractSet
 from msgspec import Struct
 from msgspec.structs import replace
 
+from poise import plan
 from poise.errors import RobotError
 from poise.manage.adaptation.bad_links import (
     bad_links,
@@ -31,34 +36,42 @@ from poise.manage.agent_connections.statuses import components_of
 from poise.manage.migration.report import TransitionStep
 from poise.manage.migration.residue import missing_cpu
 from poise.model.check.allowed_computers import allowed_computers
+from poise.model.priorities import importance
 from poise.model.robot import Robot
 from poise.units import counted, format_cores
 
 HORIZON = 30.0
-"""The present load is expected to last for this time [s]."""
+"""The present load is expected to last for this time at least [s]."""
 DOWNTIME = 0.05
 """The downtime of a component that was not moved yet is taken to be this [s]."""
 START = 0.3
 """The CPU time to start a component is taken to be this, until it was measured [s]."""
 STARVED = 0.1
 """A component suffers when it does not do this share of its jobs."""
-MOVE = 0.001
-"""What F grows by for each move: of placements that mend the same, few moves win."""
+WORTH = 0.01
+"""What a unit of F is worth besides [core-seconds]: it only decides between placements
+that leave the same work undone."""
+_LEAST = 1e-6
+"""A gain below this is none [cores]."""
 
 
 class Decision(Struct, frozen=True, kw_only=True):
-    """What is done about symptoms.
+    """What is best done about symptoms.
 
     Parameters
     ----------
-    proposal
-        Where the components should run; None: there is nothing better.
     acts
-        Whether it is carried out.
+        Whether something should change; when, is up to what has been lost so far.
     why
         A sentence for people.
-    gain, cost
-        Work that would be done more, and less [core-seconds].
+    proposal
+        Where the components should run; None: there is nothing better.
+    gain
+        Work that would be done more [cores]; that of higher priorities counts more.
+    cost
+        Work that is lost by the moves [core-seconds].
+    undone
+        Work that is not done as it is [cores].
     """
 
     acts: bool
@@ -66,10 +79,14 @@ class Decision(Struct, frozen=True, kw_only=True):
     proposal: Proposal | None = None
     gain: float = 0.0
     cost: float = 0.0
+    undone: float = 0.0
 
 
 def decide(
-    situation: Situation, barred: Mapping[str, AbstractSet[str]] = {}
+    situation: Situation,
+    barred: Mapping[str, AbstractSet[str]] = {},
+    horizon: float = HORIZON,
+    doubt: float = 1.0,
 ) -> Decision:
     """Return whether to change the placement, and why.
 
@@ -77,14 +94,17 @@ def decide(
     ----------
     barred
         Component -> computers where it may not go.
+    horizon
+        For how long the present load is expected to last [s].
+    doubt
+        How many times costs count, >= 1.
     """
     situation = situation.within_reach()
     bad = bad_links(situation)
     barred = beyond_cuts(barred, situation.placement, bad)
-    robot = with_bad_links(situation.robot_left(), bad)
+    robot = _barring(with_bad_links(situation.robot, bad), situation.placement, barred)
     robot_now = with_present_demands(robot, situation.demand_estimates)
-    short = sum(missing_cpu(robot_now, situation.placement).values())
-    robot = _barring(robot, situation.placement, barred)
+    short = sum(shortages_of(situation).values())
     causes = reason(situation, bad)
     in_vain = wasted(situation, robot_now, situation.placement, bad)
     relieved = 0.0
@@ -93,26 +113,62 @@ def decide(
         if not relief.homes and not in_vain:
             return Decision(acts=False, why=causes + relief.why)
         robot, relieved = _held(robot, relief.homes), relief.wasted
+    costs = move_costs(situation, robot_now)
     try:
-        proposal = propose(situation, robot, MOVE, is_quick=True)
-    except RobotError as error:
-        room = _room(robot_now, situation)
-        why = f"no placement can help: {causes}{late(situation)}{error}{room}"
-        unable = Decision(acts=False, why=why)
-        return _with_fewer(robot, situation, unable) if short else unable
-    left = sum(missing_cpu(robot_now, proposal.placement).values())
-    in_vain -= wasted(situation, robot_now, proposal.placement, bad)
-    gain = (short - left + relieved + in_vain) * HORIZON
-    cost = cost_of(situation, robot_now, proposal.steps)
-    what = f"{causes}no other placement is better"
-    if proposal.steps:
-        what = (
-            f"{causes}{counted(len(proposal.steps), 'step')}: cost {cost:.2f} "
-            f"core-seconds, gain {gain:.2f} within {HORIZON:g} s"
+        proposal = propose(
+            situation,
+            robot,
+            costs={name: doubt * cost / WORTH for name, cost in costs.items()},
+            price=horizon / WORTH,
+            is_quick=True,
         )
-    acts = bool(proposal.steps) and gain > cost
-    why = what if acts else f"it stays as it is: {what}"
-    return Decision(acts=acts, why=why, proposal=proposal, gain=gain, cost=cost)
+    except RobotError as error:
+        why = f"no placement can help: {causes}{late(situation)}{error}"
+        return Decision(acts=False, why=why)
+    per_core = horizon / WORTH
+    undone = proposal.now.shortage / per_core + in_vain
+    in_vain -= wasted(situation, robot_now, proposal.placement, bad)
+    mended = (proposal.now.shortage - proposal.then.shortage) / per_core
+    gain = mended + relieved + in_vain
+    cost = sum(costs[step.component] for step in proposal.steps)
+    acts = bool(proposal.steps) and gain > _LEAST and gain * horizon > doubt * cost
+    why = f"{causes}{_change(proposal, gain, cost)}"
+    if not acts:
+        aside = _with_fewer(robot, situation) if short else None
+        if aside is not None:
+            return aside
+        why = _why_not(situation, robot, causes, costs) if short else why
+        why = why if why.startswith("no placement") else f"it stays as it is: {why}"
+    return Decision(
+        acts=acts,
+        why=why,
+        proposal=proposal,
+        gain=gain,
+        cost=cost,
+        undone=undone + relieved,
+    )
+
+
+def _change(proposal: Proposal, gain: float, cost: float) -> str:
+    """Return what a change gains and costs, for people."""
+    if not proposal.steps:
+        return "no other placement is better"
+    return (
+        f"{counted(len(proposal.steps), 'step')}: {format_cores(gain)} of work more, "
+        f"for {cost:.2f} core-seconds"
+    )
+
+
+def _why_not(
+    situation: Situation, robot: Robot, causes: str, costs: Mapping[str, float]
+) -> str:
+    """Return whether any placement would help, were moves for nothing, for people."""
+    free = propose(situation, robot, is_quick=True)
+    gain = (free.now.shortage - free.then.shortage) / plan.PRICE
+    if gain <= _LEAST:
+        return f"no placement can help: {causes}{late(situation)}{_room(situation)}"
+    cost = sum(costs[step.component] for step in free.steps)
+    return f"{causes}{_change(free, gain, cost)}, which is not worth it"
 
 
 def _held(robot: Robot, homes: Homes) -> Robot:
@@ -122,8 +178,9 @@ def _held(robot: Robot, homes: Homes) -> Robot:
     )
 
 
-def _room(robot: Robot, situation: Situation) -> str:
+def _room(situation: Situation) -> str:
     """Return what the components need and what there is for them, for people."""
+    robot = with_present_demands(situation.robot_left(), situation.demand_estimates)
     needed = sum(
         c.demand.get("cpu", 0.0)
         for c in robot.components()
@@ -132,39 +189,49 @@ def _room(robot: Robot, situation: Situation) -> str:
     usable = ", ".join(
         f"'{c.name}' has {format_cores(c.usable('cpu'))}" for c in robot.computers
     )
+    short = ", ".join(
+        f"{format_cores(cores)} on '{name}'"
+        for name, cores in shortages_of(situation).items()
+        if cores > 0
+    )
     return (
-        f"; they need {format_cores(needed)} in all, and beside other programs and "
-        f"reserves {usable} (`poise balance --dry-run` looks for the limits in the way)"
+        f"{short} are missing; components need {format_cores(needed)} in all, and "
+        f"beside other programs and reserves {usable}; no move of them leaves less "
+        "missing"
     )
 
 
-def _with_fewer(robot: Robot, situation: Situation, unable: Decision) -> Decision:
-    """Return whether to put aside architectures for the sake of higher ones.
+def _with_fewer(robot: Robot, situation: Situation) -> Decision | None:
+    """Return what to put aside for the sake of architectures of higher priority.
 
-    Not all fits, so the work of the lowest priorities is given up; but only when
-    higher ones suffer in spite of their CPU weights.
+    CPU is short wherever components run, so the work of the lowest priorities is given
+    up; but only when higher ones suffer in spite of their CPU weights.
     """
+    suffers = _suffering(situation)
+    left = replace(robot, computers=situation.computers_left())
     try:
-        proposal = propose(situation, robot, MOVE, fewer=True, is_quick=True)
+        proposal = propose(situation, left, fewer=True, is_quick=True)
     except RobotError:
-        return unable
+        return None
     aside = {
         a.name: a.priority for a in robot.architectures if a.name in proposal.aside
     }
-    suffers = _suffering(situation)
     helped = [
         a.priority
         for a in robot.architectures
         if a.name not in aside and any(c.name in suffers for c in a.components)
     ]
     if not aside or not helped or max(aside.values()) >= max(helped):
-        return unable
+        return None
     names = ", ".join(f"'{n}' (priority {p})" for n, p in sorted(aside.items()))
     return Decision(acts=True, why=f"not all fits without {names}", proposal=proposal)
 
 
 def shortages_of(situation: Situation) -> dict[str, float]:
-    """Return what components of each computer need and it does not have [cores]."""
+    """Return what components of each computer need and it does not have [cores].
+
+    That is beside what other programs may want, and the reserve.
+    """
     robot = with_present_demands(situation.robot_left(), situation.demand_estimates)
     return missing_cpu(robot, situation.placement)
 
@@ -179,6 +246,26 @@ def _suffering(situation: Situation) -> set[str]:
     return starved | {each.component for each in situation.misses if each.late}
 
 
+def move_costs(situation: Situation, robot: Robot) -> dict[str, float]:
+    """Return what it costs to move each component [core-seconds].
+
+    Parameters
+    ----------
+    robot
+        With the present demands.
+    """
+    counts = importance(a.priority for a in robot.architectures)
+    starts = {c.name: c.start for c in components_of(situation.statuses) if c.start}
+    return {
+        c.name: starts.get(c.name, START)
+        + counts[a.priority]
+        * c.demand.get("cpu", 0.0)
+        * situation.downtimes.get(c.name, DOWNTIME)
+        for a in robot.architectures
+        for c in a.components
+    }
+
+
 def cost_of(
     situation: Situation, robot: Robot, steps: Iterable[TransitionStep]
 ) -> float:
@@ -189,13 +276,8 @@ def cost_of(
     robot
         With the present demands.
     """
-    demands = {c.name: c.demand.get("cpu", 0.0) for c in robot.components()}
-    starts = {c.name: c.start for c in components_of(situation.statuses) if c.start}
-    return sum(
-        starts.get(step.component, START)
-        + demands[step.component] * situation.downtimes.get(step.component, DOWNTIME)
-        for step in steps
-    )
+    costs = move_costs(situation, robot)
+    return sum(costs[step.component] for step in steps)
 
 
 def _barring(

@@ -1,8 +1,9 @@
-"""Keeps the loop of adaptation from moving too often, or to and fro. Pure.
+"""Keeps the loop of adaptation from moving too often. Pure.
 
-Three rules. After a transition there is a cool-down, twice as long each time, until a
-long time without one has passed. A component does not return to a computer that
-it left, for a time that doubles, too. At most `BUDGET` components move in a minute.
+After a transition it rests until what has changed is measured. At most `BUDGET`
+components move in a minute. What policies of the user move does not return to a
+computer that it left, for a time that doubles; what the loop itself decides is limited
+by what it costs (`LossSuffered`).
 """
 
 from __future__ import annotations
@@ -12,12 +13,12 @@ from collections.abc import Iterable, Mapping
 
 from poise.manage.migration.report import TransitionStep
 
-REST = 3.0
-"""The loop rests for so long after a transition [s]; twice as long after the next."""
+REST = 2.0
+"""The loop rests for so long after a transition [s]: loads are means over a second."""
 LONGEST_REST = 300.0
-"""It never rests longer [s]."""
+"""When nothing can be done, it is thought about again after this time at most [s]."""
 FORGET_AFTER = 600.0
-"""After so long without a transition [s] the next rest is as short as the first."""
+"""After so long [s] a component stays away for as short as the first time."""
 STAY_AWAY = 300.0
 """A component does not return to a computer for so long [s]; then twice as long."""
 BUDGET = 60
@@ -53,9 +54,7 @@ class MoveLimits:
     """
 
     def __init__(self) -> None:
-        self._rest = REST
         self._rests_until = 0.0
-        self._last = float("-inf")
         self._think_again = THINK_AGAIN
         self._moves: deque[float] = deque()
         self._left: dict[tuple[str, str], tuple[float, float]] = {}
@@ -105,11 +104,7 @@ class MoveLimits:
     def note(self, steps: Iterable[TransitionStep], now: float) -> None:
         """Remember a transition, whether it went well or not."""
         self.forget_nothing()
-        if now - self._last >= FORGET_AFTER:
-            self._rest = REST
-        self._last = now
-        self._rests_until = now + self._rest
-        self._rest = min(2 * self._rest, LONGEST_REST)
+        self._rests_until = now + REST
         steps = tuple(steps)
         self._moves.extend(now for step in steps if step.target)
         for component, (source, target) in _moves(steps).items():

@@ -1,19 +1,28 @@
-"""Computes a new placement for a running robot, from its present demands."""
+"""Computes a new placement for a running robot, from its present demands.
+
+CPU may be short: it is shared by priority then (`poise.plan.share_cpu`), and a
+placement is better the less is short. What a robot leaves free where it can are
+margins, which count for less: what other programs may want besides, what demands may
+grow by, and the reserve, which is used first. Where components are late, the reserve
+counts like all else.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from time import perf_counter
+from typing import NamedTuple
 
 from msgspec.structs import replace
 
 from poise import plan
 from poise.errors import RobotError
-from poise.estimate.demands import shifted_cpu_demand
+from poise.estimate.demands import CPU_HEADROOM, shifted_cpu_demand
 from poise.manage.adaptation.proposals import PresentDemand, Proposal
-from poise.manage.adaptation.situation import Situation
+from poise.manage.adaptation.situation import WANTS_MORE, Situation
 from poise.manage.migration.transition import plan_transition
 from poise.manage.observe.estimates import DemandEstimate
+from poise.manage.observe.loads import Load
 from poise.model.robot import ComponentEntry, Computer, Robot
 
 SOLVE_FOR = 0.1
@@ -22,13 +31,17 @@ DECIDE_FOR = 0.015
 """It searches for so long while the robot waits for a decision [s]."""
 EXPLAIN_FOR = 1.0
 """Why nothing fits is looked for about as long at most [s]."""
+_BACKGROUND, _HEADROOM, _RESERVE = 0.05, 0.02, 0.005
+"""What a core of a margin counts for that is used, as a share of one that is short."""
 
 
 def propose(
     situation: Situation,
     robot: Robot,
-    move: float,
+    move: float = 0.0,
     *,
+    costs: Mapping[str, float] | None = None,
+    price: float = plan.PRICE,
     fewer: bool = False,
     is_quick: bool = False,
 ) -> Proposal:
@@ -41,8 +54,12 @@ def propose(
     move
         What F grows by for every component that moves, plus as much for each MB of
         its state; >= 0.
+    costs
+        Component -> what F grows by when it moves, instead of `move`.
+    price
+        What F grows by for each core that is short, of the lowest priority.
     fewer
-        Whether architectures are put aside by priority when not all fit.
+        Whether architectures are put aside by priority until no CPU is short.
     is_quick
         Whether the robot waits: then why nothing fits is not looked for.
 
@@ -57,8 +74,13 @@ def propose(
         robot, {name: demand.counted for name, demand in shifted.items()}
     )
     problem = plan.problem_of(robot_now, task, present=now, move=move)
+    if costs is not None:
+        problem = with_costs(problem, costs)
     # Of alternative architectures only one runs: keep to it.
-    planner = plan.Planner(plan.keep_components(problem, now.keys()))
+    problem = plan.keep_components(problem, now.keys())
+    if not fewer:
+        problem = share_what_is_left(problem, situation, price)
+    planner = plan.Planner(problem)
     budget = DECIDE_FOR if is_quick else SOLVE_FOR
     result = planner.decide(budget=budget, steps=situation.solve_steps, fewer=fewer)
     if not result.feasible or result.objective is None:
@@ -69,7 +91,7 @@ def propose(
         raise RobotError(
             f"task '{task}' has no placement any more: {result.reason}{needs}"
         )
-    present = plan.evaluate(planner.problem, now)
+    present = plan.evaluate(problem, now)
     assert present.objective is not None  # noqa: S101, a given placement has terms
     return Proposal(
         shifted=shifted,
@@ -77,9 +99,70 @@ def propose(
         then=result.objective,
         placement=result.placement,
         trouble=present.reason,
-        steps=plan_transition(robot_now, now, result.placement),
+        steps=plan_transition(robot_now, now, result.placement, shares_cpu=True),
         proven=result.proven,
         aside=result.aside,
+    )
+
+
+def share_what_is_left(
+    problem: plan.Problem, situation: Situation, price: float
+) -> plan.Problem:
+    """Return the problem with the CPU that other programs leave, shared by priority.
+
+    Parameters
+    ----------
+    price
+        What F grows by for each core that is short, of the lowest priority.
+    """
+    late = {each.computer for each in situation.misses if each.late}
+    rooms = {c.name: _room(c, situation.loads.get(c.name)) for c in problem.computers}
+    limits = {
+        name: room.usable if name in late else room.all for name, room in rooms.items()
+    }
+    margins = (
+        plan.Margin({h: r.beside_others for h, r in rooms.items()}, _BACKGROUND),
+        plan.Margin({h: r.beside_growth for h, r in rooms.items()}, _HEADROOM),
+        plan.Margin({h: r.usable for h, r in rooms.items()}, _RESERVE),
+    )
+    return plan.share_cpu(problem, price, limits, margins)
+
+
+class _Room(NamedTuple):
+    """What components may use of a computer [cores].
+
+    All that other programs leave now; beside what they may want; beside what demands
+    may grow by, too; and all but the reserve.
+    """
+
+    all: float
+    beside_others: float
+    beside_growth: float
+    usable: float
+
+
+def _room(computer: Computer, load: Load | None) -> _Room:
+    total = computer.total("cpu")
+    gets = load.background if load else 0.0
+    # on a full computer other programs get less than they want
+    wants = gets * (WANTS_MORE if load and load.is_full else 1.0)
+    beside_growth = max(0.0, total - wants)
+    grown = 1 + CPU_HEADROOM  # demands have it already
+    return _Room(
+        all=max(0.0, total - gets) * grown,
+        beside_others=beside_growth * grown,
+        beside_growth=beside_growth,
+        usable=max(0.0, total - gets) * (1 - computer.reserve.get("cpu", 0.0)),
+    )
+
+
+def with_costs(problem: plan.Problem, costs: Mapping[str, float]) -> plan.Problem:
+    """Return the problem with what F grows by when a component moves."""
+    return replace(
+        problem,
+        components=tuple(
+            replace(c, move_cost=costs.get(c.name, 0.0)) for c in problem.components
+        ),
     )
 
 

@@ -19,8 +19,10 @@ from poise.wire.records.status import AgentStatus
 
 Homes = Mapping[str, tuple[str, ...]]
 """Component -> the computers where it may be; one: it stays there."""
-_WANTS_MORE = 1.5
+WANTS_MORE = 1.2
 """What other programs want on a full computer, as a multiple of what they get there."""
+_CAUTIOUS = 1.5
+"""What they may want later, likewise."""
 
 
 class Situation(Struct, frozen=True, kw_only=True):
@@ -85,7 +87,9 @@ class Situation(Struct, frozen=True, kw_only=True):
         """Return the same without what is out of reach: nothing moves from or to it."""
         if not self.lost:
             return self
-        robot, lost = self.robot, self.lost
+        lost = self.lost
+        here = {name for name, at in self.placement.items() if at not in lost}
+        robot = self.robot.with_components(lambda c: c if c.name in here else None)
         return replace(
             self,
             robot=replace(
@@ -135,6 +139,7 @@ def _less_background(
     if load is None or not load.background:
         return computer
     # on a full computer other programs get less than they want
-    wanted = load.background * (_WANTS_MORE if load.is_full or is_cautious else 1.0)
+    times = _CAUTIOUS if is_cautious else WANTS_MORE if load.is_full else 1.0
+    wanted = load.background * times
     cores = computer.capacity.get("cpu", 0.0) - wanted / computer.speed
     return replace(computer, capacity={**computer.capacity, "cpu": max(0.0, cores)})

@@ -7,7 +7,8 @@ from functools import partial
 from msgspec.structs import replace
 
 from poise.manage.adaptation.actions import saw
-from poise.manage.adaptation.decision import Decision, decide
+from poise.manage.adaptation.decision import HORIZON, Decision, decide
+from poise.manage.adaptation.loss_suffered import LossSuffered
 from poise.manage.adaptation.move_limits import MoveLimits
 from poise.manage.adaptation.policy.evaluation import Key, Policies, Symptom
 from poise.manage.adaptation.responder import Change
@@ -20,6 +21,9 @@ from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.migration.report import TransitionReport, TransitionStep
 from poise.manage.migration.transition_run import transit
 
+_THINK_EVERY = 0.5
+"""While a change is not worth its cost yet, it is thought about so often [s]."""
+
 
 class Transitions:
     """The transitions that the loop made, and what limits the next one.
@@ -28,6 +32,8 @@ class Transitions:
     ----------
     downtimes
         Component -> the downtime of its last move [s].
+    loss
+        What was lost because a better placement was not taken yet.
     """
 
     def __init__(
@@ -36,12 +42,17 @@ class Transitions:
         self.run = run
         self.limits = MoveLimits()
         self.downtimes: dict[str, float] = {}
+        self.loss = LossSuffered()
         self._policies = policies
         self._put_aside = put_aside
 
     def due(self, symptoms: tuple[Symptom, ...], now: float) -> tuple[Symptom, ...]:
         """Return the symptoms about which something may be done now."""
         return self._policies.due(symptoms, now)
+
+    def began(self, symptoms: tuple[Symptom, ...], now: float) -> float:
+        """Return when the first of the symptoms was seen first."""
+        return min(self._policies.since.get(each.key, now) for each in symptoms)
 
     def carry_out(
         self, steps: tuple[TransitionStep, ...], now: float
@@ -70,6 +81,7 @@ class Transitions:
     def _act(self, decision: Decision, due: tuple[Symptom, ...], now: float) -> None:
         proposal = decision.proposal
         self._policies.note_acted(due, now)
+        self.loss.note_change(decision.undone, decision.gain, now)
         report = self.carry_out(proposal.steps if proposal else (), now)
         if report.committed and proposal:
             self._put_aside.note(proposal.aside, decision.why, now)
@@ -92,6 +104,7 @@ class Replan:
     def __init__(self, transitions: Transitions) -> None:
         self._transitions = transitions
         self._said: dict[Key, str] = {}
+        self._think_at = 0.0
 
     def respond(self, situation: Situation, _desired: Desired) -> Change | None:
         """Return the transition to a better placement, if that is worth it."""
@@ -102,16 +115,26 @@ class Replan:
         }
         if not bad:
             limits.forget_nothing()
+            self._transitions.loss.end(now)
             return None
         links = (s.values.name for s in bad if s.policy.for_each == "link")
         situation = replace(situation, bad_links=frozenset(links))
         due = self._transitions.due(bad, now)
-        if not due or limits.rests(now, situation.amounts()):
+        if not due or now < self._think_at or limits.rests(now, situation.amounts()):
             return None
-        decision = decide(situation, limits.barred(now))
+        began = self._transitions.began(bad, now)
+        loss = self._transitions.loss
+        horizon = max(HORIZON, loss.lasts(began, now))
+        decision = decide(situation, horizon=horizon, doubt=loss.doubt)
+        loss.judge(decision.undone, now)
+        loss.note(decision.gain if decision.acts else 0.0, began, now)
         why_not = self._transitions.why_not(decision, now)
         if not why_not:
-            return self._transitions.change(decision, due, situation)
+            earned_at = loss.earned_at(loss.doubt * decision.cost, now)
+            if earned_at <= now:
+                return self._transitions.change(decision, due, situation)
+            self._think_at = min(earned_at, now + _THINK_EVERY)
+            return None
         limits.note_nothing(now, situation.amounts())
         self._say_why_not(why_not, decision, situation)
         return None
@@ -152,7 +175,7 @@ class UseAgain:
             return None
         for name in back:
             del self._back[name]
-        decision = decide(situation, limits.barred(now))
+        decision = decide(situation)
         why_not = self._transitions.why_not(decision, now)
         is_better = decision.acts or decision.proposal is not None
         why = decision.why if is_better else "all that runs has what it needs"

@@ -5,12 +5,23 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 
 from msgspec import Struct
+from msgspec.structs import replace
 
 from poise import plan
 from poise.errors import RobotError, UsageError
-from poise.manage.adaptation.decision import DOWNTIME, MOVE, cost_of
+from poise.manage.adaptation.decision import (
+    DOWNTIME,
+    HORIZON,
+    WORTH,
+    cost_of,
+    move_costs,
+)
 from poise.manage.adaptation.proposals import WhatIf
-from poise.manage.adaptation.replan import with_present_demands
+from poise.manage.adaptation.replan import (
+    share_what_is_left,
+    with_costs,
+    with_present_demands,
+)
 from poise.manage.adaptation.situation import Situation
 from poise.manage.agent_connections.statuses import components_of
 from poise.manage.migration.report import TransitionStep
@@ -76,13 +87,13 @@ class Alternative(Struct, frozen=True, kw_only=True):
     what
         For people.
     total
-        F, with the cost of the move.
+        F, with the cost of the move, and of CPU that is short.
     short
         The CPU that components would need and not have [cores].
     cost
         Work that the move would cost [core-seconds].
     breaks
-        The limits that would be broken, for people; empty: none.
+        The limits but of CPU that would be broken, for people; empty: none.
     """
 
     what: str
@@ -98,13 +109,17 @@ def alternatives(situation: Situation) -> tuple[Alternative, ...]:
     None when some component can run nowhere.
     """
     situation = situation.within_reach()
-    robot = with_present_demands(situation.robot_left(), situation.demand_estimates)
+    left = with_present_demands(situation.robot_left(), situation.demand_estimates)
+    robot = replace(left, computers=situation.robot.computers)
     now = situation.placement
     try:
-        problem = plan.problem_of(robot, situation.task, present=now, move=MOVE)
+        problem = plan.problem_of(robot, situation.task, present=now)
     except RobotError:
         return ()
+    costs = move_costs(situation, robot)
+    problem = with_costs(problem, {name: x / WORTH for name, x in costs.items()})
     problem = plan.keep_components(problem, now.keys())
+    problem = share_what_is_left(problem, situation, HORIZON / WORTH)
 
     def work_out(short: float, step: TransitionStep | None) -> Alternative:
         after = {**now, step.component: step.target} if step else now
@@ -118,7 +133,7 @@ def alternatives(situation: Situation) -> tuple[Alternative, ...]:
             breaks=result.reason,
         )
 
-    stays, *moves = _single_moves(robot, now)
+    stays, *moves = _single_moves(left, now)
     moves.sort(key=lambda move: move[0])
     found = [work_out(*move) for move in moves[:_MOST_TRIED]]
     found.sort(key=lambda each: (bool(each.breaks), each.short, each.total))

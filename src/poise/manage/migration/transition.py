@@ -1,14 +1,17 @@
 """From one placement to another: an ordered, checked plan of steps. Pure.
 
 No computer is overfull at any moment: a component goes to a computer only when that has
-room for all of its demand, and leaves room behind only when it has gone. Where
-components wait for each other's room, one of them makes an intermediate move to a third
-computer; where none has room, one makes a cold move, and the plan says so.
+room for all of its demand, and leaves room behind only when it has gone. Where CPU is
+shared, a computer may be as full as it is before or after, and fuller midway where
+nothing else could move. Where components wait for each other's room, one of them makes
+an intermediate move to a third computer; where none has room, one makes a cold move,
+and the plan says so.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
+from math import inf
 
 from poise.errors import RobotError
 from poise.manage.migration.report import TransitionStep
@@ -19,11 +22,20 @@ from poise.units import format_amount
 
 
 def plan_transition(
-    robot: Robot, now: Mapping[str, str], then: Mapping[str, str]
+    robot: Robot,
+    now: Mapping[str, str],
+    then: Mapping[str, str],
+    *,
+    shares_cpu: bool = False,
 ) -> tuple[TransitionStep, ...]:
     """Return the steps from placement `now` to `then`.
 
     Stops come first, then moves, then starts; taking all steps yields `then`.
+
+    Parameters
+    ----------
+    shares_cpu
+        Whether `then` may need more CPU than a computer has.
 
     Raises
     ------
@@ -31,12 +43,17 @@ def plan_transition(
         `then` is too much for a computer, or moves what may not be moved; the message
         names it.
     """
-    return _Planner(robot, now, then).plan()
+    return _Planner(robot, now, then, shares_cpu=shares_cpu).plan()
 
 
 class _Planner:
     def __init__(
-        self, robot: Robot, now: Mapping[str, str], then: Mapping[str, str]
+        self,
+        robot: Robot,
+        now: Mapping[str, str],
+        then: Mapping[str, str],
+        *,
+        shares_cpu: bool,
     ) -> None:
         self._components = {c.name: c for c in robot.components()}
         self._usable = {
@@ -46,7 +63,20 @@ class _Planner:
         self._now = dict(now)
         self._then = then
         self._steps: list[TransitionStep] = []
+        self._cpu_is_in_the_way = shares_cpu
+        if shares_cpu:
+            for loads in (self._loads(self._now), self._loads(self._then)):
+                self._raise_cpu({h: load.get("cpu", 0.0) for h, load in loads.items()})
         self._check(then)
+
+    def _raise_cpu(self, loads: Mapping[str, float]) -> None:
+        """Let computers be this full."""
+        for computer, load in loads.items():
+            usable = self._usable[computer]
+            self._usable[computer] = {
+                **usable,
+                "cpu": max(usable.get("cpu", 0.0), load),
+            }
 
     def plan(self) -> tuple[TransitionStep, ...]:
         for name in sorted(self._now.keys() - self._then.keys()):
@@ -82,6 +112,10 @@ class _Planner:
             name = _first(pending, self._fits_at_target)
             if name is not None:
                 self._move(name, self._then[name])
+                continue
+            if self._cpu_is_in_the_way:
+                self._cpu_is_in_the_way = False
+                self._raise_cpu(dict.fromkeys(self._usable, inf))
                 continue
             move = self._intermediate_move(pending, intermediate)
             if move is not None:

@@ -1,4 +1,4 @@
-"""Whatever other programs do, the loop never moves components to and fro.
+"""Whatever other programs do, moves cost no more than the losses that led to them.
 
 The loop is the real one; the robot, its measurements and time are simulated. Loads are
 periodic, random, or follow the components to wherever they went.
@@ -18,8 +18,8 @@ from msgspec import Struct
 
 from poise.estimate.online import Estimate
 from poise.manage.adaptation import transitions
+from poise.manage.adaptation.decision import DOWNTIME, START
 from poise.manage.adaptation.loop import Adaptation
-from poise.manage.adaptation.move_limits import STAY_AWAY
 from poise.manage.adaptation.shortages.put_aside import PutAside
 from poise.manage.adaptation.situation import Situation
 from poise.manage.deploy.desired import Desired
@@ -41,11 +41,10 @@ LOOK = 0.5
 """The loop looks at the robot this often [s]; a real one does so more often."""
 MOVE = 0.3
 """A move takes this long [s]."""
-CALM = 900.0
-"""The load stays the same for this long in the end [s]: longer than the longest rest,
-and than the first two times for which a component stays away."""
-QUIET = 300.0
-"""In the last part of that nothing moves any more [s]."""
+CALM = 300.0
+"""The load stays the same for this long in the end [s]."""
+QUIET = 100.0
+"""In the last part of that hardly anything moves any more [s]."""
 NUM_COMPUTERS = 3
 
 
@@ -88,11 +87,15 @@ class World:
         }
         self.background = background
         self.moves: list[Moved] = []
+        self.lost = 0.0
         self._lately: deque[tuple[dict[str, float], dict[str, float]]] = deque(maxlen=2)
 
     def step(self) -> None:
         """Let some time pass, and measure."""
         self.now += LOOK
+        wanted = self.background(self)
+        for name, needed in self.needs().items():
+            self.lost += LOOK * max(0.0, needed + wanted[name] - 1.0)
         self._lately.append((self.needs(), self.background(self)))
 
     def needs(self) -> dict[str, float]:
@@ -265,25 +268,16 @@ KINDS = {"periodic": periodic, "random": randomly, "adversarial": adversarial}
 
 
 def check(world: World) -> None:
-    """Hold that it moved seldom, never to and fro, and came to rest."""
-    for number, move in enumerate(world.moves):
-        for later in world.moves[number + 1 :]:
-            if later.component == move.component and later.target == move.source:
-                assert later.at - move.at >= STAY_AWAY - 5, (move, later)
-    transitions = [
-        move.at
-        for before, move in zip([None, *world.moves], world.moves, strict=False)
-        if before is None or move.at > before.at
-    ]
-    for at in transitions:  # rests of 3, 6, 12, ... s: 3 + ... + 192 s are 381 s
-        assert sum(at <= other < at + 381 for other in transitions) <= 8, transitions
-    last = [m for m in world.moves if m.at > world.now - QUIET]
-    assert not last, last
+    """Hold that moves cost no more than what was lost, and that it came to rest."""
+    cost = len(world.moves) * (START + 0.3 * DOWNTIME)
+    assert cost <= world.lost, (cost, world.lost)
+    last = {m.at for m in world.moves if m.at > world.now - QUIET}
+    assert len(last) <= 2, last  # what is in vain is tried again, later each time
 
 
 @pytest.mark.slow  # it takes half a second
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_load_makes_no_component_move_to_and_fro(kind: str) -> None:
+def test_moves_cost_no_more_than_a_load_takes(kind: str) -> None:
     world = run(World(1, KINDS[kind](1)), 60.0)
     assert world.moves
     check(world)
@@ -303,12 +297,12 @@ def every_load(examples: int) -> Callable[[Callable[..., None]], Callable[..., N
 
 @pytest.mark.slow
 @every_load(12)
-def test_no_load_makes_any_component_move_to_and_fro(seed: int, kind: str) -> None:
+def test_moves_cost_no_more_than_any_load_takes(seed: int, kind: str) -> None:
     check(run(World(seed, KINDS[kind](seed)), 300.0))
 
 
 @pytest.mark.slow
 @pytest.mark.exhaustive
 @every_load(120)
-def test_none_of_many_loads_does(seed: int, kind: str) -> None:
+def test_they_do_under_none_of_many_loads(seed: int, kind: str) -> None:
     check(run(World(seed, KINDS[kind](seed)), 300.0))
