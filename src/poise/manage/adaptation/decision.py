@@ -99,7 +99,7 @@ def decide(
     doubt
         How many times costs count, >= 1.
     """
-    situation = situation.within_reach()
+    situation = situation.of_what_runs()
     bad = bad_links(situation)
     barred = beyond_cuts(barred, situation.placement, bad)
     robot = _barring(with_bad_links(situation.robot, bad), situation.placement, barred)

@@ -148,10 +148,10 @@ class Adaptation:
         RobotError
             Nothing fits, or there is no way to what does.
         """
-        situation = self._situation().within_reach()
+        situation = self._situation().of_what_runs()
         if not dry:
             self._put_aside.forgive()
-        proposal = propose(situation, situation.robot_left(), move)
+        proposal = propose(situation, situation.robot, move)
         if dry or not proposal.steps:
             return proposal, None
         what = f"asked to balance: {counted(len(proposal.steps), 'step')}"

@@ -78,6 +78,7 @@ def propose(
         problem = with_costs(problem, costs)
     # Of alternative architectures only one runs: keep to it.
     problem = plan.keep_components(problem, now.keys())
+    left = replace(problem, computers=situation.computers_left())
     if not fewer:
         problem = share_what_is_left(problem, situation, price)
     planner = plan.Planner(problem)
@@ -98,7 +99,7 @@ def propose(
         now=present.objective,
         then=result.objective,
         placement=result.placement,
-        trouble=present.reason,
+        trouble=plan.evaluate(left, now).reason,
         steps=plan_transition(robot_now, now, result.placement, shares_cpu=True),
         proven=result.proven,
         aside=result.aside,

@@ -87,9 +87,7 @@ class Situation(Struct, frozen=True, kw_only=True):
         """Return the same without what is out of reach: nothing moves from or to it."""
         if not self.lost:
             return self
-        lost = self.lost
-        here = {name for name, at in self.placement.items() if at not in lost}
-        robot = self.robot.with_components(lambda c: c if c.name in here else None)
+        robot, lost = self.robot, self.lost
         return replace(
             self,
             robot=replace(
@@ -99,6 +97,15 @@ class Situation(Struct, frozen=True, kw_only=True):
             ),
             placement={n: at for n, at in self.placement.items() if at not in lost},
         )
+
+    def of_what_runs(self) -> Situation:
+        """Return the same without what is out of reach, and what runs nowhere else."""
+        here = self.within_reach()
+        if not self.lost:
+            return here
+        runs = here.placement.keys()
+        robot = here.robot.with_components(lambda c: c if c.name in runs else None)
+        return replace(here, robot=robot)
 
     def computers_left(self, *, is_cautious: bool = False) -> tuple[Computer, ...]:
         """Return the computers with what other programs leave of their CPU.

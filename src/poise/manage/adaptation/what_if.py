@@ -108,7 +108,7 @@ def alternatives(situation: Situation) -> tuple[Alternative, ...]:
 
     None when some component can run nowhere.
     """
-    situation = situation.within_reach()
+    situation = situation.of_what_runs()
     left = with_present_demands(situation.robot_left(), situation.demand_estimates)
     robot = replace(left, computers=situation.robot.computers)
     now = situation.placement
