@@ -12,6 +12,7 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+import psutil
 import pytest
 
 import poise
@@ -111,7 +112,8 @@ def agent_of(kept: EmulatedSet, computer: str) -> int:
         return bool(found)
 
     wait_long(look_for_it)
-    return min(found)  # what it forks has its command line for a moment
+    # what it forks has its command line for a moment
+    return min(found, key=lambda pid: psutil.Process(pid).create_time())
 
 
 def test_a_run_uses_them_and_leaves_them_up(kept: EmulatedSet, file: Path) -> None:
