@@ -64,8 +64,9 @@ MOST_COMMANDS = 64
 """At most this many commands queue; further ones are refused."""
 LOOK_EVERY = 0.2
 """While something is wrong or under way, a manager looks at its robot so often [s]."""
-REST = 0.3
-"""While nothing is, it waits so much longer for something new [s]."""
+REST = 0.0
+"""While nothing is, it waits so much longer for something new [s]: any more, and a
+computer that is cut off is not shown within a second."""
 Results = Future[Result | Refusal]
 T = TypeVar("T")
 
