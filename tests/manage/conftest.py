@@ -109,8 +109,6 @@ class FakeAgents:
         self.states: dict[str, ComponentStatus] = {}
         self.faults: tuple[Fault, ...] = ()
         self.unjoined: tuple[ConnectorStatus, ...] = ()
-        self.num_changes = 0
-        self.waited: list[float] = []
         self._statuses = {
             name: AgentStatus(
                 computer=name,
@@ -195,8 +193,7 @@ class FakeAgents:
     def notify(self) -> None:
         pass
 
-    def wait_news(self, is_enough: Callable[[], bool], limit: float) -> bool:
-        self.waited.append(limit)  # and it does not wait
+    def wait_news(self, is_enough: Callable[[], bool], limit: float) -> bool:  # noqa: ARG002, it does not wait
         if self.returns:
             self.gone.clear()
         self.gone.discard(self.back)

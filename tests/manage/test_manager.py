@@ -100,24 +100,6 @@ def test_drifts_are_told_until_the_simulated_world_ends(
     assert ("world has ended" in said) is ends
 
 
-def test_a_manager_at_rest_waits_longer_until_something_changes(
-    managed: Managed,
-) -> None:
-    managed.manager.work(0.0)
-    managed.agents.waited.clear()
-    managed.manager.work(0.2, 0.3)
-    assert managed.agents.waited == [0.2, 0.3]
-
-
-def test_a_manager_does_not_rest_while_something_is_wrong(managed: Managed) -> None:
-    failed = ComponentStatus(name="grabber", state="failed")
-    managed.agents.report_component("left", failed)
-    managed.manager.work(0.0)
-    managed.agents.waited.clear()
-    managed.manager.work(0.2, 0.3)
-    assert managed.agents.waited == [0.2]
-
-
 def test_a_fault_is_told_while_a_move_waits(managed: Managed) -> None:
     managed.agents.faults = (Fault(container="eye", message="was killed", number=1),)
     managed.agents.states["thinker"] = CONFIGURING

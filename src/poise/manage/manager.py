@@ -63,10 +63,7 @@ from poise.manage.tasks.task_manager import TaskManager
 MOST_COMMANDS = 64
 """At most this many commands queue; further ones are refused."""
 LOOK_EVERY = 0.2
-"""While something is wrong or under way, a manager looks at its robot so often [s]."""
-REST = 0.0
-"""While nothing is, it waits so much longer for something new [s]: any more, and a
-computer that is cut off is not shown within a second."""
+"""A manager looks at its robot so often [s]."""
 Results = Future[Result | Refusal]
 T = TypeVar("T")
 
@@ -122,7 +119,6 @@ class Manager:
         self._stops: list[Results] = []
         self._stopping = threading.Event()
         self._has_successor = False
-        self._num_changes = 0
         self._watch = Watch(run)
         self._troubles = ManagerTroubles(
             run.journal, others=(samples, *([recording.file] if recording else []))
@@ -186,22 +182,15 @@ class Manager:
         """Return the computers that nobody hears."""
         return self._lost.computers()
 
-    def work(self, limit: float, rest: float = 0.0) -> None:
+    def work(self, limit: float) -> None:
         """Carry out a command if one comes within `limit` [s]; look at the robot.
-
-        Parameters
-        ----------
-        rest
-            When nothing is wrong or under way, it waits so much longer [s], unless
-            something changes.
 
         Raises
         ------
         TakenOver
             The agents obey another manager.
         """
-        wait = partial(self._wait_news, limit, rest)
-        if self._tick.run("wait for news", wait) is None:
+        if self._tick.run("wait for news", partial(self._wait_news, limit)) is None:
             self._run.clock.sleep(limit)
         try:
             command, future = self._commands.get_nowait()
@@ -285,24 +274,8 @@ class Manager:
     def _prepare_next(self) -> None:
         self._prefetch.look(self.tasks.likely_next(), self._estimates.loads.loads())
 
-    def _wait_news(self, limit: float, rest: float) -> bool:
-        agents, seen = self._run.agents, self._num_changes
-        has_news = agents.wait_news(self._has_news, limit)
-        if not has_news and rest and self._is_at_rest():
-            has_news = agents.wait_news(
-                lambda: agents.num_changes != seen or self._has_news(), rest
-            )
-        self._num_changes = agents.num_changes
-        return has_news
-
-    def _is_at_rest(self) -> bool:
-        """Return whether nothing that takes time is wrong or under way."""
-        return not (
-            self._planned
-            or self._adaptation.is_watching()
-            or self.tasks.ends_within(REST)
-            or self._deviations()
-        )
+    def _wait_news(self, limit: float) -> bool:
+        return self._run.agents.wait_news(self._has_news, limit)
 
     def _deviations(self) -> tuple[Deviation, ...]:
         """Return what is wrong, so far as this manager looks after it."""

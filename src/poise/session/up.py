@@ -17,7 +17,7 @@ from poise.manage.control_socket.records import StopCommand
 from poise.manage.control_socket.server import ControlServer
 from poise.manage.deploy.takeover import start_or_take_over
 from poise.manage.journal import Journal, check_journal
-from poise.manage.manager import LOOK_EVERY, REST, Manager
+from poise.manage.manager import LOOK_EVERY, Manager
 from poise.manage.observe.estimates import Estimates
 from poise.manage.observe.recording import Recording, RecordingFile
 from poise.manage.tasks.saved import goes_on_with
@@ -102,7 +102,7 @@ class Up(Running):
 
     def _work(self) -> bool:
         world = self.started.world
-        self._manager.work(LOOK_EVERY, REST)
+        self._manager.work(LOOK_EVERY)
         if world is not None and world.has_ended():
             self._manager.end_estimates()
         return True

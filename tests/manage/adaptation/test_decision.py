@@ -45,7 +45,7 @@ def test_a_move_that_paused_its_component_for_long_is_not_worth_it(
     found = decide(replace(seen, downtimes={"a": 60.0, "b": 60.0}))
     assert not found.acts
     assert found.why.startswith("it stays as it is: 1 step: ")
-    assert found.why.endswith("for 12.30 core-seconds, which is not worth it")
+    assert found.why.endswith("for 12.30 core-seconds, not worth it")
 
 
 def test_when_all_fits_another_placement_does_not_help(situation: Make) -> None:

@@ -6,28 +6,10 @@ from typing import Any
 
 import msgspec
 import pytest
-from msgspec.structs import replace
 
 from poise.clock import SystemClock
 from poise.manage.agent_connections.reports import MOST_REFUSED, AgentReports, reading
-from poise.wire.records.status import (
-    AgentStatus,
-    ComponentStatus,
-    ContainerStatus,
-    Summary,
-    TaskWish,
-    TimerStatus,
-)
-
-LATE = TimerStatus(
-    name="tick",
-    period=0.1,
-    deadline=0.1,
-    releases=1,
-    missed=1,
-    lateness=Summary(),
-    duration=Summary(),
-)
+from poise.wire.records.status import AgentStatus
 
 
 class Payload:
@@ -62,39 +44,6 @@ def test_why_a_record_is_refused_is_told_once_and_the_next_one_taken(
     status = AgentStatus(computer="left", generation=1, uptime=0.0, cpu=0.0)
     hear(Payload(msgspec.msgpack.encode(status)))
     assert reports.statuses() == {"left": status}
-
-
-def _status(*components: ComponentStatus, uptime: float = 0.0) -> AgentStatus:
-    container = ContainerStatus(name="all", pid=1, components=components)
-    return AgentStatus(
-        computer="left", generation=1, uptime=uptime, cpu=0.0, containers=(container,)
-    )
-
-
-def test_a_status_that_only_counts_on_is_no_change(reports: AgentReports) -> None:
-    arm = ComponentStatus(name="arm", state="active")
-    reports.take_status(_status(arm))
-    before = reports.num_changes
-    reports.take_status(_status(replace(arm, cpu=1.0), uptime=1.0))
-    assert reports.num_changes == before
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
-        {"state": "failed"},
-        {"wishes": (TaskWish(number=1, verb="start", task="fetch"),)},
-        {"timers": (LATE,)},
-    ],
-)
-def test_a_status_that_says_something_new_is_a_change(
-    reports: AgentReports, change: dict[str, object]
-) -> None:
-    arm = ComponentStatus(name="arm", state="active")
-    reports.take_status(_status(arm))
-    before = reports.num_changes
-    reports.take_status(_status(replace(arm, **change)))
-    assert reports.num_changes == before + 1
 
 
 def test_keeps_a_bounded_number_of_reasons(reports: AgentReports) -> None:

@@ -137,8 +137,9 @@ def decide(
         aside = _with_fewer(robot, situation) if short else None
         if aside is not None:
             return aside
-        why = _why_not(situation, robot, causes, costs) if short else why
-        why = why if why.startswith("no placement") else f"it stays as it is: {why}"
+        why = f"it stays as it is: {why}"
+        if short:
+            why = _why_not(situation, robot, causes, costs)
     return Decision(
         acts=acts,
         why=why,
@@ -162,13 +163,13 @@ def _change(proposal: Proposal, gain: float, cost: float) -> str:
 def _why_not(
     situation: Situation, robot: Robot, causes: str, costs: Mapping[str, float]
 ) -> str:
-    """Return whether any placement would help, were moves for nothing, for people."""
+    """Return whether any placement would help if moves cost nothing, for people."""
     free = propose(situation, robot, is_quick=True)
     gain = (free.now.shortage - free.then.shortage) / plan.PRICE
     if gain <= _LEAST:
         return f"no placement can help: {causes}{late(situation)}{_room(situation)}"
     cost = sum(costs[step.component] for step in free.steps)
-    return f"{causes}{_change(free, gain, cost)}, which is not worth it"
+    return f"it stays as it is: {causes}{_change(free, gain, cost)}, not worth it"
 
 
 def _held(robot: Robot, homes: Homes) -> Robot:

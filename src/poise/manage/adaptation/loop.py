@@ -104,10 +104,6 @@ class Adaptation:
                 if tick.run(responder.purpose, respond, changes=True):
                     return
 
-    def is_watching(self) -> bool:
-        """Return whether what it sees now is to be compared with what it sees next."""
-        return bool(self._policies.since or self._policies.has_functions or self._keep)
-
     def _situation(self) -> Situation:
         downtimes = self._transitions.downtimes
         return replace(self._read(), downtimes=downtimes, now=self._clock())

@@ -80,18 +80,19 @@ class LossSuffered:
             self._gain, self._at, self._begins, self._ended = 0.0, None, now, now
 
     def note_change(self, undone: float, gain: float, now: float) -> None:
-        """Begin anew: the placement changes.
+        """Count from zero again, as the placement changes.
 
         Parameters
         ----------
         undone
             Work that is not done before [cores].
         gain
-            By how much that should fall [cores].
+            By how much that should fall [cores]; 0: nothing moves, so there is nothing
+            to be judged.
         """
         self.lost = self._gain = 0.0
         self._at, self._begins = None, now
-        self._change = _Change(undone, gain, now)
+        self._change = _Change(undone, gain, now) if gain > 0 else None
 
     def judge(self, undone: float, now: float) -> None:
         """See whether the last change has gained what it should."""

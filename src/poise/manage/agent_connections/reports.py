@@ -38,8 +38,6 @@ class AgentReports:
     ----------
     on_status
         Called with every status on zenoh's threads, and must not block.
-    num_changes
-        Counts all news but statuses that only counted on.
     """
 
     def __init__(self, robot: str, endpoints: Mapping[str, str], clock: Clock) -> None:
@@ -49,7 +47,6 @@ class AgentReports:
         self._identities: dict[str, tuple[str, str]] = {}
         self._changed = threading.Condition()
         self._version = 0
-        self.num_changes = 0
         self._statuses: dict[str, AgentStatus] = {}
         self._heard: dict[str, float] = {}
         self._alive: set[str] = set()
@@ -155,10 +152,9 @@ class AgentReports:
             return
         self.on_status(status)
         with self._changed:
-            before = self._statuses.get(status.computer)
             self._statuses[status.computer] = status
             self._heard[status.computer] = self._clock.now()
-            self._note_news(is_change=before is None or _differ(before, status))
+            self._note_news()
 
     def on_identity(self, sample: zenoh.Sample) -> None:
         """Store which agent is at an address."""
@@ -208,16 +204,10 @@ class AgentReports:
                 self._on_ended_agent(computer)
             self._note_news()
 
-    def _note_news(self, *, is_change: bool = True) -> None:
-        self.num_changes += is_change
+    def _note_news(self) -> None:
         self._seen = dict(self._statuses), {**self._silent, **self._lost}
         self._version += 1
         self._changed.notify_all()
-
-
-def _differ(before: AgentStatus, after: AgentStatus) -> bool:
-    """Return whether more than counters differ, or deadlines were missed."""
-    return after.states != before.states or after.missed != before.missed
 
 
 def reading(

@@ -129,11 +129,6 @@ class TaskManager:
         """Return how a task is that was started; of several the last."""
         return next(r for r in reversed(self.reports) if r.name == task)
 
-    def ends_within(self, seconds: float) -> bool:
-        """Return whether a limit [s] or a condition may end something within a time."""
-        due = self.tasks.due(boot_time())
-        return self.tasks.has_conditions() or (due is not None and due <= seconds)
-
     def has_news(self) -> bool:
         """Return whether a component says that an action has ended."""
         return bool(self._said_to_end())

@@ -225,13 +225,6 @@ class Tasks:
                     self._end(record, each, f"{limit:g} s are over", done=False)
             self._settle(record, now)
 
-    def has_conditions(self) -> bool:
-        """Return whether a condition may end something that goes on."""
-        return any(
-            next(self._steps[record.name].conditions(record.progress), None)
-            for record in self.going()
-        )
-
     def due(self, now: float) -> float | None:
         """Return in how long the next limit is over [s]; None: there is none."""
         left = [

@@ -14,7 +14,7 @@ from poise.manage.control_socket.records import Command, Refusal, Result, RobotS
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.deploy.takeover import start_or_take_over
 from poise.manage.journal import Journal, JournalEntry
-from poise.manage.manager import LOOK_EVERY, REST, Manager
+from poise.manage.manager import LOOK_EVERY, Manager
 from poise.manage.observe.estimates import Estimates
 from poise.manage.observe.recording import Recording
 from poise.manage.tasks.saved import goes_on_with
@@ -145,7 +145,7 @@ class SimulatedManager:
             self.on_up()
             try:
                 while not self.manager.is_stopping:
-                    self.manager.work(LOOK_EVERY, REST)
+                    self.manager.work(LOOK_EVERY)
             except TakenOver as error:
                 self.error = error
                 self.manager.end()

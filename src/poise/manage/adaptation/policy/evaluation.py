@@ -69,11 +69,6 @@ class Policies:
         self._acted: dict[Key, float] = {}
         self.since: Mapping[Key, float] = {}
 
-    @property
-    def has_functions(self) -> bool:
-        """Whether some are functions, which answer later than they are asked."""
-        return bool(self._functions)
-
     def troubles(self) -> tuple[str, ...]:
         """Return what is wrong with functions, for people."""
         return tuple(

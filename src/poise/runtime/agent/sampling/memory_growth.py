@@ -62,7 +62,7 @@ class MemoryGrowth:
 
 
 class _Trend:
-    """The last readings, which come `every` so many seconds."""
+    """The last readings, one each `every` seconds."""
 
     def __init__(self, every: float) -> None:
         self._last: deque[tuple[float, float]] = deque(maxlen=_ALL)
