@@ -84,15 +84,17 @@ def _leaves_nothing(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 
 
 def _processes(place: Path) -> list[str]:
-    """Return the processes that have their temporary files in a folder."""
+    """Return the processes that have their temporary files in a folder, for people."""
     mark, found = f"TMPDIR={place}".encode(), []
     for process in Path("/proc").glob("[0-9]*"):
         try:
             words = (process / "environ").read_bytes().split(b"\0")
+            if any(word.startswith(mark) for word in words):
+                stat = (process / "stat").read_text().rpartition(")")[2].split()
+                command = (process / "cmdline").read_bytes().replace(b"\0", b" ")
+                found.append(f"{process.name} of {stat[1]}: {command.decode()[:300]}")
         except OSError:  # it has ended, or is another user's
             continue
-        if any(word.startswith(mark) for word in words):
-            found.append(process.name)
     return found
 
 

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import os
+import signal
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import NamedTuple
 
 from poise.clock import SystemClock
 from poise.manage.agent_connections.agents import Agents
@@ -85,22 +87,41 @@ class Told:
             wait_until(lambda b=before, c=component: self.told(c)[0] not in {0, b})  # type: ignore[misc]
 
 
+class TwoAgents(NamedTuple):
+    """Two agents with what manages them."""
+
+    folder: Path
+    agents: Agents
+    processes: Mapping[str, subprocess.Popen[bytes]]
+
+
 @contextlib.contextmanager
-def two_agents(robot: str, module: str, code: str) -> Iterator[tuple[Path, Agents]]:
+def two_agents(robot: str, module: str, code: str) -> Iterator[TwoAgents]:
     """Start the agents of `left` and `right`, beside a module of the robot's."""
     with contextlib.ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         (folder / f"{module}.py").write_text(code)
+        stack.callback(_kill_containers, folder)
         ports = {"left": free_port(), "right": free_port()}
         lifeline, held = os.pipe()
-        for name in ports:
-            stack.enter_context(agent(robot, name, ports, folder, lifeline))
+        processes = {
+            name: stack.enter_context(agent(robot, name, ports, folder, lifeline))
+            for name in ports
+        }
         stack.callback(os.close, held)
         stack.callback(os.close, lifeline)
         ends = {name: f"tcp/127.0.0.1:{port}" for name, port in ports.items()}
         agents = stack.enter_context(Agents(robot, ends, SystemClock()))
         agents.wait_alive(ports, LIMIT)
-        yield folder, agents
+        yield TwoAgents(folder, agents, processes)
+
+
+def _kill_containers(folder: Path) -> None:
+    """Kill what an agent left behind that a test has killed: it waits for the next."""
+    for process in Path("/proc").glob("[0-9]*"):
+        with contextlib.suppress(OSError):  # it has ended, or is another user's
+            if os.fsencode(f"{folder}/") in (process / "cmdline").read_bytes():
+                os.kill(int(process.name), signal.SIGKILL)
 
 
 def agent(

@@ -7,18 +7,14 @@ import os
 import random
 import re
 import signal
-import subprocess
-import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import NamedTuple
 
 import pytest
 
-from poise.clock import SystemClock
 from poise.errors import RunError, UsageError
 from poise.manage.agent_connections.agents import Agents
 from poise.manage.agent_connections.requests import AgentRequests, Reply
@@ -45,9 +41,8 @@ from poise.wire.records.deployment import Deployment
 from poise.wire.records.migration import MigrationSteps, StepName, StepsOutcome
 from poise.wire.records.requests import Refused
 from poise.wire.records.status import Fault
-from tests.manage.agents import TELLING, agent
+from tests.manage.agents import TELLING, TwoAgents, two_agents
 from tests.model_of_moves.replay import replay
-from tests.runtime.conftest import free_port
 from tests.waiting import wait_until
 
 pytestmark = pytest.mark.slow
@@ -406,31 +401,9 @@ class MovingRobot:
         )
 
 
-class TwoAgents(NamedTuple):
-    """Two agents and their fleet."""
-
-    folder: Path
-    agents: Agents
-    processes: Mapping[str, subprocess.Popen[bytes]]
-
-
 def _two_agents() -> Iterator[TwoAgents]:
-    robot = f"moves{os.getpid()}"
-    with contextlib.ExitStack() as stack:
-        folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
-        (folder / "moved.py").write_text(CODE)
-        ports = {"left": free_port(), "right": free_port()}
-        lifeline, held = os.pipe()
-        processes = {
-            name: stack.enter_context(agent(robot, name, ports, folder, lifeline))
-            for name in ports
-        }
-        stack.callback(os.close, held)
-        stack.callback(os.close, lifeline)
-        ends = {name: f"tcp/127.0.0.1:{port}" for name, port in ports.items()}
-        agents = stack.enter_context(Agents(robot, ends, SystemClock()))
-        agents.wait_alive(ports, LIMIT)
-        yield TwoAgents(folder, agents, processes)
+    with two_agents(f"moves{os.getpid()}", "moved", CODE) as found:
+        yield found
 
 
 pair = pytest.fixture(scope="module", name="pair")(_two_agents)

@@ -25,7 +25,7 @@ from poise.model.robot import (
     Layer,
     Robot,
 )
-from tests.manage.agents import TELLING, Told, two_agents
+from tests.manage.agents import TELLING, Told, TwoAgents, two_agents
 
 pytestmark = pytest.mark.slow
 
@@ -228,16 +228,16 @@ def _robot(folder: Path, place: Path) -> Robot:
 
 
 @pytest.fixture(scope="module")
-def pair() -> Iterator[tuple[Path, Agents]]:
+def pair() -> Iterator[TwoAgents]:
     """Start both agents."""
     with two_agents(f"replaces{os.getpid()}", "replaced", CODE) as found:
         yield found
 
 
 @pytest.fixture
-def world(pair: tuple[Path, Agents], tmp_path: Path) -> Iterator[RobotWithAlternatives]:
+def world(pair: TwoAgents, tmp_path: Path) -> Iterator[RobotWithAlternatives]:
     """Start the robot."""
-    world = RobotWithAlternatives(*pair, tmp_path)
+    world = RobotWithAlternatives(pair.folder, pair.agents, tmp_path)
     world.run.start()
     world.works()
     yield world
