@@ -17,7 +17,7 @@ from poise.emulate import EmulatedSet
 from poise.errors import RunError, UsageError
 from poise.session.running_robots.running import Status
 from poise.wire.records.status import ContainerStatus
-from tests.chaos.managers import TAKEN_OVER, Managers
+from tests.chaos.managers import Managers
 
 COMPONENTS = ("caller", "counter", "relay", "sensor", "sink", "source", "worker")
 COMPUTERS = ("a", "b", "c")
@@ -146,8 +146,7 @@ class Faults:
         if self._manager_due and now >= self._manager_due:
             self._manager_due = 0.0
             self._managers.restart()
-        was_forced = any(fault.forced for fault in self.history)
-        if was_forced and self._managers.first.poll() == TAKEN_OVER:
+        if self._managers.was_taken_over():
             self._say("the first manager was taken over, and starts again")
             self._managers.restart()
         for fault, end in [each for each in self._lasting if each[0].until <= now]:

@@ -12,7 +12,7 @@ from poise.emulate import EmulatedSet
 
 END_LIMIT = 60.0
 """A manager that is asked to end has ended within this time [s]."""
-TAKEN_OVER = 3
+_TAKEN_OVER = 3
 """The exit code of a manager that another one replaced."""
 
 
@@ -44,6 +44,12 @@ class Managers:
         """Kill the first one."""
         self.first.kill()
         self.first.wait(END_LIMIT)
+
+    def was_taken_over(self) -> bool:
+        """Return whether the first one gave way to the second, which is killed now."""
+        second = self.second
+        is_over = second is not None and second.poll() is not None
+        return is_over and self.first.poll() == _TAKEN_OVER
 
     def restart(self) -> None:
         """Start the first one again; it takes over what runs."""

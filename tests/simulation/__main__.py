@@ -32,13 +32,6 @@ CHUNK = 5
 """Seeds that a process runs in one go."""
 
 
-KNOWN = {
-    166: "a manager dies with the record that a component has moved, and the next one "
-    "takes its earlier incarnation for the newest when its agent is back",
-}
-"""Seeds that show a defect which is not mended yet; they are printed as all others."""
-
-
 def main() -> int:
     """Run what the command line asks for; return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -55,20 +48,15 @@ def main() -> int:
         if outcome.failure:
             failures.append(outcome.seed)
             what = f"{outcome.failure}: {outcome.message}"
-            known = KNOWN.get(outcome.seed, "")
-            print(
-                f"seed {outcome.seed}: {what}{known and f' (known: {known})'}",
-                flush=True,
-            )
+            print(f"seed {outcome.seed}: {what}", flush=True)
     took = time.monotonic() - began
     print(
         f"{runs} seeds, {virtual / 60:.0f} virtual minutes in {took / 60:.1f}: "
         f"{virtual / took:.0f} times real time; {len(failures)} failed"
     )
-    new = [seed for seed in failures if seed not in KNOWN]
-    for seed in new[:SHRUNK]:
+    for seed in failures[:SHRUNK]:
         replay(seed)
-    return bool(new)
+    return bool(failures)
 
 
 def in_parallel(extent: str, first: int) -> Iterator[RunOutcome]:

@@ -20,6 +20,7 @@ from poise.manage.deploy.takeover import start_or_take_over
 from poise.manage.journal import Journal
 from poise.model.robot import Robot
 from poise.wire.records.deployment import Deployment, Goal
+from poise.wire.records.status import ComponentStatus
 from tests.manage.conftest import FakeAgents
 
 PLACEMENT = {"grabber": "left", "thinker": "right"}
@@ -115,6 +116,20 @@ def test_one_side_of_a_migration_is_not_activated_alone(
     cut = Cut(robot, "right", GRABBER, THINKER.with_goal(goal))
     cut.take_over()
     assert cut.goals("thinker") == [("right", 4, "inactive")]
+
+
+def test_a_target_that_works_goes_on_though_its_source_is_missing(robot: Robot) -> None:
+    """The manager was killed when it had committed the move, and told nobody yet."""
+    cut = Cut(robot, "right", GRABBER, THINKER.with_goal("inactive"))
+    cut.agents.states["thinker"] = ComponentStatus(
+        name="thinker", epoch=THINKER.epoch, state="active"
+    )
+    cut.agents.begin_deploy("right", cut.told["right"])  # so it reports
+    cut.take_over()
+    assert cut.goals("thinker") == [("right", 4, "active")]
+    old = replace(THINKER, computer="left", epoch=3)
+    cut.heal(GRABBER, old.with_goal("stay"), robot=robot)
+    assert cut.goals("thinker") == [("right", 4, "active")]
 
 
 def test_a_person_may_say_that_nobody_else_runs_it(robot: Robot) -> None:

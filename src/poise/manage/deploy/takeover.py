@@ -11,7 +11,14 @@ from msgspec import structs
 from poise.errors import PoiseError, RobotError, RunError
 from poise.manage.adaptation.shortages.free_room import placed_beside
 from poise.manage.adaptation.situation import Situation
-from poise.manage.deploy.adoption import Adoption, Found, adopt, found_in, is_half_done
+from poise.manage.deploy.adoption import (
+    Adoption,
+    Found,
+    adopt,
+    as_committed,
+    found_in,
+    is_half_done,
+)
 from poise.manage.deploy.incarnation import Incarnation
 from poise.manage.deploy.other_side import components_to_hold, where_held
 from poise.manage.deploy.running_components import (
@@ -54,7 +61,7 @@ def start_or_take_over(
     statuses = run.agents.statuses()
     before = [status.manager for status in statuses.values()]
     deployments, unclaimed = _claim(run, by_force=by_force)
-    found = found_in(deployments)
+    found = as_committed(found_in(deployments), run.agents.statuses())
     if not found:
         if unclaimed:
             run.leave()  # what runs there may be another manager's
