@@ -246,6 +246,8 @@ class _Run:
             process = manager.process
             if process.is_dead or process.is_paused or process.awake_since > at:
                 return
+            if self.robot.agents.get(fault.target) not in {agent, None}:
+                return  # the end of another fault has started it again
             manager.ask_status(judge)
 
         def judge(status: RobotStatus) -> None:

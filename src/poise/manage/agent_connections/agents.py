@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from typing import Self
 
+from msgspec.structs import replace
+
 from poise.clock import Clock
 from poise.errors import RunError
 from poise.manage.agent_connections.checkpoint_copies import CheckpointCopies
 from poise.manage.agent_connections.heartbeats import AgentHeartbeats
-from poise.manage.agent_connections.identity import has_ended, manager_id
+from poise.manage.agent_connections.identity import gives_way_to, has_ended, manager_id
 from poise.manage.agent_connections.reports import AgentReports, reading
 from poise.manage.agent_connections.requests import (
     ANSWER_LIMIT,
@@ -139,15 +141,11 @@ class Agents(AgentReports):
             )
 
     def successor(self) -> ManagerId | None:
-        """Return the manager that agents obey instead of this one; None: none."""
+        """Return the manager to which this one gives way; None: there is none."""
         with self._changed:
-            for computer, token in self._claimed.items():
-                status = self._statuses.get(computer)
-                if status is None or status.manager is None or status.token <= token:
-                    continue
-                if status.manager.key != self.manager.key:  # else its lease ended
-                    return status.manager
-        return None
+            away = self._lost.keys() | self._silent.keys()
+            reached = [s for name, s in self._statuses.items() if name not in away]
+            return gives_way_to(self.manager, self._claimed, reached)
 
     def wait_alive(
         self,
@@ -204,6 +202,10 @@ class Agents(AgentReports):
             One obeys another manager that is alive, or does not answer.
         """
         deployments = {}
+        if not self._claimed:
+            seen = [each.manager for each in self.statuses().values() if each.manager]
+            last = max((each.term for each in seen), default=0)
+            self.manager = replace(self.manager, term=last + 1)
         for computer in sorted(computers):
             answer = self._claim(computer, take_over=take_over)
             if isinstance(answer, Claimed) and answer.deployment is not None:

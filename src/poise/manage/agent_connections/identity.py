@@ -6,10 +6,12 @@ import getpass
 import os
 import socket
 import uuid
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from poise.clock import wall_time
 from poise.wire.records.requests import ManagerId
+from poise.wire.records.status import AgentStatus
 
 
 def manager_id() -> ManagerId:
@@ -31,3 +33,32 @@ def has_ended(manager: ManagerId) -> bool:
     """Return whether a manager of this computer has ended; False where unknown."""
     is_here = manager.host == socket.gethostname()
     return is_here and not Path(f"/proc/{manager.pid}").exists()
+
+
+def gives_way_to(
+    manager: ManagerId, claimed: Mapping[str, int], statuses: Iterable[AgentStatus]
+) -> ManagerId | None:
+    """Return the manager to which this one gives way; None: there is none.
+
+    It is a later one that an agent obeys, or one that all agents obey which this one
+    has claimed. So of two managers one gives way, whatever each of them sees.
+
+    Parameters
+    ----------
+    claimed
+        Computer -> fencing token with which this manager has claimed its agent.
+    statuses
+        What the agents report that are reached.
+    """
+    others = {
+        status.computer: status.manager
+        for status in statuses
+        if status.manager is not None
+        and status.manager.key != manager.key
+        and not status.unmanaged
+        and status.token > claimed.get(status.computer, -1)
+    }
+    last = max(others.values(), key=lambda other: other.rank, default=None)
+    has_lost_all = bool(claimed) and claimed.keys() <= others.keys()
+    is_later = last is not None and last.rank > manager.rank
+    return last if is_later or has_lost_all else None

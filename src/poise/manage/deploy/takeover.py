@@ -11,6 +11,7 @@ from msgspec import structs
 from poise.errors import PoiseError, RobotError, RunError
 from poise.manage.adaptation.shortages.free_room import placed_beside
 from poise.manage.adaptation.situation import Situation
+from poise.manage.agent_connections.requests import LOOK_EVERY
 from poise.manage.deploy.adoption import (
     Adoption,
     Found,
@@ -63,9 +64,12 @@ def start_or_take_over(
     deployments, unclaimed = _claim(run, by_force=by_force)
     found = as_committed(found_in(deployments), run.agents.statuses())
     if not found:
-        if unclaimed:
+        away = {computer.name for computer in run.robot.computers} - run.claimed
+        if away:
             run.leave()  # what runs there may be another manager's
-            raise RunError("; ".join(unclaimed.values()))
+            names = ", ".join(sorted(away - unclaimed.keys()))
+            lost = [f"no agent answers on {names}"] if names else []
+            raise RunError("; ".join([*unclaimed.values(), *lost]))
         run.start_all()
         return
     said = next((f" of {manager}" for manager in before if manager), "")
@@ -178,7 +182,7 @@ def _is_committed(
         for container in deployment.containers
     }
     until = run.clock.now() + WITNESS_LIMIT
-    while asked:
+    while True:
         unknown: dict[tuple[str, str], str] = {}
         for where, outcome in _halted(run, asked):
             if not isinstance(outcome, StepsDone):
@@ -186,8 +190,9 @@ def _is_committed(
             elif outcome.is_committed:
                 return True
         asked = set(unknown)
-        if run.clock.now() >= until:
+        if not asked or run.clock.now() >= until:
             break
+        run.clock.sleep(LOOK_EVERY)
     asked &= _targets(found)
     for where in sorted(asked):
         why = f"{unknown[where]}: it is ended, for it may have gone on with the move"

@@ -51,10 +51,9 @@ class SimulatedDisk:
 
     def keep(self, state: AgentState) -> None:
         """Keep what the next agent must know, if it changed."""
-        if state == self._kept:
-            return
-        self._kept = state
-        self._write(lambda: setattr(self, "left", state))
+        if state != self._kept:
+            self._kept = state
+            self._process.after(self.delay, lambda: self._keep(state))
 
     def forget(self) -> None:
         """Leave nothing to the next agent."""
@@ -97,6 +96,11 @@ class SimulatedDisk:
         if not self.is_full:
             self._checkpoints[component, epoch] = self._computer.boottime(), data
             self._send_soon()
+
+    def _keep(self, state: AgentState) -> None:
+        if self.is_full:  # better nothing than what holds no more; it is tried again
+            state = self._kept = AgentState()
+        self.left = state
 
     def _store(self, copy: CheckpointCopy) -> None:
         at = self._computer.boottime() - copy.age

@@ -31,6 +31,9 @@ class ManagerId(Struct, frozen=True, kw_only=True):
         Where it runs, for people.
     since
         When it started [s since 1970].
+    term
+        Higher than that of every manager which an agent obeyed when this one began to
+        claim them; 0 before. Of two managers the one with the lower `rank` gives way.
     """
 
     key: str
@@ -38,6 +41,12 @@ class ManagerId(Struct, frozen=True, kw_only=True):
     host: str
     pid: int
     since: float
+    term: int = 0
+
+    @property
+    def rank(self) -> tuple[int, float, str]:
+        """Which of two managers is the later one: clocks of computers may differ."""
+        return self.term, self.since, self.key
 
     def __str__(self) -> str:
         """Return who it is, for people."""

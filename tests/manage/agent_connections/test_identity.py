@@ -1,0 +1,65 @@
+"""Of two managers of one robot, one gives way."""
+
+from __future__ import annotations
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from poise.manage.agent_connections.identity import gives_way_to
+from poise.wire.records.requests import ManagerId
+from poise.wire.records.status import AgentStatus
+
+EARLIER = ManagerId(key="e", user="ann", host="desk", pid=7, since=9.0, term=1)
+LATER = ManagerId(key="l", user="bob", host="robot", pid=7, since=0.0, term=2)
+"""The clock of its computer is behind."""
+COMPUTERS = ("a", "b", "c")
+
+
+def agent(
+    computer: str, manager: ManagerId | None, token: int, unmanaged: float = 0.0
+) -> AgentStatus:
+    return AgentStatus(
+        computer=computer,
+        generation=1,
+        uptime=9.0,
+        cpu=0.1,
+        manager=manager,
+        token=token,
+        unmanaged=unmanaged,
+    )
+
+
+def test_the_earlier_one_gives_way_where_each_has_some_agents() -> None:
+    statuses = [agent("a", LATER, 3), agent("b", EARLIER, 2), agent("c", EARLIER, 2)]
+    assert gives_way_to(EARLIER, {"b": 2, "c": 2}, statuses) == LATER
+    assert gives_way_to(LATER, {"a": 3}, statuses) is None
+
+
+def test_the_later_one_gives_way_when_no_agent_obeys_it_any_more() -> None:
+    statuses = [agent(name, EARLIER, 4) for name in COMPUTERS]
+    assert gives_way_to(LATER, {"a": 3}, statuses) == EARLIER
+    assert gives_way_to(EARLIER, dict.fromkeys(COMPUTERS, 4), statuses) is None
+    assert gives_way_to(LATER, {"a": 3}, statuses[1:]) is None  # a may obey it
+
+
+def test_nobody_gives_way_to_one_that_is_gone() -> None:
+    statuses = [agent("a", LATER, 3, unmanaged=5.0), agent("b", None, 0)]
+    assert gives_way_to(EARLIER, {"a": 2}, statuses) is None
+
+
+@given(st.tuples(*[st.booleans()] * 3), st.data())
+def test_never_do_both(are_later: tuple[bool, ...], data: st.DataObject) -> None:
+    """Whatever agents each of them sees, of those that it has claimed before too."""
+    now = {
+        name: agent(name, LATER if is_later else EARLIER, 5)
+        for name, is_later in zip(COMPUTERS, are_later, strict=True)
+    }
+
+    def gives_way(manager: ManagerId) -> bool:
+        seen = data.draw(st.sets(st.sampled_from(COMPUTERS)))
+        lost = data.draw(st.sets(st.sampled_from(COMPUTERS)))
+        mine = {name for name, each in now.items() if each.manager == manager}
+        claimed = dict.fromkeys(lost, 4) | dict.fromkeys(mine, 5)
+        return bool(gives_way_to(manager, claimed, [now[name] for name in seen]))
+
+    assert not (gives_way(EARLIER) and gives_way(LATER))
