@@ -20,7 +20,14 @@ from poise.manage.control_socket.records import (
 from poise.manage.migration.report import MigrationReport
 from poise.model.robot import Robot
 from poise.simulation.aimed_faults import AimedFaults
-from poise.simulation.faults import KINDS, Kind, SimulatedFault, inject, plan_faults
+from poise.simulation.faults import (
+    KINDS,
+    LINK_KINDS,
+    Kind,
+    SimulatedFault,
+    inject,
+    plan_faults,
+)
 from poise.simulation.invariants import Violation
 from poise.simulation.robot.manager import ManagedRobot, SimulatedManager
 from poise.simulation.robot.robot import SimulatedRobot
@@ -36,6 +43,7 @@ CONVERGE_LIMIT = 5.0
 SHOWN_WITHIN = 1.0
 """A lost computer or agent is in `status` within this time [s]."""
 _LOSSES = {"kill agent", "pause agent", "pause computer", "isolate computer"}
+_BAD_LINKS = {*LINK_KINDS, "isolate computer", "lose datagrams"}
 COMMAND_LIMIT = 60.0
 """An accepted command ends within this time [s]."""
 _LOOK_EVERY = 0.05
@@ -227,15 +235,9 @@ class _Run:
     def _inject(self, fault: SimulatedFault) -> None:
         """Let a fault begin; in a second `status` has to say what is lost."""
         manager, agent = self.robot.manager, self.robot.agents.get(fault.target)
-        # one that is back only now has sent no heartbeat yet: its connection's lease
-        # tells of its loss
-        was_there = (
-            agent is not None
-            and not agent.process.is_paused
-            and self._scheduler.now - agent.process.awake_since > SHOWN_WITHIN
-        )
+        was_heard = self._is_heard(fault.target)
         inject(self.robot, fault)
-        if fault.kind not in _LOSSES or fault.lasts < SHOWN_WITHIN or not was_there:
+        if fault.kind not in _LOSSES or fault.lasts < SHOWN_WITHIN or not was_heard:
             return
         is_judge = manager is not None and manager.process.computer.name != fault.target
         if manager is None or not is_judge or fault.target in _lost(manager):
@@ -259,6 +261,22 @@ class _Run:
                 )
 
         self._scheduler.at(at + SHOWN_WITHIN, look)
+
+    def _is_heard(self, computer: str) -> bool:
+        """Return whether the manager has heard heartbeats of an agent for a while.
+
+        Else the lease of its connection tells of its loss, which takes longer.
+        """
+        manager, agent = self.robot.manager, self.robot.agents.get(computer)
+        since = self._scheduler.now - SHOWN_WITHIN
+        if manager is None or agent is None or agent.process.is_paused:
+            return False
+        return max(agent.process.awake_since, manager.up_since) < since and not any(
+            fault.kind in _BAD_LINKS
+            and fault.at < self._scheduler.now
+            and since < fault.at + fault.lasts
+            for fault in self.all_faults()
+        )
 
     def _check(self) -> None:
         """Raise what was violated in this step."""

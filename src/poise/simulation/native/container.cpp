@@ -35,7 +35,10 @@ void Container::end() {
   is_dead_ = true;
   group_.end();
   for (Sender* sender : senders_) sender->close();
-  for (Executor& executor : all_executors_) executor.when_idle_ = nullptr;
+  for (Executor& executor : all_executors_) {
+    executor.when_idle_ = nullptr;
+    executor.who_.is_dead = true;
+  }
   late_.clear();
   on_progress_ = on_missed_ = nullptr;
   awaits_progress_ = awaits_missed_ = false;

@@ -36,13 +36,15 @@ void Ledger::begin(Incarnation& who, double now) {
     violate("committed-stays", text(who) + " began a handler at " + text(now) +
                                    ", but a move to incarnation " +
                                    std::to_string(life.committed) + " was committed");
-  if (who.is_past) {
+  // where the newer one was killed before a client knew of it, the older may go on
+  if (who.is_past && !life.current->is_dead) {
     violate("nothing-active-twice",
             text(who) + " began a handler at " + text(now) + ", but " + has_worked(life));
     return;
   }
   if (life.current) life.current->is_past = true;
   life.current = &who;
+  who.is_past = false;
   life.since = now;
 }
 

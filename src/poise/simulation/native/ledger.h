@@ -27,6 +27,7 @@ struct Incarnation {
   std::string computer;
   Life& life;
   bool is_past = false;  // a newer one has worked
+  bool is_dead = false;  // its process has ended
 };
 
 // What a component sends over, whichever target it leads to: messages sent, and the last

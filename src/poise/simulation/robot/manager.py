@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 
 from msgspec import Struct
@@ -65,6 +66,8 @@ class SimulatedManager:
     ----------
     manager
         None until the robot is up.
+    up_since
+        Since when it is [s of the simulation].
     error
         Why it could not come up, or ended; None: it has not.
     """
@@ -82,6 +85,7 @@ class SimulatedManager:
         self._endpoints = endpoints
         self.process = process
         self.manager: Manager | None = None
+        self.up_since = math.inf
         self.on_up: Callable[[], object] = lambda: None
         self.run: RunningComponents | None = None
         self.error: PoiseError | None = None
@@ -142,6 +146,7 @@ class SimulatedManager:
                 samples,
                 adapts=setup.adapts,
             )
+            self.up_since = self.process.scheduler.now
             self.on_up()
             try:
                 while not self.manager.is_stopping:
