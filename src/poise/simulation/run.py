@@ -271,7 +271,8 @@ class _Run:
         since = self._scheduler.now - SHOWN_WITHIN
         if manager is None or agent is None or agent.process.is_paused:
             return False
-        return max(agent.process.awake_since, manager.up_since) < since and not any(
+        awake = max(agent.process.awake_since, manager.process.awake_since)
+        return max(awake, manager.up_since) < since and not any(
             fault.kind in _BAD_LINKS
             and fault.at < self._scheduler.now
             and since < fault.at + fault.lasts
