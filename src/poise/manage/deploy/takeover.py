@@ -157,10 +157,10 @@ def _at_work(run: RunningComponents, found: Sequence[Found]) -> dict[str, str]:
     situation = Situation(
         robot=run.robot, task="", placement=planned, solve_steps=run.solve_steps
     )
-    with contextlib.suppress(RobotError):  # all is as full as it was
+    with contextlib.suppress(RobotError):  # what is lacking can run nowhere
         return {
             **{name: may[0] for name, may in homes.items()},
-            **placed_beside(situation, homes).placement,
+            **placed_beside(situation, homes).result.placement,
         }
     return {name: may[0] for name, may in homes.items()}
 

@@ -2,10 +2,25 @@
 
 from __future__ import annotations
 
+import itertools
+import random
+from collections.abc import Iterator, Mapping
+
+import pytest
 from msgspec.structs import replace
 
 from poise.manage.adaptation.shortages.failover import fail_over
-from poise.model.robot import Device, Link, Robot
+from poise.manage.adaptation.situation import Situation
+from poise.model.robot import (
+    Action,
+    Architecture,
+    ComponentEntry,
+    Computer,
+    Device,
+    Link,
+    Robot,
+    Task,
+)
 from tests.manage.adaptation.conftest import Make
 
 APART = {"a": "left", "b": "right"}
@@ -48,10 +63,96 @@ def test_what_may_not_move_is_missing(situation: Make, two: Robot) -> None:
     assert found.missing == {"a": "it is not movable (robot file)"}
 
 
-def test_what_does_not_fit_beside_the_others_is_missing(situation: Make) -> None:
+def test_what_is_short_of_cpu_runs_with_what_there_is(situation: Make) -> None:
     found = fail_over(situation(APART, background={"right": 0.2}), {"left"})
+    assert found.placement == {"a": "right"}
+    assert not found.missing
+
+
+def test_what_does_not_fit_beside_the_others_is_missing(
+    situation: Make, two: Robot
+) -> None:
+    robot = with_memory(two, {"left": 9, "right": 9}, {"a": 5, "b": 5})
+    found = fail_over(situation(APART, robot=robot), {"left"})
     assert found.placement == {}
     assert found.missing["a"].startswith("it fits nowhere beside what runs: ")
+
+
+def test_what_works_moves_when_only_that_makes_room(
+    situation: Make, two: Robot
+) -> None:
+    """Only `right` has the memory for `a`, and `b` may run on `small`, too."""
+    (left, right) = two.computers
+    robot = replace(two, computers=(left, right, replace(right, name="small")))
+    robot = with_memory(robot, {"left": 9, "right": 9, "small": 5}, {"a": 8, "b": 5})
+    found = fail_over(situation(APART, robot=robot), {"left"})
+    assert found.placement == {"a": "right"}
+    assert [(s.component, s.target) for s in found.steps] == [("b", "small")]
+    assert not found.missing
+
+
+def with_memory(
+    robot: Robot, computers: Mapping[str, float], components: Mapping[str, float]
+) -> Robot:
+    """Return a robot whose computers have memory, and whose components need it."""
+    robot = robot.with_components(
+        lambda c: replace(c, demand={**c.demand, "memory": components[c.name]})
+    )
+    return replace(
+        robot,
+        computers=tuple(
+            replace(c, capacity={**c.capacity, "memory": computers[c.name]})
+            for c in robot.computers
+        ),
+    )
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_nothing_is_missing_where_memory_is_enough(seed: int) -> None:
+    """By enumeration of all placements, of all that works and all that was lost."""
+    chance = random.Random(seed)
+    computers = tuple(
+        Computer(name=name, capacity={"cpu": 1.0, "memory": chance.uniform(8, 14)})
+        for name in ("x", "y", "z")
+    )
+    components = tuple(
+        ComponentEntry(
+            name=f"c{n}",
+            demand={"cpu": chance.uniform(0.1, 0.5), "memory": chance.uniform(1, 7)},
+        )
+        for n in range(6)
+    )
+    robot = Robot(
+        name="random",
+        computers=computers,
+        architectures=(
+            Architecture(name="all", function="all", components=components),
+        ),
+        tasks=(Task(name="work", actions=(Action(name="w", functions=("all",)),)),),
+    )
+
+    def fits(placement: Mapping[str, str]) -> bool:
+        return all(
+            sum(c.demand["memory"] for c in components if placement[c.name] == at.name)
+            <= at.capacity["memory"]
+            for at in computers
+        )
+
+    def placements(names: tuple[str, ...]) -> Iterator[dict[str, str]]:
+        for homes in itertools.product(names, repeat=len(components)):
+            yield {c.name: at for c, at in zip(components, homes, strict=True)}
+
+    before = next(filter(fits, placements(("x", "y", "z"))), None)
+    if before is None:
+        return
+    now = Situation(robot=robot, task="work", placement=before, lost=frozenset("x"))
+    found = fail_over(now, {"x"})
+    if not any(map(fits, placements(("y", "z")))):
+        assert found.missing
+        return
+    assert not found.missing
+    moved = {step.component: step.target for step in found.steps}
+    assert fits({**before, **moved, **found.placement})
 
 
 def test_what_runs_elsewhere_stays(situation: Make, two: Robot) -> None:
@@ -64,7 +165,7 @@ def test_what_runs_elsewhere_stays(situation: Make, two: Robot) -> None:
 def test_of_what_does_not_fit_whole_architectures_are_dropped_by_priority(
     situation: Make, two: Robot
 ) -> None:
-    """Each needs more than half of what is left beside the other."""
+    """Each needs more than half of the memory that is left."""
     (work,) = two.architectures
     names = {c.name: c for c in work.components}
     parts = tuple(
@@ -73,11 +174,12 @@ def test_of_what_does_not_fit_whole_architectures_are_dropped_by_priority(
             name=f"work_{name}",
             function=f"work_{name}",
             priority=priority,
-            components=(replace(names[name], demand={"cpu": 0.3}),),
+            components=(names[name],),
         )
         for name, priority in (("a", 2), ("b", 1))
     )
     robot = replace(two, architectures=parts, connectors=())
+    robot = with_memory(robot, {"left": 9, "right": 7}, {"a": 4, "b": 4})
     found = fail_over(situation({"a": "left", "b": "left"}, robot=robot), {"left"})
     assert found.placement == {"a": "right"}
     assert found.missing["b"].startswith("it fits nowhere beside what runs: ")

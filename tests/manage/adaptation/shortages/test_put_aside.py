@@ -252,7 +252,7 @@ def test_a_lost_computer_puts_lower_priorities_aside_for_higher_ones() -> None:
         robot,
         computers=(*robot.computers, right),
         architectures=(high, low, middle),
-    )
+    ).with_components(lambda c: replace(c, demand={"cpu": 0.4, "memory": 4e8}))
     situation = Situation(
         robot=robot,
         task="work",
@@ -272,8 +272,10 @@ def test_a_lost_computer_puts_lower_priorities_aside_for_higher_ones() -> None:
 
 
 def test_of_what_was_lost_the_higher_is_restarted_when_not_all_fits() -> None:
-    robot = robot_with()
-    left = Computer(name="small", capacity={"cpu": 0.5, "memory": 1e9})
+    robot = robot_with().with_components(
+        lambda c: replace(c, demand={"cpu": 0.1, "memory": 4e8})
+    )
+    left = Computer(name="small", capacity={"cpu": 0.5, "memory": 5e8})
     situation = Situation(
         robot=replace(robot, computers=(*robot.computers, left)),
         task="work",

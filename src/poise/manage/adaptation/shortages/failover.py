@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Collection, Iterator, Mapping
 from functools import partial
 
 from msgspec import Struct
 
+from poise import plan
+from poise.errors import RobotError
 from poise.manage.adaptation.move_limits import MoveLimits
 from poise.manage.adaptation.responder import Change
 from poise.manage.adaptation.shortages.free_room import placed_beside
@@ -14,7 +17,9 @@ from poise.manage.adaptation.shortages.put_aside import PutAside
 from poise.manage.adaptation.situation import Homes, Situation
 from poise.manage.deploy.desired import Desired
 from poise.manage.deploy.running_components import RunningComponents
-from poise.manage.migration.transition_run import start_together
+from poise.manage.migration.report import TransitionStep
+from poise.manage.migration.transition import plan_transition
+from poise.manage.migration.transition_run import start_together, transit
 from poise.model.check.allowed_computers import allowed_computers
 from poise.model.pinned import pinned_components
 from poise.model.robot import Architecture
@@ -36,12 +41,15 @@ class Failover(Struct, frozen=True, kw_only=True):
         Whether some would run elsewhere if there were room: those of low priority.
     aside
         Architectures that are put aside before, to make room for higher ones.
+    steps
+        Moves of what works that make room before.
     """
 
     placement: Mapping[str, str]
     missing: Mapping[str, str]
     waits_for_room: bool = False
     aside: tuple[str, ...] = ()
+    steps: tuple[TransitionStep, ...] = ()
 
 
 class FailOver:
@@ -78,7 +86,7 @@ class FailOver:
             return None
         return Change(
             why=_sentence(found.placement) if found.placement else "",
-            facts={"placement": found.placement},
+            facts={"placement": found.placement, "moves": found.steps},
             carry_out=partial(self._restart, found, lost, now),
         )
 
@@ -87,7 +95,8 @@ class FailOver:
             why = "components of a lost computer that have a higher priority need room"
             self._put_aside.put(found.aside, why, now)
         if found.placement:
-            if start_together(self._run, found.placement, lost):
+            is_room = not found.steps or transit(self._run, found.steps).committed
+            if is_room and start_together(self._run, found.placement, lost):
                 self._limits.forget_nothing()
             else:
                 self._limits.note_nothing(now)
@@ -100,7 +109,10 @@ def _sentence(placement: Mapping[str, str]) -> str:
 
 
 def fail_over(situation: Situation, lost: Collection[str]) -> Failover:
-    """Return where the components of lost computers can run; all others stay.
+    """Return where the components of lost computers can run.
+
+    All run that memory and devices allow: CPU that is short is shared by priority. What
+    works moves when only that makes room; else it is moved later, if that is worth it.
 
     Parameters
     ----------
@@ -111,10 +123,12 @@ def fail_over(situation: Situation, lost: Collection[str]) -> Failover:
     pinned = pinned_components(situation.robot)
     missing: dict[str, str] = {}
     homes: dict[str, tuple[str, ...]] = {}
-    for name, computer in situation.placement.items():
+    works = {n: at for n, at in situation.placement.items() if at not in lost}
+    for name in situation.placement:
         choices = tuple(sorted(allowed[name] - set(lost)))
-        if computer not in lost:
-            homes[name] = (computer,)
+        if name in works:
+            stays = name in pinned or works[name] not in choices
+            homes[name] = (works[name],) if stays else choices
         elif name in pinned:
             missing[name] = pinned[name]
         elif not choices:
@@ -122,27 +136,50 @@ def fail_over(situation: Situation, lost: Collection[str]) -> Failover:
             missing[name] = f"it may run on {here} only"
         else:
             homes[name] = choices
-    stranded = [name for name in homes if situation.placement[name] in lost]
+    stranded = [name for name in homes if name not in works]
     if not stranded:
         return Failover(placement={}, missing=missing)
-    result = placed_beside(situation, homes)
-    if not result.feasible:
-        return _by_priority(situation, homes, stranded, missing)
-    where = {name: result.placement[name] for name in stranded}
-    return Failover(placement=where, missing=missing)
+    with contextlib.suppress(RobotError):  # no way leads there
+        problem, result = placed_beside(situation, homes)
+        if result.feasible:
+            where = {name: result.placement[name] for name in stranded}
+            return Failover(
+                placement=where,
+                missing=missing,
+                steps=()
+                if plan.evaluate(problem, {**works, **where}).feasible
+                else _room_for(situation, works, result.placement),
+            )
+    kept = {name: (at,) for name, at in works.items()}
+    wanted = {name: homes[name] for name in stranded}
+    return _by_priority(situation, kept, wanted, missing)
+
+
+def _room_for(
+    situation: Situation, works: Mapping[str, str], placement: Mapping[str, str]
+) -> tuple[TransitionStep, ...]:
+    """Return the moves of what works to a placement, before others start there."""
+    then = {name: placement[name] for name in works}
+    return plan_transition(situation.robot, works, then, shares_cpu=True)
 
 
 def _by_priority(
     situation: Situation,
-    homes: Homes,
-    stranded: Collection[str],
+    kept: Homes,
+    stranded: Homes,
     missing: Mapping[str, str],
 ) -> Failover:
     """Return what fits of the stranded, the highest priority first.
 
     Architectures that run are put aside for higher ones only.
+
+    Parameters
+    ----------
+    kept
+        Where each component works.
+    stranded
+        The computers where each of the others may run.
     """
-    kept = {name: at for name, at in homes.items() if name not in stranded}
     placement: dict[str, str] = {}
     aside: tuple[str, ...] = ()
     missing = dict(missing)
@@ -152,12 +189,12 @@ def _by_priority(
         names = [c.name for c in architecture.components if c.name in stranded]
         if not names:
             continue
-        wanted = {name: homes[name] for name in names}
+        wanted = {name: stranded[name] for name in names}
         why = ""
         for lower in _more_and_more(situation, architecture.priority, kept):
             gone = {c.name for a in lower for c in a.components}
             left = {name: at for name, at in kept.items() if name not in gone}
-            result = placed_beside(situation, {**left, **wanted})
+            result = placed_beside(situation, {**left, **wanted}).result
             if result.feasible:
                 where = {name: result.placement[name] for name in names}
                 placement |= where

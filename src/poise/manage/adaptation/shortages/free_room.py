@@ -2,42 +2,60 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
+from time import perf_counter
+from typing import NamedTuple
 
 from msgspec.structs import replace
 
 from poise import plan
 from poise.errors import RobotError
-from poise.manage.adaptation.replan import SOLVE_FOR, with_present_demands
+from poise.manage.adaptation.decision import HORIZON, WORTH, move_costs
+from poise.manage.adaptation.replan import (
+    DECIDE_FOR,
+    EXPLAIN_FOR,
+    SOLVE_FOR,
+    share_what_is_left,
+    with_costs,
+    with_present_demands,
+)
 from poise.manage.adaptation.situation import Homes, Situation
 from poise.model.check.allowed_computers import allowed_computers
-from poise.model.robot import ComponentEntry, Robot
+from poise.model.robot import ComponentEntry, Computer, Robot
 
 
-def placed_beside(
-    situation: Situation, homes: Homes, *, is_cautious: bool = False
-) -> plan.Result:
-    """Return where components fit; those without homes do not count.
+class PlacedBeside(NamedTuple):
+    """Where components run, and the problem that this solves."""
 
-    Parameters
-    ----------
-    is_cautious
-        Whether other programs are reckoned to want more on every computer, so that what
-        is started now need not be stopped again.
+    problem: plan.Problem
+    result: plan.Result
+
+
+def placed_beside(situation: Situation, homes: Homes) -> PlacedBeside:
+    """Return where components run with least work undone; CPU that is short is shared.
+
+    Those without homes do not count. For one that works now on one of its homes, to
+    move costs what its component would do meanwhile.
 
     Raises
     ------
     RobotError
         A component can run nowhere.
     """
-    problem = plan.problem_of(_what_is_left(situation, homes, is_cautious=is_cautious))
-    fixed = {a.name for a in situation.robot.architectures if a.layer != "sequencing"}
-    bundles = tuple(
-        replace(bundle, required=bundle.name in fixed)
-        for bundle in problem.architectures
-    )
-    problem = replace(problem, architectures=bundles)
-    return plan.solve(problem, budget=SOLVE_FOR, steps=situation.solve_steps)
+    robot = _what_is_left(situation, homes, situation.robot.computers)
+    problem = _problem_of(situation, robot)
+    costs = {
+        name: cost / WORTH
+        for name, cost in move_costs(situation, robot).items()
+        if situation.placement.get(name) in homes[name]
+    }
+    problem = with_costs(problem, costs)
+    problem = share_what_is_left(problem, situation, HORIZON / WORTH)
+    result = plan.solve(problem, DECIDE_FOR, steps=situation.solve_steps, why=False)
+    if not result.feasible:
+        give_up_at = perf_counter() + EXPLAIN_FOR
+        result.find_conflict(lambda: perf_counter() > give_up_at)
+    return PlacedBeside(problem, result)
 
 
 def room_for_components(
@@ -58,19 +76,34 @@ def room_for_components(
         homes[name] = tuple(sorted(allowed[name] - situation.lost - set(not_on)))
         if not homes[name]:
             return {}
+    # other programs may want more: so what is started now need not be stopped again
+    left = situation.computers_left(is_cautious=True)
     try:
-        result = placed_beside(situation, homes, is_cautious=True)
+        problem = _problem_of(situation, _what_is_left(situation, homes, left))
     except RobotError:
         return {}
+    result = plan.solve(problem, budget=SOLVE_FOR, steps=situation.solve_steps)
     return {n: at for n, at in result.placement.items() if n in components}
 
 
-def _what_is_left(situation: Situation, homes: Homes, *, is_cautious: bool) -> Robot:
+def _problem_of(situation: Situation, robot: Robot) -> plan.Problem:
+    """Return the problem of placing all components of what is left of the robot."""
+    problem = plan.problem_of(robot, present=situation.placement)
+    fixed = {a.name for a in situation.robot.architectures if a.layer != "sequencing"}
+    bundles = tuple(
+        replace(bundle, required=bundle.name in fixed)
+        for bundle in problem.architectures
+    )
+    return replace(problem, architectures=bundles)
+
+
+def _what_is_left(
+    situation: Situation, homes: Homes, computers: Iterable[Computer]
+) -> Robot:
     """Return the robot without what is lost, each component held to its homes."""
     robot = with_present_demands(situation.robot, situation.demand_estimates)
     used = {computer for choices in homes.values() for computer in choices}
-    left = situation.computers_left(is_cautious=is_cautious)
-    computers = tuple(c for c in left if c.name in used)
+    computers = tuple(c for c in computers if c.name in used)
     names = {computer.name for computer in computers}
     kept = robot.with_components(lambda component: _homed(component, homes))
     return replace(
