@@ -4,6 +4,7 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
+import msgspec
 import pytest
 
 from poise.errors import FileProblem, RobotError
@@ -215,3 +216,8 @@ def test_links_in_a_circle_are_no_file(tmp_path: Path) -> None:
 def test_a_nul_is_in_no_file_name() -> None:
     with pytest.raises(RobotError, match="is not a file name"):
         load("a\0b")
+
+
+def test_a_link_without_limit_is_read_back_as_it_was_written() -> None:
+    link = Link(between=("a", "b"), bandwidth=float("1e999"))
+    assert msgspec.json.decode(msgspec.json.encode(link), type=Link) == link

@@ -194,11 +194,12 @@ def without(asked: Problem, dropped: tuple[Bundle, ...]) -> Problem:
 def test_as_few_as_possible_are_put_aside_and_the_least_important() -> None:
     for seed in range(25):
         asked = with_architectures(Random(seed), ["f", "g", "h", "i"])
-        kept_at_best = max(
-            [kept.count(level) for level in (2, 1, 0)]
+        kept_at_best, best = max(
+            ([kept.count(level) for level in (2, 1, 0)], -total)
             for size in range(5)
             for dropped in itertools.combinations(asked.architectures, size)
-            if least(without(asked, dropped)) < math.inf
+            for total in [least(without(asked, dropped))]
+            if total < math.inf
             for kept in [[a.priority for a in asked.architectures if a not in dropped]]
         )
         result = plan.solve(asked, steps=20_000, fewer=True)
@@ -207,6 +208,9 @@ def test_as_few_as_possible_are_put_aside_and_the_least_important() -> None:
         assert result.feasible
         assert [kept.count(level) for level in (2, 1, 0)] == kept_at_best
         assert len(result.placement) == 2 * len(kept)
+        assert result.proven
+        assert result.objective is not None
+        assert result.objective.total == pytest.approx(-best, abs=1e-9)
 
 
 @pytest.mark.slow

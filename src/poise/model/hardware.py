@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from typing import Annotated
 
 from msgspec import Struct
+from msgspec.structs import force_setattr
 
 from poise.model.file_forms import RESERVE
 from poise.model.file_keys import (
@@ -125,3 +126,8 @@ class Link(
     distance: Annotated[
         Amount, says("Cost of a unit of overhead over it in the objective.")
     ] = 1.0
+
+    def __post_init__(self) -> None:
+        """Take any infinity for the default, which is not written: JSON has none."""
+        if self.bandwidth == math.inf:
+            force_setattr(self, "bandwidth", math.inf)

@@ -48,10 +48,18 @@ def test_a_move_that_paused_its_component_for_long_is_not_worth_it(
     assert found.why.endswith("for 12.30 core-seconds, not worth it")
 
 
+APART = {"a": "left", "b": "right"}
+
+
 def test_when_all_fits_another_placement_does_not_help(situation: Make) -> None:
     found = decide(situation(missed=("a",)))
     assert not found.acts
-    assert "all components fit where they are" in found.why
+    assert "all components fit where they are: another placement" in found.why
+    busy = decide(situation(APART, background={"right": 0.1}, missed=("a",)))
+    assert (
+        "all components fit where they are, beside other programs, which take 0.1 "
+        "cores of 'right': another placement would not help"
+    ) in busy.why
 
 
 def test_when_nothing_fits_it_says_what_is_missing(situation: Make) -> None:

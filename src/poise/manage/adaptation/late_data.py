@@ -15,7 +15,10 @@ from poise.manage.adaptation.situation import Homes, Situation
 from poise.manage.observe.chains import ChainAge
 from poise.model.check.allowed_computers import allowed_computers
 from poise.model.robot import Robot
-from poise.units import format_seconds
+from poise.units import format_cores, format_seconds
+
+_TAKES = 0.005
+"""Other programs that take less are not worth a word [cores]."""
 
 
 class Relief(Struct, frozen=True, kw_only=True):
@@ -69,10 +72,20 @@ def relieve(
                     / chain.used,
                 )
     return Relief(
-        why=f"{late(situation)}by their demands all components fit where they are: "
-        "another placement would not help. Is a component blocked, or its deadline "
-        "too short for its work?"
+        why=f"{late(situation)}by their demands all components fit where they are"
+        f"{_others(situation)}: another placement would not help. "
+        "Is a component blocked, or its deadline too short for its work?"
     )
+
+
+def _others(situation: Situation) -> str:
+    """Return what other programs take of the computers, for people."""
+    takes = [
+        f"{format_cores(load.background)} of '{name}'"
+        for name, load in sorted(situation.loads.items())
+        if load.background >= _TAKES
+    ]
+    return f", beside other programs, which take {', '.join(takes)}" if takes else ""
 
 
 def late(situation: Situation) -> str:

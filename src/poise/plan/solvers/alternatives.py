@@ -102,8 +102,20 @@ def admit(problem: Problem, decide: Decide, *, fewer: bool) -> Result:
     optional = [need for need in every if need not in required]
     priorities = sorted({_priority(need) for need in optional}, reverse=True)
     levels = [[n for n in optional if _priority(n) == p] for p in priorities]
-    admitted = _Admission(problem, decide).most(required, levels)
-    best = _choose(problem, admitted, decide, 1.0)
+    admission = _Admission(problem, decide)
+    sets = admission.most(required, levels)
+    results = [_choose(problem, kept, decide, 1.0 / len(sets)) for kept in sets]
+    best, admitted = results[0], sets[0]
+    for other, kept in zip(results[1:], sets[1:], strict=True):
+        if _better(other, best):
+            best, admitted = other, kept
+    if best.feasible and (len(sets) > 1 or not admission.is_complete):
+        bounds = [-inf if each.bound is None else each.bound for each in results]
+        proven = all(each.proven for each in results)
+        best.settle(
+            min(bounds) if admission.is_complete else -inf,
+            proven=proven and admission.is_complete,
+        )
     aside = tuple(need[0].name for need in every if need not in admitted)
     why = result.reason if aside else ""
     best.choice = best.choice._replace(aside=aside, whole=problem, why=why)
@@ -115,40 +127,50 @@ def _priority(need: Need) -> int:
 
 
 class _Admission:
-    """Finds what to keep: as many as possible of the first level, then of the next."""
+    """Finds what to keep: as many as possible of the first level, then of the next.
+
+    Attributes
+    ----------
+    is_complete
+        Whether nothing better was left out for lack of time.
+    """
 
     def __init__(self, problem: Problem, decide: Decide) -> None:
         self._problem = problem
         self._decide = decide
         self._tried = 0
+        self.is_complete = True
         self._demand = {c.name: c.demand for c in problem.components}
         resources = {r for h in problem.computers for r in h.capacity}
         self._usable = {
             r: sum(h.usable(r) for h in problem.computers) for r in resources
         }
 
-    def most(self, admitted: list[Need], levels: list[list[Need]]) -> list[Need]:
-        """Return what fits of these levels, beside those admitted before."""
+    def most(self, admitted: list[Need], levels: list[list[Need]]) -> list[list[Need]]:
+        """Return all that is equally good to keep, beside those admitted before."""
         if not levels:
-            return admitted
+            return [admitted]
         level, lower = levels[0], levels[1:]
-        best: list[Need] | None = None
+        best: list[list[Need]] = []
         for dropped in range(len(level) + 1):
             for out in combinations(range(len(level)), dropped):
                 if self._tried >= MOST_DROPS:
+                    self.is_complete = False
                     return best or self.most(self._one_by_one(admitted, level), lower)
                 kept = [need for i, need in enumerate(level) if i not in out]
                 if kept and not self._fits(admitted + kept):
                     continue
                 # Of as many of this level, those that leave the most to lower ones.
-                whole = self.most(admitted + kept, lower)
-                if best is None or _counts(whole, lower) > _counts(best, lower):
-                    best = whole
-                if _counts(best, lower) == [len(each) for each in lower]:
-                    return best
-            if best is not None:
+                wholes = self.most(admitted + kept, lower)
+                new = _counts(wholes[0], lower)
+                known = _counts(best[0], lower) if best else []
+                if not best or new > known:
+                    best = wholes
+                elif new == known:
+                    best += wholes
+            if best:
                 return best
-        return admitted
+        return [admitted]
 
     def _one_by_one(self, admitted: list[Need], level: list[Need]) -> list[Need]:
         for need in level:
@@ -160,7 +182,9 @@ class _Admission:
         self._tried += 1
         if not self._may_fit(kept):
             return False
-        return _choose(self._problem, kept, self._decide, 0.02).feasible
+        result = _choose(self._problem, kept, self._decide, 0.02)
+        self.is_complete &= result.feasible or result.proven
+        return result.feasible
 
     def _may_fit(self, kept: list[Need]) -> bool:
         """Return whether all computers together have enough, which is quick to say."""
