@@ -117,3 +117,19 @@ def test_weighs_quality_against_fit() -> None:
     for quality, chosen in ((0.0, "plain"), (5.0, "good")):
         weighed = replace(two, objective=Objective(quality=quality))
         assert plan.solve(weighed).architectures == {"see": chosen}
+
+
+def test_the_way_out_is_that_of_the_alternative_that_needs_least() -> None:
+    asked = problem(
+        (architecture("big", function="see"), 0.9),
+        (architecture("small", function="see", quality=0.5), 0.55),
+        (architecture("go"), 0.5),
+        room=1.0,
+    )
+    result = plan.solve(asked)
+    assert not result.feasible
+    assert result.proven
+    assert "small.part, go.part together need 1.05 cpu" in result.reason
+    assert "It would fit with 0.05 more cpu on one" in result.reason
+    assert result.conflict is not None
+    assert result.conflict.price == 0.05

@@ -221,17 +221,23 @@ def test_a_conflict_is_irreducible_and_its_relaxation_the_least() -> None:
         ]
         if not enough:
             continue
-        assert len(conflict.more) == 1
         assert "letting" not in conflict.relaxation
-        (more,) = conflict.more
-        (share,) = (
-            more.amount / usual_of(problem, limit)
-            for limit, _ in enough
-            if limit.names in {more.on, (*more.on, more.resource)}
+        raised = {(*more.on, more.resource): more.amount for more in conflict.more}
+        raises = {
+            limit: raised[names]
+            for limit in limits_of(problem)
+            for names in (limit.names, (*limit.names, "bandwidth"))
+            if names in raised
+        }
+        assert len(raises) == len(conflict.more)
+        assert holds(relaxed(problem, raises))
+        assert conflict.price is not None
+        assert conflict.price == pytest.approx(
+            sum(more / usual_of(problem, limit) for limit, more in raises.items())
         )
         for limit, _ in enough:
             # Amounts are rounded up to one digit where that is enough.
-            less = share * usual_of(problem, limit) / 1.5
+            less = conflict.price * usual_of(problem, limit) / 1.5
             assert not holds(relaxed(problem, {limit: less}))
     assert found > 5
 

@@ -46,6 +46,8 @@ class Selection(NamedTuple):
         The problem with all architectures; None when nothing was put aside.
     why
         Why something was put aside, for people.
+    others
+        The problems with other alternatives, where nothing holds with any.
     """
 
     architectures: Mapping[str, str] = {}
@@ -53,6 +55,7 @@ class Selection(NamedTuple):
     lost: float = 0.0
     whole: Problem | None = None
     why: str = ""
+    others: tuple[Problem, ...] = ()
 
 
 class PlainResult(TypedDict):
@@ -209,8 +212,17 @@ class Result:
         problem = whole if aside and whole is not None else self.problem
         if aside and self.choice.architectures:
             return None
-        self._conflict = conflict(problem, stop)
-        if self._conflict is not None and not self._complete:
+        problems = problem, *self.choice.others
+        found = [conflict(each, stop, 1.0 / len(problems)) for each in problems]
+        known = [each for each in found if each is not None]
+        # of several ways out the cheapest, whichever alternative it is for
+        self._conflict = min(
+            known,
+            key=lambda each: inf if each.price is None else each.price,
+            default=None,
+        )
+        is_all = bool(self.choice.others) or not self.choice.architectures
+        if is_all and not self._complete and len(known) == len(found):
             self.proven, self.stopped_by = True, "infeasible"
         return self._conflict
 

@@ -102,9 +102,12 @@ class Conflict(Struct, frozen=True, kw_only=True):
         Whether it is proven that without any one of them the others could hold.
     relaxation
         What has to give way so that the whole problem holds, for people: the smallest
-        rise of one capacity where that is enough.
+        rise of capacities where that is enough, of one rather than of several.
     more
         The rises in `relaxation`.
+    price
+        What `relaxation` takes: the sum of its rises, each as a share of the largest
+        capacity of its kind; None: more than capacities has to give way.
     """
 
     components: tuple[str, ...]
@@ -112,3 +115,4 @@ class Conflict(Struct, frozen=True, kw_only=True):
     relaxation: str
     irreducible: bool = True
     more: tuple[More, ...] = ()
+    price: float | None = None

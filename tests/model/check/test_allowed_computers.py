@@ -71,3 +71,17 @@ def test_refuses_a_demand_that_is_larger_than_every_allowed_computer(
 
 def test_accepts_a_demand_that_fills_a_computer(find: Find) -> None:
     assert find(ROBOT.replace("COMPONENT", "only: [main], cpu: 90%")) == ()
+
+
+def test_an_alternative_that_is_too_large_leaves_the_others(find: Find) -> None:
+    text = """
+robot: r
+computers: {one: {cpu: 1, memory: 1 GiB}}
+architectures:
+  big: {function: see, components: {eye: {cpu: 2}}}
+  small: {function: see, quality: 0.5, components: {lid: {cpu: 0.5}}}
+"""
+    assert not find(text)
+    found = find(text.replace("0.5}}", "1.5}}"))
+    assert [each.line for each in found] == [5, 6]
+    assert "component 'lid' needs 1.5 cores" in str(found[1])

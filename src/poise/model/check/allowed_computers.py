@@ -45,12 +45,20 @@ def check_allowed_computers(robot: Robot) -> Iterator[Finding]:
 
 
 def check_demands(robot: Robot) -> Iterator[Finding]:
-    """Yield the demands that are larger than every computer that is allowed."""
+    """Yield the demands that are larger than every computer that is allowed.
+
+    Where another architecture of the same function has none, that one can be chosen.
+    """
     hosts = allowed_computers(robot)
-    for path, _, component in components(robot):
+    found: dict[str, list[Finding]] = {a.name: [] for a in robot.architectures}
+    for path, architecture, component in components(robot):
         allowed = [c for c in robot.computers if c.name in hosts[component.name]]
         if allowed:
-            yield from _too_large(path, component, allowed)
+            found[architecture.name] += _too_large(path, component, allowed)
+    can = {a.function for a in robot.architectures if not found[a.name]}
+    for architecture in robot.architectures:
+        if architecture.function not in can:
+            yield from found[architecture.name]
 
 
 def _too_large(

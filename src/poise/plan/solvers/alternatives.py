@@ -21,6 +21,8 @@ from poise.plan.what_if.changed_problem import keep_components
 
 MOST_COMBINATIONS = 64
 """How many combinations of alternatives are tried; more are tried one change a time."""
+MOST_EXPLAINED = 8
+"""Of no more combinations the way out is looked for in each, where nothing holds."""
 MOST_DROPS = 256
 """How many sets of architectures are tried, before they are tried one by one."""
 
@@ -211,8 +213,9 @@ def _choose(
     """Return the best result over the combinations of alternatives."""
     count = prod(len(need) for need in every)
     complete = count <= MOST_COMBINATIONS
-    combos = product(*every) if complete else _one_change_each(every)
+    combos = list(product(*every) if complete else _one_change_each(every))
     best: Result | None = None
+    chosen = combos[0]
     bound, proven = inf, complete
     for combo in combos:
         result = decide(members(problem, combo), share / min(count, MOST_COMBINATIONS))
@@ -222,11 +225,14 @@ def _choose(
             bound = min(bound, -inf if result.bound is None else result.bound)
         proven = proven and result.proven
         if best is None or _better(result, best):
-            best = result
+            best, chosen = result, combo
         if result.stopped_by == "interrupted" and best.feasible:
             complete = proven = False
             break
     assert best is not None  # noqa: S101 - there is one combination at least
+    if not best.feasible and count <= MOST_EXPLAINED:
+        others = tuple(part(problem, combo) for combo in combos if combo != chosen)
+        best.choice = best.choice._replace(others=others)
     if count > 1:
         best.settle(bound if complete else -inf, proven=proven)
     return best

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from math import inf
+from math import inf, isinf
 from typing import NamedTuple
 
 from msgspec.structs import replace
@@ -21,6 +21,7 @@ from poise.plan.why.relaxation import (
     Relaxation,
     in_words,
     limits_of,
+    price,
     relaxed,
     rises,
 )
@@ -44,9 +45,9 @@ class ShortUnits(NamedTuple):
 class Oracle:
     """Answers whether a problem can hold, as far as that takes no long time."""
 
-    def __init__(self, stop: Ask | None = None) -> None:
+    def __init__(self, stop: Ask | None = None, share: float = 1.0) -> None:
         self._stop = stop
-        self._left = ALL_STEPS
+        self._left = share * ALL_STEPS
 
     def is_spent(self) -> bool:
         """Return whether it took too many steps, or was told to stop."""
@@ -82,13 +83,15 @@ def is_short(arrays: Arrays) -> bool:
     return next(_shortages(arrays), None) is not None
 
 
-def conflict(problem: Problem, stop: Ask | None = None) -> Conflict | None:
+def conflict(
+    problem: Problem, stop: Ask | None = None, share: float = 1.0
+) -> Conflict | None:
     """Return a small set of components and limits that cannot hold together.
 
-    None when it cannot be proven in short time that there is one, or when `stop` says
-    that it is enough.
+    None when it cannot be proven in short time (a `share` of `ALL_STEPS`) that there is
+    one, or when `stop` says that it is enough.
     """
-    oracle = Oracle(stop)
+    oracle = Oracle(stop, share)
     found = _infeasible_subset(problem, oracle)
     if found is None:
         return None
@@ -101,6 +104,7 @@ def conflict(problem: Problem, stop: Ask | None = None) -> Conflict | None:
         relaxation=in_words(raises) or _at_least(part),
         irreducible=irreducible,
         more=rises(raises),
+        price=None if isinf(least := price(problem, raises)) else least,
     )
 
 

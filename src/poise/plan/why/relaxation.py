@@ -16,6 +16,8 @@ from poise.plan.violations import amount_of
 
 NEAR = 5e-3
 """How close a raise comes to the least that is enough, relative to it."""
+SIMPLER = 0.95
+"""Several limits are raised instead of one if they take less than this share of it."""
 MOST_TRIES = 64
 """How many single limits are tried to be raised."""
 
@@ -110,6 +112,13 @@ def rises(raises: Raises) -> tuple[More, ...]:
     )
 
 
+def price(problem: Problem, raises: Raises) -> float:
+    """Return what raises take, in shares of what is usual; infinite: others, too."""
+    if not raises or any(limit.advice for limit in raises):
+        return inf
+    return sum(more / usual(problem, limit) for limit, more in raises.items())
+
+
 class Relaxation:
     """Looks for what must give way; `conflicts` names the limits that are broken."""
 
@@ -124,20 +133,23 @@ class Relaxation:
     def find(self, problem: Problem, limits: list[Limit]) -> Raises:
         """Return what has to give way, so that the whole problem holds; or nothing.
 
-        One limit of those in conflict, the one whose raise is the smallest share of
-        what computers have; else several, none of which is needless. Raises come
-        before what is lifted.
+        What is cheapest (`price`) of: one limit of those in conflict; or several, none
+        of which is needless. Raises come before what is lifted.
         """
         whole = list(limits_of(problem))
         limits = [next(k for k in whole if k.covers(limit)) for limit in limits]
-        ways: list[tuple[float, Raises]] = []
-        for limit in limits[:MOST_TRIES]:
-            if limit.most > 0 and self._holds(problem, {limit: inf}):
-                more = self._at_most(problem, limit, limit.most)
-                ways.append((more / usual(problem, limit), {limit: more}))
-        if ways:
-            return min(ways, key=lambda way: way[0])[1]
-        return self._several(problem, limits)
+        ways: list[Raises] = [
+            {limit: self._at_most(problem, limit, limit.most)}
+            for limit in limits[:MOST_TRIES]
+            if limit.most > 0 and self._holds(problem, {limit: inf})
+        ]
+        one = min(ways, key=lambda way: price(problem, way), default=None)
+        if one is not None and len(limits) == 1:
+            return one
+        several = self._several(problem, limits)
+        if one is None or price(problem, several) < SIMPLER * price(problem, one):
+            return several
+        return one
 
     def _several(self, problem: Problem, limits: list[Limit]) -> Raises:
         """Lift what is in conflict, over and over; then take back what was needless."""
