@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import pytest
@@ -37,6 +38,26 @@ def test_a_robot_comes_up_and_works(scenario: Scenario) -> None:
     assert outcome.virtual == pytest.approx(10.4, abs=0.4)
     assert 650 < outcome.handled < 750  # 400 of timers and 300 of messages
     assert outcome.processed == pytest.approx(300, abs=15)
+
+
+def test_other_threads_have_the_real_library_meanwhile(scenario: Scenario) -> None:
+    """Such as those that a library has started, which wait, wake and end."""
+    stop, wrong = threading.Event(), list[object]()
+
+    def work() -> None:
+        while not stop.wait(0.0001):
+            if threading.get_ident() != threading.current_thread().ident:
+                wrong.append(threading.get_ident())
+
+    threads = [threading.Thread(target=work) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    outcome = simulate(with_fault(scenario), 1)
+    stop.set()
+    for thread in threads:
+        thread.join(10)
+    assert (outcome.message, wrong) == ("", [])
+    assert outcome.digest == simulate(with_fault(scenario), 1).digest
 
 
 def test_what_a_lost_computer_ran_starts_elsewhere(scenario: Scenario) -> None:

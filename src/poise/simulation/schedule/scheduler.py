@@ -12,6 +12,7 @@ from functools import partial
 from hashlib import blake2b
 from heapq import heappop, heappush
 from math import inf
+from threading import get_ident
 from typing import Any, Protocol
 
 from greenlet import getcurrent, greenlet
@@ -122,6 +123,7 @@ class Scheduler:
         self.engine = Engine(seed, choices.recorded(ENGINE))
         self.now = 0.0
         self.current: SimulatedTask | None = None
+        self._thread = get_ident()
         self.steps = 0
         self.on_step: Callable[[], object] = lambda: None
         self._number = 0
@@ -208,6 +210,13 @@ class Scheduler:
         if not task.has_ended:
             self._switch_to(task)
 
+    def present(self) -> SimulatedTask | None:
+        """Return the task that calls this; None: no task does, such as another thread.
+
+        Libraries have threads of their own, which go on while a simulation runs.
+        """
+        return self.current if get_ident() == self._thread else None
+
     def run(self, until: float) -> None:
         """Let time pass until a moment [s].
 
@@ -216,6 +225,7 @@ class Scheduler:
         SimulationError
             Nothing can ever run again, or time does not pass.
         """
+        self._thread = get_ident()
         timers, ready, engine = self._timers, self._ready, self.engine
         while True:
             while timers and timers[0][0] <= self.now:

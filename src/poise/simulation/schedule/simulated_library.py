@@ -152,7 +152,7 @@ def _monotonic(scheduler: Scheduler, real: Callable[[], float]) -> Callable[[], 
     """Return what `_in_tasks` would, without its detours: most calls are of this."""
 
     def monotonic() -> float:
-        task = scheduler.current
+        task = scheduler.present()
         now: float = real() if task is None else task.host.computer.monotonic()
         return now
 
@@ -281,7 +281,7 @@ def _in_tasks(
     """Return what is simulated for tasks, and real for all others."""
 
     def either(*args: Any, **kwargs: Any) -> Any:  # noqa: ANN401, as the library's
-        if scheduler.current is None:
+        if scheduler.present() is None:
             return real(*args, **kwargs)
         return simulated(*args, **kwargs)
 
