@@ -87,7 +87,8 @@ class Planner:
             the paper's; ``exact``: branch and bound until proven or out of budget;
             ``search``: the anytime search.
         budget
-            Time to decide [s], finite, >= 0; the greedy always runs to its end.
+            CPU time to decide [s], finite, >= 0; on a busy machine that takes longer, 4
+            times at most. The greedy always runs to its end.
         seed
             Of the search, >= 0.
         steps

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from random import Random
-from time import perf_counter
 
 from msgspec.structs import replace
 
@@ -32,6 +31,8 @@ ROUNDS = 2
 """So often for each phase, where steps are counted instead of time."""
 
 
+Left = Callable[[], float]
+"""Returns how much of the budget is left [s]."""
 Solution = Mapping[str, Result]
 """Phase -> its placement, whose F has no moves; one that has none is not there."""
 
@@ -86,36 +87,36 @@ class PhaseSearch:
         """Return F of all phases, and of what moves between them."""
         return _total(held) + self._moves(held, held)
 
-    def chained(self, start: Solution, end: float) -> dict[str, Result]:
+    def chained(self, start: Solution, left: Left) -> dict[str, Result]:
         """Place one phase after the other, with the moves from those before, and back.
 
-        Where nothing is found beside them, or it is past `end` [s], a phase stays as in
+        Where nothing is found beside them, or no time is `left`, a phase stays as in
         `start`.
         """
         held: dict[str, Result] = {}
         share = CHAINED / 2 / len(start)
         for name in start:
-            held[name] = self._step(name, held, share, end) or start[name]
+            held[name] = self._step(name, held, share, left) or start[name]
         for name in reversed(list(start)):
-            held[name] = self._step(name, held, share, end) or held[name]
+            held[name] = self._step(name, held, share, left) or held[name]
         return held
 
-    def together(self, start: Solution, end: float, bound: float) -> dict[str, Result]:
-        """Search phases beside each other as one problem, until `end` [s].
+    def together(self, start: Solution, left: Left, bound: float) -> dict[str, Result]:
+        """Search phases beside each other as one problem, while time is `left`.
 
         It ends as well when the total is not above `bound`.
         """
         held, random = dict(start), Random(self._effort.seed)  # noqa: S311 - no secret
         rounds = 0
         while not self.interrupted and self.total(held) > bound:
-            is_over = perf_counter() >= end
+            is_over = left() <= 0
             if self._effort.steps is not None:
                 is_over = rounds >= ROUNDS * len(held)
             if is_over:
                 break
             rounds += 1
             names = self._some_beside(list(held), random)
-            better = self._search(names, held, end - perf_counter(), rounds)
+            better = self._search(names, held, left(), rounds)
             if better and self._cost(better, held) < self._cost(
                 {name: held[name] for name in names}, held
             ):
@@ -137,10 +138,10 @@ class PhaseSearch:
         return result
 
     def _step(
-        self, name: str, held: Solution, share: float, end: float
+        self, name: str, held: Solution, share: float, left: Left
     ) -> Result | None:
         """Place one phase beside those that are held; None when that finds nothing."""
-        if self.interrupted or (self._effort.steps is None and perf_counter() >= end):
+        if self.interrupted or (self._effort.steps is None and left() <= 0):
             return None
         placements = {each: h.placement for each, h in held.items()}
         problem = with_moves(self._problem, name, placements, start=True)

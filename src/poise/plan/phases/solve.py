@@ -16,6 +16,7 @@ from poise.plan.phases.result import PhasedResult
 from poise.plan.phases.search import PhaseSearch
 from poise.plan.planner import BUDGET
 from poise.plan.result_records import Ask
+from poise.plan.solvers.budget import Budget
 from poise.plan.solvers.portfolio import Effort
 
 PHASES_BUDGET = 0.26
@@ -46,6 +47,7 @@ def solve_phases(  # noqa: PLR0913 - each says how to decide, and has a default
     begin = perf_counter()
     if budget is None:
         budget = BUDGET if len(problem.phases) == 1 else PHASES_BUDGET
+    until = Budget(budget)
     search = PhaseSearch(
         problem, method, Effort(budget, steps, seed, stop), fewer=fewer
     )
@@ -55,10 +57,10 @@ def solve_phases(  # noqa: PLR0913 - each says how to decide, and has a default
     bound = sum(bounds) if len(bounds) == len(alone) else None
     if result.moves:
         held = {name: each for name, each in alone.items() if each.feasible}
-        better = search.chained(held, begin + budget)
+        better = search.chained(held, until.left)
         if method in {"auto", "search"}:
             enough = -inf if bound is None else bound + GAIN
-            better = search.together(better, begin + budget, enough)
+            better = search.together(better, until.left, enough)
         if search.total(better) < search.total(held) - GAIN:
             changed = {
                 name: each

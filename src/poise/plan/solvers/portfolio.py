@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from math import inf, log2
-from time import perf_counter
 from typing import NamedTuple, cast
 
 from poise.errors import UsageError
@@ -13,6 +12,7 @@ from poise.plan.problem.arrays import Placed
 from poise.plan.problem.snapshot import Snapshot
 from poise.plan.result import Result
 from poise.plan.result_records import Answer, Ask, Stopped
+from poise.plan.solvers.budget import Budget
 from poise.plan.why.conflict import is_short
 
 METHODS = ("auto", "greedy", "exact", "search")
@@ -32,7 +32,7 @@ PROOF = 0.5
 
 
 class Effort(NamedTuple):
-    """How long to decide: `seconds`, or a number of `steps` to be reproducible.
+    """How long to decide: `seconds` of CPU time, or `steps` to be reproducible.
 
     `stop` may say that it is enough.
     """
@@ -125,7 +125,7 @@ def _auto(snapshot: Snapshot, known: Placed, effort: Effort) -> tuple[Answer, st
     core = snapshot.core
     if not core.provable:
         return effort.search(core, known), "search"
-    start = perf_counter()
+    budget = Budget(effort.seconds)
     before, used = effort.share(GLANCE).exact(core, known), GLANCE
     if before.proven or before.stopped_by == "interrupted":
         return before, "exact"
@@ -138,7 +138,7 @@ def _auto(snapshot: Snapshot, known: Placed, effort: Effort) -> tuple[Answer, st
         used += LOOK_AROUND + PROOF
         if before.proven or before.stopped_by == "interrupted":
             return before, "exact"
-    left = max(0.0, effort.seconds - (perf_counter() - start))
+    left = max(0.0, budget.left())
     rest = Effort(left, effort.share(1 - used).steps, effort.seed + 1, effort.stop)
     last = rest.search(core, before.placed)
     return last._replace(bound=max(last.bound, before.bound)), "search"
