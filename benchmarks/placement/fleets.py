@@ -9,7 +9,7 @@ from poise import plan
 FLEETS = ((1_000, 20), (1_000, 100), (10_000, 100))
 """Components and computers."""
 LOAD = 0.75
-PINNED = (0.0, 0.02)
+PINNED = (0.0, 0.02, 0.1)
 BUDGET = 5.0
 
 

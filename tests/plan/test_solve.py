@@ -175,3 +175,13 @@ def test_what_a_question_to_stop_raises_is_raised() -> None:
 
     with pytest.raises(LookupError):
         plan.solve(random_robot(4, 80, 6), 600.0, stop=ask)
+
+
+def test_many_pinned_components_do_not_spoil_a_fleet() -> None:
+    """Joined units are held to one computer each: then a finer level begins."""
+    problem = random_robot(1, 1200, 60, load=0.75, pinned=0.12)
+    greedy = plan.solve(problem, method="greedy").objective
+    found = plan.solve(problem, steps=60_000, why=False).objective
+    assert greedy is not None
+    assert found is not None
+    assert found.total < 0.6 * greedy.total

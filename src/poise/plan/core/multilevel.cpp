@@ -16,15 +16,21 @@ constexpr int kUnitsPerComputer = 12;
 // What a joined unit may ask for, of a mean limit.
 constexpr double kLargest = 0.25;
 constexpr int kMostPasses = 4;
+// Again from a placement, at most so often. A cycle that gains less than this share of F is
+// the last with as little care for the balance: as much as F would have is `kMostCare`.
+constexpr int kMostCycles = 40;
+constexpr double kLeastGain = 1e-3;
+constexpr double kLeastCare = 1.0 / 32, kMostCare = 0.5, kMoreCare = 1.5;
 
 bool must_be_apart(const Problem& p, int i, int j) {
   const auto apart = p.apart(i);
   return std::find(apart.begin(), apart.end(), j) != apart.end();
 }
 
-// Heavy-edge matching: each unit, in random order, takes its heaviest free neighbour.
-std::vector<std::int32_t> match(const Problem& p, double largest, Random& random,
-                                int& count) {
+// Heavy-edge matching: each unit, in random order, takes its heaviest free neighbour. With
+// a placement, which may be empty, only of those on the same computer.
+std::vector<std::int32_t> match(const Problem& p, const Placement& placed, double largest,
+                                Random& random, int& count) {
   std::vector<double> limit(p.r);
   for (int k = 0; k < p.r; ++k) limit[k] = p.mean_room(k) * largest;
   std::vector<std::int32_t> part(p.n, -1), order(p.n);
@@ -37,6 +43,7 @@ std::vector<std::int32_t> match(const Problem& p, double largest, Random& random
     double heaviest = 0;
     for (const Neighbour& other : p.neighbours(i)) {
       if (part[other.unit] >= 0 || other.overhead <= heaviest) continue;
+      if (!placed.empty() && placed[i] != placed[other.unit]) continue;
       bool fits = p.may_join(i, other.unit) && !must_be_apart(p, i, other.unit);
       for (int k = 0; k < p.r; ++k) {
         fits &= p.need(i)[k] + p.need(other.unit)[k] <= limit[k];
@@ -60,9 +67,10 @@ struct Coarse {
 
 // Join pairs of units along their heaviest connectors, where limits allow it. No joined
 // unit asks for more than `largest` of any mean limit.
-Coarse coarsen(const Problem& fine, double largest, Random& random) {
+Coarse coarsen(const Problem& fine, const Placement& placed, double largest,
+               Random& random) {
   int count = 0;
-  std::vector<std::int32_t> part = match(fine, largest, random, count);
+  std::vector<std::int32_t> part = match(fine, placed, largest, random, count);
   Problem coarse = fine.joined(part, count);
   return {std::move(coarse), std::move(part)};
 }
@@ -71,8 +79,8 @@ Coarse coarsen(const Problem& fine, double largest, Random& random) {
 // computers the range is a poor guide, as only two of them have a say in it.
 class Level {
  public:
-  Level(const Problem& problem, Placement& placed)
-      : p_(problem), placed_(placed), left_(residues(problem, placed)),
+  Level(const Problem& problem, Placement& placed, double care)
+      : p_(problem), placed_(placed), care_(care), left_(residues(problem, placed)),
         gain_(p_.m, 0.0), price_(p_.r, 0.0) {
   }
 
@@ -107,7 +115,7 @@ class Level {
       const double mean = sum / p_.counted[k];
       const double variance = std::max(squares / p_.counted[k] - mean * mean, 1e-12);
       price_[k] = p_.weight[k] / p_.counted[k] *
-                  (p_.variance ? 1.0 : (high - low) / variance / 2);
+                  (p_.variance ? 1.0 : care_ * (high - low) / variance);
     }
   }
 
@@ -187,6 +195,7 @@ class Level {
 
   const Problem& p_;
   Placement& placed_;
+  const double care_;
   std::vector<double> left_;
   std::vector<double> gain_;  // (m): overhead towards each computer, of the unit at hand
   std::vector<double> price_;
@@ -196,9 +205,9 @@ class Level {
 
 // Move units to their neighbours' computers, or to emptier ones, while F falls. `placed`
 // must be feasible, and stays so.
-void refine(const Problem& p, Placement& placed, Stop& stop) {
+void refine(const Problem& p, Placement& placed, double care, Stop& stop) {
   if (p.m < 2) return;
-  Level level(p, placed);
+  Level level(p, placed, care);
   Placement best = placed;
   double least = terms(p, placed).total();
   for (int i = 0; i < kMostPasses && !stop.stopped(); ++i) {
@@ -214,29 +223,66 @@ void refine(const Problem& p, Placement& placed, Stop& stop) {
   placed = best;
 }
 
-}  // namespace
+using Levels = std::vector<std::unique_ptr<Coarse>>;
 
-Placement multilevel(const Problem& problem, Stop& stop, Random& random) {
-  std::vector<std::unique_ptr<Coarse>> levels;
+// Join units until few are left; `placed`, unless it is empty, becomes that of the last.
+Levels joined(const Problem& problem, Placement& placed, Stop& stop, Random& random) {
+  Levels levels;
   const Problem* now = &problem;
   const std::int64_t enough = static_cast<std::int64_t>(kUnitsPerComputer) * problem.m;
   while (now->n > enough && !stop.look()) {
-    levels.push_back(std::make_unique<Coarse>(coarsen(*now, kLargest, random)));
     const int before = now->n;
+    levels.push_back(std::make_unique<Coarse>(coarsen(*now, placed, kLargest, random)));
     now = &levels.back()->problem;
+    if (!placed.empty()) {
+      Placement coarse(now->n);
+      for (int u = 0; u < before; ++u) coarse[levels.back()->part_of[u]] = placed[u];
+      placed = std::move(coarse);
+    }
     if (now->n > before * 0.95) break;
   }
-  Placement placed;
-  if (!Greedy(*now).run(placed)) return {};
-  refine(*now, placed, stop);
+  return levels;
+}
+
+// Refine a placement of the last level, and take it to the first.
+void unfold(const Problem& problem, const Levels& levels, double care, Placement& placed,
+            Stop& stop) {
+  refine(levels.empty() ? problem : levels.back()->problem, placed, care, stop);
   for (std::size_t i = levels.size(); i-- > 0;) {
     const Problem& finer = i > 0 ? levels[i - 1]->problem : problem;
     const Placement coarse = std::move(placed);
     placed.resize(finer.n);
     for (int u = 0; u < finer.n; ++u) placed[u] = coarse[levels[i]->part_of[u]];
-    refine(finer, placed, stop);
+    refine(finer, placed, care, stop);
   }
-  return feasible(problem, placed) ? placed : Placement{};
+}
+
+}  // namespace
+
+Placement multilevel(const Problem& problem, Stop& stop, Random& random) {
+  Placement placed;
+  Levels levels = joined(problem, placed, stop, random);
+  // Where joined units are too large or held to too few computers, a finer level begins.
+  while (!Greedy(levels.empty() ? problem : levels.back()->problem).run(placed)) {
+    if (levels.empty()) return {};
+    levels.pop_back();
+  }
+  unfold(problem, levels, kLeastCare, placed, stop);
+  if (!feasible(problem, placed)) return {};
+  // V-cycles: join units that are on the same computer, in another way each time. What is
+  // connected comes together first; the balance counts more where that gains no more.
+  double least = terms(problem, placed).total(), care = kLeastCare;
+  for (int i = 0; i < kMostCycles && care <= kMostCare && !stop.look(); ++i) {
+    Placement better = placed;
+    levels = joined(problem, better, stop, random);
+    unfold(problem, levels, care, better, stop);
+    const double total = terms(problem, better).total();
+    if (total >= least * (1 - kLeastGain)) care *= kMoreCare;
+    if (total >= least || !feasible(problem, better)) continue;
+    least = total;
+    placed = std::move(better);
+  }
+  return placed;
 }
 
 }  // namespace poise
