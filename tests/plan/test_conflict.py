@@ -197,6 +197,16 @@ def test_the_greedy_says_where_it_came_to_a_dead_end() -> None:
     assert "finds no computer for c2" in result.reason
 
 
+def test_the_least_demand_has_a_way_out() -> None:
+    """A raise of half of it, as the computer is twice as fast, is below all amounts."""
+    problem = Problem(
+        components=(Item(name="c", demand={"cpu": 1e-30}), Item(name="d")),
+        computers=(Computer(name="h", capacity={"cpu": 0.0}, speed=2.0),),
+        apart=(("c", "d"),),
+    )
+    assert plan.solve(problem).conflict is not None
+
+
 @pytest.mark.slow
 def test_a_conflict_is_irreducible_and_its_relaxation_the_least() -> None:
     """Against brute force: of all capacities and links, none is enough with less."""

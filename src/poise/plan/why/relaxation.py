@@ -9,7 +9,7 @@ from typing import NamedTuple, Protocol
 from msgspec.structs import replace
 
 from poise.model.robot import Computer
-from poise.plan.problem.check import MOST
+from poise.plan.problem.check import LEAST, MOST
 from poise.plan.problem.problem import Problem
 from poise.plan.result_records import More
 from poise.plan.violations import amount_of
@@ -72,7 +72,7 @@ def relaxed(problem: Problem, raises: Raises) -> Problem:
                 capacity={
                     **h.capacity,
                     **{
-                        names[1]: min(h.capacity.get(names[1], 0.0) + x, MOST)
+                        names[1]: _in_range(h.capacity.get(names[1], 0.0) + x)
                         for (kind, *names), x in more.items()
                         if (kind, names[0]) == ("capacity", h.name)
                     },
@@ -81,7 +81,7 @@ def relaxed(problem: Problem, raises: Raises) -> Problem:
             for h in problem.computers
         ),
         links=tuple(
-            replace(k, bandwidth=min(k.bandwidth + x, MOST))
+            replace(k, bandwidth=_in_range(k.bandwidth + x))
             if (x := more.get(("link", *k.between)))
             else k
             for k in problem.links
@@ -89,6 +89,11 @@ def relaxed(problem: Problem, raises: Raises) -> Problem:
         together=tuple(g for g in problem.together if ("together", *g) not in more),
         apart=tuple(g for g in problem.apart if ("apart", *g) not in more),
     )
+
+
+def _in_range(amount: float) -> float:
+    """Return an amount above 0 that a problem may have: it may be raised by any."""
+    return min(max(amount, LEAST), MOST)
 
 
 def in_words(raises: Raises) -> str:
