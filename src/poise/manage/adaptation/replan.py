@@ -86,8 +86,7 @@ def propose(
     result = planner.decide(budget=budget, steps=situation.solve_steps, fewer=fewer)
     if not result.feasible or result.objective is None:
         if not is_quick:
-            give_up_at = perf_counter() + EXPLAIN_FOR
-            result.find_conflict(lambda: perf_counter() > give_up_at)
+            explain(result)
         needs = "".join(f"; {name} needs {demand}" for name, demand in shifted.items())
         raise RobotError(
             f"task '{task}' has no placement any more: {result.reason}{needs}"
@@ -104,6 +103,12 @@ def propose(
         proven=result.proven,
         aside=result.aside,
     )
+
+
+def explain(result: plan.Result) -> None:
+    """Look for why nothing fits, for `EXPLAIN_FOR` at most: `reason` says it then."""
+    give_up_at = perf_counter() + EXPLAIN_FOR
+    result.find_conflict(lambda: perf_counter() > give_up_at)
 
 
 def share_what_is_left(

@@ -67,9 +67,9 @@ def start_or_take_over(
         away = {computer.name for computer in run.robot.computers} - run.claimed
         if away:
             run.leave()  # what runs there may be another manager's
-            names = ", ".join(sorted(away - unclaimed.keys()))
-            lost = [f"no agent answers on {names}"] if names else []
-            raise RunError("; ".join([*unclaimed.values(), *lost]))
+            names = ", ".join(f"'{name}'" for name in sorted(away - unclaimed.keys()))
+            lost = f"nothing runs yet, and no agent answers on {names}: start it there"
+            raise RunError("; ".join([*unclaimed.values(), *([lost] if names else [])]))
         run.start_all()
         return
     said = next((f" of {manager}" for manager in before if manager), "")

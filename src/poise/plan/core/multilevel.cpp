@@ -16,8 +16,8 @@ constexpr int kUnitsPerComputer = 12;
 // What a joined unit may ask for, of a mean limit.
 constexpr double kLargest = 0.25;
 constexpr int kMostPasses = 4;
-// Again from a placement, at most so often. A cycle that gains less than this share of F is
-// the last with as little care for the balance: as much as F would have is `kMostCare`.
+// V-cycles: at most so many. After one that gains less than this share of F, the next cares
+// more for the balance; with `kMostCare` that counts about as much as it does in F.
 constexpr int kMostCycles = 40;
 constexpr double kLeastGain = 1e-3;
 constexpr double kLeastCare = 1.0 / 32, kMostCare = 0.5, kMoreCare = 1.5;

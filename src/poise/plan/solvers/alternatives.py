@@ -98,7 +98,11 @@ def admit(problem: Problem, decide: Decide, *, fewer: bool) -> Result:
     """Choose among alternatives and, when `fewer`, put aside what does not fit."""
     every = needs(problem)
     result = _choose(problem, every, decide, 0.7)
-    if result.feasible or not fewer:
+    if result.feasible:
+        return result
+    others = tuple(_other_parts(problem, every, result.choice))
+    result.choice = result.choice._replace(others=others)
+    if not fewer:
         return result
     required = [need for need in every if any(b.required for b in need)]
     optional = [need for need in every if need not in required]
@@ -122,6 +126,17 @@ def admit(problem: Problem, decide: Decide, *, fewer: bool) -> Result:
     why = result.reason if aside else ""
     best.choice = best.choice._replace(aside=aside, whole=problem, why=why)
     return best
+
+
+def _other_parts(
+    problem: Problem, every: list[Need], chosen: Selection
+) -> Iterator[Problem]:
+    """Yield the problems with other alternatives, unless those are too many."""
+    if prod(len(need) for need in every) <= MOST_EXPLAINED:
+        for combo in product(*every):
+            other = _choice(problem, every, combo)
+            if other.architectures != chosen.architectures:
+                yield part(problem, combo)
 
 
 def _priority(need: Need) -> int:
@@ -213,9 +228,8 @@ def _choose(
     """Return the best result over the combinations of alternatives."""
     count = prod(len(need) for need in every)
     complete = count <= MOST_COMBINATIONS
-    combos = list(product(*every) if complete else _one_change_each(every))
+    combos = product(*every) if complete else _one_change_each(every)
     best: Result | None = None
-    chosen = combos[0]
     bound, proven = inf, complete
     for combo in combos:
         result = decide(members(problem, combo), share / min(count, MOST_COMBINATIONS))
@@ -225,14 +239,11 @@ def _choose(
             bound = min(bound, -inf if result.bound is None else result.bound)
         proven = proven and result.proven
         if best is None or _better(result, best):
-            best, chosen = result, combo
+            best = result
         if result.stopped_by == "interrupted" and best.feasible:
             complete = proven = False
             break
     assert best is not None  # noqa: S101 - there is one combination at least
-    if not best.feasible and count <= MOST_EXPLAINED:
-        others = tuple(part(problem, combo) for combo in combos if combo != chosen)
-        best.choice = best.choice._replace(others=others)
     if count > 1:
         best.settle(bound if complete else -inf, proven=proven)
     return best

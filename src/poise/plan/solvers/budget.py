@@ -5,8 +5,8 @@ from __future__ import annotations
 from time import perf_counter, thread_time
 
 BUSY = 4.0
-"""A budget of CPU time takes at most so many times as long on a busy machine; the same
-in `plan/core/problem/stop.h`."""
+"""On a busy machine a budget lasts this many times as long at most; `Stop` of the core
+(`plan/core/problem/stop.h`) has the same number."""
 
 
 class Budget:

@@ -118,7 +118,10 @@ def rises(raises: Raises) -> tuple[More, ...]:
 
 
 def price(problem: Problem, raises: Raises) -> float:
-    """Return what raises take, in shares of what is usual; infinite: others, too."""
+    """Return the sum of raises, each as a share of what is `usual`.
+
+    Infinite when there are none, or when more than capacities has to give way.
+    """
     if not raises or any(limit.advice for limit in raises):
         return inf
     return sum(more / usual(problem, limit) for limit, more in raises.items())

@@ -11,6 +11,7 @@ from msgspec import Struct
 from poise import plan
 from poise.errors import RobotError
 from poise.manage.adaptation.move_limits import MoveLimits
+from poise.manage.adaptation.replan import explain
 from poise.manage.adaptation.responder import Change
 from poise.manage.adaptation.shortages.free_room import placed_beside
 from poise.manage.adaptation.shortages.put_aside import PutAside
@@ -139,28 +140,18 @@ def fail_over(situation: Situation, lost: Collection[str]) -> Failover:
     stranded = [name for name in homes if name not in works]
     if not stranded:
         return Failover(placement={}, missing=missing)
-    with contextlib.suppress(RobotError):  # no way leads there
-        problem, result = placed_beside(situation, homes)
-        if result.feasible:
-            where = {name: result.placement[name] for name in stranded}
-            return Failover(
-                placement=where,
-                missing=missing,
-                steps=()
-                if plan.evaluate(problem, {**works, **where}).feasible
-                else _room_for(situation, works, result.placement),
-            )
+    problem, result = placed_beside(situation, homes)
+    if result.feasible:
+        where = {name: result.placement[name] for name in stranded}
+        has_room = plan.evaluate(problem, {**works, **where}).feasible
+        then = works if has_room else {name: result.placement[name] for name in works}
+        with contextlib.suppress(RobotError):  # no way leads there
+            robot = situation.of_what_runs().robot  # no way leads over what is lost
+            steps = plan_transition(robot, works, then, shares_cpu=True)
+            return Failover(placement=where, missing=missing, steps=steps)
     kept = {name: (at,) for name, at in works.items()}
     wanted = {name: homes[name] for name in stranded}
     return _by_priority(situation, kept, wanted, missing)
-
-
-def _room_for(
-    situation: Situation, works: Mapping[str, str], placement: Mapping[str, str]
-) -> tuple[TransitionStep, ...]:
-    """Return the moves of what works to a placement, before others start there."""
-    then = {name: placement[name] for name in works}
-    return plan_transition(situation.robot, works, then, shares_cpu=True)
 
 
 def _by_priority(
@@ -190,7 +181,6 @@ def _by_priority(
         if not names:
             continue
         wanted = {name: stranded[name] for name in names}
-        why = ""
         for lower in _more_and_more(situation, architecture.priority, kept):
             gone = {c.name for a in lower for c in a.components}
             left = {name: at for name, at in kept.items() if name not in gone}
@@ -201,8 +191,9 @@ def _by_priority(
                 kept = {**left, **{name: (at,) for name, at in where.items()}}
                 aside += tuple(a.name for a in lower)
                 break
-            why = f"it fits nowhere beside what runs: {result.reason}"
         else:
+            explain(result)
+            why = f"it fits nowhere beside what runs: {result.reason}"
             missing |= dict.fromkeys(names, why)
     return Failover(
         placement=placement,

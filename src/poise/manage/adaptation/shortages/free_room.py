@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping
-from time import perf_counter
 from typing import NamedTuple
 
 from msgspec.structs import replace
@@ -13,7 +12,6 @@ from poise.errors import RobotError
 from poise.manage.adaptation.decision import HORIZON, WORTH, move_costs
 from poise.manage.adaptation.replan import (
     DECIDE_FOR,
-    EXPLAIN_FOR,
     SOLVE_FOR,
     share_what_is_left,
     with_costs,
@@ -34,8 +32,8 @@ class PlacedBeside(NamedTuple):
 def placed_beside(situation: Situation, homes: Homes) -> PlacedBeside:
     """Return where components run with least work undone; CPU that is short is shared.
 
-    Those without homes do not count. For one that works now on one of its homes, to
-    move costs what its component would do meanwhile.
+    Those without homes do not count. To move one that works on one of its homes costs
+    what it would have done meanwhile. Why nothing fits is not looked for.
 
     Raises
     ------
@@ -52,9 +50,6 @@ def placed_beside(situation: Situation, homes: Homes) -> PlacedBeside:
     problem = with_costs(problem, costs)
     problem = share_what_is_left(problem, situation, HORIZON / WORTH)
     result = plan.solve(problem, DECIDE_FOR, steps=situation.solve_steps, why=False)
-    if not result.feasible:
-        give_up_at = perf_counter() + EXPLAIN_FOR
-        result.find_conflict(lambda: perf_counter() > give_up_at)
     return PlacedBeside(problem, result)
 
 
