@@ -32,12 +32,26 @@ GOOD: dict[str, Any] = {
     "spread": [0.5],
     "share": True,
     "variance": False,
+    "times": None,
+}
+TIMES: dict[str, Any] = {
+    "limits": [(1.0, 0.0, 0.1, 0, [(0, 0.1), (1, 0.2)], [(0, 1, 0.1, 1.0, 8.0)])],
+    "speed": [1.0, 2.0],
+    "cores": [1, 2],
+    "power": [1, 1],
+    "latency": [0.0, 0.1, 0.1, 0.0],
+    "per_byte": [],
 }
 
 
 def core_of(**wrong: Any) -> Core:
     """Return the core of two components on two computers, but for what is wrong."""
     return Core(SimpleNamespace(**{**GOOD, **wrong}))
+
+
+def timed(**wrong: Any) -> Core:
+    """Return it with a time limit, but for what is wrong with that."""
+    return core_of(times=SimpleNamespace(**{**TIMES, **wrong}))
 
 
 NUMBERS = st.one_of(
@@ -74,6 +88,20 @@ def test_nothing_crashes_the_interpreter(wrong: dict[str, Any], known: object) -
         core.exact(known, 0.01, 1000)  # type: ignore[arg-type]
         core.terms(known)  # type: ignore[arg-type]
         core.feasible(known)  # type: ignore[arg-type]
+    except (TypeError, ValueError, OverflowError, MemoryError, RuntimeError):
+        pass
+
+
+@pytest.mark.slow
+@given(st.dictionaries(st.sampled_from(sorted(TIMES)), ANYTHING, max_size=2))
+def test_no_time_limit_crashes_the_interpreter(wrong: dict[str, Any]) -> None:
+    try:
+        core = timed(**wrong)
+        core.greedy()
+        core.bound()
+        core.exact([], 0.01, 1000)
+        core.search([], 0.01, 1000, 1)
+        core.updated({"a": {"cpu": 2.0}}).terms([1, 0])
     except (TypeError, ValueError, OverflowError, MemoryError, RuntimeError):
         pass
 
@@ -142,6 +170,27 @@ def test_every_shape_and_size_has_an_answer(data: st.DataObject) -> None:
 def test_says_what_is_wrong(wrong: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         core_of(**wrong)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"limits": [(1.0, 0.0, 0.0, 1, [], [])]}, "cpu has the index 1"),
+        ({"limits": [(1.0, 0.0, 0.0, 0, [(2, 0.1)], [])]}, "runs has the index 2"),
+        (
+            {"limits": [(1.0, 0.0, 0.0, 0, [], [(0, -1, 0.0, 0.0, 0.0)])]},
+            "hops has the index -1",
+        ),
+        ({"power": [1, 1 << 30]}, "power has the index 1073741824"),
+        ({"cores": [1]}, "cores and power must have 2 entries"),
+        ({"latency": [0.0]}, "latency has 1 entries, must have 4"),
+    ],
+)
+def test_says_what_is_wrong_with_a_time_limit(
+    wrong: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(ValueError, match=message):
+        timed(**wrong)
 
 
 def test_a_placement_of_some_units_is_not_feasible() -> None:

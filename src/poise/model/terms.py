@@ -11,7 +11,8 @@ class Terms(Struct, frozen=True, kw_only=True):
 
     `move` holds every linear cost: of leaving the present computer, and what problems
     say that a component costs on a computer. `quality` is what a lesser alternative
-    costs, and `shortage` what is used beyond soft limits.
+    costs, `shortage` what is used beyond soft limits, and `time` what is beyond time
+    limits that have a price.
     """
 
     total: float
@@ -20,6 +21,7 @@ class Terms(Struct, frozen=True, kw_only=True):
     move: float = 0.0
     quality: float = 0.0
     shortage: float = 0.0
+    time: float = 0.0
 
     def __sub__(self, other: Terms) -> Terms:
         """Return by how much each term is more than `other`'s."""

@@ -9,6 +9,7 @@ from poise.plan.problem.file import load, schema
 from poise.plan.problem.from_robot import problem_of, static
 from poise.plan.problem.problem import Bundle, Edge, Item, Problem, SoftLimit
 from poise.plan.problem.share_cpu import PRICE, Margin, share_cpu
+from poise.plan.problem.time_limit import Hop, Run, TimeLimit
 from poise.plan.result import Result
 from poise.plan.result_records import (
     ComputerTried,
@@ -30,6 +31,7 @@ __all__ = [
     "Edge",
     "Explanation",
     "GreedyStep",
+    "Hop",
     "Item",
     "Margin",
     "More",
@@ -43,11 +45,13 @@ __all__ = [
     "Problem",
     "Rejection",
     "Result",
+    "Run",
     "Shortage",
     "Smallest",
     "SoftLimit",
     "Terms",
     "Tightest",
+    "TimeLimit",
     "add",
     "evaluate",
     "explain",

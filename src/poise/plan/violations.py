@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from poise.model.hardware import fits
 from poise.plan.problem.arrays import Arrays, Placed
 from poise.plan.result_records import Shortage, Tightest
+from poise.plan.times import late
 from poise.units import format_bandwidth, format_bytes
 
 KIBIBYTE, MILLION = 1024, 1e6
@@ -49,6 +50,7 @@ def violations(arrays: Arrays, placed: Placed) -> list[str]:
         *_misplaced(arrays, placed),
         *_crowded(arrays, placed),
         *_overloaded(arrays, placed),
+        *late(arrays, placed, loads(arrays, placed)),
     ]
 
 

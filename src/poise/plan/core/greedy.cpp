@@ -7,7 +7,7 @@ namespace poise {
 
 Greedy::Greedy(const Problem& problem)
     : p_(problem), first_share_(p_.capacity.size()), total_(p_.m), balance_(p_.r),
-      first_balance_(p_.r) {
+      first_balance_(p_.r), times_(p_) {
   for (int k = 0; k < p_.r; ++k) {
     Balance& b = first_balance_[k];
     b = {};
@@ -35,11 +35,13 @@ Greedy::Greedy(const Problem& problem)
 bool Greedy::run(Placement& placed) {
   start();
   placed.assign(p_.n, -1);
+  times_.reset(placed);
   for (const std::int32_t unit : p_.order) {
     pay_for_ties(unit, placed);
     for (int k = 0; k < p_.r; ++k) add_balance(k, p_.need(unit)[k]);
     for (const int k : p_.priced) add_shortage(k, p_.need(unit)[k]);
     shut(unit, placed);
+    if (!p_.time_limits.empty()) add_times(unit);
     const int computer = best();
     if (computer < 0) return false;
     placed[unit] = computer;
@@ -154,6 +156,17 @@ void Greedy::shut_full_links() {
   }
 }
 
+// Add what is beyond time limits with the unit on each computer, all that has none taking
+// the least it may; infinite where one breaks that must be kept.
+void Greedy::add_times(int unit) {
+  for (int h = 0; h < p_.m; ++h) {
+    if (total_[h] == kInfinity) continue;
+    TimeSum sum = times_.weigh(unit, h);
+    sum.add(times_.sum(), 1);
+    total_[h] = sum.broken > 0 ? kInfinity : total_[h] + sum.paid;
+  }
+}
+
 // The first computer whose F is lowest, within rounding; -1 when none is finite.
 int Greedy::best() const {
   const int m = p_.m;
@@ -169,6 +182,7 @@ int Greedy::best() const {
 void Greedy::put(int unit, int computer) {
   const int m = p_.m;
   paid_ += p_.linear(unit, computer);
+  if (!p_.time_limits.empty()) times_.put(unit, computer);
   for (const Tie& tie : ties()) {
     paid_ += tie.overhead * p_.far(computer, tie.computer);
     if (p_.bandwidth.empty()) continue;

@@ -1,7 +1,7 @@
 // The paper's greedy, as tests/plan/reference/greedy.py specifies it.
 #pragma once
 
-#include "problem/problem.h"
+#include "problem/times.h"
 
 namespace poise {
 
@@ -32,6 +32,7 @@ class Greedy {
   void add_shortage(int resource, double need);
   void shut(int unit, const Placement& placed);
   void shut_full_links();
+  void add_times(int unit);
   int best() const;
   void put(int unit, int computer);
   void find_extremes(int resource);
@@ -43,6 +44,7 @@ class Greedy {
   std::vector<double> total_;         // (m): F with the unit there
   std::vector<Balance> balance_, first_balance_;
   std::vector<double> traffic_;       // (m, m), when bandwidth is limited
+  Times times_;
   std::vector<Tie> ties_;             // of the unit, the first `tie_count_`
   int tie_count_ = 0;
   double paid_ = 0;                   // communication and linear cost so far

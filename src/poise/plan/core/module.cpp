@@ -1,9 +1,6 @@
 // The one place where C++ meets Python.
 #include <nanobind/nanobind.h>
-#include <nanobind/stl/map.h>
-#include <nanobind/stl/pair.h>
 #include <nanobind/stl/string.h>
-#include <nanobind/stl/tuple.h>
 #include <nanobind/stl/vector.h>
 
 #include <atomic>
@@ -13,6 +10,7 @@
 #include "exact/tree.h"
 #include "greedy.h"
 #include "problem/relaxation.h"
+#include "read_arrays.h"
 #include "search/search.h"
 
 namespace nb = nanobind;
@@ -21,94 +19,6 @@ using namespace poise;
 namespace {
 
 constexpr double kLeast = 1e-30, kMost = 1e30;  // as in poise.plan.problem.check
-
-// Reads fields of `poise.plan.problem.arrays.Arrays`, and refuses what would make the solvers
-// read where nothing is. Whether numbers make sense has been looked at by
-// `poise.plan.problem.check`.
-struct Fields {
-  nb::handle arrays;
-
-  template <typename T>
-  T get(const char* name) const {
-    return nb::cast<T>(arrays.attr(name));
-  }
-
-  int size(const char* name, std::int64_t most) const {
-    const auto value = get<std::int64_t>(name);
-    if (value >= 0 && value <= most) return static_cast<int>(value);
-    throw std::invalid_argument(std::string(name) + " is " + std::to_string(value));
-  }
-
-  std::vector<double> numbers(const char* name, std::size_t length) const {
-    auto values = get<std::vector<double>>(name);
-    if (values.size() == length) return values;
-    throw std::invalid_argument(std::string(name) + " has " + std::to_string(values.size()) +
-                                " entries, must have " + std::to_string(length));
-  }
-
-  // Numbers that may be left out.
-  std::vector<double> table(const char* name, std::size_t length) const {
-    const nb::object values = arrays.attr(name);
-    return nb::len(values) == 0 ? std::vector<double>{} : numbers(name, length);
-  }
-
-  static void check_index(const char* name, std::int64_t value, std::int64_t end) {
-    if (value >= 0 && value < end) return;
-    throw std::invalid_argument(std::string(name) + " has the index " +
-                                std::to_string(value) + ", must be in [0, " +
-                                std::to_string(end) + ")");
-  }
-};
-
-using Pairs = std::vector<std::pair<std::int32_t, std::int32_t>>;
-using Connectors = std::vector<std::tuple<std::int32_t, std::int32_t, double, double>>;
-using Allowed = std::map<std::int32_t, std::vector<std::int32_t>>;
-
-Problem read(const Fields& in) {
-  Problem p;
-  p.n = in.size("n", 1 << 28);
-  p.m = in.size("m", 1 << 20);
-  p.r = in.size("r", 1024);
-  const std::size_t n = p.n, m = p.m, r = p.r;
-  if (n > 0 && m == 0) throw std::invalid_argument("there are no computers");
-  p.weight = in.numbers("spread", r);
-  p.size_weight = in.numbers("size_weight", r);
-  p.distance = in.table("distance", m * m);
-  p.cost = in.table("cost", n * m);
-  p.bandwidth = in.table("bandwidth", m * m);
-  p.price = in.numbers("price", r);
-  p.variance = in.get<bool>("variance");
-  p.set_rooms(in.numbers("capacity", m * r), in.numbers("limit", m * r), in.get<bool>("share"));
-  const auto connectors = in.get<Connectors>("connectors");
-  const auto communication = in.get<double>("communication");
-  for (const auto& [a, b, overhead, traffic] : connectors) {
-    for (const std::int32_t unit : {a, b}) Fields::check_index("connectors", unit, p.n);
-  }
-  p.connect([&](auto add) {
-    for (const auto& [a, b, overhead, traffic] : connectors) {
-      if (a == b) continue;
-      add(a, {b, communication * overhead, traffic});
-      add(b, {a, communication * overhead, traffic});
-    }
-  });
-  const auto apart = in.get<Pairs>("apart");
-  for (const auto& [a, b] : apart) {
-    for (const std::int32_t unit : {a, b}) Fields::check_index("apart", unit, p.n);
-  }
-  p.keep_apart([&](auto add) {
-    for (const auto& [a, b] : apart) {
-      add(a, b);
-      add(b, a);
-    }
-  });
-  const auto allowed = in.get<Allowed>("allowed");
-  for (const auto& [unit, computers] : allowed) {
-    Fields::check_index("allowed", unit, p.n);
-    for (const std::int32_t h : computers) Fields::check_index("allowed", h, p.m);
-  }
-  p.restrict_units(allowed);
-  return p;
-}
 
 const char* named(Reason reason) {
   switch (reason) {
@@ -152,16 +62,13 @@ struct Asked {
 class Core {
  public:
   explicit Core(const Fields& in)
-      : problem_(read(in)), greedy_(problem_), index_(in.get<nb::dict>("index")),
+      : unit_of_(in.get<std::vector<std::int32_t>>("unit_of")), problem_(read(in, unit_of_)),
+        greedy_(problem_), index_(in.get<nb::dict>("index")),
         resources_(in.get<nb::tuple>("resources")),
-        unit_of_(in.get<std::vector<std::int32_t>>("unit_of")),
         demand_(in.numbers("component_demand", unit_of_.size() * problem_.r)) {
     if (nb::len(index_) != unit_of_.size() ||
         nb::len(resources_) > static_cast<std::size_t>(problem_.r)) {
       throw std::invalid_argument("unit_of, index and resources do not agree");
-    }
-    for (const std::int32_t unit : unit_of_) {
-      Fields::check_index("unit_of", unit, problem_.n);
     }
     for (const auto& [name, at] : index_) {
       Fields::check_index("index", nb::cast<std::int64_t>(at), unit_of_.size());
@@ -171,8 +78,8 @@ class Core {
 
   // Another one with other demands: component -> resource -> amount.
   Core(const Core& other, nb::dict demands)
-      : problem_(other.problem_), greedy_(problem_), index_(other.index_),
-        resources_(other.resources_), unit_of_(other.unit_of_), demand_(other.demand_) {
+      : unit_of_(other.unit_of_), problem_(other.problem_), greedy_(problem_),
+        index_(other.index_), resources_(other.resources_), demand_(other.demand_) {
     for (const auto& [name, amounts] : demands) {
       PyObject* at = PyDict_GetItemWithError(index_.ptr(), name.ptr());
       if (at == nullptr) {
@@ -227,7 +134,8 @@ class Core {
 
   nb::tuple terms(nb::handle known) {
     const Terms out = poise::terms(problem_, checked(known, -1));
-    return nb::make_tuple(out.communication, out.balance, out.linear, out.shortage);
+    return nb::make_tuple(out.communication, out.balance, out.linear, out.shortage,
+                          out.time);
   }
 
   bool keeps_limits(nb::handle known) { return feasible(problem_, checked(known, -1)); }
@@ -246,6 +154,7 @@ class Core {
         problem_.demand[unit_of_[i] * r + k] += demand_[i * r + k];
       }
     }
+    problem_.time_limits.set_own(demand_, problem_.r);
     problem_.sort_units();
   }
 
@@ -320,11 +229,11 @@ class Core {
     return placed;
   }
 
+  std::vector<std::int32_t> unit_of_;
   Problem problem_;
   Greedy greedy_;
   nb::dict index_;       // component -> its place in `unit_of_`
   nb::tuple resources_;
-  std::vector<std::int32_t> unit_of_;
   std::vector<double> demand_;  // (components, r)
   std::unique_ptr<Tree> exact_;
   Placement placed_;
@@ -354,7 +263,8 @@ NB_MODULE(_core, module) {
            nb::arg("demands"),
            nb::sig("def updated(self, demands: dict[str, dict[str, float]]) -> Core"))
       .def("terms", &Core::terms, nb::arg("placed"),
-           nb::sig("def terms(self, placed: list[int]) -> tuple[float, float, float, float]"))
+           nb::sig("def terms(self, placed: list[int]) -> tuple[float, float, float, float, "
+                   "float]"))
       .def("feasible", &Core::keeps_limits, nb::arg("placed"),
            nb::sig("def feasible(self, placed: list[int]) -> bool"))
       .def("bound", &Core::bound, nb::sig("def bound(self) -> float"))

@@ -6,6 +6,7 @@
 #include <numeric>
 
 #include "greedy.h"
+#include "problem/times.h"
 
 namespace poise {
 namespace {
@@ -81,7 +82,8 @@ class Level {
  public:
   Level(const Problem& problem, Placement& placed, double care)
       : p_(problem), placed_(placed), care_(care), left_(residues(problem, placed)),
-        gain_(p_.m, 0.0), price_(p_.r, 0.0) {
+        gain_(p_.m, 0.0), price_(p_.r, 0.0), times_(p_) {
+    times_.reset(placed);
   }
 
   // One pass over all units; how many moved.
@@ -132,7 +134,11 @@ class Level {
     double least = -1e-12;
     const auto consider = [&](int h) {
       if (h == here || !fits(unit, h)) return;
-      const double change = paid(unit, here, h, stays) + balance(unit, here, h);
+      double change = paid(unit, here, h, stays) + balance(unit, here, h);
+      if (change < least + times_.sum().paid && !p_.time_limits.empty()) {
+        const TimeSum times = times_.weigh(alone(unit, here, h));
+        change = times.broken > 0 ? kInfinity : change + times.paid;
+      }
       if (change < least) {
         least = change;
         best = h;
@@ -190,7 +196,12 @@ class Level {
       left_[k * p_.m + from] += need;
       left_[k * p_.m + to] -= need;
     }
+    if (!p_.time_limits.empty()) times_.apply(alone(unit, from, to));
     placed_[unit] = to;
+  }
+
+  static Shift alone(const int& unit, int from, int to) {
+    return {{&unit, &unit + 1}, {nullptr, nullptr}, from, to};
   }
 
   const Problem& p_;
@@ -199,6 +210,7 @@ class Level {
   std::vector<double> left_;
   std::vector<double> gain_;  // (m): overhead towards each computer, of the unit at hand
   std::vector<double> price_;
+  Times times_;
   std::vector<int> near_;
   int emptiest_ = 0;
 };
@@ -214,7 +226,8 @@ void refine(const Problem& p, Placement& placed, double care, Stop& stop) {
     const std::int64_t moved = level.pass(stop);
     const double total = terms(p, placed).total();
     // Moves are weighed without the links: what overfills one is not kept.
-    if (total < least && (p.bandwidth.empty() || feasible(p, placed))) {
+    const bool sums = !p.bandwidth.empty() || !p.time_limits.empty();
+    if (total < least && (!sums || feasible(p, placed))) {
       least = total;
       best = placed;
     }

@@ -9,7 +9,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import accumulate
 
+from msgspec.structs import replace
+
 from poise.plan.problem.arrays import Arrays
+from poise.plan.problem.time_arrays import LimitArray, Times
 
 Unit = tuple[int, int]
 """A phase, and a unit in it."""
@@ -72,7 +75,26 @@ def merged(parts: Sequence[Arrays], moves: Mapping[tuple[Unit, Unit], float]) ->
         begin[-1],
         a.m,
         a.r * count,
+        _times(parts, begin, start),
     )
+
+
+def _times(
+    parts: Sequence[Arrays], begin: Sequence[int], start: Sequence[int]
+) -> Times | None:
+    """Return the time limits of all phases, each with the CPU of its own phase."""
+    limits: list[LimitArray] = []
+    times = None
+    for p, part in enumerate(parts):
+        times = part.times or times
+        for limit, price, fixed, cpu, runs, hops in (
+            part.times.limits if part.times else ()
+        ):
+            shares = cpu + p * part.r if cpu >= 0 else -1
+            moved = [(component + start[p], seconds) for component, seconds in runs]
+            ways = [(hop[0] + begin[p], hop[1] + begin[p], *hop[2:]) for hop in hops]
+            limits.append((limit, price, fixed, shares, moved, ways))
+    return times and replace(times, limits=limits)
 
 
 def _own(tables: Sequence[Sequence[float]], r: int) -> list[float]:

@@ -15,6 +15,7 @@ from msgspec.structs import replace
 
 from poise.errors import UsageError
 from poise.plan.problem.problem import Item, Problem, SoftLimit
+from poise.plan.problem.time_arrays import Times, times_of
 
 LEAST_LINK_USE = 0.1
 """What communication counts for at least, however little of the links it takes: a
@@ -66,6 +67,8 @@ class Arrays(Struct, frozen=True):
         Whether residue is measured as a share of capacity.
     variance
         Whether spread is the population variance, else largest minus smallest.
+    times
+        The time limits, where there are any.
     """
 
     problem: Problem
@@ -92,6 +95,7 @@ class Arrays(Struct, frozen=True):
     n: int
     m: int
     r: int
+    times: Times | None = None
 
     def name(self, unit: int) -> str:
         """Return the names of a unit's components, joined."""
@@ -178,6 +182,7 @@ def arrays_of(problem: Problem) -> Arrays:
         n,
         m,
         r,
+        times_of(problem, index, unit_of),
     )
     return _with_soft_limits(arrays) if problem.soft_limits else arrays
 

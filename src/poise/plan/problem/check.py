@@ -50,6 +50,7 @@ def problems(problem: Problem) -> Iterator[str]:
     yield from _twice("component", components)
     yield from _twice("computer", computers)
     yield from _twice("architecture", [a.name for a in problem.architectures])
+    yield from _twice("time limit", [t.name for t in problem.time_limits])
     if components and not computers:
         yield f"there are {len(components)} components, but no computers"
     yield from _numbers(problem)
@@ -76,6 +77,9 @@ def _lists(problem: Problem) -> Iterator[tuple[str, object]]:
         yield f"architecture {a.name!r}: components", a.components
     for s in problem.soft_limits:
         yield f"soft limit of {s.resource}: components", s.components or ()
+    for t in problem.time_limits:
+        for hop in t.hops:
+            yield f"time limit {t.name!r}: a hop: between", hop.between
     sets: dict[str, Iterable[object]]
     sets = {"together": problem.together, "apart": problem.apart}
     for kind, groups in sets.items():
@@ -113,10 +117,11 @@ def _numbers(problem: Problem) -> Iterator[str]:
         yield from _amounts(where, {"overhead": k.overhead, "traffic": k.traffic})
     for link in problem.links:
         where = f"link {' - '.join(link.between)}: "
-        yield from _amounts(where, {"distance": link.distance})
+        yield from _amounts(where, {"distance": link.distance, "latency": link.latency})
         if link.bandwidth != inf:
             yield from _amounts(where, {"bandwidth": link.bandwidth})
     yield from _soft_limits(problem)
+    yield from _time_limits(problem)
     yield from _weights(problem)
 
 
@@ -127,6 +132,23 @@ def _soft_limits(problem: Problem) -> Iterator[str]:
         yield from _amounts(where, {"price": s.price})
         if s.price == 0:
             yield f"{where}price is 0, must be above 0"
+
+
+def _time_limits(problem: Problem) -> Iterator[str]:
+    for t in problem.time_limits:
+        where = f"time limit {t.name!r}: "
+        yield from _amounts(where, {"fixed": t.fixed, "price": t.price})
+        yield from _amounts(where, {"limit": t.limit})
+        if t.limit == 0:
+            yield f"{where}limit is 0, must be above 0"
+        for run in t.runs:
+            part = f"{where}run of {run.component}: "
+            yield from _amounts(part, {"seconds": run.seconds})
+        for hop in t.hops:
+            ends = " - ".join(hop.between)
+            numbers = ("seconds", "crossings", "size")
+            amounts = {name: getattr(hop, name) for name in numbers}
+            yield from _amounts(f"{where}hop {ends}: ", amounts)
 
 
 def _weights(problem: Problem) -> Iterator[str]:
@@ -176,10 +198,13 @@ def _groups(problem: Problem) -> Iterator[str]:
             for name, count in Counter(group).items():
                 if count > 1:
                     yield f"{kind}: {name!r} is there {count} times"
-    for connector in problem.connectors:
-        ends: Sequence[str] = connector.between
+    joining = [("connector", k.between) for k in problem.connectors]
+    for t in problem.time_limits:
+        joining += [(f"time limit {t.name!r}: hop", hop.between) for hop in t.hops]
+    for what, between in joining:
+        ends: Sequence[str] = between
         if len(ends) != 2:  # noqa: PLR2004 - two ends
-            yield f"connector between {', '.join(ends)}: it must join two components"
+            yield f"{what} between {', '.join(ends)}: it must join two components"
     for link in problem.links:
         if len(set(link.between)) != 2:  # noqa: PLR2004 - two ends
             names = ", ".join(link.between)
@@ -215,3 +240,5 @@ def _mentions(problem: Problem) -> Iterator[tuple[str, str, tuple[str, ...]]]:
     for s in problem.soft_limits:
         yield f"soft limit of {s.resource}", "computer", (*s.limits,)
         yield f"soft limit of {s.resource}", "component", s.components or ()
+    for t in problem.time_limits:
+        yield f"time limit {t.name!r}", "component", t.components

@@ -14,6 +14,7 @@ from msgspec import Struct
 
 from poise.model.robot import Computer, Link, Objective
 from poise.plan.problem.check import check
+from poise.plan.problem.time_limit import TimeLimit
 
 
 class Item(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -122,6 +123,8 @@ class Problem(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
         alternatives. Empty means that every component is needed.
     soft_limits
         Limits that may be broken for a price.
+    time_limits
+        How long things may take from end to end.
     """
 
     components: tuple[Item, ...] = ()
@@ -133,6 +136,7 @@ class Problem(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     apart: tuple[tuple[str, ...], ...] = ()
     architectures: tuple[Bundle, ...] = ()
     soft_limits: tuple[SoftLimit, ...] = ()
+    time_limits: tuple[TimeLimit, ...] = ()
 
     def __post_init__(self) -> None:
         """Raise a RobotError that lists everything that is wrong."""

@@ -12,7 +12,8 @@ from poise.plan import _core
 from poise.plan.problem.arrays import Arrays, Placed, arrays_of
 from poise.plan.problem.problem import Problem
 from poise.plan.result_records import ComputerTried, GreedyStep
-from poise.plan.violations import obstacle
+from poise.plan.times import late
+from poise.plan.violations import loads, obstacle
 
 
 class Snapshot:
@@ -78,13 +79,14 @@ class Snapshot:
 
     def terms(self, placed: Placed) -> Terms:
         """Return F of a placement; units without a computer (-1) contribute nothing."""
-        communication, balance, move, shortage = self.core.terms(placed)
+        communication, balance, move, shortage, time = self.core.terms(placed)
         return Terms(
-            total=communication + balance + move + shortage,
+            total=communication + balance + move + shortage + time,
             communication=communication,
             balance=balance,
             move=move,
             shortage=shortage,
+            time=time,
         )
 
     def greedy_trace(self) -> tuple[GreedyStep, ...]:
@@ -107,8 +109,10 @@ class Snapshot:
         return tuple(trace)
 
     def _trial(self, placed: Placed, unit: int, computer: int) -> ComputerTried:
-        reason = obstacle(self.arrays, placed, unit, computer)
         trial = [*placed[:unit], computer, *placed[unit + 1 :]]
+        reason = obstacle(self.arrays, placed, unit, computer) or "; ".join(
+            late(self.arrays, trial, loads(self.arrays, trial))
+        )
         total = None if reason else self.terms(trial).total
         return ComputerTried(
             computer=self.arrays.computer(computer), total=total, reason=reason

@@ -13,7 +13,10 @@ from poise.suggest import unknown
 
 
 def keep_components(problem: Problem, names: Collection[str]) -> Problem:
-    """Return the problem with only the components called `names`."""
+    """Return the problem with only the components called `names`.
+
+    Of the time limits, those that others have a part in are left out.
+    """
     if all(c.name in names for c in problem.components):
         return problem
 
@@ -36,6 +39,11 @@ def keep_components(problem: Problem, names: Collection[str]) -> Problem:
             if each.components is None
             else replace(each, components=group(each.components))
             for each in problem.soft_limits
+        ),
+        time_limits=tuple(
+            each
+            for each in problem.time_limits
+            if all(name in names for name in each.components)
         ),
     )
 

@@ -1,12 +1,13 @@
 // Branch and bound on any number of computers. Its bound is what has been paid, plus the
 // least that every open unit must pay towards placed ones, plus the imbalance that is left
-// if open demand flowed freely.
+// if open demand flowed freely, plus what is beyond time limits already.
 #include <algorithm>
 #include <memory>
 
 #include "exact/frontier.h"
 #include "exact/tree.h"
 #include "problem/relaxation.h"
+#include "problem/times.h"
 
 namespace poise {
 namespace {
@@ -17,7 +18,7 @@ constexpr double kSizeOverTie = 0.6;
 
 class AnyTree final : public Tree {
  public:
-  explicit AnyTree(const Problem& problem) : Tree(problem) {
+  explicit AnyTree(const Problem& problem) : Tree(problem), times_(problem) {
     if (!possible_) return;
     sort_units();
     connect();
@@ -87,7 +88,7 @@ class AnyTree final : public Tree {
     if (!p_.cost.empty() || !p_.distance.empty() || !p_.bandwidth.empty()) return;
     for (int h = 1; h < m_; ++h) {
       for (int g = h - 1; g >= 0 && twin_[h] < 0; --g) {
-        bool same = true;
+        bool same = p_.time_limits.alike(h, g);
         for (int k = 0; k < r_ && same; ++k) {
           same = p_.capacity[k * m_ + h] == p_.capacity[k * m_ + g] &&
                  p_.floor[k * m_ + h] == p_.floor[k * m_ + g] &&
@@ -128,7 +129,8 @@ class AnyTree final : public Tree {
     left_ = p_.capacity;
     units_on_.assign(m_, 0);
     traffic_.assign(p_.bandwidth.size(), 0.0);
-    open(0);
+    times_.reset(Placement(n_, -1));
+    if (times_.sum().broken == 0) open(0);
   }
 
   void open(int depth) {
@@ -148,9 +150,9 @@ class AnyTree final : public Tree {
   }
 
   // The computers worth trying, most promising first.
-  int branches(int depth, Branch* out) const {
+  int branches(int depth, Branch* out) {
     int count = 0;
-    const double rest = paid_ + least_sum_ - least_[depth];
+    const double rest = paid_ + least_sum_ - least_[depth] + times_.sum().paid;
     const double* unary = unary_.data() + static_cast<std::size_t>(depth) * m_;
     for (int h = 0; h < m_; ++h) {
       double bound = rest + unary[h];
@@ -158,6 +160,11 @@ class AnyTree final : public Tree {
       for (int k = 0; k < r_ && bound < threshold_; ++k) {
         if (p_.weight[k] > 0) bound += p_.weight[k] * imbalance(depth, k, h);
         if (p_.price[k] > 0) bound += p_.price[k] * shortage(depth, k, h);
+      }
+      if (!p_.time_limits.empty() && bound < threshold_) {
+        const TimeSum change = times_.weigh(order_[depth], h);
+        if (change.broken > 0) continue;
+        bound += change.paid;
       }
       if (bound >= threshold_) continue;
       int i = count++;
@@ -225,10 +232,12 @@ class AnyTree final : public Tree {
       least_[d] = least;
     }
     const bool holds = p_.bandwidth.empty() || send(depth, computer, 1.0);
-    return holds && paid_ + least_sum_ < threshold_;
+    if (!p_.time_limits.empty()) times_.put(order_[depth], computer);
+    return holds && paid_ + least_sum_ + times_.sum().paid < threshold_;
   }
 
   void leave(int depth, int computer) {
+    if (!p_.time_limits.empty()) times_.take_back();
     if (!p_.bandwidth.empty()) send(depth, computer, -1.0);
     const double* saved = saved_.data() + later_start_[depth] * (m_ + 1);
     for (auto e = later_start_[depth]; e < later_start_[depth + 1]; ++e) {
@@ -279,6 +288,7 @@ class AnyTree final : public Tree {
   std::vector<double> left_;     // (r, m)
   std::vector<double> traffic_;  // (m, m), of a larger and a smaller index
   std::vector<int> units_on_;    // (m)
+  Times times_;
   std::vector<Branch> branch_;   // (n, m)
   double paid_ = 0, least_sum_ = 0;
 };

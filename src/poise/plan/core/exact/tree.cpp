@@ -44,7 +44,8 @@ void Tree::found() {
   const double total = terms(p_, placed).total();
   if (total >= threshold_) return;
   // What links carry was added and taken away step by step, and rounded at each.
-  if (!p_.bandwidth.empty() && !feasible(p_, placed)) return;
+  const bool sums = !p_.bandwidth.empty() || !p_.time_limits.empty();
+  if (sums && !feasible(p_, placed)) return;
   set_best(total);
   best_placed_ = std::move(placed);
 }

@@ -47,6 +47,19 @@ void Problem::restrict_units(
   }
 }
 
+void Problem::settle_time_limits() {
+  time_limits.list_units(n);
+  for (TimeLimits::Limit& each : time_limits.limits) {
+    for (TimeLimits::Run& run : each.runs) {
+      double fastest = 0;
+      for (int h = 0; h < m; ++h) {
+        if (allowed(run.unit, h)) fastest = std::max(fastest, time_limits.speed[h]);
+      }
+      run.least = fastest > 0 ? run.seconds / fastest : 0.0;
+    }
+  }
+}
+
 void Problem::sort_units() {
   std::vector<std::pair<bool, double>> sizes(n);  // whether it is pinned, and its size
   for (int i = 0; i < n; ++i) {
@@ -135,6 +148,9 @@ Problem Problem::joined(const std::vector<std::int32_t>& part, int count) const 
     }
   });
   out.sort_units();
+  if (time_limits.empty()) return out;
+  out.time_limits = time_limits.joined(part);
+  out.settle_time_limits();
   return out;
 }
 
@@ -190,6 +206,9 @@ Terms terms(const Problem& p, const Placement& placed) {
       out.shortage += p.price[k] * p.shortage(k, h, left[k * p.m + h]);
     }
   }
+  for (int i = 0; i < p.time_limits.size(); ++i) {
+    out.time += p.time_limits.cost(i, seconds(p, i, placed, left));
+  }
   return out;
 }
 
@@ -218,7 +237,39 @@ bool feasible(const Problem& p, const Placement& placed) {
     // A computer that carries nothing breaks no limit.
     if (left[e] < p.floor[e] && left[e] < p.capacity[e]) return false;
   }
+  for (int i = 0; i < p.time_limits.size(); ++i) {
+    if (p.time_limits.breaks(i, seconds(p, i, placed, left))) return false;
+  }
   return true;
+}
+
+double seconds(const Problem& p, int i, const Placement& placed,
+               const std::vector<double>& left) {
+  const TimeLimits& all = p.time_limits;
+  const TimeLimits::Limit& each = all.limits[i];
+  double total = each.fixed;
+  for (const TimeLimits::Run& run : each.runs) {
+    const int h = placed[run.unit];
+    if (h < 0) {
+      total += run.least;
+      continue;
+    }
+    double takes = run.seconds / all.speed[h];
+    const std::size_t e = static_cast<std::size_t>(each.cpu) * p.m + h;
+    if (each.cpu >= 0 && p.capacity[e] > 0) {
+      takes *= all.slowdown(h, (p.capacity[e] - left[e] - run.own) / p.capacity[e]);
+    }
+    total += takes;
+  }
+  for (const TimeLimits::Hop& hop : each.hops) {
+    const int a = placed[hop.a], b = placed[hop.b];
+    if (a < 0 || b < 0 || a == b) continue;
+    const std::size_t link = static_cast<std::size_t>(a) * p.m + b;
+    total += hop.seconds;
+    if (!all.latency.empty()) total += hop.crossings * all.latency[link];
+    if (!all.per_byte.empty()) total += hop.size * all.per_byte[link];
+  }
+  return total;
 }
 
 }  // namespace poise

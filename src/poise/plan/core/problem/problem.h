@@ -10,6 +10,8 @@
 #include <map>
 #include <vector>
 
+#include "problem/time_limits.h"
+
 namespace poise {
 
 constexpr double kInfinity = std::numeric_limits<double>::infinity();
@@ -20,41 +22,6 @@ struct Neighbour {
   std::int32_t unit;
   double overhead;  // what F grows by when the two are at distance 1
   double traffic;   // [bytes/s]
-};
-
-template <typename T>
-struct Span {
-  const T* first;
-  const T* last;
-  const T* begin() const { return first; }
-  const T* end() const { return last; }
-  std::size_t size() const { return static_cast<std::size_t>(last - first); }
-};
-
-// A list for each unit, one list after the other in memory.
-template <typename T>
-class Lists {
- public:
-  bool empty() const { return items_.empty(); }
-  Span<T> of(int unit) const {
-    if (items_.empty()) return {nullptr, nullptr};
-    return {items_.data() + starts_[unit], items_.data() + starts_[unit + 1]};
-  }
-  // Fill the lists of n units: `each` calls its argument with (unit, item) for all items,
-  // always in the same order.
-  template <typename Each>
-  void fill(int n, Each each) {
-    starts_.assign(n + 1, 0);
-    each([&](int unit, const T&) { ++starts_[unit + 1]; });
-    for (int i = 0; i < n; ++i) starts_[i + 1] += starts_[i];
-    items_.resize(starts_[n]);
-    std::vector<std::int64_t> next(starts_.begin(), starts_.end() - 1);
-    each([&](int unit, const T& item) { items_[next[unit]++] = item; });
-  }
-
- private:
-  std::vector<std::int64_t> starts_;
-  std::vector<T> items_;
 };
 
 class Problem {
@@ -74,6 +41,7 @@ class Problem {
   std::vector<double> bandwidth;    // (m, m), or empty: unlimited
   std::vector<int> priced;          // the resources that have a price
   std::vector<std::int32_t> order;  // units in the order in which the greedy places them
+  TimeLimits time_limits;
   bool variance = false;
 
   // Set up what computers have: `has` and `limit` are (m, r); a limit whose resource has a
@@ -91,6 +59,8 @@ class Problem {
   }
   // Some units -> the computers that each may run on.
   void restrict_units(const std::map<std::int32_t, std::vector<std::int32_t>>& allowed);
+  // Bring time limits up to date with their units, and with where those may run.
+  void settle_time_limits();
   // Put units with one choice first, then by size; to be called when demands change.
   void sort_units();
 
@@ -147,8 +117,8 @@ class Problem {
 using Placement = std::vector<std::int32_t>;  // unit -> computer, -1: none
 
 struct Terms {
-  double communication = 0, balance = 0, linear = 0, shortage = 0;
-  double total() const { return communication + balance + linear + shortage; }
+  double communication = 0, balance = 0, linear = 0, shortage = 0, time = 0;
+  double total() const { return communication + balance + linear + shortage + time; }
 };
 
 // Recompute F from nothing: what every shortcut is held against.
@@ -159,5 +129,11 @@ bool feasible(const Problem& problem, const Placement& placed);
 
 // Residues (r, m) of a placement; units without a computer use nothing.
 std::vector<double> residues(const Problem& problem, const Placement& placed);
+
+// How long what time limit i is about takes, with residues `left` (r, m); at least, while
+// units have no computer: their hops take nothing, and their runs what they take on the
+// fastest computer where they may be.
+double seconds(const Problem& problem, int i, const Placement& placed,
+               const std::vector<double>& left);
 
 }  // namespace poise

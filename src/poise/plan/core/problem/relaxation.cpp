@@ -45,6 +45,10 @@ double relaxation_bound(const Problem& p) {
                                           p.counted[k], levelling.level, demand_of(p, k),
                                           p.variance, levelling.alike);
   }
+  const Placement none(p.time_limits.empty() ? 0 : p.n, -1);
+  for (int i = 0; i < p.time_limits.size(); ++i) {
+    total += p.time_limits.cost(i, seconds(p, i, none, p.capacity));
+  }
   return total;
 }
 

@@ -65,7 +65,8 @@ struct Levelling {
 };
 
 // A number that no placement's F is below: no connector is paid, each unit has its
-// cheapest computer, and demand flows freely, also into shortages.
+// cheapest computer, demand flows freely, also into shortages, and each run is alone on
+// its fastest computer.
 double relaxation_bound(const Problem& problem);
 
 }  // namespace poise

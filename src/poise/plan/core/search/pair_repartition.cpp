@@ -46,10 +46,15 @@ bool PairRepartition::run(State& state, int a, int b, int most_nodes, Stop& stop
   for (int d = 0; d < count_; ++d) {
     if (best_[d] != now_[d]) (now_[d] == 0 ? out : back).push_back(units_[d]);
   }
-  const double excess = state.excess();
+  const double excess = state.excess(), objective = state.objective();
   state.apply(out, back, a, b);
-  // The tree knows nothing of links: what overfills one is taken back.
-  if (p_.bandwidth.empty() || state.excess() <= excess) return true;
+  // The tree knows nothing of links and time limits: what they make worse is taken back.
+  bool keeps = p_.bandwidth.empty() || state.excess() <= excess;
+  if (!p_.time_limits.empty()) {
+    const bool gains = state.objective() < objective - 1e-12 * (1 + std::fabs(objective));
+    keeps = state.excess() < excess || (gains && state.excess() <= excess);
+  }
+  if (keeps) return true;
   state.apply(back, out, a, b);
   return false;
 }

@@ -16,7 +16,7 @@ class PairRepartition {
   explicit PairRepartition(const Problem& problem);
 
   // Whether `state` was improved. Limits that are broken now count as infinitely bad; what
-  // the links carry is looked at only in the end.
+  // the links carry, and how long things take, is looked at only in the end.
   bool run(State& state, int a, int b, int most_nodes, Stop& stop);
 
  private:

@@ -16,7 +16,7 @@ constexpr std::int64_t kLargestTable = 1 << 16;
 State::State(const Problem& problem)
     : p_(problem), placed_(p_.n, 0), on_(p_.m), spot_(p_.n), share_of_limit_(p_.r),
       high_(p_.r), low_(p_.r), sum_(p_.r), squares_(p_.r), centre_(p_.r), need_(p_.r),
-      mark_(p_.n, 0) {
+      mark_(p_.n, 0), times_(p_) {
   for (int k = 0; k < p_.r; ++k) {
     double counted = 0;
     for (int h = 0; h < p_.m; ++h) {
@@ -63,8 +63,8 @@ void State::reset(const Placement& placed) {
     }
   }
   balance_ = balance_now();
-  over_links_ = 0;
-  overfull_ = 0;
+  times_.reset(placed_);
+  over_links_ = overfull_ = 0;
   traffic_.assign(p_.bandwidth.size(), 0.0);
   if (p_.bandwidth.empty()) return;
   for (int i = 0; i < p_.n; ++i) {
@@ -244,16 +244,18 @@ double State::weigh_paid(const Units& out, const Units& back, int a, int b) {
 Change State::weigh_rest(const Units& out, const Units& back, int a, int b) {
   std::fill(need_.begin(), need_.end(), 0.0);
   for (const std::int32_t unit : out) {
-    const double* need = p_.demand.data() + static_cast<std::size_t>(unit) * p_.r;
-    for (int k = 0; k < p_.r; ++k) need_[k] += need[k];
+    for (int k = 0; k < p_.r; ++k) need_[k] += p_.need(unit)[k];
   }
   for (const std::int32_t unit : back) {
-    const double* need = p_.demand.data() + static_cast<std::size_t>(unit) * p_.r;
-    for (int k = 0; k < p_.r; ++k) need_[k] -= need[k];
+    for (int k = 0; k < p_.r; ++k) need_[k] -= p_.need(unit)[k];
   }
   Change change = weigh_loads(a, b);
   if (p_.has_apart()) change.excess += conflicts_with(out, back, a, b);
   if (!p_.bandwidth.empty()) change.excess += link_excess(out, back, a, b);
+  if (p_.time_limits.empty()) return change;
+  const TimeSum times = times_.weigh({all_of(out), all_of(back), a, b});
+  change.objective += times.paid;
+  change.excess += times.excess;
   return change;
 }
 
@@ -300,8 +302,7 @@ double State::shift_traffic(int unit, int to) {
   return change;
 }
 
-double State::link_excess(const Units& out,
-                          const Units& back, int a, int b) {
+double State::link_excess(const Units& out, const Units& back, int a, int b) {
   double change = 0;
   for (const std::int32_t unit : out) change += shift_traffic(unit, b);
   for (const std::int32_t unit : back) change += shift_traffic(unit, a);
@@ -323,10 +324,10 @@ State::Others State::others(int k, int a, int b) const {
   return out;
 }
 
-void State::apply(const Units& out,
-                  const Units& back, int a, int b) {
+void State::apply(const Units& out, const Units& back, int a, int b) {
   for (const std::int32_t unit : out) shift(unit, b);
   for (const std::int32_t unit : back) shift(unit, a);
+  if (!p_.time_limits.empty()) times_.apply({all_of(out), all_of(back), a, b});
   settle(a, b);
 }
 

@@ -1,0 +1,166 @@
+#include "problem/times.h"
+
+#include <algorithm>
+#include <cmath>
+
+namespace poise {
+
+void TimeSum::add(const TimeSum& other, int sign) {
+  paid += sign * other.paid;
+  excess += sign * other.excess;
+  late += sign * other.late;
+  broken += sign * other.broken;
+}
+
+Times::Times(const Problem& problem) : p_(problem), limits_(problem.time_limits) {
+  if (limits_.empty()) return;
+  seen_.assign(limits_.limits.size(), 0);
+  on_.resize(p_.m);
+}
+
+void Times::reset(const Placement& placed) {
+  if (limits_.empty()) return;
+  placed_ = placed;
+  left_ = residues(p_, placed);
+  for (auto& units : on_) units.clear();
+  for (int unit = 0; unit < p_.n; ++unit) {
+    if (placed_[unit] >= 0 && limits_.sharing.of(unit).size() > 0) {
+      on_[placed_[unit]].push_back(unit);
+    }
+  }
+  seconds_.resize(limits_.limits.size());
+  sum_ = {};
+  for (int i = 0; i < limits_.size(); ++i) {
+    seconds_[i] = seconds(p_, i, placed_, left_);
+    sum_.add(sum_of(i, seconds_[i]), 1);
+  }
+  undo_.clear();
+  old_seconds_.clear();
+  old_left_.clear();
+}
+
+TimeSum Times::sum_of(int i, double seconds) const {
+  const TimeLimits::Limit& each = limits_.limits[i];
+  if (limits_.breaks(i, seconds)) return {0, std::log(seconds / each.limit), 0, 1};
+  const double cost = limits_.cost(i, seconds);
+  return {cost, 0, cost > 0, 0};
+}
+
+// Find the limits in which a unit that moves has a part, and those whose runs share one of
+// the two computers.
+void Times::find_touched(const Shift& shift) {
+  touched_.clear();
+  ++shift_;
+  const auto touch = [&](Span<std::int32_t> limits) {
+    for (const std::int32_t i : limits) {
+      if (seen_[i] == shift_) continue;
+      seen_[i] = shift_;
+      touched_.push_back(i);
+    }
+  };
+  for (const std::int32_t unit : shift.out) touch(limits_.of_unit.of(unit));
+  for (const std::int32_t unit : shift.back) touch(limits_.of_unit.of(unit));
+  for (const int h : {shift.a, shift.b}) {
+    if (h < 0) continue;
+    for (const std::int32_t unit : on_[h]) touch(limits_.sharing.of(unit));
+  }
+}
+
+void Times::move(const Shift& shift) {
+  for (const std::int32_t unit : shift.out) place(unit, shift.b);
+  for (const std::int32_t unit : shift.back) place(unit, shift.a);
+}
+
+void Times::place(std::int32_t unit, int computer) {
+  const int from = placed_[unit];
+  for (const int cpu : limits_.cpus) {
+    const double need = p_.need(unit)[cpu];
+    if (from >= 0) left(cpu, from) += need;
+    if (computer >= 0) left(cpu, computer) -= need;
+  }
+  placed_[unit] = computer;
+}
+
+TimeSum Times::weigh(const Shift& shift) {
+  find_touched(shift);
+  TimeSum change;
+  if (touched_.empty()) return change;
+  before_.clear();
+  for (const int cpu : limits_.cpus) {
+    for (const int h : {shift.a, shift.b}) before_.push_back(h < 0 ? 0.0 : left(cpu, h));
+  }
+  move(shift);
+  for (const std::int32_t i : touched_) {
+    change.add(sum_of(i, seconds(p_, i, placed_, left_)), 1);
+    change.add(sum_of(i, seconds_[i]), -1);
+  }
+  for (const std::int32_t unit : shift.out) placed_[unit] = shift.a;
+  for (const std::int32_t unit : shift.back) placed_[unit] = shift.b;
+  std::size_t next = 0;
+  for (const int cpu : limits_.cpus) {
+    for (const int h : {shift.a, shift.b}) {
+      if (h >= 0) left(cpu, h) = before_[next];
+      ++next;
+    }
+  }
+  return change;
+}
+
+void Times::apply(const Shift& shift) {
+  find_touched(shift);
+  for (const auto* units : {&shift.out, &shift.back}) {
+    for (const std::int32_t unit : *units) {
+      if (limits_.sharing.of(unit).size() == 0) continue;
+      auto& there = on_[placed_[unit]];
+      there.erase(std::find(there.begin(), there.end(), unit));
+      on_[units == &shift.out ? shift.b : shift.a].push_back(unit);
+    }
+  }
+  move(shift);
+  settle();
+}
+
+// Bring up to date what limits have touched.
+void Times::settle() {
+  for (const std::int32_t i : touched_) {
+    sum_.add(sum_of(i, seconds_[i]), -1);
+    seconds_[i] = seconds(p_, i, placed_, left_);
+    sum_.add(sum_of(i, seconds_[i]), 1);
+  }
+  // Sums of many small steps must not keep what holds again.
+  if (sum_.late == 0) sum_.paid = 0;
+  if (sum_.broken == 0) sum_.excess = 0;
+}
+
+TimeSum Times::weigh(std::int32_t unit, int computer) {
+  return weigh({{&unit, &unit + 1}, {nullptr, nullptr}, -1, computer});
+}
+
+void Times::put(std::int32_t unit, int computer) {
+  find_touched({{&unit, &unit + 1}, {nullptr, nullptr}, -1, computer});
+  undo_.push_back({unit, computer, sum_, old_seconds_.size()});
+  for (const std::int32_t i : touched_) old_seconds_.push_back({i, seconds_[i]});
+  for (const int cpu : limits_.cpus) old_left_.push_back(left(cpu, computer));
+  if (limits_.sharing.of(unit).size() > 0) on_[computer].push_back(unit);
+  place(unit, computer);
+  settle();
+}
+
+void Times::take_back() {
+  const Undo last = undo_.back();
+  undo_.pop_back();
+  placed_[last.unit] = -1;
+  if (limits_.sharing.of(last.unit).size() > 0) on_[last.computer].pop_back();
+  for (std::size_t i = limits_.cpus.size(); i-- > 0;) {
+    left(limits_.cpus[i], last.computer) = old_left_.back();
+    old_left_.pop_back();
+  }
+  while (old_seconds_.size() > last.limits) {
+    const auto& [i, seconds] = old_seconds_.back();
+    seconds_[i] = seconds;
+    old_seconds_.pop_back();
+  }
+  sum_ = last.sum;
+}
+
+}  // namespace poise

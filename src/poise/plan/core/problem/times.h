@@ -1,0 +1,74 @@
+// How long things take on a placement that changes, kept up to date.
+#pragma once
+
+#include "problem/problem.h"
+
+namespace poise {
+
+// Units that change their computer: `out` leaves `a` for `b`, `back` leaves `b` for `a`.
+// -1 stands for no computer.
+struct Shift {
+  Span<std::int32_t> out, back;
+  int a, b;
+};
+
+// What time limits come to, or what a shift changes of that.
+struct TimeSum {
+  double paid = 0;    // what F grows by
+  double excess = 0;  // how far those are broken that must be kept, in logarithms
+  int late = 0;       // how many are beyond their limit for a price
+  int broken = 0;     // how many are broken that must be kept
+
+  void add(const TimeSum& other, int sign);
+};
+
+class Times {
+ public:
+  explicit Times(const Problem& problem);
+
+  // Take a placement of all units, or of some.
+  void reset(const Placement& placed);
+  const TimeSum& sum() const { return sum_; }
+
+  TimeSum weigh(const Shift& shift);
+  void apply(const Shift& shift);
+
+  // The same for a unit that has no computer; `take_back` undoes the last `put`, exactly.
+  TimeSum weigh(std::int32_t unit, int computer);
+  void put(std::int32_t unit, int computer);
+  void take_back();
+
+ private:
+  TimeSum sum_of(int i, double seconds) const;
+  void find_touched(const Shift& shift);
+  void move(const Shift& shift);
+  void place(std::int32_t unit, int computer);
+  void settle();
+  double& left(int cpu, int computer) {
+    return left_[static_cast<std::size_t>(cpu) * p_.m + computer];
+  }
+
+  struct Undo {
+    std::int32_t unit;
+    int computer;
+    TimeSum sum;
+    std::size_t limits;  // how many had been saved
+  };
+
+  const Problem& p_;
+  const TimeLimits& limits_;
+  Placement placed_;
+  std::vector<double> left_;               // (r, m), up to date where runs share it
+  std::vector<double> seconds_;            // by limit
+  std::vector<std::vector<std::int32_t>> on_;  // computer -> its units whose runs share
+  TimeSum sum_;
+  std::vector<std::int32_t> touched_;      // limits that a shift changes
+  std::vector<std::uint32_t> seen_;        // limit -> the last shift that touched it
+  std::uint32_t shift_ = 0;
+  std::vector<double> before_;             // what was left where a shift changes it
+  std::vector<Undo> undo_;
+  std::vector<std::pair<std::int32_t, double>> old_seconds_;  // of all in `undo_`
+  std::vector<double> old_left_;                              // likewise, by `cpus`
+};
+
+}  // namespace poise

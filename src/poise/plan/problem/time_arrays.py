@@ -1,0 +1,100 @@
+"""Time limits in flat arrays of numbers: what the C++ core reads of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from math import isqrt
+
+from msgspec import Struct
+
+from poise.plan.problem.check import LEAST
+from poise.plan.problem.problem import Problem
+
+MOST_CORES = 1024
+"""A computer with more cores keeps runs waiting as if it had so many: never long."""
+
+RunArray = tuple[int, float]
+"""Component, and the seconds of its run."""
+HopArray = tuple[int, int, float, float, float]
+"""One unit, another one, seconds, crossings and size."""
+LimitArray = tuple[float, float, float, int, list[RunArray], list[HopArray]]
+"""Limit, price, fixed, the resource that runs share (-1: none), runs and hops."""
+
+
+class Times(Struct, frozen=True):
+    """The time limits of a problem on m computers.
+
+    Parameters
+    ----------
+    limits
+        In the order of the problem; hops within a unit are left out.
+    speed
+        (m,): how fast a core is.
+    cores, power
+        (m,): how many cores a computer has, and the power in the formula of how long
+        runs wait for one (docs/design/objective.md).
+    latency
+        (m, m), or empty: 0 [s].
+    per_byte
+        (m, m), or empty: 0; how long a byte takes [s].
+    """
+
+    limits: list[LimitArray]
+    speed: list[float]
+    cores: list[int]
+    power: list[int]
+    latency: list[float]
+    per_byte: list[float]
+
+
+def times_of(
+    problem: Problem, index: Mapping[str, int], unit_of: Sequence[int]
+) -> Times | None:
+    """Return the time limits in numbers; None when there are none.
+
+    Parameters
+    ----------
+    index
+        Name of a component -> its place among the components.
+    unit_of
+        Component -> its unit.
+    """
+    if not problem.time_limits:
+        return None
+    resources = problem.resources
+    cpu = resources.index("cpu") if "cpu" in resources else -1
+    limits: list[LimitArray] = []
+    for each in problem.time_limits:
+        runs = [(index[run.component], run.seconds) for run in each.runs]
+        hops: list[HopArray] = []
+        for hop in each.hops:
+            a, b = (unit_of[index[name]] for name in hop.between)
+            if a != b:
+                hops.append((a, b, hop.seconds, hop.crossings, hop.size))
+        shares = cpu if each.shared else -1
+        limits.append((each.limit, each.price, each.fixed, shares, runs, hops))
+    cores = [
+        max(1, int(min(h.capacity.get("cpu", 0.0), MOST_CORES)))
+        for h in problem.computers
+    ]
+    return Times(
+        limits,
+        [h.speed for h in problem.computers],
+        cores,
+        [max(1, isqrt(2 * (c + 1)) - 1) for c in cores],
+        *_links(problem),
+    )
+
+
+def _links(problem: Problem) -> tuple[list[float], list[float]]:
+    """Return latency and seconds per byte: of several links those of the worst."""
+    place = {h.name: i for i, h in enumerate(problem.computers)}
+    m = len(place)
+    latency, per_byte = [0.0] * (m * m), [0.0] * (m * m)
+    for link in problem.links:
+        a, b = (place[name] for name in link.between)
+        slow = 1 / max(link.bandwidth, LEAST)
+        for pair in (a * m + b, b * m + a):
+            latency[pair] = max(latency[pair], link.latency)
+            per_byte[pair] = max(per_byte[pair], slow)
+    return latency if any(latency) else [], per_byte if any(per_byte) else []
