@@ -142,6 +142,7 @@ PUBLIC = {
         "Terms",
         "Tightest",
         "TimeLimit",
+        "TimeTaken",
         "add",
         "evaluate",
         "explain",

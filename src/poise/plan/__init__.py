@@ -18,6 +18,7 @@ from poise.plan.result_records import (
     More,
     Shortage,
     Tightest,
+    TimeTaken,
 )
 from poise.plan.what_if.changed_problem import add, keep_components, scale, without
 from poise.plan.what_if.fewest_computers import Smallest, smallest
@@ -52,6 +53,7 @@ __all__ = [
     "Terms",
     "Tightest",
     "TimeLimit",
+    "TimeTaken",
     "add",
     "evaluate",
     "explain",

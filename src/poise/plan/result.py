@@ -20,8 +20,10 @@ from poise.plan.result_records import (
     Shortage,
     Stopped,
     Tightest,
+    TimeTaken,
 )
-from poise.plan.violations import shortages, tightest, violations
+from poise.plan.times import seconds
+from poise.plan.violations import loads, shortages, tightest, violations
 from poise.plan.why.conflict import conflict
 
 LONGEST_TRACE = 2_000
@@ -74,6 +76,7 @@ class PlainResult(TypedDict):
     seed: int
     tightest: Tightest | None
     shortages: tuple[Shortage, ...]
+    times: tuple[TimeTaken, ...]
     trace: tuple[GreedyStep, ...]
     architectures: Mapping[str, str]
     aside: tuple[str, ...]
@@ -270,6 +273,18 @@ class Result:
         if not self._complete:
             return ()
         return tuple(shortages(self.snapshot.arrays, self.placed))
+
+    @cached_property
+    def times(self) -> tuple[TimeTaken, ...]:
+        """How long what has a time limit takes."""
+        if not (self._complete and self.problem.time_limits):
+            return ()
+        arrays = self.snapshot.arrays
+        takes = seconds(arrays, self.placed, loads(arrays, self.placed))
+        return tuple(
+            TimeTaken(name=each.name, limit=each.limit, seconds=time, price=each.price)
+            for each, time in zip(self.problem.time_limits, takes, strict=True)
+        )
 
     @cached_property
     def trace(self) -> tuple[GreedyStep, ...]:

@@ -70,18 +70,30 @@ class Shortage(Struct, frozen=True, kw_only=True):
     amount: float
 
 
+class TimeTaken(Struct, frozen=True, kw_only=True):
+    """How long what a time limit is about takes on a placement [s].
+
+    `price` is what F grows by for each share of `limit` beyond it; 0: it must be kept.
+    """
+
+    name: str
+    limit: float
+    seconds: float
+    price: float
+
+
 class More(Struct, frozen=True, kw_only=True):
     """A limit to be raised.
 
     Parameters
     ----------
     on
-        A computer, or the two ends of a link.
+        A computer, the two ends of a link, or a time limit.
     resource
-        Of the computer; or ``bandwidth``.
+        Of the computer; or ``bandwidth`` or ``time``.
     amount
-        By how much its capacity [the resource's unit] or the link's bandwidth
-        [bytes/s] must rise.
+        By how much its capacity [the resource's unit], the link's bandwidth [bytes/s]
+        or the time limit [s] must rise.
     """
 
     on: tuple[str, ...]
@@ -102,12 +114,12 @@ class Conflict(Struct, frozen=True, kw_only=True):
         Whether it is proven that without any one of them the others could hold.
     relaxation
         What has to give way so that the whole problem holds, for people: the smallest
-        rise of capacities where that is enough, of one rather than of several.
+        rise of limits where that is enough, of one rather than of several.
     more
         The rises in `relaxation`.
     price
         What `relaxation` takes: the sum of its rises, each as a share of the largest
-        capacity of its kind; None: more than capacities has to give way.
+        capacity of its kind, or of the time limit; None: other limits have to give way.
     """
 
     components: tuple[str, ...]

@@ -5,89 +5,72 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
-from poise.model.hardware import fits
 from poise.plan.problem.arrays import Arrays, Placed
-from poise.plan.problem.time_arrays import HopArray, RunArray, Times
-from poise.units import format_seconds
+from poise.plan.problem.check import LEAST
+from poise.plan.problem.problem import Problem
+from poise.plan.problem.time_arrays import HopArray, RunArray, Times, queue_of
+from poise.plan.problem.time_limit import TimeLimit
 
 BUSIEST = 0.9
 """Up to which use the formula of waiting holds; beyond, its tangent there goes on."""
 
 
 class Part(NamedTuple):
-    """A run (one component) or a hop (two): what it takes [s], and on which computers.
+    """A run (of one component) or a hop (between two): what it takes, and where.
 
-    Of a component without a computer the run takes what it takes at least.
+    Where a component has no computer (-1) its run takes what it takes at least.
     """
 
     seconds: float
-    ends: tuple[int, ...]
+    components: tuple[int, ...]
     computers: tuple[int, ...]
 
 
 def parts(
-    arrays: Arrays, times: Times, placed: Placed, load: Sequence[float], limit: int
+    arrays: Arrays, placed: Placed, load: Sequence[float], limit: int
 ) -> Iterator[Part]:
-    """Yield each run, and each hop whose ends are apart, of the time limit `limit`.
+    """Yield each run of a time limit, and each hop whose ends are apart.
 
-    `load` is what is used, (m, r). The ends of a run are a component, those of a hop
-    two units.
+    `load` is what is used, (m, r).
     """
+    times = arrays.times
+    assert times is not None  # noqa: S101 - it has this limit
     _, _, _, cpu, runs, hops = times.limits[limit]
     for run in runs:
         h = placed[arrays.unit_of[run[0]]]
         yield Part(_run(arrays, times, h, load, cpu, run), (run[0],), (h,))
     for hop in hops:
-        a, b = placed[hop[0]], placed[hop[1]]
+        a, b = (placed[arrays.unit_of[end]] for end in hop[:2])
         if a >= 0 and b >= 0 and a != b:
             yield Part(_hop(times, a * arrays.m + b, hop), hop[:2], (a, b))
 
 
 def seconds(arrays: Arrays, placed: Placed, load: Sequence[float]) -> list[float]:
-    """Return what each time limit is about takes [s].
+    """Return how long what each time limit is about takes [s].
 
     While units have no computer: what it takes at least.
     """
-    times = arrays.times
-    if times is None:
-        return []
     return [
-        limit[2] + sum(p.seconds for p in parts(arrays, times, placed, load, i))
-        for i, limit in enumerate(times.limits)
+        limit[2] + sum(part.seconds for part in parts(arrays, placed, load, i))
+        for i, limit in enumerate(arrays.times.limits if arrays.times else ())
     ]
 
 
-def late(arrays: Arrays, placed: Placed, load: Sequence[float]) -> Iterator[str]:
-    """Yield the time limits that a placement breaks, though they must be kept.
-
-    While units have no computer: those that it will break wherever these go.
-    """
-    for i, takes in enumerate(seconds(arrays, placed, load)):
-        limit = arrays.problem.time_limits[i]
-        if limit.price > 0 or fits(takes, limit.limit):
-            continue
-        needs = "takes at least" if -1 in placed else "takes"
-        yield (
-            f"time limit {limit.name!r}: {needs} {format_seconds(takes)}, "
-            f"limit {format_seconds(limit.limit)}{_most(arrays, placed, load, i)}"
-        )
-
-
-def _most(arrays: Arrays, placed: Placed, load: Sequence[float], limit: int) -> str:
-    """Return which run or hop takes most, for people; where there are several."""
-    assert arrays.times is not None  # noqa: S101 - it has this limit
-    some = list(parts(arrays, arrays.times, placed, load, limit))
-    if len(some) < 2:  # noqa: PLR2004 - one is all
-        return ""
-    most = max(some, key=lambda part: part.seconds)
-    if len(most.ends) == 1:
-        what = arrays.problem.components[most.ends[0]].name
-        on = most.computers[0]
-        what += f" on {arrays.computer(on)}" if on >= 0 else ""
-    else:
-        what = " to ".join(map(arrays.name, most.ends))
-        what += f" over {' - '.join(map(arrays.computer, most.computers))}"
-    return f" (most of it, {format_seconds(most.seconds)}: {what})"
+def longest(problem: Problem, limit: TimeLimit) -> float:
+    """Return what something takes no longer than, on any placement [s]."""
+    demand = sum(c.demand.get("cpu", 0.0) for c in problem.components)
+    runs = sum(run.seconds for run in limit.runs)
+    slowest = 0.0
+    for h in problem.computers:
+        use = demand / has if limit.shared and (has := h.total("cpu")) > 0 else 0.0
+        slowest = max(slowest, slowdown(use, *queue_of(h)) / h.speed)
+    latency = max((link.latency for link in problem.links), default=0.0)
+    per_byte = max((1 / max(k.bandwidth, LEAST) for k in problem.links), default=0.0)
+    return (
+        limit.fixed
+        + runs * slowest
+        + sum(k.seconds + k.crossings * latency + k.size * per_byte for k in limit.hops)
+    )
 
 
 def slowdown(use: float, cores: int, power: int) -> float:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import NamedTuple
 
 from poise.model.hardware import fits
 from poise.plan.problem.arrays import Arrays, Placed
 from poise.plan.result_records import Shortage, Tightest
-from poise.plan.times import late
-from poise.units import format_bandwidth, format_bytes
+from poise.plan.times import parts, seconds
+from poise.units import format_bandwidth, format_bytes, format_seconds
 
 KIBIBYTE, MILLION = 1024, 1e6
 
@@ -20,6 +21,13 @@ def amount_of(resource: str, amount: float) -> str:
     if resource == "memory" and amount >= KIBIBYTE:
         return format_bytes(amount)
     return f"{amount:.6g}" if amount < MILLION else f"{amount:,.0f}"
+
+
+class Late(NamedTuple):
+    """A time limit that is broken: what it takes [s], and all of it for people."""
+
+    seconds: float
+    text: str
 
 
 def loads(arrays: Arrays, placed: Placed) -> list[float]:
@@ -45,20 +53,29 @@ def traffic(arrays: Arrays, placed: Placed) -> dict[tuple[int, int], float]:
 
 def violations(arrays: Arrays, placed: Placed) -> list[str]:
     """Return every limit that a placement breaks; some units may have no computer."""
+    times = late(arrays, placed).values()
+    return [*_in_place(arrays, placed), *(each.text for each in times)]
+
+
+def _in_place(arrays: Arrays, placed: Placed) -> list[str]:
+    """Return every limit that is broken but those of time."""
     return [
         *_overfull(arrays, placed),
         *_misplaced(arrays, placed),
         *_crowded(arrays, placed),
         *_overloaded(arrays, placed),
-        *late(arrays, placed, loads(arrays, placed)),
     ]
 
 
 def obstacle(arrays: Arrays, placed: Placed, unit: int, computer: int) -> str:
     """Return which limits break when a unit without a computer joins one, or ''."""
-    before = violations(arrays, placed)
-    after = violations(arrays, [*placed[:unit], computer, *placed[unit + 1 :]])
-    return "; ".join(limit for limit in after if limit not in before)
+    trial = [*placed[:unit], computer, *placed[unit + 1 :]]
+    before, was = _in_place(arrays, placed), late(arrays, placed)
+    broken = [limit for limit in _in_place(arrays, trial) if limit not in before]
+    for name, each in late(arrays, trial).items():
+        if name not in was or not fits(each.seconds, was[name].seconds):
+            broken.append(each.text)
+    return "; ".join(broken)
 
 
 def _overfull(arrays: Arrays, placed: Placed) -> Iterator[str]:
@@ -99,6 +116,38 @@ def _overloaded(arrays: Arrays, placed: Placed) -> Iterator[str]:
             needs, has = (amount_of("bandwidth", x) for x in (used, limit))
             names = f"{arrays.computer(a)} and {arrays.computer(b)}"
             yield f"link between {names}: needs {needs}, has {has}"
+
+
+def late(arrays: Arrays, placed: Placed) -> dict[str, Late]:
+    """Return the time limits that are broken and must be kept, by name.
+
+    While units have no computer: those that break wherever these go.
+    """
+    load = loads(arrays, placed) if arrays.times is not None else []
+    found: dict[str, Late] = {}
+    for i, takes in enumerate(seconds(arrays, placed, load)):
+        limit = arrays.problem.time_limits[i]
+        if limit.price > 0 or fits(takes, limit.limit):
+            continue
+        needs = "takes at least" if -1 in placed else "takes"
+        found[limit.name] = Late(
+            takes,
+            f"time limit {limit.name!r}: {needs} {format_seconds(takes)}, "
+            f"limit {format_seconds(limit.limit)}{_most(arrays, placed, load, i)}",
+        )
+    return found
+
+
+def _most(arrays: Arrays, placed: Placed, load: list[float], limit: int) -> str:
+    """Return which run or hop takes most, for people; where there are several."""
+    some = list(parts(arrays, placed, load, limit))
+    if len(some) < 2:  # noqa: PLR2004 - one is all
+        return ""
+    most = max(some, key=lambda part: part.seconds)
+    names = [arrays.problem.components[c].name for c in most.components]
+    where = [arrays.computer(h) for h in most.computers if h >= 0]
+    what = " to ".join(names) + (f" on {' and '.join(where)}" if where else "")
+    return f" (most of it: {what}, {format_seconds(most.seconds)})"
 
 
 def shortages(arrays: Arrays, placed: Placed) -> Iterator[Shortage]:

@@ -81,13 +81,17 @@ inline TimeLimits read_times(const Fields& in, const Problem& p,
   for (const auto& [limit, price, fixed, cpu, runs, hops] : in.get<Limits>("limits")) {
     if (cpu != -1) Fields::check_index("cpu", cpu, p.r);
     TimeLimits::Limit each{limit, price, fixed, cpu, {}, {}};
+    const auto components = static_cast<std::int64_t>(unit_of.size());
     for (const auto& [component, seconds] : runs) {
-      Fields::check_index("runs", component, static_cast<std::int64_t>(unit_of.size()));
+      Fields::check_index("runs", component, components);
       each.runs.push_back({unit_of[component], component, seconds});
     }
     for (const auto& [a, b, seconds, crossings, size] : hops) {
-      for (const std::int32_t unit : {a, b}) Fields::check_index("hops", unit, p.n);
-      each.hops.push_back({a, b, seconds, crossings, size});
+      for (const std::int32_t component : {a, b}) {
+        Fields::check_index("hops", component, components);
+      }
+      if (unit_of[a] == unit_of[b]) continue;
+      each.hops.push_back({unit_of[a], unit_of[b], seconds, crossings, size});
     }
     out.limits.push_back(std::move(each));
   }

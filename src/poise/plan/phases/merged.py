@@ -75,13 +75,11 @@ def merged(parts: Sequence[Arrays], moves: Mapping[tuple[Unit, Unit], float]) ->
         begin[-1],
         a.m,
         a.r * count,
-        _times(parts, begin, start),
+        _times(parts, start),
     )
 
 
-def _times(
-    parts: Sequence[Arrays], begin: Sequence[int], start: Sequence[int]
-) -> Times | None:
+def _times(parts: Sequence[Arrays], start: Sequence[int]) -> Times | None:
     """Return the time limits of all phases, each with the CPU of its own phase."""
     limits: list[LimitArray] = []
     times = None
@@ -92,7 +90,7 @@ def _times(
         ):
             shares = cpu + p * part.r if cpu >= 0 else -1
             moved = [(component + start[p], seconds) for component, seconds in runs]
-            ways = [(hop[0] + begin[p], hop[1] + begin[p], *hop[2:]) for hop in hops]
+            ways = [(hop[0] + start[p], hop[1] + start[p], *hop[2:]) for hop in hops]
             limits.append((limit, price, fixed, shares, moved, ways))
     return times and replace(times, limits=limits)
 

@@ -182,7 +182,7 @@ def arrays_of(problem: Problem) -> Arrays:
         n,
         m,
         r,
-        times_of(problem, index, unit_of),
+        times_of(problem, index),
     )
     return _with_soft_limits(arrays) if problem.soft_limits else arrays
 

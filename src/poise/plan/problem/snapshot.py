@@ -12,8 +12,7 @@ from poise.plan import _core
 from poise.plan.problem.arrays import Arrays, Placed, arrays_of
 from poise.plan.problem.problem import Problem
 from poise.plan.result_records import ComputerTried, GreedyStep
-from poise.plan.times import late
-from poise.plan.violations import loads, obstacle
+from poise.plan.violations import late, obstacle
 
 
 class Snapshot:
@@ -110,9 +109,9 @@ class Snapshot:
 
     def _trial(self, placed: Placed, unit: int, computer: int) -> ComputerTried:
         trial = [*placed[:unit], computer, *placed[unit + 1 :]]
-        reason = obstacle(self.arrays, placed, unit, computer) or "; ".join(
-            late(self.arrays, trial, loads(self.arrays, trial))
-        )
+        # no limit of time may be broken already, whatever breaks it
+        hopeless = (each.text for each in late(self.arrays, trial).values())
+        reason = obstacle(self.arrays, placed, unit, computer) or "; ".join(hopeless)
         total = None if reason else self.terms(trial).total
         return ComputerTried(
             computer=self.arrays.computer(computer), total=total, reason=reason

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from math import isqrt
 
 from msgspec import Struct
 
+from poise.model.robot import Computer
 from poise.plan.problem.check import LEAST
 from poise.plan.problem.problem import Problem
 
@@ -16,7 +17,7 @@ MOST_CORES = 1024
 RunArray = tuple[int, float]
 """Component, and the seconds of its run."""
 HopArray = tuple[int, int, float, float, float]
-"""One unit, another one, seconds, crossings and size."""
+"""Its two components, seconds, crossings and size."""
 LimitArray = tuple[float, float, float, int, list[RunArray], list[HopArray]]
 """Limit, price, fixed, the resource that runs share (-1: none), runs and hops."""
 
@@ -27,7 +28,7 @@ class Times(Struct, frozen=True):
     Parameters
     ----------
     limits
-        In the order of the problem; hops within a unit are left out.
+        In the order of the problem.
     speed
         (m,): how fast a core is.
     cores, power
@@ -47,17 +48,10 @@ class Times(Struct, frozen=True):
     per_byte: list[float]
 
 
-def times_of(
-    problem: Problem, index: Mapping[str, int], unit_of: Sequence[int]
-) -> Times | None:
+def times_of(problem: Problem, index: Mapping[str, int]) -> Times | None:
     """Return the time limits in numbers; None when there are none.
 
-    Parameters
-    ----------
-    index
-        Name of a component -> its place among the components.
-    unit_of
-        Component -> its unit.
+    `index` is the place of each component, by name.
     """
     if not problem.time_limits:
         return None
@@ -66,24 +60,27 @@ def times_of(
     limits: list[LimitArray] = []
     for each in problem.time_limits:
         runs = [(index[run.component], run.seconds) for run in each.runs]
-        hops: list[HopArray] = []
-        for hop in each.hops:
-            a, b = (unit_of[index[name]] for name in hop.between)
-            if a != b:
-                hops.append((a, b, hop.seconds, hop.crossings, hop.size))
+        hops = [
+            (index[a], index[b], hop.seconds, hop.crossings, hop.size)
+            for hop in each.hops
+            for a, b in [hop.between]
+        ]
         shares = cpu if each.shared else -1
         limits.append((each.limit, each.price, each.fixed, shares, runs, hops))
-    cores = [
-        max(1, int(min(h.capacity.get("cpu", 0.0), MOST_CORES)))
-        for h in problem.computers
-    ]
+    queues = [queue_of(h) for h in problem.computers]
     return Times(
         limits,
         [h.speed for h in problem.computers],
-        cores,
-        [max(1, isqrt(2 * (c + 1)) - 1) for c in cores],
+        [cores for cores, _ in queues],
+        [power for _, power in queues],
         *_links(problem),
     )
+
+
+def queue_of(computer: Computer) -> tuple[int, int]:
+    """Return how many cores runs wait for, and the power in the formula of that."""
+    cores = max(1, int(min(computer.capacity.get("cpu", 0.0), MOST_CORES)))
+    return cores, max(1, isqrt(2 * (cores + 1)) - 1)
 
 
 def _links(problem: Problem) -> tuple[list[float], list[float]]:

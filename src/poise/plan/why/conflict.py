@@ -14,7 +14,7 @@ from poise.plan import _core
 from poise.plan.problem.arrays import Arrays, arrays_of
 from poise.plan.problem.problem import Problem
 from poise.plan.result_records import Ask, Conflict
-from poise.plan.violations import amount_of
+from poise.plan.violations import Late, amount_of, late
 from poise.plan.what_if.changed_problem import keep_components
 from poise.plan.why.relaxation import (
     Limit,
@@ -58,10 +58,14 @@ class Oracle:
         self._left -= len(problem.components) * len(problem.computers)
         if self.is_spent():
             return None
-        problem = replace(problem, objective=Objective(communication=0.0, balance=0.0))
+        problem = replace(
+            problem,
+            objective=Objective(communication=0.0, balance=0.0),
+            time_limits=tuple(t for t in problem.time_limits if not t.price),
+        )
         arrays = replace(arrays_of(problem), cost=[])
         if not arrays.n:
-            return True
+            return not _late(arrays)
         if is_short(arrays):
             return False
         core = _core.Core(arrays)
@@ -79,8 +83,23 @@ class Oracle:
 
 
 def is_short(arrays: Arrays) -> bool:
-    """Whether some computers have less than what may run nowhere else needs."""
-    return next(_shortages(arrays), None) is not None
+    """Whether it clearly cannot hold.
+
+    Some computers have less than what may run nowhere else needs, or what may run
+    on one computer only makes something take too long.
+    """
+    return next(_shortages(arrays), None) is not None or bool(_late(arrays))
+
+
+def _late(arrays: Arrays) -> dict[str, Late]:
+    """Return the time limits that no placement keeps, as far as pins tell."""
+    if arrays.times is None:
+        return {}
+    placed = [-1] * arrays.n
+    for unit, computers in arrays.allowed.items():
+        if len(computers) == 1:
+            placed[unit] = computers[0]
+    return late(arrays, placed)
 
 
 def conflict(
@@ -118,8 +137,11 @@ def _infeasible_subset(
     """
     arrays = arrays_of(problem)
     shortage = min(_shortages(arrays), key=lambda s: len(s.units), default=None)
+    hopeless = next(_hopeless(problem, arrays), None)
     if shortage is not None:
         part = keep_components(problem, set(arrays.names(shortage.units)))
+    elif hopeless is not None:
+        part = hopeless
     elif len(problem.components) <= MOST_COMPONENTS:
         part = problem
     else:
@@ -147,6 +169,16 @@ def _infeasible_subset(
         else:
             limits.append(limit)
     return part, limits, irreducible
+
+
+def _hopeless(problem: Problem, arrays: Arrays) -> Iterator[Problem]:
+    """Yield parts of the problem that break a time limit of their own, by pins."""
+    broken = _late(arrays)
+    for limit in problem.time_limits:
+        if limit.name in broken and len(limit.components) <= MOST_COMPONENTS:
+            part = keep_components(problem, {*limit.components})
+            if _late(arrays_of(part)):
+                yield part
 
 
 def _short(arrays: Arrays, shortage: ShortUnits | None) -> set[tuple[str, ...]]:
@@ -204,7 +236,13 @@ def _sentences(part: Problem, limits: list[Limit]) -> tuple[str, ...]:
     arrays = arrays_of(part)
     short = next((s for s in _shortages(arrays) if len(s.units) == arrays.n), None)
     if short is None or not short.computers:
-        return tuple(limit.text for limit in limits)
+        broken = _late(arrays)
+        return tuple(
+            broken[limit.names[0]].text
+            if limit.kind == "time" and limit.names[0] in broken
+            else limit.text
+            for limit in limits
+        )
     others = (limit.text for limit in limits if limit.kind != "capacity")
     return (_sum_of(arrays, short), *others)
 

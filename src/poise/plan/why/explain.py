@@ -167,6 +167,7 @@ def _most(change: Terms) -> str:
         "balance": change.balance,
         "moving": change.move,
         "quality": change.quality,
+        "time": change.time,
     }
     most = max(terms, key=lambda name: terms[name])
     return f"{most} {terms[most]:+.4g}"

@@ -12,7 +12,9 @@ from poise.model.robot import Computer
 from poise.plan.problem.check import LEAST, MOST
 from poise.plan.problem.problem import Problem
 from poise.plan.result_records import More
+from poise.plan.times import longest
 from poise.plan.violations import amount_of
+from poise.units import format_seconds
 
 NEAR = 5e-3
 """How close a raise comes to the least that is enough, relative to it."""
@@ -36,9 +38,10 @@ class Limit(NamedTuple):
     """A limit of a problem, in words.
 
     `names` are a computer and its resource (kind ``capacity``), the two ends of a
-    ``link``, or the components that are to be ``together``, ``apart`` or on certain
-    computers ``only``. The first two kinds can be raised, from `now` on; by `most`,
-    they limit nothing any more. `advice` is what to do about the others.
+    ``link``, a limit of ``time``, or the components that are to be ``together``,
+    ``apart`` or on certain computers ``only``. The first three kinds can be raised,
+    from `now` on; by `most`, they limit nothing any more. `advice` is what to do about
+    the others.
     """
 
     kind: str
@@ -88,6 +91,12 @@ def relaxed(problem: Problem, raises: Raises) -> Problem:
         ),
         together=tuple(g for g in problem.together if ("together", *g) not in more),
         apart=tuple(g for g in problem.apart if ("apart", *g) not in more),
+        time_limits=tuple(
+            replace(t, limit=_in_range(t.limit + x))
+            if (x := more.get(("time", t.name)))
+            else t
+            for t in problem.time_limits
+        ),
     )
 
 
@@ -99,18 +108,26 @@ def _in_range(amount: float) -> float:
 def in_words(raises: Raises) -> str:
     """Return what has to give way, for people."""
     amounts = (
-        f"{amount_of(m.resource, m.amount)} more {m.resource} on "
-        f"{' - '.join(m.on)} ({amount_of(m.resource, k.now)} now)"
-        for m, k in zip(rises(raises), raises, strict=False)
+        _raise(more, limit) for more, limit in zip(rises(raises), raises, strict=False)
     )
     return " and ".join([*amounts, *(limit.advice for limit in raises if limit.advice)])
 
 
+def _raise(more: More, limit: Limit) -> str:
+    where = " - ".join(more.on)
+    if limit.kind == "time":
+        amount, now = format_seconds(more.amount), format_seconds(limit.now)
+        return f"{amount} more for time limit {where!r} ({now} now)"
+    amount, now = (amount_of(more.resource, x) for x in (more.amount, limit.now))
+    return f"{amount} more {more.resource} on {where} ({now} now)"
+
+
 def rises(raises: Raises) -> tuple[More, ...]:
     """Return the raises as plain records."""
+    resource = {"link": "bandwidth", "time": "time"}
     return tuple(
-        More(on=limit.names, resource="bandwidth", amount=amount)
-        if limit.kind == "link"
+        More(on=limit.names, resource=resource[limit.kind], amount=amount)
+        if limit.kind in resource
         else More(on=limit.names[:1], resource=limit.names[1], amount=amount)
         for limit, amount in raises.items()
         if not limit.advice
@@ -120,7 +137,7 @@ def rises(raises: Raises) -> tuple[More, ...]:
 def price(problem: Problem, raises: Raises) -> float:
     """Return the sum of raises, each as a share of what is `usual`.
 
-    Infinite when there are none, or when more than capacities has to give way.
+    Infinite when there are none, or when limits that have no amount must give way.
     """
     if not raises or any(limit.advice for limit in raises):
         return inf
@@ -232,7 +249,7 @@ class Relaxation:
 
 def usual(problem: Problem, limit: Limit) -> float:
     """Return what the largest limit of this kind is, to measure a raise by."""
-    if limit.kind == "link":
+    if limit.kind in {"link", "time"}:
         return limit.now or 1.0
     return max(h.capacity.get(limit.names[1], 0.0) for h in problem.computers) or 1.0
 
@@ -251,6 +268,11 @@ def limits_of(problem: Problem) -> Iterator[Limit]:
             carries = amount_of("bandwidth", link.bandwidth)
             text = f"link {' - '.join(link.between)} carries {carries}"
             yield Limit("link", link.between, text, now=link.bandwidth, most=traffic)
+    for t in problem.time_limits:
+        if not t.price:
+            text = f"time limit {t.name!r} is {format_seconds(t.limit)}"
+            most = longest(problem, t)
+            yield Limit("time", (t.name,), text, now=t.limit, most=most)
     yield from _groups("together", problem.together, "run apart")
     yield from _groups("apart", problem.apart, "share a computer")
     for c in problem.components:

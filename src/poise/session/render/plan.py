@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Sequence
 
 from rich.console import Console, RenderableType
 from rich.markup import escape
@@ -184,7 +185,9 @@ def show_comparison(
     """Print results side by side: the terms of F, then load by computer."""
     names = list(results)
     rows = table("", *names)
-    for label in ("total", "communication", "balance", "move", "quality"):
+    objectives = [each.objective for each in results.values() if each.objective]
+    terms = ("communication", "balance", "move", "quality", *_time(objectives))
+    for label in ("total", *terms):
         rows.add_row(label, *(_term(results[name], label) for name in names))
     rows.add_row("lower bound", *(_number(results[n].bound) for n in names))
     rows.add_row("proven", *("yes" if results[n].proven else "no" for n in names))
@@ -220,9 +223,9 @@ def _show_options(explanation: plan.Explanation, console: Console) -> None:
     if explanation.together:
         names = ", ".join(explanation.together)
         console.print(f"It moves together with {names}.", highlight=False)
-    rows = table(
-        "computer", "F", "change", "communication", "balance", "move", "", folds=6
-    )
+    time = _time([option.objective for option in explanation.options])
+    terms = ("communication", "balance", "move", *time)
+    rows = table("computer", "F", "change", *terms, "", folds=3 + len(terms))
     for option in explanation.options:
         change = option.change
         here = option.computer == explanation.computer
@@ -231,12 +234,7 @@ def _show_options(explanation: plan.Explanation, console: Console) -> None:
             _cost(option.objective.total),
             *(
                 "" if here else f"{value:+.4g}"
-                for value in (
-                    change.total,
-                    change.communication,
-                    change.balance,
-                    change.move,
-                )
+                for value in (getattr(change, name) for name in ("total", *terms))
             ),
             option.obstacle or ("here" if here else ""),
         )
@@ -248,13 +246,19 @@ def _show_rejection(rejection: plan.Rejection, console: Console) -> None:
     console.print(str(rejection), highlight=False)
     if rejection.objective is None or rejection.change is None:
         return
-    names = ("total", "communication", "balance", "move", "quality")
+    time = _time([rejection.objective, rejection.change])
+    names = ("total", "communication", "balance", "move", "quality", *time)
     rows = table("", *("F" if name == "total" else name for name in names))
     best = (_cost(getattr(rejection.objective, name)) for name in names)
     change = (f"{getattr(rejection.change, name):+.4g}" for name in names)
     rows.add_row("with it, at best", *best)
     rows.add_row("change", *change)
     console.print(rows)
+
+
+def _time(terms: Sequence[plan.Terms]) -> tuple[str, ...]:
+    """Return the name of the term of time, where there is any."""
+    return ("time",) if any(each.time for each in terms) else ()
 
 
 def _terms(result: plan.Result) -> str:
@@ -268,6 +272,8 @@ def _terms(result: plan.Result) -> str:
     ]
     if terms.quality:
         parts.append(f"quality {_cost(terms.quality)}")
+    if terms.time:
+        parts.append(f"time {_cost(terms.time)}")
     known = _known(result.bound, is_least=result.proven)
     return (
         f"F = {_cost(terms.total)} = {' + '.join(parts)} ({result.scale} scale, "

@@ -226,6 +226,8 @@ def _terms(columns: dict[str, Any]) -> str:
     """Return F and its parts as a table."""
     terms = {name: msgspec.to_builtins(each) for name, each in columns.items()}
     names = {"total": "F"} | {n: n for n in ("communication", "balance", "move")}
+    if any(each["time"] for each in terms.values()):
+        names["time"] = "time"
     rows = (
         (says, *(f"{each[term]:.4g}" for each in terms.values()))
         for term, says in names.items()
