@@ -8,7 +8,6 @@ from msgspec import structs
 from poise.estimate.profile import Costs, KindCosts, Profile
 from poise.model.robot import Robot
 from poise.simulation.workload import SimulatedWork, workload_of
-from poise.wire.records.deployment import ConnectorSpec
 from tests.simulation.conftest import small_scenario
 from tests.simulation.test_rehearsal import profile_of
 
@@ -76,19 +75,7 @@ def test_sending_over_a_wire_costs_more_than_together(robot: Robot) -> None:
     }
     profile: Profile = structs.replace(profile_of(robot), costs=costs)
     traffic = workload_of(robot, profile).traffic
-    spec = small_connector(robot)
-    assert traffic.cost(spec, "local", "source") == pytest.approx(3e-4)
-    together = structs.replace(spec, kind="local")
-    assert traffic.cost(together, "local", "source") == 0.0
-
-
-def small_connector(robot: Robot) -> ConnectorSpec:
     name = str(next(robot.all_connectors()))
-    return ConnectorSpec(
-        name=name,
-        kind="remote",
-        source="camera",
-        source_port="out",
-        target="filter",
-        target_port="raw",
-    )
+    assert traffic.cost(name, "remote", "local", "source") == pytest.approx(3e-4)
+    assert traffic.cost(name, "local", "local", "source") == 0.0
+    assert traffic.apart(name, "local") == pytest.approx(3e-4)

@@ -32,6 +32,7 @@ from poise.session.reports.run_report import RunReport
 from poise.session.running_robots.local_robots import Robots
 from poise.session.running_robots.rates import Rate
 from poise.session.scenes import SCENES
+from poise.simulation.predicted_times import PredictedTimes
 from poise.simulation.report import SimulationReport
 from poise.view.record import RobotRecording
 from poise.wire.records.output import OutputLine
@@ -78,14 +79,16 @@ class Echoed(TypedDict):
 
 
 class PlannedPlacement(PlainResult, total=False):
-    """A placement; with --explain why."""
+    """A placement, and what is predicted of its only phase; with --explain why."""
 
+    predicted: Mapping[str, PredictedTimes]
     explanation: dict[str, Any]
 
 
 class PlannedPhases(PlainPhases, total=False):
-    """The placements of a task with phases; with --explain why."""
+    """The placements of a task, what is predicted by phase; with --explain why."""
 
+    predicted: Mapping[str, PredictedTimes]
     phase: str
     explanation: dict[str, Any]
 

@@ -9,13 +9,16 @@ import pytest
 from msgspec.structs import replace
 
 from poise.manage.adaptation.decision import decide
+from poise.manage.adaptation.situation import Situation
 from poise.manage.migration.residue import missing_cpu
 from poise.manage.observe.chains import ChainAge
 from poise.model.robot import (
     Action,
     Architecture,
+    Chain,
     ComponentEntry,
     Computer,
+    Link,
     Robot,
     Task,
 )
@@ -141,11 +144,19 @@ LATE = ChainAge(
 """0.3 of its 0.35 s are on the wire from `a` to `b`."""
 
 
+def with_chain(situation: Situation, chain: ChainAge) -> Situation:
+    """Return the situation of a robot that has a chain."""
+    declared = Chain(
+        name=chain.chain, through=tuple(chain.ages), deadline=chain.deadline
+    )
+    robot = replace(situation.robot, chains=(declared,))
+    return replace(situation, robot=robot, chains=(chain,))
+
+
 def test_a_chain_that_loses_its_time_on_a_wire_is_brought_together(
     situation: Make,
 ) -> None:
-    apart = situation({"a": "left", "b": "right"})
-    found = decide(replace(apart, chains=(LATE,)))
+    found = decide(with_chain(situation({"a": "left", "b": "right"}), LATE))
     assert found.acts
     assert found.proposal is not None
     assert len(set(found.proposal.placement.values())) == 1
@@ -154,12 +165,36 @@ def test_a_chain_that_loses_its_time_on_a_wire_is_brought_together(
 
 def test_a_chain_that_is_slow_off_the_wire_is_explained(situation: Make) -> None:
     slow = replace(LATE, wires={"a": 0.0, "b": 0.05})
-    found = decide(replace(situation(), chains=(slow,)))
+    found = decide(with_chain(situation(), slow))
     assert not found.acts
     assert found.why.startswith(
         "the data of chain 'c' must not be older than 100 ms and is 350 ms old, 300 ms "
         "if all of the chain were on one computer (a -> b 350 ms); "
     )
+
+
+def test_what_is_short_of_cpu_does_not_go_where_a_chain_would_be_late(
+    situation: Make,
+) -> None:
+    """Without the chain it is `a` that goes: it is the quickest to start."""
+    needs = {"a": 0.3, "b": 0.1, "c": 0.31}
+    robot = replace(
+        robot_of(needs), links=(Link(between=("left", "right"), latency=0.2),)
+    )
+    placed = dict.fromkeys(needs, "left")
+    seen = replace(situation(placed, robot=robot), demand_estimates=())
+    chain = replace(
+        LATE,
+        missed=0,
+        ages={"a": 0.0, "b": 0.05},
+        wires={"a": 0.0, "b": 0.0},
+        computers={"a": "left", "b": "left"},
+    )
+    without, found = decide(seen), decide(with_chain(seen, chain))
+    assert without.proposal is not None
+    assert [step.component for step in without.proposal.steps] == ["a"]
+    assert found.proposal is not None
+    assert [step.component for step in found.proposal.steps] == ["c"]
 
 
 def test_a_measured_start_counts_instead_of_an_assumed_one(situation: Make) -> None:

@@ -28,7 +28,7 @@ from poise.manage.adaptation.bad_links import (
     wasted,
     with_bad_links,
 )
-from poise.manage.adaptation.late_data import late, relieve
+from poise.manage.adaptation.late_data import late, nothing_helps
 from poise.manage.adaptation.proposals import Proposal
 from poise.manage.adaptation.replan import propose, with_present_demands
 from poise.manage.adaptation.situation import Homes, Situation
@@ -107,12 +107,9 @@ def decide(
     short = sum(shortages_of(situation).values())
     causes = reason(situation, bad)
     in_vain = wasted(situation, robot_now, situation.placement, bad)
-    relieved = 0.0
-    if not short:
-        relief = relieve(robot, situation, barred)
-        if not relief.homes and not in_vain:
-            return Decision(acts=False, why=causes + relief.why)
-        robot, relieved = _held(robot, relief.homes), relief.wasted
+    is_old = any(chain.is_late for chain in situation.chains)
+    if not short and not in_vain and not is_old:
+        return Decision(acts=False, why=causes + nothing_helps(situation))
     costs = move_costs(situation, robot_now)
     try:
         proposal = propose(
@@ -126,10 +123,15 @@ def decide(
         why = f"no placement can help: {causes}{late(situation)}{error}"
         return Decision(acts=False, why=why)
     per_core = horizon / WORTH
-    undone = proposal.now.shortage / per_core + in_vain
+    undone = (proposal.now.shortage + proposal.now.time) / per_core + in_vain
     in_vain -= wasted(situation, robot_now, proposal.placement, bad)
-    mended = (proposal.now.shortage - proposal.then.shortage) / per_core
-    gain = mended + relieved + in_vain
+    mended = (
+        proposal.now.shortage
+        + proposal.now.time
+        - proposal.then.shortage
+        - proposal.then.time
+    ) / per_core
+    gain = mended + in_vain
     cost = sum(costs[step.component] for step in proposal.steps)
     acts = bool(proposal.steps) and gain > _LEAST and gain * horizon > doubt * cost
     why = f"{causes}{_change(proposal, gain, cost)}"
@@ -140,13 +142,15 @@ def decide(
         why = f"it stays as it is: {why}"
         if short:
             why = _why_not(situation, robot, causes, costs)
+        elif is_old and not proposal.steps:
+            why = causes + nothing_helps(situation)
     return Decision(
         acts=acts,
         why=why,
         proposal=proposal,
         gain=gain,
         cost=cost,
-        undone=undone + relieved,
+        undone=undone,
     )
 
 

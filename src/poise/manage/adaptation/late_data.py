@@ -1,78 +1,94 @@
-"""What is late though all components have the CPU that they need. Pure.
+"""Whose data is late, and how old it would be elsewhere. Pure.
 
-A chain whose data loses its time on a wire is helped by a placement that has the ends
-of the slowest step on one computer. Nothing else is helped by any.
+A chain's data is as old as was measured. Elsewhere it would be younger, or older, by
+the wires that connectors cross there. What is late for other reasons stays late.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from collections.abc import Set as AbstractSet
 
-from msgspec import Struct
+from msgspec.structs import replace
 
-from poise.manage.adaptation.situation import Homes, Situation
+from poise import plan
+from poise.manage.adaptation.situation import Situation
 from poise.manage.observe.chains import ChainAge
-from poise.model.check.allowed_computers import allowed_computers
-from poise.model.robot import Robot
+from poise.model.robot import Link
 from poise.units import format_cores, format_seconds
 
 _TAKES = 0.005
 """Other programs that take less are not worth a word [cores]."""
+_LATE = 1.05
+"""What is late is older than its deadline by this factor at least, whatever its mean
+says."""
 
 
-class Relief(Struct, frozen=True, kw_only=True):
-    """What might help a late chain.
+def with_time_limits(
+    problem: plan.Problem, situation: Situation, price: float
+) -> plan.Problem:
+    """Return the problem whose limits of chains say what was measured.
 
-    Parameters
-    ----------
-    why
-        What is late, needs what, and gets what at best, for people.
-    homes
-        Two components -> the computer that they should share; none: nothing helps.
-    wasted
-        What its components compute in vain now [cores].
-    """
-
-    why: str
-    homes: Homes = {}
-    wasted: float = 0.0
-
-
-def relieve(
-    robot: Robot, situation: Situation, barred: Mapping[str, AbstractSet[str]]
-) -> Relief:
-    """Return what might help the late chains, or why nothing does.
+    The components of a chain whose data is late compute in vain: F grows by as much as
+    if their CPU were short.
 
     Parameters
     ----------
-    barred
-        Component -> computers where it may not go.
+    price
+        What F grows by for each core that is short, of the lowest priority.
     """
-    allowed = allowed_computers(robot)
-    movable = {c.name for c in robot.components() if c.movable}
-    needs = {each.component: each.estimate.mean for each in situation.demand_estimates}
-    for chain in situation.chains:
-        before, after = _longest_wire(chain)
-        age = chain.ages[chain.last]
-        if not chain.is_late or age - chain.wires[after] > chain.deadline:
-            continue
-        for stays, moves in ((before, after), (after, before)):
-            home = chain.computers[stays]
-            if (
-                moves in movable
-                and home in allowed[moves] - barred.get(moves, frozenset())
-                and home != chain.computers[moves]
-            ):
-                return Relief(
-                    why=_sentence(chain),
-                    homes={stays: (home,), moves: (home,)},
-                    wasted=sum(needs.get(name, 0.0) for name in chain.ages)
-                    * chain.missed
-                    / chain.used,
-                )
-    return Relief(
-        why=f"{late(situation)}by their demands all components fit where they are"
+    needs = {
+        c.name: c.demand.get("cpu", 0.0)
+        for c in problem.components
+        if c.name in situation.placement
+    }
+    links = {frozenset(link.between): link for link in problem.links}
+    declared = {limit.name: limit for limit in problem.time_limits}
+    limits = (
+        _measured(declared[chain.chain], chain, links, price, needs)
+        for chain in situation.chains
+        if chain.chain in declared and chain.computers.keys() <= needs.keys()
+    )
+    found = tuple(limit for limit in limits if limit is not None)
+    return replace(problem, time_limits=found)
+
+
+def _measured(
+    limit: plan.TimeLimit,
+    chain: ChainAge,
+    links: Mapping[frozenset[str], Link],
+    price: float,
+    needs: Mapping[str, float],
+) -> plan.TimeLimit | None:
+    """Return a chain's limit as it is measured; None: it is late wherever it runs.
+
+    Parameters
+    ----------
+    needs
+        Component -> its CPU [cores].
+    """
+    age, on_wires, hops = chain.ages[chain.last], 0.0, []
+    price *= sum(needs[name] for name in chain.computers)
+    if chain.is_late:
+        age = max(age, _LATE * chain.deadline)
+        price *= chain.missed / chain.used / (age / chain.deadline - 1)
+    for hop in limit.hops:
+        ends, slower = {chain.computers[name] for name in hop.between}, 0.0
+        if len(ends) > 1:
+            link = links.get(frozenset(ends))
+            known = link.latency + hop.size / link.bandwidth if link else 0.0
+            slower = max(0.0, chain.wires[hop.between[1]] - known)
+            on_wires += known + slower
+        hops.append(replace(hop, seconds=slower))
+    fixed = max(0.0, age - on_wires)
+    if fixed > chain.deadline or price <= 0:
+        return None
+    return replace(limit, fixed=fixed, hops=tuple(hops), price=price)
+
+
+def nothing_helps(situation: Situation) -> str:
+    """Return that no placement helps what is late, for people."""
+    return (
+        f"{late(situation)}by their demands all components fit where they are"
         f"{_others(situation)}: another placement would not help. "
         "Is a component blocked, or its deadline too short for its work?"
     )
@@ -99,13 +115,6 @@ def late(situation: Situation) -> str:
     ]
     chains = [_sentence(each) for each in situation.chains if each.is_late]
     return "".join(f"{sentence}; " for sentence in (*timers, *chains))
-
-
-def _longest_wire(chain: ChainAge) -> tuple[str, str]:
-    return max(
-        ((one, next_) for one, next_, _ in chain.steps()),
-        key=lambda step: chain.wires[step[1]],
-    )
 
 
 def _sentence(chain: ChainAge) -> str:

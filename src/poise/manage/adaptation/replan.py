@@ -18,6 +18,7 @@ from msgspec.structs import replace
 from poise import plan
 from poise.errors import RobotError
 from poise.estimate.demands import CPU_HEADROOM, shifted_cpu_demand
+from poise.manage.adaptation.late_data import with_time_limits
 from poise.manage.adaptation.proposals import PresentDemand, Proposal
 from poise.manage.adaptation.situation import WANTS_MORE, Situation
 from poise.manage.migration.transition import plan_transition
@@ -79,6 +80,7 @@ def propose(
     # Of alternative architectures only one runs: keep to it.
     problem = plan.keep_components(problem, now.keys())
     left = replace(problem, computers=situation.computers_left())
+    problem = with_time_limits(problem, situation, price)
     if not fewer:
         problem = share_what_is_left(problem, situation, price)
     planner = plan.Planner(problem)

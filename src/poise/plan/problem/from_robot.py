@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from itertools import combinations
+from itertools import combinations, pairwise
 
 from poise.errors import RobotError, UsageError
 from poise.model import robot as model
 from poise.model.tasks.exclusive import needs_device
 from poise.plan.problem.problem import Bundle, Edge, Item, Problem
+from poise.plan.problem.time_limit import Hop, TimeLimit
 from poise.plan.solvers.alternatives import needs, part
 
+LATE = 10.0
+"""What F grows by when data takes twice as long as its deadline says: more than all
+other terms of a normalised F."""
 MEGABYTE = 1e6
 
 
@@ -73,6 +77,7 @@ def problem_of(
             )
             for a in chosen
         ),
+        time_limits=tuple(_time_limits(robot, names)),
     )
 
 
@@ -213,6 +218,25 @@ def _rivals(
                     for a in pair
                 )
                 yield one, two
+
+
+def _time_limits(robot: model.Robot, names: set[str]) -> Iterator[TimeLimit]:
+    """Yield what chains lose on wires, by their connectors' messages."""
+    sizes: dict[frozenset[str], float] = {}
+    for connector in robot.all_connectors():
+        ends = frozenset(end.component for end in connector.between)
+        sizes.setdefault(ends, connector.message)
+    for chain in robot.chains:
+        if names >= set(chain.through):
+            yield TimeLimit(
+                name=chain.name,
+                limit=chain.deadline,
+                hops=tuple(
+                    Hop(between=pair, size=sizes.get(frozenset(pair), 0.0))
+                    for pair in pairwise(chain.through)
+                ),
+                price=LATE,
+            )
 
 
 def _within(

@@ -13,10 +13,12 @@ from poise.estimate.success import Conditions
 from poise.estimate.success.learning import WELL, actions_in, learned
 from poise.model.robot import Robot
 from poise.plan.solvers.portfolio import METHODS as SOLVERS
+from poise.session.placing.by_time import decide_by_time
 from poise.session.placing.rules import RULES, by_rule, is_file, is_rule
 from poise.session.render.html.picture import planned_picture
 from poise.session.render.plan import plan_parts
 from poise.session.render.printable import Printable
+from poise.simulation.predicted_times import PredictedTimes
 
 ALL = "all"
 """The name of the one phase in which all functions of the robot run."""
@@ -38,11 +40,15 @@ class Placement(Printable, Struct, frozen=True, kw_only=True):
     phased
         The placements of the task's phases with the terms of F, their bounds, and what
         was put aside; or why there are none. There is one phase where all runs at once.
+    predicted
+        Phase -> how old the data of its chains is predicted to be; empty where the
+        robot has no chains.
     """
 
     task: str | None
     method: str
     phased: plan.PhasedResult
+    predicted: Mapping[str, PredictedTimes] = {}
 
     @property
     def phases(self) -> Mapping[str, plan.Result]:
@@ -117,7 +123,7 @@ class Placement(Printable, Struct, frozen=True, kw_only=True):
 
     def parts(self) -> tuple[RenderableType, ...]:
         """Return what is printed."""
-        return plan_parts(self.phased)
+        return plan_parts(self.phased, self.predicted)
 
     def picture(self) -> str:
         """Return each phase's computers with their components, as HTML."""
@@ -188,10 +194,16 @@ def place(  # noqa: PLR0913 - each is a choice of the user
         problem = plan.PhasedProblem.of_one(name, plan.problem_of(robot, task))
     else:
         problem = plan.phased_problem_of(robot, task)
-    phased = ruled(method, robot, problem) or plan.solve_phases(
-        problem, budget, method, seed, fewer=fewer
+
+    def decide(asked: plan.PhasedProblem) -> plan.PhasedResult:
+        return ruled(method, robot, asked) or plan.solve_phases(
+            asked, budget, method, seed, fewer=fewer
+        )
+
+    decided = decide_by_time(robot, problem, decide)
+    return Placement(
+        task=task, method=method, phased=decided.phased, predicted=decided.predicted
     )
-    return Placement(task=task, method=method, phased=phased)
 
 
 def ruled(

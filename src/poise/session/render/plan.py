@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping
 
 from rich.console import Console, RenderableType
 from rich.markup import escape
@@ -11,21 +11,67 @@ from rich.markup import escape
 from poise import plan, units
 from poise.model.robot import Computer
 from poise.session.render.shared_tables.columns import table
+from poise.simulation.predicted_times import PredictedTimes
 from poise.units import counted
 
 BAR = 10
 """Length of a full bar [characters]."""
 MOST_NAMES = 25
 """How many components of one computer are named; `--json` names all."""
+ALWAYS = "communication", "balance", "move"
+TERMS = (*ALWAYS, "quality", "shortage", "time")
+"""The terms of F; the last ones are shown where they are not 0."""
+_LATE = 0.01
+"""A timer that misses a smaller share of its deadlines is not named."""
 _MOST_BARS = 3
 """The most placements whose bars fit side by side."""
 
 
-def plan_parts(phased: plan.PhasedResult) -> tuple[RenderableType, ...]:
-    """Return what is printed of a placement: its phases, or the only one whole."""
-    if len(phased.results) > 1:
-        return _phases(phased)
-    return _phase(phased.only[1])
+def plan_parts(
+    phased: plan.PhasedResult, times: Mapping[str, PredictedTimes] = {}
+) -> tuple[RenderableType, ...]:
+    """Return what is printed of a placement: its phases, or the only one whole.
+
+    Parameters
+    ----------
+    times
+        Phase -> what is predicted of it.
+    """
+    several = len(phased.results) > 1
+    parts = _phases(phased) if several else _phase(phased.only[1])
+    return (*parts, *_chains(times))
+
+
+def _chains(times: Mapping[str, PredictedTimes]) -> Iterator[RenderableType]:
+    """Yield how old the data of each chain is predicted to be, if there is one."""
+    phase = ("phase",) if len(times) > 1 else ()
+    names = "predicted data age", "median", "p99", "deadline", "margin", "late"
+    rows = table(*phase, *names, "most time to")
+    for name, predicted in times.items():
+        for chain in predicted.chains:
+            margin = units.format_seconds(abs(chain.margin))
+            is_late = chain.margin < 0
+            rows.add_row(
+                *(escape(each) for each in (name,) * len(phase)),
+                chain.name,
+                units.format_seconds(chain.median),
+                units.format_seconds(chain.p99),
+                units.format_seconds(chain.deadline),
+                f"[bold red]-{margin}[/]" if is_late else margin,
+                f"{chain.late:.1%}",
+                chain.slowest,
+            )
+    if rows.row_count:
+        yield rows
+    for name, predicted in times.items():
+        late = [
+            f"{each.component}.{each.timer} {each.late:.0%}"
+            for each in predicted.timers
+            if each.late >= _LATE
+        ]
+        if late:
+            where = f" in {name}" if phase else ""
+            yield _line(f"predicted to miss deadlines{where}", ", ".join(late))
 
 
 def _phase(result: plan.Result) -> tuple[RenderableType, ...]:
@@ -49,6 +95,7 @@ def _phase(result: plan.Result) -> tuple[RenderableType, ...]:
         why = f", as not all fits: {result.reason}" if result.feasible else ""
         parts.append(_line("put aside", f"{', '.join(result.aside)}{why}"))
     parts += [f"{what}: by {by}" for what, by in result.architectures.items()]
+    parts += _short(result)
     parts.append(_terms(result))
     if result.unknown:
         parts.append(_line("no demand is known", _missing(result)))
@@ -65,13 +112,28 @@ def _missing(result: plan.Result) -> str:
     )
 
 
+def _short(result: plan.Result) -> list[str]:
+    """Return what computers are short of, where that is shared."""
+    return [
+        _line(
+            f"short on {each.computer}",
+            f"{units.format_amount(each.resource, each.amount)} of {each.resource}",
+        )
+        for each in result.shortages
+    ]
+
+
 def _line(head: str, text: str) -> str:
     return f"[bold red]{head}[/]: {escape(text)}"
 
 
-def show(phased: plan.PhasedResult, console: Console) -> None:
-    """Print a placement."""
-    for part in plan_parts(phased):
+def show(
+    phased: plan.PhasedResult,
+    console: Console,
+    times: Mapping[str, PredictedTimes] = {},
+) -> None:
+    """Print a placement, and what is predicted of each phase."""
+    for part in plan_parts(phased, times):
         console.print(part, highlight=False)
 
 
@@ -185,10 +247,11 @@ def show_comparison(
     """Print results side by side: the terms of F, then load by computer."""
     names = list(results)
     rows = table("", *names)
-    objectives = [each.objective for each in results.values() if each.objective]
-    terms = ("communication", "balance", "move", "quality", *_time(objectives))
-    for label in ("total", *terms):
-        rows.add_row(label, *(_term(results[name], label) for name in names))
+    rows.add_row("total", *(_term(results[name], "total") for name in names))
+    for label in TERMS:
+        values = [_term(results[name], label) for name in names]
+        if label in ALWAYS or {*values} - {"0", "-"}:
+            rows.add_row(label, *values)
     rows.add_row("lower bound", *(_number(results[n].bound) for n in names))
     rows.add_row("proven", *("yes" if results[n].proven else "no" for n in names))
     rows.add_row("feasible", *("yes" if results[n].feasible else "NO" for n in names))
@@ -223,18 +286,21 @@ def _show_options(explanation: plan.Explanation, console: Console) -> None:
     if explanation.together:
         names = ", ".join(explanation.together)
         console.print(f"It moves together with {names}.", highlight=False)
-    time = _time([option.objective for option in explanation.options])
-    terms = ("communication", "balance", "move", *time)
+    options = explanation.options
+    terms = [
+        name
+        for name in TERMS
+        if name in ALWAYS or any(getattr(each.change, name) for each in options)
+    ]
     rows = table("computer", "F", "change", *terms, "", folds=3 + len(terms))
-    for option in explanation.options:
-        change = option.change
+    for option in options:
         here = option.computer == explanation.computer
         rows.add_row(
             option.computer,
             _cost(option.objective.total),
             *(
-                "" if here else f"{value:+.4g}"
-                for value in (getattr(change, name) for name in ("total", *terms))
+                "" if here else f"{getattr(option.change, name):+.4g}"
+                for name in ("total", *terms)
             ),
             option.obstacle or ("here" if here else ""),
         )
@@ -246,19 +312,13 @@ def _show_rejection(rejection: plan.Rejection, console: Console) -> None:
     console.print(str(rejection), highlight=False)
     if rejection.objective is None or rejection.change is None:
         return
-    time = _time([rejection.objective, rejection.change])
-    names = ("total", "communication", "balance", "move", "quality", *time)
+    names = ("total", *TERMS)
     rows = table("", *("F" if name == "total" else name for name in names))
     best = (_cost(getattr(rejection.objective, name)) for name in names)
     change = (f"{getattr(rejection.change, name):+.4g}" for name in names)
     rows.add_row("with it, at best", *best)
     rows.add_row("change", *change)
     console.print(rows)
-
-
-def _time(terms: Sequence[plan.Terms]) -> tuple[str, ...]:
-    """Return the name of the term of time, where there is any."""
-    return ("time",) if any(each.time for each in terms) else ()
 
 
 def _terms(result: plan.Result) -> str:
@@ -270,10 +330,11 @@ def _terms(result: plan.Result) -> str:
         f"balance {_cost(terms.balance)}",
         f"move {_cost(terms.move)}",
     ]
-    if terms.quality:
-        parts.append(f"quality {_cost(terms.quality)}")
-    if terms.time:
-        parts.append(f"time {_cost(terms.time)}")
+    parts += [
+        f"{name} {_cost(cost)}"
+        for name in ("quality", "shortage", "time")
+        if (cost := getattr(terms, name))
+    ]
     known = _known(result.bound, is_least=result.proven)
     return (
         f"F = {_cost(terms.total)} = {' + '.join(parts)} ({result.scale} scale, "

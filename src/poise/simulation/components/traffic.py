@@ -8,7 +8,12 @@ from typing import Literal
 from msgspec import Struct
 
 from poise.estimate.profile import ConnectorProfile, KindCosts
+from poise.simulation._engine import Connector, Engine
 from poise.wire.records.deployment import ConnectorSpec
+
+End = Literal["source", "target"]
+SIZE = 200.0
+"""Of a message whose connector does not say it [bytes]."""
 
 
 class Traffic(Struct, frozen=True, kw_only=True):
@@ -28,24 +33,56 @@ class Traffic(Struct, frozen=True, kw_only=True):
     calling: frozenset[str] = frozenset()
     costs: Mapping[str, KindCosts] = {}
 
-    def cost(
-        self, spec: ConnectorSpec, together: str, side: Literal["source", "target"]
-    ) -> float:
+    def cost(self, connector: str, kind: str, together: str, end: End) -> float:
         """Return the work of one message or call beyond what it costs together.
 
         Parameters
         ----------
+        kind
+            The connector's: ``direct``, ``local`` or ``remote``.
         together
-            The connector's kind when both ends are on one computer: so it was profiled.
+            Its kind when both ends are on one computer: so it was profiled.
         """
-        is_call = spec.name in self.calling
+        is_call = connector in self.calling
         one = ConnectorProfile(
             calls=float(is_call),
             messages=float(not is_call),
-            size=self.sizes.get(spec.name, 0.0),
+            size=self.sizes.get(connector, 0.0),
         )
         now, then = (
-            getattr(self.costs.get(kind, KindCosts()), side).load(one)
-            for kind in (spec.kind, together)
+            getattr(self.costs.get(each, KindCosts()), end).load(one)
+            for each in (kind, together)
         )
         return max(0.0, float(now - then))
+
+    def apart(self, connector: str, together: str) -> float:
+        """Return what both ends work more for a message or call when they are apart."""
+        return self.cost(connector, "remote", together, "source") + self.cost(
+            connector, "remote", together, "target"
+        )
+
+    def size_of(self, connector: str) -> float:
+        """Return the size of a message, or of a call both ways [bytes]."""
+        return self.sizes.get(connector, SIZE)
+
+    def connector_in(
+        self, engine: Engine, spec: ConnectorSpec, together: str
+    ) -> Connector:
+        """Return a connector as the engine has it; `together` as for `cost`."""
+        return engine.connector(
+            name=spec.name,
+            key=spec.key,
+            slot=spec.slot or spec.name,
+            source=(spec.source, spec.source_epoch),
+            target=(spec.target, spec.target_epoch),
+            computer=spec.target_computer,
+            is_direct=spec.kind == "direct",
+            limit=spec.limit,
+            size=self.size_of(spec.name),
+            costs=(
+                self.cost(spec.name, spec.kind, together, "source"),
+                self.cost(spec.name, spec.kind, together, "target"),
+            ),
+            carries=spec.carries,
+            answers=spec.answers,
+        )

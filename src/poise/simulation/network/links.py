@@ -4,11 +4,33 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from msgspec import Struct
+
 from poise.model.robot import Robot
-from poise.simulation.network.network import LinkModel
+from poise.simulation._engine import Engine
 
 _JITTER = 0.25
 """Mean of what comes on top of a link's latency, as a share of that."""
+
+
+class LinkModel(Struct, frozen=True, kw_only=True):
+    """How a link behaves while nothing is wrong with it.
+
+    Parameters
+    ----------
+    latency, jitter
+        One way [s]; jitter is the mean of what comes on top, exponentially.
+    bandwidth
+        [bytes/s]
+    loss, duplication
+        Shares of datagrams, in [0, 1].
+    """
+
+    latency: float = 200e-6
+    jitter: float = 50e-6
+    bandwidth: float = 12.5e6
+    loss: float = 0.0
+    duplication: float = 0.0
 
 
 def links_of(robot: Robot) -> Mapping[frozenset[str], LinkModel]:
@@ -22,3 +44,16 @@ def links_of(robot: Robot) -> Mapping[frozenset[str], LinkModel]:
         )
         for link in robot.links
     }
+
+
+def set_links(
+    engine: Engine,
+    links: Mapping[frozenset[str], LinkModel],
+    usual: LinkModel = LinkModel(),  # noqa: B008, it is frozen
+) -> None:
+    """Let an engine have links; those that are not named are as usual."""
+    engine.set_usual_link(usual.latency, usual.jitter, usual.bandwidth)
+    for pair, link in links.items():
+        one, other = sorted(pair)
+        for way in ((one, other), (other, one)):
+            engine.set_link(*way, link.latency, link.jitter, link.bandwidth)

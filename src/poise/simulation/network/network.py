@@ -5,31 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from functools import partial
 
-from msgspec import Struct
-
 from poise.simulation._engine import Stream
+from poise.simulation.network.links import LinkModel, set_links
 from poise.simulation.schedule.choices import Choices
 from poise.simulation.schedule.scheduler import Scheduler
-
-
-class LinkModel(Struct, frozen=True, kw_only=True):
-    """How a link behaves while nothing is wrong with it.
-
-    Parameters
-    ----------
-    latency, jitter
-        One way [s]; jitter is the mean of what comes on top, exponentially.
-    bandwidth
-        [bytes/s]
-    loss, duplication
-        Shares of datagrams, in [0, 1].
-    """
-
-    latency: float = 200e-6
-    jitter: float = 50e-6
-    bandwidth: float = 12.5e6
-    loss: float = 0.0
-    duplication: float = 0.0
 
 
 class Network:
@@ -62,12 +41,7 @@ class Network:
         self.model = model or LinkModel()
         self.loss = 0.0
         engine = self._engine = scheduler.engine
-        usual = self.model
-        engine.set_usual_link(usual.latency, usual.jitter, usual.bandwidth)
-        for pair, link in links.items():
-            one, other = sorted(pair)
-            for way in ((one, other), (other, one)):
-                engine.set_link(*way, link.latency, link.jitter, link.bandwidth)
+        set_links(engine, links, self.model)
 
     def is_cut(self, source: str, target: str) -> bool:
         """Return whether nothing gets from one computer to another."""

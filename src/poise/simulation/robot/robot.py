@@ -31,8 +31,6 @@ _CORES = 4.0
 _USUAL = ComponentModel()
 OUTSIDE = "outside"
 """A computer beside the robot's, on which the manager of emulated computers runs."""
-SIZE = 200.0
-"""Of a message whose connector does not say it [bytes]."""
 
 
 class SimulatedRobot:
@@ -190,7 +188,11 @@ class SimulatedRobot:
         """Return a connector as the engine has it."""
         known = self._connectors.get(spec)
         if known is None:
-            known = self._connectors[spec] = self._made_in_engine(spec)
+            together = self._kinds.get(spec.name, "local")
+            known = self.workload.traffic.connector_in(
+                self.scheduler.engine, spec, together
+            )
+            self._connectors[spec] = known
         return known
 
     def add_container(self, container: SimulatedContainer) -> None:
@@ -224,7 +226,7 @@ class SimulatedRobot:
 
     def size_of(self, connector: str) -> float:
         """Return the size of a message, or of a call both ways [bytes]."""
-        return self.workload.traffic.sizes.get(connector, SIZE)
+        return self.workload.traffic.size_of(connector)
 
     def run(self, until: float) -> None:
         """Let virtual time pass until a moment [s]."""
@@ -237,24 +239,3 @@ class SimulatedRobot:
                 process.kill()
         self.scheduler.run(self.scheduler.now)
         self.scheduler.engine.end()
-
-    def _made_in_engine(self, spec: ConnectorSpec) -> Connector:
-        together = self._kinds.get(spec.name, "local")
-        traffic = self.workload.traffic
-        return self.scheduler.engine.connector(
-            name=spec.name,
-            key=spec.key,
-            slot=spec.slot or spec.name,
-            source=(spec.source, spec.source_epoch),
-            target=(spec.target, spec.target_epoch),
-            computer=spec.target_computer,
-            is_direct=spec.kind == "direct",
-            limit=spec.limit,
-            size=self.size_of(spec.name),
-            costs=(
-                traffic.cost(spec, together, "source"),
-                traffic.cost(spec, together, "target"),
-            ),
-            carries=spec.carries,
-            answers=spec.answers,
-        )

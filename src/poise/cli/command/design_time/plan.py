@@ -19,6 +19,7 @@ from poise.estimate.success import Conditions
 from poise.estimate.success.learning import actions_in, learned
 from poise.model import load
 from poise.model.robot import Robot
+from poise.session.placing.by_time import DecidedByTime, decide_by_time
 from poise.session.placing.placement import ALL, ruled
 from poise.session.profiling.stored_profiles import profiled
 from poise.session.render.plan import (
@@ -63,6 +64,10 @@ def plan_command(
     fewer: Annotated[
         bool,
         typer.Option("--fewer", help="Put aside what does not fit, by priority."),
+    ] = False,
+    share: Annotated[
+        bool,
+        typer.Option("--share", help="Let CPU be short where not all fits."),
     ] = False,
     explain: Annotated[
         str | None,
@@ -117,6 +122,7 @@ def plan_command(
     """
     tasks = task or []
     _check_together(tasks, explain, phase, compare, smallest=smallest, at_once=at_once)
+    _check_share(share=share, fewer=fewer, smallest=smallest)
     say = Console(stderr=True, highlight=False).print
     robot = _robot(file, tasks, say, explore=explore)
 
@@ -134,7 +140,8 @@ def plan_command(
         return found.robot
 
     def changed(problem: plan.Problem) -> plan.Problem:
-        return changed_problem(problem, without or [], add or [], scale or [])
+        found = changed_problem(problem, without or [], add or [], scale or [])
+        return plan.share_cpu(found) if share else found
 
     if smallest and robot is not None and not tasks:
         tasks = [each.name for each in robot.tasks]
@@ -180,14 +187,15 @@ class How(NamedTuple):
     stop: Callable[[], bool]
     why: bool
 
-    def solve(
+    def decide(
         self, problem: plan.PhasedProblem, method: str | None = None
-    ) -> plan.PhasedResult:
+    ) -> DecidedByTime:
         """Decide where components run; `method` is taken instead of the option's."""
         method = method or self.method
-        with busy("placing"):
-            return ruled(method, self.robot, problem) or plan.solve_phases(
-                problem,
+
+        def solve(asked: plan.PhasedProblem) -> plan.PhasedResult:
+            return ruled(method, self.robot, asked) or plan.solve_phases(
+                asked,
                 self.budget,
                 method,
                 self.seed,
@@ -196,6 +204,11 @@ class How(NamedTuple):
                 stop=self.stop,
                 why=self.why,
             )
+
+        with busy("placing"):
+            if self.robot is None:
+                return DecidedByTime(solve(problem))
+            return decide_by_time(self.robot, problem, solve)
 
 
 def _check_together(
@@ -224,6 +237,13 @@ def _check_together(
         raise UsageError(f"--phase {phase}: it goes with --explain")
     if at_once and len(tasks) != 1:
         raise UsageError("--at-once: it is about one --task")
+
+
+def _check_share(*, share: bool, fewer: bool, smallest: bool) -> None:
+    """Raise UsageError when CPU is to be short, and is not to be."""
+    if share and (fewer or smallest):
+        other = "--smallest" if smallest else "--fewer"
+        raise UsageError(f"--share and {other}: either CPU may be short, or not")
 
 
 def _check_phases(
@@ -271,7 +291,8 @@ def _answer(
     json: bool,
 ) -> bool:
     """Decide and print, or why something is where it is; return whether it holds."""
-    result = how.solve(problem)
+    decided = how.decide(problem)
+    result = decided.phased
     several = len(result.results) > 1
     explanation = None
     if explain is not None and (several or result.only[1].placement):
@@ -281,12 +302,17 @@ def _answer(
         plain = result.to_dict() if several else result.only[1].to_dict()
         extra = {"explanation": explanation} if explanation else {}
         print_json(
-            {**plain, **extra, **({"phase": phase} if several and extra else {})}
+            {
+                **plain,
+                "predicted": decided.predicted,
+                **extra,
+                **({"phase": phase} if several and extra else {}),
+            }
         )
         return result.feasible
     console = Console()
     if explanation is None:
-        show(result, console)
+        show(result, console, decided.predicted)
         return result.feasible
     if several:
         console.print(f"phase {phase}:", highlight=False)
@@ -299,7 +325,7 @@ def _answer_smallest(
 ) -> bool:
     """Print the cheapest computers on which each task fits; return whether all do."""
     problems = [*tasks.values()]
-    few = plan.smallest(problems, how.solve)
+    few = plan.smallest(problems, lambda each: how.decide(each).phased)
     known = problems[0].computers
     price = sum(h.price for h in known if h.name in few.computers)
     results = dict(zip(tasks, few.results, strict=False))
@@ -328,7 +354,7 @@ def _answer_comparison(
 ) -> bool:
     """Print what several methods find; return whether one of them holds."""
     names = [name.strip() for name in methods.split(",")]
-    results = {name: how.solve(problem, name).only[1] for name in names}
+    results = {name: how.decide(problem, name).phased.only[1] for name in names}
     if json:
         print_json({"results": {name: r.to_dict() for name, r in results.items()}})
     else:

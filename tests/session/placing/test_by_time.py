@@ -1,0 +1,143 @@
+"""Placements whose data is in time, where another would be better by all else."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from poise.model import load
+from poise.session.placing.placement import Placement, place
+
+CODE = """
+import poise
+
+
+class Datum(poise.Message):
+    number: int
+
+
+class Eye(poise.Component):
+    seen: poise.Published[Datum]
+
+    @poise.every(0.1)
+    def look(self):
+        self.seen.publish(Datum(1))
+
+
+class Mind(poise.Component):
+    wish: poise.Published[Datum]
+
+    @poise.subscribed(keep=1)
+    def seen(self, datum: Datum):
+        self.wish.publish(datum)
+
+
+class Arm(poise.Component):
+    @poise.subscribed(keep=1)
+    def wish(self, datum: Datum):
+        pass
+
+
+class Hog(poise.Component):
+    @poise.every(0.1)
+    def toil(self):
+        pass
+"""
+FILE = """
+robot: some
+computers: {{a: {{cpu: 50%, memory: 1 GiB}}, b: {{cpu: 50%, memory: 1 GiB}}}}
+devices: {{camera: {{computer: a}}, motor: {{computer: a}}}}
+links: [{{between: [a, b], {link}}}]
+architectures:
+  servo:
+    function: servo
+    components:
+      eye: {{implementation: "{module}:Eye", cpu: 10%, devices: [camera]}}
+      mind: {{implementation: "{module}:Mind", cpu: {mind}}}
+      arm: {{implementation: "{module}:Arm", cpu: 5%, devices: [motor]}}
+      hog: {{implementation: "{module}:Hog", cpu: {hog}, devices: [{hog_needs}]}}
+    connectors:
+      - {{between: [eye.seen, mind.seen], message: {message}, rate: 10 Hz}}
+      - {{between: [mind.wish, arm.wish], message: 100 B, rate: 10 Hz}}
+objective: {{communication: {communication}, balance: 0.5}}
+{chains}
+tasks: {{go: {{actions: [{{name: go, functions: [servo]}}]}}}}
+"""
+CHAIN = "chains: {see: {through: [eye, mind, arm], deadline: 100 ms}}"
+
+
+Place = Callable[..., Placement]
+
+
+@pytest.fixture
+def placed(tmp_path: Path) -> Place:
+    """Return what writes a robot and places it."""
+    module = f"servo_of_{tmp_path.name}"
+    (tmp_path / f"{module}.py").write_text(textwrap.dedent(CODE))
+
+    def write(method: str = "auto", **keys: str) -> Placement:
+        path = tmp_path / "robot.yaml"
+        usual = {
+            "link": "latency: 0.1 ms",
+            "mind": "10%",
+            "message": "100 B",
+            "communication": "0.05",
+            "hog": "0%",
+            "hog_needs": "",
+            "chains": CHAIN,
+        }
+        path.write_text(FILE.format(module=module, **(usual | keys)))
+        return place(load(path), "go", method=method)
+
+    return write
+
+
+@pytest.mark.parametrize(
+    "keys",
+    [
+        {"link": "latency: 80 ms"},
+        {"link": "bandwidth: 8 Mbit/s", "message": "90 kB"},
+    ],
+    ids=["latency", "bandwidth"],
+)
+def test_a_chain_does_not_cross_a_link_that_takes_too_long(
+    placed: Place, keys: dict[str, str]
+) -> None:
+    """Without the chain its middle goes where more is free."""
+    assert placed(**keys, chains="")["mind"] == "b"
+    found = placed(**keys)
+    assert found["mind"] == "a"
+    (chain,) = found.predicted["go"].chains
+    assert chain.p99 < chain.deadline
+
+
+def test_a_chain_goes_round_a_busy_computer(placed: Place) -> None:
+    """Only a simulation tells how much longer things take there."""
+    keys = {"hog": "20%", "hog_needs": "motor", "communication": "0.5"}
+    assert placed(**keys, chains="")["mind"] == "a"
+    assert placed(**keys)["mind"] == "b"
+
+
+def test_a_chain_that_is_late_anywhere_is_placed_and_said(placed: Place) -> None:
+    found = placed(chains=CHAIN.replace("100 ms", "1 ms"))
+    assert found.feasible
+    (chain,) = found.predicted["go"].chains
+    assert chain.late == 1.0
+    assert chain.margin < 0
+    assert found.result.objective is not None
+    assert found.result.objective.time > 1.0
+    assert "predicted data age" in str(found)
+
+
+def test_a_given_placement_is_predicted_as_it_is(placed: Place, tmp_path: Path) -> None:
+    given = tmp_path / "given.yaml"
+    given.write_text("{eye: a, mind: b, arm: a, hog: a}")
+    found = placed(method=str(given), link="latency: 80 ms")
+    assert found["mind"] == "b"
+    (chain,) = found.predicted["go"].chains
+    assert chain.median > 0.16
+    assert found.result.objective is not None
+    assert found.result.objective.time > 0.5

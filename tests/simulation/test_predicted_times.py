@@ -1,0 +1,158 @@
+"""How old data gets on a placement, against what can be worked out by hand."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import pytest
+from msgspec.structs import replace
+
+from poise.model.robot import (
+    Architecture,
+    Chain,
+    ComponentEntry,
+    Computer,
+    Connector,
+    ConnectorEnd,
+    Link,
+    Robot,
+)
+from poise.runtime.component.ports import Timer
+from poise.simulation.components.models import (
+    ComponentModel,
+    HandlerModel,
+    Models,
+    TimerModel,
+)
+from poise.simulation.components.traffic import Traffic
+from poise.simulation.predicted_times import PredictedChain, predict_times
+from poise.simulation.workload import SimulatedWork
+
+EYE_MIND, MIND_ARM = "eye.seen-mind.seen", "mind.wish-arm.wish"
+ALL_LEFT = dict.fromkeys(("eye", "mind", "arm"), "left")
+
+
+@pytest.fixture
+def robot() -> Robot:
+    """Return a chain of three, each in a container of its own."""
+    return Robot(
+        name="some",
+        folder="/some",
+        computers=tuple(
+            Computer(name=name, capacity={"cpu": 1.0}) for name in ("left", "right")
+        ),
+        links=(Link(between=("left", "right"), bandwidth=1e6, latency=0.02),),
+        architectures=(
+            Architecture(
+                name="all",
+                function="all",
+                components=tuple(
+                    ComponentEntry(name=name, isolated=True)
+                    for name in ("eye", "mind", "arm", "hog")
+                ),
+                connectors=(
+                    _connector("eye.seen", "mind.seen"),
+                    _connector("mind.wish", "arm.wish"),
+                ),
+            ),
+        ),
+        chains=(Chain(name="see", through=("eye", "mind", "arm"), deadline=0.1),),
+    )
+
+
+def _connector(source: str, target: str) -> Connector:
+    ends = (ConnectorEnd(*end.split(".")) for end in (source, target))
+    return Connector(between=tuple(ends))  # type: ignore[arg-type]
+
+
+def timer(period: float, work: float, *slots: str) -> TimerModel:
+    return TimerModel(
+        timer=Timer("tick", period, period), handler=_sending(work, *slots)
+    )
+
+
+def _sending(work: float, *slots: str) -> HandlerModel:
+    return HandlerModel(work=work, publishes=dict.fromkeys(slots, 1.0))
+
+
+PASSED_ON: Models = {
+    "eye": ComponentModel(timers=(timer(0.1, 0.001, EYE_MIND),)),
+    "mind": ComponentModel(timers=(), takes={EYE_MIND: _sending(0.01, MIND_ARM)}),
+    "arm": ComponentModel(timers=(), takes={MIND_ARM: _sending(0.005)}),
+}
+
+
+def predicted(
+    robot: Robot,
+    placement: Mapping[str, str] = ALL_LEFT,
+    models: Models = PASSED_ON,
+    sizes: Mapping[str, float] = {},
+) -> PredictedChain:
+    work = SimulatedWork(models=models, traffic=Traffic(sizes=sizes))
+    (chain,) = predict_times(robot, placement, work).chains
+    return chain
+
+
+def test_what_is_passed_on_at_once_is_as_old_as_the_work_takes(robot: Robot) -> None:
+    chain = predicted(robot)
+    assert chain.median == pytest.approx(0.015, rel=0.1)
+    assert chain.p99 == pytest.approx(0.015, rel=0.1)
+    assert [hop.component for hop in chain.hops] == ["mind", "arm"]
+    assert chain.slowest == "mind"
+    assert chain.late == 0.0
+    assert chain.margin == pytest.approx(0.1 - chain.p99)
+
+
+def test_a_timer_takes_what_came_within_a_period(robot: Robot) -> None:
+    """So its age is spread over that period, if the timers' periods have no ratio."""
+    sampling = ComponentModel(
+        timers=(timer(0.0314, 0.0, MIND_ARM),), takes={EYE_MIND: _sending(0.0)}
+    )
+    chain = predicted(robot, models={**PASSED_ON, "mind": sampling})
+    assert chain.median == pytest.approx(0.05 + 0.005, rel=0.15)
+    assert chain.p99 == pytest.approx(0.1 + 0.005, rel=0.15)
+    assert 0.0 < chain.late < 0.1
+
+
+def test_a_link_is_crossed_as_often_as_the_chain_crosses_it(robot: Robot) -> None:
+    apart = {"eye": "left", "mind": "right", "arm": "left"}
+    chain = predicted(robot, apart, sizes={EYE_MIND: 30_000.0, MIND_ARM: 1.0})
+    # 20 ms each way, the link's jitter of a quarter of that, and 30 ms for 30 kB
+    assert chain.median == pytest.approx(0.015 + 2 * 0.025 + 0.03, rel=0.15)
+    assert chain.slowest == "mind"
+
+
+def test_what_shares_a_computer_takes_longer_there(robot: Robot) -> None:
+    """A hog that always runs leaves half of the CPU."""
+    hog = ComponentModel(timers=(timer(0.01, 1.0),))
+    models = {**PASSED_ON, "hog": hog}
+    beside = predicted(robot, {**ALL_LEFT, "hog": "left"}, models)
+    elsewhere = predicted(robot, {**ALL_LEFT, "hog": "right"}, models)
+    assert elsewhere.median == pytest.approx(0.015, rel=0.1)
+    assert beside.median == pytest.approx(0.03, rel=0.1)
+
+
+def test_a_slow_computer_takes_longer(robot: Robot) -> None:
+    slow = replace(
+        robot, computers=tuple(replace(c, speed=0.5) for c in robot.computers)
+    )
+    assert predicted(slow).median == pytest.approx(0.03, rel=0.1)
+
+
+def test_timers_that_cannot_keep_their_deadlines_are_predicted(robot: Robot) -> None:
+    hog = ComponentModel(timers=(timer(0.1, 0.12),))
+    work = SimulatedWork(models={**PASSED_ON, "hog": hog})
+    times = predict_times(robot, {**ALL_LEFT, "hog": "right"}, work)
+    late = {each.component: each.late for each in times.timers}
+    assert late["hog"] > 0.9
+    assert late["eye"] == 0.0
+
+
+def test_the_same_robot_has_the_same_prediction(robot: Robot) -> None:
+    assert predicted(robot) == predicted(robot)
+
+
+def test_a_chain_whose_data_never_comes_is_not_predicted(robot: Robot) -> None:
+    silent = {**PASSED_ON, "eye": ComponentModel(timers=())}
+    work = SimulatedWork(models=silent)
+    assert predict_times(robot, ALL_LEFT, work).chains == ()
