@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import os
 import select
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from poise.model.robot import Architecture, ComponentEntry, Robot
+from poise.model.software import CodeTimer
 from poise.runtime.isolated_check import check_code_isolated
 from tests.waiting import LONG
 
@@ -42,7 +44,7 @@ def check(tmp_path: Path) -> Check:
             folder=str(tmp_path),
             architectures=(Architecture(name="x", function="f", components=parts),),
         )
-        return [f.message for f in check_code_isolated(robot, limit)]
+        return [f.message for f in check_code_isolated(robot, limit).findings]
 
     return checked
 
@@ -125,7 +127,7 @@ def test_modules_that_share_a_broken_one_have_one_problem(tmp_path: Path) -> Non
             ),
         ),
     )
-    (finding,) = check_code_isolated(robot)
+    (finding,) = check_code_isolated(robot).findings
     assert "ZeroDivisionError" in finding.message
     assert "and for the same reason 'other'" in finding.message
 
@@ -143,4 +145,27 @@ def test_other_work_goes_on_while_code_is_imported(tmp_path: Path) -> None:
         folder=str(tmp_path),
         architectures=(Architecture(name="x", function="f", components=(component,)),),
     )
-    assert check_code_isolated(robot, meanwhile=begun.touch) == []
+    assert check_code_isolated(robot, meanwhile=begun.touch).findings == []
+
+
+def test_what_classes_declare_is_known_without_importing_them_here(
+    tmp_path: Path,
+) -> None:
+    (tmp_path / "declares.py").write_text(
+        "import poise\n"
+        "class Ticks(poise.Component):\n"
+        "    @poise.every(0.2, deadline=0.1)\n"
+        "    def tick(self) -> None: ...\n"
+        "    @poise.subscribed(keep=3)\n"
+        "    def seen(self, number: int) -> None: ...\n"
+    )
+    component = ComponentEntry(name="a", implementation="declares:Ticks")
+    robot = Robot(
+        name="r",
+        folder=str(tmp_path),
+        architectures=(Architecture(name="x", function="f", components=(component,)),),
+    )
+    code = check_code_isolated(robot).code["a"]
+    assert code.timers == (CodeTimer("tick", 0.2, 0.1),)
+    assert code.keep == {"seen": 3}
+    assert "declares" not in sys.modules

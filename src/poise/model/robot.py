@@ -28,6 +28,7 @@ from poise.model.hardware import Computer, Device, Link
 from poise.model.policy.policy import POLICIES, Policy
 from poise.model.software import (
     Architecture,
+    ComponentCode,
     ComponentEntry,
     Connector,
     ConnectorEnd,
@@ -175,7 +176,8 @@ Set = Annotated[tuple[Name, ...], note(min_length=2)]
 class Robot(Struct, frozen=True, kw_only=True):
     """A robot: its computers, its software and its tasks.
 
-    Implementations are imported from `folder`, that of the file.
+    Implementations are imported from `folder`, that of the file. `code` is what the
+    classes of components declare; those are not named whose code was not read.
     """
 
     name: Annotated[Name, says("The robot's name.", key="robot")]
@@ -262,6 +264,7 @@ class Robot(Struct, frozen=True, kw_only=True):
         ),
     ] = ""
     folder: str = ""
+    code: Mapping[str, ComponentCode] = {}
 
     def components(self) -> Iterator[ComponentEntry]:
         """Yield every component of every architecture."""

@@ -117,6 +117,27 @@ class ComponentEntry(Struct, frozen=True, kw_only=True):
     ] = {}
 
 
+class CodeTimer(Struct, frozen=True):
+    """A timer as the class of a component declares it; without a deadline: None [s]."""
+
+    name: str
+    period: float
+    deadline: float | None
+
+
+class ComponentCode(Struct, frozen=True, kw_only=True):
+    """What the class of a component declares that is no part of the file.
+
+    Parameters
+    ----------
+    keep
+        Subscribed port -> how many messages wait at most.
+    """
+
+    timers: tuple[CodeTimer, ...] = ()
+    keep: Mapping[str, int] = {}
+
+
 class ConnectorEnd(Struct, frozen=True):
     """One end of a connector: a component and one of its ports ("" if not named)."""
 

@@ -20,6 +20,7 @@ from poise.model.check.ports import KnownPort, check_ports, check_required
 from poise.model.check.tasks import check_ends
 from poise.model.check.workload import check_generated
 from poise.model.robot import ComponentEntry, PortKind, Robot
+from poise.model.software import CodeTimer, ComponentCode
 from poise.model.yaml.positions import Finding, Path
 from poise.runtime.component.component import Component
 from poise.runtime.component.fingerprint import fingerprint
@@ -98,6 +99,28 @@ def check_code(
     findings += _check_functions(robot)
     findings += check_ends(robot, known)
     return findings
+
+
+def code_of(entry: ComponentEntry, folder: str) -> ComponentCode:
+    """Return what the class of a component declares.
+
+    Raises
+    ------
+    PoiseError
+        Its code cannot be imported, or is none of a component.
+    """
+    code = find(entry.implementation, folder)
+    return ComponentCode(
+        timers=tuple(
+            CodeTimer(each.name, each.period, each.deadline)
+            for each in timers_of(code).values()
+        ),
+        keep={
+            name: port.queue.size
+            for name, port in ports_of(code).items()
+            if port.queue and port.queue.policy == "keep"
+        },
+    )
 
 
 def _check_functions(robot: Robot) -> Iterator[Finding]:

@@ -12,7 +12,7 @@ import select
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from tempfile import TemporaryFile
 
@@ -20,10 +20,12 @@ import msgspec
 
 from poise.errors import RunError
 from poise.model.check.file_paths import components
-from poise.model.robot import Robot
+from poise.model.robot import ComponentEntry, Robot
+from poise.model.software import ComponentCode
 from poise.model.yaml.positions import Finding
 from poise.runtime.hosting.command_line import die_with_parent
 
+CodeOf = Callable[[ComponentEntry, str], ComponentCode]
 IMPORT_LIMIT = 60.0
 """How long the code of one component may take to be imported [s]."""
 _REAP = 1.0
@@ -31,10 +33,17 @@ _REAP = 1.0
 _CHUNK = 1 << 16
 _STDERR = 2
 _CHILD = """
-from poise.runtime.code_check import check_code
+from poise.runtime.code_check import check_code, code_of
 from poise.runtime.isolated_check import serve
-serve(check_code)
+serve(check_code, code_of)
 """
+
+
+class CheckedCode(msgspec.Struct, frozen=True):
+    """What is wrong with a robot's code; when nothing is, what it declares."""
+
+    findings: list[Finding]
+    code: Mapping[str, ComponentCode] = {}
 
 
 class _Death(msgspec.Struct, frozen=True):
@@ -48,7 +57,7 @@ def check_code_isolated(
     robot: Robot,
     limit: float = IMPORT_LIMIT,
     meanwhile: Callable[[], object] = lambda: None,
-) -> list[Finding]:
+) -> CheckedCode:
     """Return what `check_code` finds, and code that ends, crashes or hangs its process.
 
     What the code prints goes to stderr.
@@ -71,22 +80,25 @@ def check_code_isolated(
         if not blamed:
             raise RunError(f"the check of the code of '{robot.name}' {result.how}")
         fatal |= blamed
-    return [*dict.fromkeys(fatal.values()), *result]
+    findings = [*dict.fromkeys(fatal.values()), *result.findings]
+    return CheckedCode(findings, result.code)
 
 
-def serve(check: Callable[..., list[Finding]]) -> None:
+def serve(check: Callable[..., list[Finding]], code_of: CodeOf) -> None:
     """Be the child whose arguments are ``PIPE SKIPPED...``; never returns."""
     pipe, *skipped = sys.argv[1:]
     os.set_inheritable(int(pipe), False)
     robot = msgspec.msgpack.decode(sys.stdin.buffer.read(), type=Robot)
     with os.fdopen(int(pipe), "wb", buffering=0) as answers:
 
-        def answer(item: str | list[Finding]) -> None:
+        def answer(item: str | CheckedCode) -> None:
             answers.write(msgspec.json.encode(item) + b"\n")
 
         found = check(robot, frozenset(skipped), answer)
+        parts = [] if found else [c for c in robot.components() if c.implementation]
+        code = {each.name: code_of(each, robot.folder) for each in parts}
         sys.stdout.flush()  # with the answer this process is ended
-        answer(found)
+        answer(CheckedCode(found, code))
     os._exit(0)  # the robot's code may have left threads that never end
 
 
@@ -95,7 +107,7 @@ def _check(
     skipped: Iterable[str],
     limit: float,
     meanwhile: Callable[[], object],
-) -> list[Finding] | _Death:
+) -> CheckedCode | _Death:
     reader, writer = os.pipe()
     with (
         TemporaryFile() as file,
@@ -126,7 +138,7 @@ def _check(
 
 def _result(
     child: subprocess.Popen[bytes], reader: int, limit: float
-) -> list[Finding] | _Death:
+) -> CheckedCode | _Death:
     component, text = "", b""
     while select.select([reader], [], [], limit)[0]:
         chunk = os.read(reader, _CHUNK)
@@ -134,8 +146,8 @@ def _result(
             break
         *lines, text = (text + chunk).split(b"\n")
         for line in lines:
-            if line.startswith(b"["):
-                return msgspec.json.decode(line, type=list[Finding])
+            if line.startswith(b"{"):
+                return msgspec.json.decode(line, type=CheckedCode)
             component = msgspec.json.decode(line, type=str)
     return _Death(component, _ending(child, limit))
 

@@ -7,6 +7,8 @@ from html import escape
 from os import PathLike
 from pathlib import Path
 
+from msgspec.structs import replace
+
 from poise.errors import FileProblem, RobotError, UsageError
 from poise.model.load import Source, load_source
 from poise.model.robot import Robot
@@ -79,9 +81,11 @@ def _checked(
     file: str | PathLike[str], meanwhile: Callable[[], object] = nothing
 ) -> Source:
     source = load_source(Path(file))
-    if findings := check_code_isolated(source.robot, meanwhile=meanwhile):
-        raise RobotError(problems=sorted(map(source.positions.problem, findings)))
-    return source
+    found = check_code_isolated(source.robot, meanwhile=meanwhile)
+    if found.findings:
+        problems = sorted(map(source.positions.problem, found.findings))
+        raise RobotError(problems=problems)
+    return replace(source, robot=replace(source.robot, code=found.code))
 
 
 def task_of(robot: Robot, task: str | None) -> str:

@@ -20,8 +20,10 @@ from poise.estimate.profile import ConnectorProfile, Profile
 from poise.estimate.profile.distribution import WINDOW
 from poise.manage.deploy.deployment_plan import DeploymentPlan
 from poise.model.robot import ComponentEntry, Connector, Robot
-from poise.runtime.component.implementation import find
-from poise.runtime.component.ports import Port, Timer, ports_of, timers_of
+from poise.model.software import ComponentCode
+from poise.runtime.code_check import code_of
+from poise.runtime.component.implementation import search_also
+from poise.runtime.component.ports import Timer
 from poise.simulation.components.models import (
     ComponentModel,
     HandlerModel,
@@ -77,6 +79,7 @@ def workload_of(
         Component -> what it takes in each second, again and again [cores of the
         reference]; of the others the mean counts.
     """
+    search_also(robot.repository)
     profile = profile or Profile(
         robot=robot.name, poise="", computer="", speed=1.0, at="", seconds=0.0
     )
@@ -88,9 +91,9 @@ def workload_of(
     }
     models = {}
     for entry in robot.components():
-        code = _Code.of(entry, robot.folder)
-        if code.why:
-            guesses.append(code.why)
+        code, why = _code_of(robot, entry)
+        if why:
+            guesses.append(why)
         part = _ComponentWork(robot, plan, over, entry, code, profile, guesses.append)
         mean, taken = part.cpu(), cores.get(entry.name, ())
         factors = tuple(each / mean for each in taken) if mean else ()
@@ -113,23 +116,17 @@ def _traffic_of(
     return ConnectorProfile(messages=connector.rate, size=connector.message)
 
 
-class _Code(Struct, frozen=True, kw_only=True):
-    """What the class of a component declares; `why` it is not known."""
-
-    timers: Mapping[str, Timer] = {}
-    ports: Mapping[str, Port] = {}
-    why: str = ""
-
-    @classmethod
-    def of(cls, entry: ComponentEntry, folder: str) -> _Code:
-        if not entry.implementation:
-            return cls(why=f"'{entry.name}' is a program: only its CPU counts")
-        try:
-            found = find(entry.implementation, folder)
-            return cls(timers=timers_of(found), ports=ports_of(found))
-        except PoiseError as error:
-            text = str(error).partition("\n")[0]
-            return cls(why=f"the code of '{entry.name}' is not known: {text}")
+def _code_of(robot: Robot, entry: ComponentEntry) -> tuple[ComponentCode | None, str]:
+    """Return what the class of a component declares, or why it is not known."""
+    if not entry.implementation:
+        return None, f"'{entry.name}' is a program: only its CPU counts"
+    if (known := robot.code.get(entry.name)) is not None:
+        return known, ""
+    try:
+        return code_of(entry, robot.folder), ""
+    except PoiseError as error:
+        text = str(error).partition("\n")[0]
+        return None, f"the code of '{entry.name}' is not known: {text}"
 
 
 class _Rated(Struct):
@@ -159,7 +156,7 @@ class _ComponentWork:
         plan: DeploymentPlan,
         over: Mapping[str, ConnectorProfile],
         entry: ComponentEntry,
-        code: _Code,
+        code: ComponentCode | None,
         profile: Profile,
         guess: Callable[[str], None],
     ) -> None:
@@ -199,11 +196,12 @@ class _ComponentWork:
         )
 
     def _timers(self) -> list[Timer]:
-        if self._code.timers or not self._known:
-            return list(self._code.timers.values())
+        if self._code is not None and (self._code.timers or not self._known):
+            return [Timer(t.name, t.period, t.deadline) for t in self._code.timers]
+        measured = self._known.timers if self._known else {}
         return [
-            Timer(name, each.period, each.period if self._code.why else None)
-            for name, each in self._known.timers.items()
+            Timer(name, each.period, each.period if self._code is None else None)
+            for name, each in measured.items()
         ]
 
     def _timer(self, timer: Timer) -> _Rated:
@@ -236,10 +234,9 @@ class _ComponentWork:
         found = {}
         for connector in self._robot.all_connectors():
             end = connector.between[1]
-            port = self._code.ports.get(end.port)
-            mine = end.component == self._entry.name
-            if mine and port and port.queue and port.queue.policy == "keep":
-                found[self._plan.slot_of(connector)] = port.queue.size
+            keep = self._code.keep.get(end.port) if self._code else None
+            if keep is not None and end.component == self._entry.name:
+                found[self._plan.slot_of(connector)] = keep
         return found
 
     def _share_work(self, timers: list[_Rated], others: list[_Rated]) -> None:
