@@ -17,7 +17,7 @@ from poise.plan.result import Result
 from poise.plan.result_records import Ask
 from poise.plan.solvers import alternatives, portfolio
 from poise.plan.solvers.portfolio import METHODS, UNLIMITED, Effort
-from poise.plan.what_if.changed_problem import keep_components
+from poise.plan.what_if.changed_problem import keep_components, scale_of
 from poise.suggest import unknown
 
 LONGEST = 1e9
@@ -212,7 +212,10 @@ class Planner:
             replace(c, only=only, why=why) if c.name == component else c
             for c in self.problem.components
         )
-        self._build(replace(self.problem, components=components))
+        scale = scale_of(self.problem)  # held pairs count on, so F can be compared
+        self._build(
+            replace(self.problem, components=components, overhead_scale=scale)
+        )
 
 
 def _check_call(

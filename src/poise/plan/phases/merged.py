@@ -68,6 +68,8 @@ def merged(parts: Sequence[Arrays], moves: Mapping[tuple[Unit, Unit], float]) ->
         _costs(parts),
         [],
         [(i + at, j + at) for part, at in pairs for i, j in part.apart],
+        0.0,
+        0.0,
         1.0,
         [weight for part in parts for weight in part.spread],
         a.share,

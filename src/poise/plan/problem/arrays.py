@@ -14,12 +14,9 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from poise.errors import UsageError
-from poise.plan.problem.problem import Item, Problem, SoftLimit
+from poise.plan.problem.overhead_scale import overhead_scale
+from poise.plan.problem.problem import Edge, Item, Problem, SoftLimit
 from poise.plan.problem.time_arrays import Times, times_of
-
-LEAST_LINK_USE = 0.1
-"""What communication counts for at least, however little of the links it takes: a
-message between computers costs time on both of them, too."""
 
 Placed = list[int]
 """For every unit the index of its computer, or -1 while it has none."""
@@ -59,6 +56,8 @@ class Arrays(Struct, frozen=True):
         (m, m), or empty: unlimited.
     apart
         Pairs of units that must not share a computer, each once.
+    overhead, traffic
+        Of all pairs of units together that some placement has apart.
     communication
         What a unit of overhead x distance adds to F.
     spread
@@ -88,6 +87,8 @@ class Arrays(Struct, frozen=True):
     cost: list[float]
     bandwidth: list[float]
     apart: list[tuple[int, int]]
+    overhead: float
+    traffic: float
     communication: float
     spread: list[float]
     share: bool
@@ -155,7 +156,9 @@ def arrays_of(problem: Problem) -> Arrays:
     capacity = [h.total(k) for h in computers for k in resources]
     limit = [h.usable(k) for h in computers for k in resources]
     unit = {name: unit_of[i] for name, i in index.items()} if n < len(index) else index
-    connectors = _connectors(problem, unit)
+    connectors = _connectors(problem.connectors, unit)
+    allowed = _allowed(problem, place, unit_of)
+    overhead, traffic = _separable(problem, connectors, allowed, unit)
     objective = problem.objective
     arrays = Arrays(
         problem,
@@ -169,13 +172,15 @@ def arrays_of(problem: Problem) -> Arrays:
         limit,
         [0.0] * r,
         _size_weights(problem, resources, limit),
-        _allowed(problem, place, unit_of),
+        allowed,
         connectors,
         _distances(problem, place),
         _linear(problem, place, unit_of, n),
         _bandwidths(problem, place),
         _apart(problem, unit),
-        objective.communication * _overhead_scale(problem, connectors),
+        overhead,
+        traffic,
+        objective.communication * overhead_scale(problem, overhead, traffic),
         [objective.balance * w for w in _balance_weights(problem, resources)],
         objective.scale == "normalised",
         objective.spread == "variance",
@@ -229,28 +234,27 @@ def _beside(values: list[float], width: int, more: list[list[float]]) -> list[fl
     return [value for row in rows for value in row]
 
 
-def _overhead_scale(
-    problem: Problem, connectors: list[tuple[int, int, float, float]]
-) -> float:
-    """Return what a unit of overhead counts for in the communication term.
+def _separable(
+    problem: Problem,
+    connectors: list[tuple[int, int, float, float]],
+    allowed: dict[int, tuple[int, ...]],
+    unit: dict[str, int],
+) -> tuple[float, float]:
+    """Return the overhead and the traffic of all pairs that some placement has apart.
 
-    In the normalised scale all overhead together counts for the share of the narrowest
-    link that all traffic together would take, between a tenth and 1; for 1 where no
-    bandwidth or no traffic is known.
+    Of alternatives one runs: the best one counts.
     """
-    if problem.objective.scale == "paper":
-        return 1.0
-    total = sum([overhead for _, _, overhead, _ in connectors])
-    sent = sum([traffic for _, _, _, traffic in connectors])
-    if problem.together:  # overhead within a unit is part of all, though never paid
-        between = [k for k in problem.connectors if k.between[0] != k.between[1]]
-        total = sum(k.overhead for k in between)
-        sent = sum(k.traffic for k in between)
-    if total <= 0:
-        return 0.0
-    narrowest = min((link.bandwidth for link in problem.links), default=inf)
-    use = sent / narrowest if sent > 0 and 0 < narrowest < inf else 1.0
-    return min(1.0, max(LEAST_LINK_USE, use)) / total
+    if problem.architectures:
+        usual = problem.usual_connectors
+        if usual is not problem.connectors:
+            connectors = _connectors(usual, unit)
+    held = {u: there for u, there in allowed.items() if len(there) == 1}
+    overhead = traffic = 0.0
+    for i, j, pays, sends in connectors:
+        if i not in held or held[i] != held.get(j):
+            overhead += pays
+            traffic += sends
+    return overhead, traffic
 
 
 def _units(
@@ -283,10 +287,10 @@ def _summed(values: list[float], unit_of: list[int], n: int, r: int) -> list[flo
 
 
 def _connectors(
-    problem: Problem, unit: dict[str, int]
+    connectors: Iterable[Edge], unit: dict[str, int]
 ) -> list[tuple[int, int, float, float]]:
     found: dict[tuple[int, int], tuple[float, float]] = {}
-    for connector in problem.connectors:
+    for connector in connectors:
         a, b = connector.between
         i, j = unit[a], unit[b]
         if i == j:

@@ -160,6 +160,8 @@ def _weights(problem: Problem) -> Iterator[str]:
         if value not in choices:
             known = " or ".join(choices)
             yield f"objective: {name} is {value!r}, must be {known}"
+    if problem.overhead_scale is not None:
+        yield from _amounts("", {"overhead_scale": problem.overhead_scale})
     terms = ("communication", "balance", "quality")
     yield from _amounts("objective: ", {term: getattr(given, term) for term in terms})
     yield from _amounts("objective: weight of ", given.weights)

@@ -125,6 +125,10 @@ class Problem(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
         Limits that may be broken for a price.
     time_limits
         How long things may take from end to end.
+    overhead_scale
+        What a unit of overhead counts for in the communication term of the normalised
+        scale; None: worked out from the problem. A part of a problem has that of the
+        whole, so that F of both can be compared.
     """
 
     components: tuple[Item, ...] = ()
@@ -137,6 +141,7 @@ class Problem(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     architectures: tuple[Bundle, ...] = ()
     soft_limits: tuple[SoftLimit, ...] = ()
     time_limits: tuple[TimeLimit, ...] = ()
+    overhead_scale: float | None = None
 
     def __post_init__(self) -> None:
         """Raise a RobotError that lists everything that is wrong."""
@@ -150,3 +155,25 @@ class Problem(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
             for component in self.components:
                 names |= dict.fromkeys(component.demand)
         return tuple(names)
+
+    @property
+    def usual_connectors(self) -> tuple[Edge, ...]:
+        """The connectors where the best architecture of each function runs.
+
+        Of equally good ones that is the one with the least overhead.
+        """
+        functions = [a.function for a in self.architectures if a.function]
+        if len({*functions}) == len(functions):
+            return self.connectors
+        best: dict[str, Bundle] = {}
+        for a in sorted(self.architectures, key=self._how_usual):
+            best.setdefault(a.function or f"\0{a.name}", a)
+        usual = {name for a in best.values() for name in a.components}
+        owned = {name for a in self.architectures for name in a.components}
+        lesser = owned - usual
+        return tuple(k for k in self.connectors if lesser.isdisjoint(k.between))
+
+    def _how_usual(self, bundle: Bundle) -> tuple[float, float]:
+        inside = {*bundle.components}
+        own = (k for k in self.connectors if not inside.isdisjoint(k.between))
+        return -bundle.quality, sum(k.overhead for k in own)

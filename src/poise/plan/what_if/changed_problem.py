@@ -1,4 +1,7 @@
-"""A problem changed in one way: fewer components, other computers, other capacities."""
+"""A problem changed in one way: fewer components, other computers, other capacities.
+
+Where something is left out, overhead counts for as much as in the whole.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +11,8 @@ from msgspec.structs import replace
 
 from poise.errors import UsageError
 from poise.model.robot import Computer
+from poise.plan.problem.arrays import arrays_of
+from poise.plan.problem.overhead_scale import overhead_scale
 from poise.plan.problem.problem import Item, Problem
 from poise.suggest import unknown
 
@@ -45,7 +50,16 @@ def keep_components(problem: Problem, names: Collection[str]) -> Problem:
             for each in problem.time_limits
             if all(name in names for name in each.components)
         ),
+        overhead_scale=scale_of(problem),
     )
+
+
+def scale_of(problem: Problem) -> float | None:
+    """Return the overhead scale that parts of a problem take over."""
+    if problem.overhead_scale is not None or problem.objective.scale == "paper":
+        return problem.overhead_scale
+    arrays = arrays_of(problem)
+    return overhead_scale(problem, arrays.overhead, arrays.traffic)
 
 
 def without(problem: Problem, names: Collection[str]) -> Problem:
@@ -78,6 +92,7 @@ def without(problem: Problem, names: Collection[str]) -> Problem:
             replace(s, limits={h: x for h, x in s.limits.items() if h not in names})
             for s in problem.soft_limits
         ),
+        overhead_scale=scale_of(problem),
     )
 
 
