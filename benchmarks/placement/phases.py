@@ -28,7 +28,7 @@ from poise.model.robot import (
 )
 from poise.model.tasks.steps import Task
 from poise.plan import _core
-from poise.plan.phases.merged import Unit, merged
+from poise.plan.phases.merged import Unit, merged, weighted
 from poise.plan.problem.arrays import Arrays, Placed, arrays_of
 from poise.plan.problem.problem import Problem
 
@@ -61,8 +61,12 @@ def run(*, quick: bool) -> dict[str, Any]:
             spent = perf_counter() - began
             arrays, known = as_one(ours)
             theirs = cpsat.solve(_core.Core(arrays), arrays, limit, known)
-            alone = [_bound(phase.problem, limit) for phase in ours.problem.phases]
-            bound = max(theirs.bound, sum(alone))
+            weights = ours.problem.weights
+            alone = sum(
+                weights[phase.name] * _bound(phase.problem, limit)
+                for phase in ours.problem.phases
+            )
+            bound = max(theirs.bound, alone)
             assert ours.total is not None
             above, open_ = ours.total / theirs.objective - 1, ours.total / bound - 1
             found.append(
@@ -169,7 +173,11 @@ def _load(problem: Problem) -> float:
 def as_one(result: plan.PhasedResult) -> tuple[Arrays, Placed]:
     """Return phases one after the other as one problem, for CP-SAT, and a placement."""
     problem = result.problem
-    parts = [arrays_of(phase.problem) for phase in problem.phases]
+    weights = problem.weights
+    parts = [
+        weighted(arrays_of(phase.problem), weights[phase.name])
+        for phase in problem.phases
+    ]
     placements = [result.results[phase.name].placement for phase in problem.phases]
     known = [
         unit
@@ -182,4 +190,5 @@ def as_one(result: plan.PhasedResult) -> tuple[Arrays, Placed]:
 def _moves(problem: plan.PhasedProblem, parts: list[Arrays]) -> Iterator[Move]:
     for (p, one), (q, two) in pairwise(enumerate(parts)):
         for name in one.index.keys() & two.index.keys():
-            yield ((p, one.index[name]), (q, two.index[name])), problem.move[name]
+            move = problem.move_cost(name, 1.0, problem.lasts)
+            yield ((p, one.index[name]), (q, two.index[name])), move

@@ -183,7 +183,7 @@ tasks:
   serve:
     actions:
       - {name: look, functions: [seeing]}
-      - {name: go, functions: [seeing, driving]}
+      - {name: go, functions: [seeing, driving], limit: 90 s}
   talk: {actions: [{name: talk, functions: [talking]}]}
 """
 
@@ -199,11 +199,16 @@ def test_phases_of_a_task_are_shown_side_by_side(phases_file: Path) -> None:
     said = call(phases_file, "--task", "serve")
     assert said.exit_code == 0, said.output
     rows = [line.split() for line in said.stdout.splitlines()]
-    assert rows[0] == ["phase", "left", "right", "F"]
-    assert [row[0] for row in rows if row[-1:] == ["fits"]] == ["look", "go"]
+    assert rows[0] == ["phase", "weight", "left", "right", "F"]
+    fits = [row[:2] for row in rows if row[-1:] == ["fits"]]
+    assert fits == [["look", "25%"], ["go", "75%"]]
+    assert "assumed: look takes 30 s, as it has no limit" in said.stdout
     answer = json.loads(call(phases_file, "--task", "serve", "--json").stdout)
     assert [phase["name"] for phase in answer["phases"]] == ["look", "go"]
-    assert answer["phases"][1]["after"] == ["look"]
+    assert answer["phases"][1]["after"] == {"look": 1}
+    assert [phase["lasts"] for phase in answer["phases"]] == [30, 90]
+    assert [phase["weight"] for phase in answer["phases"]] == [0.25, 0.75]
+    assert answer["assumed"] == ["look takes 30 s, as it has no limit"]
     assert answer["phases"][1]["placement"].keys() == {"eyes", "wheels"}
     assert answer["feasible"]
     assert answer["moves"] == []

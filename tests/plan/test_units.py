@@ -186,7 +186,7 @@ def test_the_paper_s_scale_has_overhead_as_given() -> None:
 
 @given(seed=st.integers(0, 10**6), count=st.integers(1, 4), held=st.booleans())
 def test_components_that_need_nothing_and_say_nothing_change_no_f(
-    seed: int, count: int, held: bool
+    *, seed: int, count: int, held: bool
 ) -> None:
     """With them or without, every placement of the others has the same F."""
     problem = random_robot(seed, 6, 2)

@@ -213,9 +213,7 @@ class Planner:
             for c in self.problem.components
         )
         scale = scale_of(self.problem)  # held pairs count on, so F can be compared
-        self._build(
-            replace(self.problem, components=components, overhead_scale=scale)
-        )
+        self._build(replace(self.problem, components=components, overhead_scale=scale))
 
 
 def _check_call(

@@ -27,7 +27,7 @@ def flow(tmp_path: Path, *steps: str) -> dict[str, tuple[str, ...]]:
     """Return the phases of a task with these steps, each with those before it."""
     path = tmp_path / "robot.yaml"
     path.write_text(HEAD + "".join(f"      - {step}\n" for step in steps))
-    return {phase.name: phase.after for phase in phases_of(load(path), "t")}
+    return {phase.name: (*phase.after,) for phase in phases_of(load(path), "t")}
 
 
 A, B, C, D = (f"{{name: {n}, functions: [drive]}}" for n in "abcd")

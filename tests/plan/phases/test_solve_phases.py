@@ -27,12 +27,12 @@ def item(name: str, cpu: float = 0.3, *only: str) -> Item:
 def in_turn(
     *problems: Problem, move: Mapping[str, float] | None = None
 ) -> plan.PhasedProblem:
-    """Return phases p0, p1 and so on, one after the other; a move costs 0.01."""
+    """Return phases p0, p1 and so on, of a second each; a move costs 0.01."""
     names = {c.name for problem in problems for c in problem.components}
     return plan.PhasedProblem(
         phases=tuple(
             plan.PhaseProblem(
-                name=f"p{i}", problem=problem, after=(f"p{i - 1}",) if i else ()
+                name=f"p{i}", problem=problem, after={f"p{i - 1}": 1.0} if i else {}
             )
             for i, problem in enumerate(problems)
         ),
@@ -102,7 +102,7 @@ def random_task(seed: int) -> plan.PhasedProblem:
 
 
 def least(problem: plan.PhasedProblem) -> float:
-    """Return the least total of all placements, by trying all."""
+    """Return the least total of all placements, by trying all: F over three seconds."""
     options = []
     for phase in problem.phases:
         snapshot = Snapshot(phase.problem)
@@ -123,7 +123,7 @@ def least(problem: plan.PhasedProblem) -> float:
             if one[name] != two[name]
         )
         for chosen in product(*options)
-    )
+    ) / len(problem.phases)
 
 
 @pytest.mark.parametrize("seed", range(12))
@@ -149,13 +149,13 @@ def test_phases_as_one_problem_have_the_same_total(seed: int) -> None:
     core = _core.Core(merged(parts, moves))
     found = cpsat.solve(core, merged(parts, moves), 20.0)
     assert found.proven
-    assert found.objective == pytest.approx(least(problem), abs=1e-5)
+    assert found.objective == pytest.approx(3 * least(problem), abs=1e-5)
     greedy, is_complete = core.greedy()
     assert is_complete
     placed = core.search(greedy, 9.0, 20_000, 0)[0]
     result = plan.solve_phases(problem, steps=20_000)
     assert result.total is not None
-    assert result.total <= sum(core.terms(placed)) + 1e-9
+    assert 3 * result.total <= sum(core.terms(placed)) + 1e-9
 
 
 def test_what_may_not_be_moved_is_in_one_place() -> None:

@@ -11,7 +11,8 @@ from poise.manage.adaptation.decision import shortages_of
 from poise.manage.adaptation.situation import Situation
 from poise.manage.journal import Journal
 from poise.model.robot import Robot
-from poise.model.tasks.steps import Action, Choice, Step, Subtask
+from poise.model.tasks.expectations import first_action, promise_of
+from poise.model.tasks.steps import Choice
 
 
 def choose(
@@ -29,19 +30,9 @@ def choose(
     """
     promises = []
     for step in choice.steps:
-        action = _first(robot, step)
-        promise = 1.0
+        action = first_action(robot, step)
         known = learned(robot, [action], conditions=conditions, explore=explore).robot
-        for function in action.functions:
-            promise *= max(
-                (
-                    a.quality * a.success
-                    for a in known.architectures
-                    if a.function == function
-                ),
-                default=0.0,
-            )
-        promises.append((action.name, promise))
+        promises.append((action.name, promise_of(known, action)))
     best = max(range(len(promises)), key=lambda index: promises[index][1])
     said = ", ".join(f"'{name}' {promise:.0%}" for name, promise in promises)
     note(f"choice of '{promises[best][0]}': promised are {said}")
@@ -74,13 +65,3 @@ def note_ending(
         note_outcome(robot, action, ending, names, conditions=conditions)
     except PoiseError as error:
         journal.note("failed", f"the outcome of '{action}' is not learned: {error}")
-
-
-def _first(robot: Robot, step: Step) -> Action:
-    """Return the first action of a step; of steps at once, of the first of them."""
-    while not isinstance(step, Action):
-        inner = (
-            robot.task(step.task).actions if isinstance(step, Subtask) else step.steps
-        )
-        step = inner[0]
-    return step

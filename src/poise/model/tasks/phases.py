@@ -3,17 +3,28 @@
 A phase is a set of actions. Steps one after another are phases one after another; of
 a choice every branch is one; what is done on failure is one; what is repeated counts
 once. Steps at once run at their own pace: every combination of their phases may come.
+
+How long a run of the task is in a phase, and how often it goes from one to another, is
+what is expected of its steps (`expectations`), each ending independently of the others.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from itertools import product
+from typing import TypeVar
 
 from msgspec import Struct
 
 from poise.errors import RobotError
 from poise.model.robot import Robot
+from poise.model.tasks.expectations import (
+    MOST_ROUNDS,
+    rounds_of,
+    seconds_of,
+    shares_of,
+    success_of,
+)
 from poise.model.tasks.steps import (
     Action,
     Choice,
@@ -26,6 +37,8 @@ from poise.model.tasks.steps import (
 
 MOST_PHASES = 100
 """A task has no more phases than this."""
+LEAST_SHARE = 1e-4
+"""No phase lasts less than this share of the task: each is placed well by itself."""
 
 
 class TooManyPhasesError(RobotError):
@@ -41,12 +54,16 @@ class Phase(Struct, frozen=True, kw_only=True):
         The names of its actions, joined with ``+``; those of another task's steps
         begin with its name, as in ``greet.wave``.
     after
-        The names of the phases that it may follow.
+        The names of the phases that it may follow, and how often it is expected to in
+        a run of the task.
+    lasts
+        How long a run of the task is expected to be in it, in all [s].
     """
 
     name: str
     actions: tuple[Action, ...]
-    after: tuple[str, ...] = ()
+    after: Mapping[str, float] = {}
+    lasts: float
 
     @property
     def functions(self) -> tuple[str, ...]:
@@ -65,22 +82,26 @@ def phases_of(robot: Robot, task: str) -> tuple[Phase, ...]:
         It is a step of itself, or has too many phases.
     """
     flow = _Flows(robot, task).of_task(task, ())
-    before: dict[_Node, list[str]] = {node: [] for node in flow.nodes}
-    for first, then in flow.edges:
+    after: dict[_Node, dict[str, float]] = {node: {} for node in flow.lasts}
+    for (first, then), often in flow.edges.items():
         if first != then:
-            before[then].append(_name(first))
+            after[then][_name(first)] = often
+    least = LEAST_SHARE * sum(flow.lasts.values())
     return tuple(
         Phase(
             name=_name(node),
             actions=tuple(action for _, action in node),
-            after=tuple(names),
+            after=after[node],
+            lasts=max(lasts, least),
         )
-        for node, names in before.items()
+        for node, lasts in flow.lasts.items()
     )
 
 
 _Node = tuple[tuple[str, Action], ...]
 """Actions that run at the same time, each with its name."""
+_Odds = dict[_Node, float]
+"""How often something is expected at each."""
 
 
 def _name(node: _Node) -> str:
@@ -88,25 +109,50 @@ def _name(node: _Node) -> str:
 
 
 class _Flow(Struct, frozen=True):
-    """What may follow what; `first` and `last` are where it begins and ends."""
+    """What is expected of some steps, whenever they are begun.
 
-    nodes: tuple[_Node, ...]
-    edges: tuple[tuple[_Node, _Node], ...]
-    first: tuple[_Node, ...]
-    last: tuple[_Node, ...]
+    Parameters
+    ----------
+    lasts
+        How long each node lasts in all [s].
+    edges
+        How often one follows another.
+    first, last
+        How often they begin with each, and are done with it; else they have failed.
+    """
+
+    lasts: _Odds
+    edges: dict[tuple[_Node, _Node], float]
+    first: _Odds
+    last: _Odds
+
+    @property
+    def done(self) -> float:
+        """How often they are done, in [0, 1]."""
+        return sum(self.last.values())
 
 
-def _flow(
-    nodes: Iterable[_Node],
-    edges: Iterable[tuple[_Node, _Node]],
-    first: Iterable[_Node],
-    last: Iterable[_Node],
-) -> _Flow:
-    """Return a flow in which everything is once."""
-    parts = [tuple(dict.fromkeys(part)) for part in (nodes, first, last)]
-    if len(parts[0]) > MOST_PHASES:
+_Key = TypeVar("_Key")
+
+
+def _sum(*parts: tuple[float, Mapping[_Key, float]]) -> dict[_Key, float]:
+    """Return the sum of what is expected, each part so often."""
+    total: dict[_Key, float] = {}
+    for often, part in parts:
+        for key, value in part.items():
+            total[key] = total.get(key, 0.0) + often * value
+    return total
+
+
+def _between(last: _Odds, first: _Odds) -> dict[tuple[_Node, _Node], float]:
+    """Return how often one follows another where these are done, then those begun."""
+    return {(a, b): x * y for (a, x), (b, y) in product(last.items(), first.items())}
+
+
+def _within(lasts: _Odds) -> _Odds:
+    if len(lasts) > MOST_PHASES:
         raise TooManyPhasesError(f"a task has more than {MOST_PHASES} phases")
-    return _Flow(parts[0], tuple(dict.fromkeys(edges)), parts[1], parts[2])
+    return lasts
 
 
 class _Flows:
@@ -132,63 +178,112 @@ class _Flows:
             case Parallel(steps=steps):
                 return _at_once([self._of(each, tasks) for each in steps])
             case Choice(steps=steps):
-                return _either([self._of(each, tasks) for each in steps])
+                flows = [self._of(each, tasks) for each in steps]
+                return _either(flows, shares_of(self._robot, step))
         once = self._of_sequence(step.steps, tasks)
-        if isinstance(step, Repeat) and step.times != 1:
-            again = product(once.last, once.first)
-            return _flow(once.nodes, (*once.edges, *again), once.first, once.last)
-        return once
+        rounds = rounds_of(step) if isinstance(step, Repeat) else 1
+        return once if rounds == 1 else _again(once, rounds)
 
     def _of_sequence(self, steps: Iterable[Step], tasks: tuple[str, ...]) -> _Flow:
-        first, *others = (self._of(each, tasks) for each in steps)
-        whole = first
+        whole, *others = (self._of(each, tasks) for each in steps)
         for then in others:
-            whole = _flow(
-                (*whole.nodes, *then.nodes),
-                (*whole.edges, *product(whole.last, then.first), *then.edges),
+            done = whole.done
+            whole = _Flow(
+                _within(_sum((1, whole.lasts), (done, then.lasts))),
+                _sum(
+                    (1, whole.edges),
+                    (1, _between(whole.last, then.first)),
+                    (done, then.edges),
+                ),
                 whole.first,
-                then.last,
+                _sum((done, then.last)),
             )
         return whole
 
     def _of_action(self, action: Action, tasks: tuple[str, ...]) -> _Flow:
         prefix = "" if tasks == (self._task,) else f"{tasks[-1]}."
         node: _Node = ((prefix + action.name, action),)
-        failed = action.on_failure
-        then = failed.then if isinstance(failed, Retry) else failed
+        retry, then = 0, action.on_failure
+        if isinstance(then, Retry):
+            retry, then = min(then.times, MOST_ROUNDS), then.then
+        fails = 1 - success_of(self._robot, action)
+        failed = fails ** (retry + 1)
+        lasts = seconds_of(action) * _series(fails, retry + 1)
+        own = _Flow({node: lasts}, {}, {node: 1.0}, {node: 1 - failed})
         if then == "give up":
-            return _Flow((node,), (), (node,), (node,))
+            return own
         instead = self._of(then, tasks)
-        return _flow(
-            (node, *instead.nodes),
-            (*product([node], instead.first), *instead.edges),
-            (node,),
-            (node, *instead.last),
+        return _Flow(
+            _within(_sum((1, own.lasts), (failed, instead.lasts))),
+            _sum((failed, _between(own.first, instead.first)), (failed, instead.edges)),
+            own.first,
+            _sum((1, own.last), (failed, instead.last)),
         )
 
 
-def _either(flows: Iterable[_Flow]) -> _Flow:
-    flows = tuple(flows)
-    return _flow(
-        (node for flow in flows for node in flow.nodes),
-        (edge for flow in flows for edge in flow.edges),
-        (node for flow in flows for node in flow.first),
-        (node for flow in flows for node in flow.last),
+def _series(factor: float, count: int) -> float:
+    """Return 1 + factor + factor^2 and so on, `count` terms; factor is in [0, 1]."""
+    return count if factor == 1 else (1 - factor**count) / (1 - factor)
+
+
+def _again(once: _Flow, rounds: int) -> _Flow:
+    """Return steps that are done several times, as long as they do not fail."""
+    begun = _series(once.done, rounds)
+    # each round but the first follows one that was done
+    again = (begun - 1) / once.done if once.done > 0 else 0.0
+    return _Flow(
+        _sum((begun, once.lasts)),
+        _sum((begun, once.edges), (again, _between(once.last, once.first))),
+        once.first,
+        _sum((once.done ** (rounds - 1), once.last)),
+    )
+
+
+def _either(flows: Iterable[_Flow], shares: Iterable[float]) -> _Flow:
+    parts = [*zip(shares, flows, strict=True)]
+    return _Flow(
+        _within(_sum(*((share, flow.lasts) for share, flow in parts))),
+        _sum(*((share, flow.edges) for share, flow in parts)),
+        _sum(*((share, flow.first) for share, flow in parts)),
+        _sum(*((share, flow.last) for share, flow in parts)),
     )
 
 
 def _at_once(flows: Iterable[_Flow]) -> _Flow:
-    whole, *others = flows
-    for flow in others:
-        pairs = [*product(whole.nodes, flow.nodes)]
-        if len(pairs) > MOST_PHASES:
+    """Return steps at once: while one is somewhere, another may be anywhere."""
+    one, *others = flows
+    for two in others:
+        if len(one.lasts) * len(two.lasts) > MOST_PHASES:
             raise TooManyPhasesError(f"a task has more than {MOST_PHASES} phases")
-        here = [(a + c, b + c) for a, b in whole.edges for c in flow.nodes]
-        there = [(c + a, c + b) for a, b in flow.edges for c in whole.nodes]
-        whole = _flow(
-            (a + b for a, b in pairs),
-            (*here, *there),
-            (a + b for a, b in product(whole.first, flow.first)),
-            (a + b for a, b in product(whole.last, flow.last)),
+        lasts = max(sum(one.lasts.values()), sum(two.lasts.values()))
+        here, there = _shares(one.lasts), _shares(two.lasts)
+        one = _Flow(
+            _both(here, there, lasts),
+            {
+                (a + c, b + c): often * share
+                for ((a, b), often), (c, share) in product(
+                    one.edges.items(), there.items()
+                )
+            }
+            | {
+                (a + c, a + d): often * share
+                for (a, share), ((c, d), often) in product(
+                    here.items(), two.edges.items()
+                )
+            },
+            _both(one.first, two.first),
+            _both(one.last, two.last),
         )
-    return whole
+    return one
+
+
+def _shares(lasts: _Odds) -> _Odds:
+    total = sum(lasts.values())
+    return {node: each / total for node, each in lasts.items()}
+
+
+def _both(one: _Odds, two: _Odds, times: float = 1.0) -> _Odds:
+    """Return what is expected of pairs that know nothing of each other."""
+    return {
+        a + b: times * x * y for (a, x), (b, y) in product(one.items(), two.items())
+    }

@@ -217,17 +217,21 @@ def kind_of(step: Step) -> str:
 
 
 def actions_of(tasks: Mapping[str, Task], name: str) -> Iterator[Action]:
-    """Yield every action of a task, with those of the tasks that it names.
+    """Yield every action of a task, as `steps_of` does."""
+    return (step for step in steps_of(tasks, name) if isinstance(step, Action))
+
+
+def steps_of(tasks: Mapping[str, Task], name: str) -> Iterator[Step]:
+    """Yield every step of a task, with those of the tasks that it names.
 
     Parameters
     ----------
     tasks
-        The robot's tasks by name; one that is missing has no actions.
+        The robot's tasks by name; one that is missing has no steps.
     """
     reached = [name]
     for each in reached:  # grows meanwhile
         for _, step in walk(tasks[each]) if each in tasks else ():
-            if isinstance(step, Action):
-                yield step
-            elif isinstance(step, Subtask) and step.task not in reached:
+            yield step
+            if isinstance(step, Subtask) and step.task not in reached:
                 reached.append(step.task)

@@ -13,19 +13,14 @@ Placements = Mapping[str, Mapping[str, str]]
 """Phase -> component -> computer."""
 
 
-def beside(problem: PhasedProblem) -> dict[str, tuple[str, ...]]:
-    """Return phase -> the phases that it may follow, or that may follow it."""
-    pairs = [(before, p.name) for p in problem.phases for before in p.after]
-    return {
-        p.name: tuple(
-            dict.fromkeys(
-                one if two == p.name else two
-                for one, two in pairs
-                if p.name in (one, two)
-            )
-        )
-        for p in problem.phases
-    }
+def beside(problem: PhasedProblem) -> dict[str, dict[str, float]]:
+    """Return phase -> the phases before and after it, and how often it goes there."""
+    near: dict[str, dict[str, float]] = {p.name: {} for p in problem.phases}
+    for phase in problem.phases:
+        for before, often in phase.after.items():
+            for one, two in ((phase.name, before), (before, phase.name)):
+                near[one][two] = near[one].get(two, 0.0) + often
+    return near
 
 
 def with_moves(
@@ -33,7 +28,8 @@ def with_moves(
 ) -> Problem:
     """Return the problem of a phase, with the costs of moves to those beside it.
 
-    Another alternative than in a phase beside it costs as if it moved.
+    They are spread over the time of the phase, as its F is the mean over that. Another
+    alternative than in a phase beside it costs as if it moved.
 
     Parameters
     ----------
@@ -42,9 +38,14 @@ def with_moves(
     start
         Whether the solver is to begin at the placement of the phase itself.
     """
-    problem = next(each.problem for each in phased.phases if each.name == phase)
+    this = next(each for each in phased.phases if each.name == phase)
+    problem = this.problem
     own = placements.get(phase, {}) if start else {}
-    near = [placements[name] for name in beside(phased)[phase] if name in placements]
+    near = [
+        (placements[name], often)
+        for name, often in beside(phased)[phase].items()
+        if name in placements
+    ]
     function = {
         name: bundle.function
         for bundle in problem.architectures
@@ -56,15 +57,16 @@ def with_moves(
     names = [computer.name for computer in problem.computers]
     components = []
     for component in problem.components:
-        move = phased.move.get(component.name, 0.0)
         cost = {name: component.cost.get(name, 0.0) for name in names}
-        for there in near:
+        for there, often in near:
+            move = phased.move_cost(component.name, often, this.lasts)
             if component.name in there:
                 for name in cost.keys() - {there[component.name]}:
                     cost[name] += move
             elif there.keys() & of_function.get(function.get(component.name, ""), ()):
+                starts = MOVE * often / this.lasts
                 for name in cost:
-                    cost[name] += MOVE if move >= NEVER else move
+                    cost[name] += starts if move >= NEVER else move
         present = own.get(component.name, component.present)
         components.append(replace(component, cost=cost, present=present))
     return replace(problem, components=tuple(components))

@@ -18,6 +18,17 @@ Unit = tuple[int, int]
 """A phase, and a unit in it."""
 
 
+def weighted(part: Arrays, weight: float) -> Arrays:
+    """Return arrays whose F counts `weight` times."""
+    return replace(
+        part,
+        communication=weight * part.communication,
+        spread=[weight * each for each in part.spread],
+        price=[weight * each for each in part.price],
+        cost=[weight * each for each in part.cost],
+    )
+
+
 def merged(parts: Sequence[Arrays], moves: Mapping[tuple[Unit, Unit], float]) -> Arrays:
     """Return the arrays of several phases as those of one problem.
 

@@ -5,45 +5,79 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 from msgspec import Struct
-from msgspec.structs import replace
+from msgspec.structs import force_setattr, replace
 
 from poise.model.robot import Computer, Robot
+from poise.model.tasks.expectations import assumed
 from poise.model.tasks.phases import phases_of
+from poise.plan.problem.arrays import arrays_of
 from poise.plan.problem.from_robot import MEGABYTE, check_task, problem_of
+from poise.plan.problem.overhead_scale import overhead_scale
 from poise.plan.problem.problem import Problem
 
-MOVE = 0.01
-"""What F grows by for a component that moves between phases, and for each MB of its
-state."""
+MOVE = 0.3
+"""What a move between phases costs, and as much again for each MB of state: the CPU
+time to start a component [core-seconds]. F of 1 is taken to cost one core."""
 NEVER = 1e6
-"""The same for one that may not be moved while it runs."""
+"""What F grows by when a component moves that may not while it runs."""
 
 
 class PhaseProblem(Struct, frozen=True, kw_only=True):
-    """The problem of one phase; `after` names the phases that it may follow."""
+    """The problem of one phase.
+
+    Parameters
+    ----------
+    after
+        The names of the phases that it may follow, and how often it is expected to in
+        a run of the task; > 0.
+    lasts
+        How long a run of the task is expected to be in it [s]; > 0.
+    """
 
     name: str
     problem: Problem
-    after: tuple[str, ...] = ()
+    after: Mapping[str, float] = {}
+    lasts: float = 1.0
 
 
 class PhasedProblem(Struct, frozen=True, kw_only=True):
-    """The problems of all phases of a task.
+    """The problems of all phases of a task, whose F has one unit.
+
+    Phases without an `overhead_scale` get one that is the same for all.
 
     Parameters
     ----------
     move
-        Component -> what F grows by when it is elsewhere in a phase than in one that
-        this may follow; 0 where not named.
+        Component -> what it costs that it is elsewhere in a phase than in the one
+        before [core-seconds], `NEVER` when it may not be; 0 where not named.
+    assumed
+        What is assumed of how long and how likely phases are, for people.
     """
 
     phases: tuple[PhaseProblem, ...]
     move: Mapping[str, float] = {}
+    assumed: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Give all phases the same overhead scale."""
+        if len(self.phases) > 1:
+            force_setattr(self, "phases", _in_one_unit(self.phases, self.lasts))
 
     @property
     def computers(self) -> tuple[Computer, ...]:
         """The computers, which are the same in every phase."""
         return self.phases[0].problem.computers
+
+    @property
+    def lasts(self) -> float:
+        """How long a run of the task is expected to take [s]."""
+        return sum(phase.lasts for phase in self.phases)
+
+    @property
+    def weights(self) -> dict[str, float]:
+        """Phase -> its share of the time."""
+        total = self.lasts
+        return {phase.name: phase.lasts / total for phase in self.phases}
 
     @classmethod
     def of_one(cls, name: str, problem: Problem) -> PhasedProblem:
@@ -55,6 +89,36 @@ class PhasedProblem(Struct, frozen=True, kw_only=True):
         phases = (replace(p, problem=change(p.problem)) for p in self.phases)
         return replace(self, phases=tuple(phases))
 
+    def move_cost(self, component: str, often: float, seconds: float) -> float:
+        """Return what F over some time grows by when a component moves so often.
+
+        Parameters
+        ----------
+        seconds
+            F is the mean over this time [s].
+        """
+        move = self.move.get(component, 0.0)
+        return move if move >= NEVER else move * often / seconds
+
+
+def _in_one_unit(
+    phases: tuple[PhaseProblem, ...], lasts: float
+) -> tuple[PhaseProblem, ...]:
+    """Return the phases with the scale of their mean overhead over time."""
+    problem = phases[0].problem
+    is_given = all(p.problem.overhead_scale is not None for p in phases)
+    if is_given or problem.objective.scale == "paper":
+        return phases
+    arrays = [(phase.lasts / lasts, arrays_of(phase.problem)) for phase in phases]
+    scale = overhead_scale(
+        problem,
+        sum(share * each.overhead for share, each in arrays),
+        sum(share * each.traffic for share, each in arrays),
+    )
+    return tuple(
+        replace(p, problem=replace(p.problem, overhead_scale=scale)) for p in phases
+    )
+
 
 def phased_problem_of(robot: Robot, task: str, move: float = MOVE) -> PhasedProblem:
     """Return the problems of the phases of a task.
@@ -62,8 +126,8 @@ def phased_problem_of(robot: Robot, task: str, move: float = MOVE) -> PhasedProb
     Parameters
     ----------
     move
-        What F grows by for a component that moves between two phases, plus as much
-        for each MB of its state.
+        What it costs that a component moves between two phases, and as much again for
+        each MB of its state [core-seconds].
 
     Raises
     ------
@@ -79,6 +143,7 @@ def phased_problem_of(robot: Robot, task: str, move: float = MOVE) -> PhasedProb
                 name=phase.name,
                 problem=problem_of(robot, functions=phase.functions),
                 after=phase.after,
+                lasts=phase.lasts,
             )
             for phase in phases_of(robot, task)
         ),
@@ -86,4 +151,5 @@ def phased_problem_of(robot: Robot, task: str, move: float = MOVE) -> PhasedProb
             c.name: move * (1 + c.state / MEGABYTE) if c.movable else NEVER
             for c in robot.components()
         },
+        assumed=tuple(assumed(robot, task)),
     )

@@ -26,6 +26,8 @@ class PhaseMove(Struct, frozen=True, kw_only=True):
         The phases.
     source, target
         Its computers there.
+    often
+        How often a run of the task is expected to go from the one to the other.
     """
 
     component: str
@@ -33,13 +35,16 @@ class PhaseMove(Struct, frozen=True, kw_only=True):
     after: str
     source: str
     target: str
+    often: float
 
 
 class PlainPhase(PlainResult):
-    """The placement of a phase."""
+    """The placement of a phase; `after` says how often it follows which one."""
 
     name: str
-    after: tuple[str, ...]
+    after: Mapping[str, float]
+    lasts: float
+    weight: float
 
 
 class PlainPhases(TypedDict):
@@ -51,6 +56,7 @@ class PlainPhases(TypedDict):
     proven: bool
     bound: float | None
     seconds: float
+    assumed: tuple[str, ...]
     moves: tuple[PhaseMove, ...]
     phases: list[PlainPhase]
 
@@ -67,7 +73,7 @@ class PhasedResult:
     proven
         Whether no placements are better; of infeasible ones: whether there are none.
     bound
-        The sum of F and moves is not below this; None when it is not known.
+        The total is not below this; None when it is not known.
     stopped_by
         Why the search stopped.
     seconds
@@ -100,20 +106,33 @@ class PhasedResult:
                 after=phase.name,
                 source=source,
                 target=target,
+                often=often,
             )
             for phase in self.problem.phases
-            for before in phase.after
+            for before, often in phase.after.items()
             for name, target in self.results[phase.name].placement.items()
             if (source := self.results[before].placement.get(name, target)) != target
         )
 
     @property
     def total(self) -> float | None:
-        """F over all phases, and of the moves; None when some phase has none."""
-        terms = [result.objective for result in self.results.values()]
-        moves = sum(self.problem.move.get(move.component, 0.0) for move in self.moves)
-        phases = [each.total for each in terms if each is not None]
-        return sum(phases) + moves if len(phases) == len(terms) else None
+        """The mean of F over the time, with the moves; None when a phase has none."""
+        weights = self.problem.weights
+        phases = [
+            weights[name] * result.objective.total
+            for name, result in self.results.items()
+            if result.objective is not None
+        ]
+        return sum(phases) + self.of_moves if len(phases) == len(weights) else None
+
+    @property
+    def of_moves(self) -> float:
+        """What the moves add to the total."""
+        whole = self.problem.lasts
+        return sum(
+            self.problem.move_cost(move.component, move.often, whole)
+            for move in self.moves
+        )
 
     @property
     def feasible(self) -> bool:
@@ -189,6 +208,7 @@ class PhasedResult:
 
     def to_dict(self) -> PlainPhases:
         """Return all of it as plain values, for JSON."""
+        weights = self.problem.weights
         return {
             "feasible": self.feasible,
             "reason": self.reason,
@@ -196,11 +216,14 @@ class PhasedResult:
             "proven": self.proven,
             "bound": self.bound,
             "seconds": self.seconds,
+            "assumed": self.problem.assumed,
             "moves": to_builtins(self.moves),
             "phases": [
                 {
                     "name": phase.name,
                     "after": phase.after,
+                    "lasts": phase.lasts,
+                    "weight": weights[phase.name],
                     **self.results[phase.name].to_dict(),
                 }
                 for phase in self.problem.phases

@@ -1,4 +1,7 @@
-"""The placements of all phases so far, and the steps that better them."""
+"""The placements of all phases so far, and the steps that better them.
+
+F of the whole is the mean of the phases' F over time.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +12,7 @@ from msgspec.structs import replace
 
 from poise.plan import _core
 from poise.plan.phases.costs import beside, with_moves
-from poise.plan.phases.merged import Unit, merged
+from poise.plan.phases.merged import Unit, merged, weighted
 from poise.plan.phases.problem import PhasedProblem
 from poise.plan.planner import Planner
 from poise.plan.problem.arrays import Placed, arrays_of
@@ -43,11 +46,6 @@ def _of(snapshot: Snapshot, placed: Placed, choice: Selection) -> Result:
     return result
 
 
-def _total(solution: Solution) -> float:
-    """Return F of phases, each alone."""
-    return sum(r.objective.total for r in solution.values() if r.objective)
-
-
 class PhaseSearch:
     """Places phases with regard to those beside them."""
 
@@ -60,6 +58,8 @@ class PhaseSearch:
         self._fewer = fewer
         self._problems = {phase.name: phase.problem for phase in problem.phases}
         self._beside = beside(problem)
+        self._weights = problem.weights
+        self._lasts = problem.lasts
         self.interrupted = False
 
     def alone(self) -> dict[str, Result]:
@@ -85,7 +85,7 @@ class PhaseSearch:
 
     def total(self, held: Solution) -> float:
         """Return F of all phases, and of what moves between them."""
-        return _total(held) + self._moves(held, held)
+        return self._cost(held, held)
 
     def chained(self, start: Solution, left: Left) -> dict[str, Result]:
         """Place one phase after the other, with the moves from those before, and back.
@@ -182,7 +182,8 @@ class PhaseSearch:
             snapshot = held[name].snapshot
             problem = with_moves(self._problem, name, others)
             part = keep_components(problem, held[name].placement)
-            parts.append(replace(snapshot.arrays, cost=arrays_of(part).cost))
+            arrays = replace(snapshot.arrays, cost=arrays_of(part).cost)
+            parts.append(weighted(arrays, self._weights[name]))
         known = [unit for name in names for unit in held[name].placed]
         core = _core.Core(merged(parts, self._between(names, held)))
         effort = self._effort.share(TOGETHER)
@@ -205,7 +206,8 @@ class PhaseSearch:
         moves: dict[tuple[Unit, Unit], float] = {}
         for p, one in enumerate(names):
             for q, two in enumerate(names[:p]):
-                if two not in self._beside[one]:
+                often = self._beside[one].get(two)
+                if often is None:
                     continue
                 here, there = (held[n].snapshot.arrays for n in (one, two))
                 for name in here.index.keys() & there.index.keys():
@@ -213,13 +215,18 @@ class PhaseSearch:
                         (p, here.unit_of[here.index[name]]),
                         (q, there.unit_of[there.index[name]]),
                     )
-                    move = self._problem.move.get(name, 0.0)
+                    move = self._problem.move_cost(name, often, self._lasts)
                     moves[pair] = moves.get(pair, 0.0) + move
         return moves
 
     def _cost(self, some: Solution, held: Solution) -> float:
         """Return what some phases add to the total, the others as they are held."""
-        return _total(some) + self._moves(some, {**held, **some})
+        alone = sum(
+            self._weights[name] * each.objective.total
+            for name, each in some.items()
+            if each.objective
+        )
+        return alone + self._moves(some, {**held, **some})
 
     def _moves(self, some: Solution, held: Solution) -> float:
         """Return the cost of moves between some phases and the phases before or after.
@@ -228,14 +235,14 @@ class PhaseSearch:
         """
         total, counted = 0.0, set[frozenset[str]]()
         for name, here in some.items():
-            for other in self._beside[name]:
+            for other, often in self._beside[name].items():
                 pair = frozenset((name, other))
                 if other not in held or pair in counted:
                     continue
                 counted.add(pair)
                 there = held[other].placement
                 total += sum(
-                    self._problem.move.get(component, 0.0)
+                    self._problem.move_cost(component, often, self._lasts)
                     for component, computer in here.placement.items()
                     if there.get(component, computer) != computer
                 )

@@ -53,7 +53,12 @@ def solve_phases(  # noqa: PLR0913 - each says how to decide, and has a default
     )
     alone = search.alone()
     result = PhasedResult(problem, alone)
-    bounds = [each.bound for each in alone.values() if each.bound is not None]
+    weights = problem.weights
+    bounds = [
+        weights[name] * each.bound
+        for name, each in alone.items()
+        if each.bound is not None
+    ]
     bound = sum(bounds) if len(bounds) == len(alone) else None
     if result.moves:
         held = {name: each for name, each in alone.items() if each.feasible}

@@ -186,13 +186,16 @@ def _share(computer: Computer, resource: str, used: float) -> str:
 def _phases(phased: plan.PhasedResult) -> tuple[RenderableType, ...]:
     """Return the phases of a task side by side, then what moves between them."""
     computers = phased.problem.computers
-    rows = table("phase", *(computer.name for computer in computers), "F", "")
-    for column in rows.columns[1:-2]:
+    names = (computer.name for computer in computers)
+    rows = table("phase", "weight", *names, "F", "")
+    for column in rows.columns[2:-2]:
         column.no_wrap = False
+    weights = phased.problem.weights
     for name, result in phased.results.items():
         cells = [_on(computer, result) for computer in computers]
         rows.add_row(
             escape(name),
+            f"{100 * weights[name]:.3g}%",
             *cells,
             _term(result, "total"),
             "fits" if result.feasible else "[bold red]does not fit[/]",
@@ -208,6 +211,7 @@ def _phases(phased: plan.PhasedResult) -> tuple[RenderableType, ...]:
         f"{move.before} and {move.after}"
         for move in phased.moves
     ]
+    parts += [f"assumed: {escape(each)}" for each in phased.problem.assumed]
     parts.append(_sum(phased))
     return tuple(parts)
 
@@ -227,16 +231,16 @@ def _on(computer: Computer, result: plan.Result) -> str:
 
 
 def _sum(phased: plan.PhasedResult) -> str:
-    """Return the sum of F over the phases, and of the moves."""
+    """Return the mean of F over the phases, and what moves add."""
     time = units.format_seconds(phased.seconds)
     if phased.total is None:
         return f"decided in {time}"
-    phases = sum(r.objective.total for r in phased.results.values() if r.objective)
+    phases = phased.total - phased.of_moves
     known = _known(phased.bound, is_least=phased.proven and phased.feasible)
     return (
         f"F = {_cost(phased.total)} = {counted(len(phased.results), 'phase')} "
         f"{_cost(phases)} + {counted(len(phased.moves), 'move')} "
-        f"{_cost(phased.total - phases)}{known}; in {time}"
+        f"{_cost(phased.of_moves)}{known}; in {time}"
         f"{', stopped by Ctrl-C' if phased.stopped_by == 'interrupted' else ''}"
     )
 
