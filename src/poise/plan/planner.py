@@ -149,7 +149,8 @@ class Planner:
         """Return the placement of some components, without a choice among them."""
         part = self._parts.get(components)
         if part is None:
-            part = Planner(keep_components(self.problem, components))
+            arrays = self._snapshot.arrays
+            part = Planner(keep_components(self.problem, components, arrays=arrays))
             self._parts[components] = part
         return portfolio.decide(part._snapshot, method, effort)
 
@@ -212,7 +213,8 @@ class Planner:
             replace(c, only=only, why=why) if c.name == component else c
             for c in self.problem.components
         )
-        scale = scale_of(self.problem)  # held pairs count on, so F can be compared
+        # what is held together counts on, so that F can be compared
+        scale = scale_of(self.problem, self._snapshot.arrays)
         self._build(replace(self.problem, components=components, overhead_scale=scale))
 
 

@@ -162,15 +162,17 @@ class Problem(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
         Of equally good ones that is the one with the least overhead.
         """
-        functions = [a.function for a in self.architectures if a.function]
-        if len({*functions}) == len(functions):
+        groups: dict[str, list[Bundle]] = {}
+        for a in self.architectures:
+            groups.setdefault(a.function or f"\0{a.name}", []).append(a)
+        if len(groups) == len(self.architectures):
             return self.connectors
-        best: dict[str, Bundle] = {}
-        for a in sorted(self.architectures, key=self._how_usual):
-            best.setdefault(a.function or f"\0{a.name}", a)
-        usual = {name for a in best.values() for name in a.components}
-        owned = {name for a in self.architectures for name in a.components}
-        lesser = owned - usual
+        usual = [
+            group[0] if len(group) == 1 else min(group, key=self._how_usual)
+            for group in groups.values()
+        ]
+        lesser = {name for a in self.architectures for name in a.components}
+        lesser.difference_update(*(a.components for a in usual))
         return tuple(k for k in self.connectors if lesser.isdisjoint(k.between))
 
     def _how_usual(self, bundle: Bundle) -> tuple[float, float]:

@@ -11,16 +11,23 @@ from msgspec.structs import replace
 
 from poise.errors import UsageError
 from poise.model.robot import Computer
-from poise.plan.problem.arrays import arrays_of
+from poise.plan.problem.arrays import Arrays, arrays_of
 from poise.plan.problem.overhead_scale import overhead_scale
 from poise.plan.problem.problem import Item, Problem
 from poise.suggest import unknown
 
 
-def keep_components(problem: Problem, names: Collection[str]) -> Problem:
+def keep_components(
+    problem: Problem, names: Collection[str], *, arrays: Arrays | None = None
+) -> Problem:
     """Return the problem with only the components called `names`.
 
     Of the time limits, those that others have a part in are left out.
+
+    Parameters
+    ----------
+    arrays
+        The numbers of the problem, where they are there already.
     """
     if all(c.name in names for c in problem.components):
         return problem
@@ -50,15 +57,15 @@ def keep_components(problem: Problem, names: Collection[str]) -> Problem:
             for each in problem.time_limits
             if all(name in names for name in each.components)
         ),
-        overhead_scale=scale_of(problem),
+        overhead_scale=scale_of(problem, arrays),
     )
 
 
-def scale_of(problem: Problem) -> float | None:
+def scale_of(problem: Problem, arrays: Arrays | None = None) -> float | None:
     """Return the overhead scale that parts of a problem take over."""
     if problem.overhead_scale is not None or problem.objective.scale == "paper":
         return problem.overhead_scale
-    arrays = arrays_of(problem)
+    arrays = arrays or arrays_of(problem)
     return overhead_scale(problem, arrays.overhead, arrays.traffic)
 
 
