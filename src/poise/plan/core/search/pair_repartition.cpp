@@ -50,7 +50,7 @@ bool PairRepartition::run(State& state, int a, int b, int most_nodes, Stop& stop
   state.apply(out, back, a, b);
   // The tree knows nothing of links and time limits: what they make worse is taken back.
   bool keeps = p_.bandwidth.empty() || state.excess() <= excess;
-  if (!p_.time_limits.empty()) {
+  if (p_.time_limits) {
     const bool gains = state.objective() < objective - 1e-12 * (1 + std::fabs(objective));
     keeps = state.excess() < excess || (gains && state.excess() <= excess);
   }
