@@ -71,8 +71,8 @@ class Times {
   std::vector<std::vector<std::int32_t>> on_;  // computer -> its units whose runs share
   TimeSum sum_;
   std::vector<std::int32_t> touched_;      // limits that a shift changes
-  std::vector<std::uint32_t> seen_;        // limit -> the last shift that touched it
-  std::uint32_t shift_ = 0;
+  std::vector<std::uint64_t> seen_;        // limit -> the last shift that touched it
+  std::uint64_t shift_ = 0;
   std::vector<double> before_;             // what was left where a shift changes it
   std::vector<Undo> undo_;
   std::vector<std::pair<std::int32_t, double>> old_seconds_;  // of all in `undo_`
