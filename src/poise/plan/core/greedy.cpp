@@ -7,7 +7,8 @@ namespace poise {
 
 Greedy::Greedy(const Problem& problem)
     : p_(problem), first_share_(p_.capacity.size()), total_(p_.m), balance_(p_.r),
-      first_balance_(p_.r), times_(p_) {
+      first_balance_(p_.r) {
+  if (p_.time_limits) times_.emplace(p_);
   for (int k = 0; k < p_.r; ++k) {
     Balance& b = first_balance_[k];
     b = {};
@@ -35,17 +36,19 @@ Greedy::Greedy(const Problem& problem)
 bool Greedy::run(Placement& placed) {
   start();
   placed.assign(p_.n, -1);
-  times_.reset(placed);
+  const bool timed = times_.has_value();
+  if (timed) times_->reset(placed);
   for (const std::int32_t unit : p_.order) {
     pay_for_ties(unit, placed);
     for (int k = 0; k < p_.r; ++k) add_balance(k, p_.need(unit)[k]);
     for (const int k : p_.priced) add_shortage(k, p_.need(unit)[k]);
     shut(unit, placed);
-    if (!p_.time_limits.empty()) add_times(unit);
+    if (timed) add_times(unit);
     const int computer = best();
     if (computer < 0) return false;
     placed[unit] = computer;
     put(unit, computer);
+    if (timed) times_->put(unit, computer);
   }
   return true;
 }
@@ -161,8 +164,8 @@ void Greedy::shut_full_links() {
 void Greedy::add_times(int unit) {
   for (int h = 0; h < p_.m; ++h) {
     if (total_[h] == kInfinity) continue;
-    TimeSum sum = times_.weigh(unit, h);
-    sum.add(times_.sum(), 1);
+    TimeSum sum = times_->weigh(unit, h);
+    sum.add(times_->sum(), 1);
     total_[h] = sum.broken > 0 ? kInfinity : total_[h] + sum.paid;
   }
 }
@@ -182,7 +185,6 @@ int Greedy::best() const {
 void Greedy::put(int unit, int computer) {
   const int m = p_.m;
   paid_ += p_.linear(unit, computer);
-  if (!p_.time_limits.empty()) times_.put(unit, computer);
   for (const Tie& tie : ties()) {
     paid_ += tie.overhead * p_.far(computer, tie.computer);
     if (p_.bandwidth.empty()) continue;

@@ -44,7 +44,7 @@ class Greedy {
   std::vector<double> total_;         // (m): F with the unit there
   std::vector<Balance> balance_, first_balance_;
   std::vector<double> traffic_;       // (m, m), when bandwidth is limited
-  Times times_;
+  std::optional<Times> times_;        // where there are time limits
   std::vector<Tie> ties_;             // of the unit, the first `tie_count_`
   int tie_count_ = 0;
   double paid_ = 0;                   // communication and linear cost so far

@@ -154,7 +154,7 @@ class Core {
         problem_.demand[unit_of_[i] * r + k] += demand_[i * r + k];
       }
     }
-    problem_.time_limits.set_own(demand_, problem_.r);
+    if (problem_.time_limits) problem_.time_limits->set_own(demand_, problem_.r);
     problem_.sort_units();
   }
 

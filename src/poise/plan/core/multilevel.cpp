@@ -82,8 +82,8 @@ class Level {
  public:
   Level(const Problem& problem, Placement& placed, double care)
       : p_(problem), placed_(placed), care_(care), left_(residues(problem, placed)),
-        gain_(p_.m, 0.0), price_(p_.r, 0.0), times_(p_) {
-    times_.reset(placed);
+        gain_(p_.m, 0.0), price_(p_.r, 0.0) {
+    if (p_.time_limits) times_.emplace(p_).reset(placed);
   }
 
   // One pass over all units; how many moved.
@@ -135,8 +135,8 @@ class Level {
     const auto consider = [&](int h) {
       if (h == here || !fits(unit, h)) return;
       double change = paid(unit, here, h, stays) + balance(unit, here, h);
-      if (change < least + times_.sum().paid && !p_.time_limits.empty()) {
-        const TimeSum times = times_.weigh(alone(unit, here, h));
+      if (times_ && change < least + times_->sum().paid) {
+        const TimeSum times = times_->weigh(alone(unit, here, h));
         change = times.broken > 0 ? kInfinity : change + times.paid;
       }
       if (change < least) {
@@ -196,7 +196,7 @@ class Level {
       left_[k * p_.m + from] += need;
       left_[k * p_.m + to] -= need;
     }
-    if (!p_.time_limits.empty()) times_.apply(alone(unit, from, to));
+    if (times_) times_->apply(alone(unit, from, to));
     placed_[unit] = to;
   }
 
@@ -210,7 +210,7 @@ class Level {
   std::vector<double> left_;
   std::vector<double> gain_;  // (m): overhead towards each computer, of the unit at hand
   std::vector<double> price_;
-  Times times_;
+  std::optional<Times> times_;
   std::vector<int> near_;
   int emptiest_ = 0;
 };
@@ -226,7 +226,7 @@ void refine(const Problem& p, Placement& placed, double care, Stop& stop) {
     const std::int64_t moved = level.pass(stop);
     const double total = terms(p, placed).total();
     // Moves are weighed without the links: what overfills one is not kept.
-    const bool sums = !p.bandwidth.empty() || !p.time_limits.empty();
+    const bool sums = !p.bandwidth.empty() || p.time_limits;
     if (total < least && (!sums || feasible(p, placed))) {
       least = total;
       best = placed;

@@ -144,8 +144,7 @@ inline Problem read(const Fields& in, const std::vector<std::int32_t>& unit_of) 
   for (const std::int32_t unit : unit_of) Fields::check_index("unit_of", unit, p.n);
   const nb::object times = in.arrays.attr("times");
   if (times.is_none()) return p;
-  p.time_limits = read_times(Fields{times}, p, unit_of);
-  p.settle_time_limits();
+  p.limit_time(read_times(Fields{times}, p, unit_of));
   return p;
 }
 

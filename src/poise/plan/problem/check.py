@@ -15,6 +15,7 @@ from poise.suggest import unknown
 
 if TYPE_CHECKING:
     from poise.plan.problem.problem import Problem
+    from poise.plan.problem.time_limit import TimeLimit
 
 LEAST, MOST = 1e-30, 1e30
 """Numbers beyond these would overflow as they are divided, squared and summed."""
@@ -50,7 +51,6 @@ def problems(problem: Problem) -> Iterator[str]:
     yield from _twice("component", components)
     yield from _twice("computer", computers)
     yield from _twice("architecture", [a.name for a in problem.architectures])
-    yield from _twice("time limit", [t.name for t in problem.time_limits])
     if components and not computers:
         yield f"there are {len(components)} components, but no computers"
     yield from _numbers(problem)
@@ -121,7 +121,8 @@ def _numbers(problem: Problem) -> Iterator[str]:
         if link.bandwidth != inf:
             yield from _amounts(where, {"bandwidth": link.bandwidth})
     yield from _soft_limits(problem)
-    yield from _time_limits(problem)
+    if problem.time_limits:
+        yield from _time_limits(problem.time_limits)
     yield from _weights(problem)
 
 
@@ -134,8 +135,9 @@ def _soft_limits(problem: Problem) -> Iterator[str]:
             yield f"{where}price is 0, must be above 0"
 
 
-def _time_limits(problem: Problem) -> Iterator[str]:
-    for t in problem.time_limits:
+def _time_limits(limits: Sequence[TimeLimit]) -> Iterator[str]:
+    yield from _twice("time limit", [t.name for t in limits])
+    for t in limits:
         where = f"time limit {t.name!r}: "
         yield from _amounts(where, {"fixed": t.fixed, "price": t.price})
         yield from _amounts(where, {"limit": t.limit})
@@ -145,10 +147,13 @@ def _time_limits(problem: Problem) -> Iterator[str]:
             part = f"{where}run of {run.component}: "
             yield from _amounts(part, {"seconds": run.seconds})
         for hop in t.hops:
-            ends = " - ".join(hop.between)
+            ends: Sequence[str] = hop.between
+            if len(ends) != 2:  # noqa: PLR2004 - two ends
+                names = ", ".join(ends)
+                yield f"{where}hop between {names}: it must join two components"
             numbers = ("seconds", "crossings", "size")
             amounts = {name: getattr(hop, name) for name in numbers}
-            yield from _amounts(f"{where}hop {ends}: ", amounts)
+            yield from _amounts(f"{where}hop {' - '.join(ends)}: ", amounts)
 
 
 def _weights(problem: Problem) -> Iterator[str]:
@@ -200,13 +205,10 @@ def _groups(problem: Problem) -> Iterator[str]:
             for name, count in Counter(group).items():
                 if count > 1:
                     yield f"{kind}: {name!r} is there {count} times"
-    joining = [("connector", k.between) for k in problem.connectors]
-    for t in problem.time_limits:
-        joining += [(f"time limit {t.name!r}: hop", hop.between) for hop in t.hops]
-    for what, between in joining:
-        ends: Sequence[str] = between
+    for connector in problem.connectors:
+        ends: Sequence[str] = connector.between
         if len(ends) != 2:  # noqa: PLR2004 - two ends
-            yield f"{what} between {', '.join(ends)}: it must join two components"
+            yield f"connector between {', '.join(ends)}: it must join two components"
     for link in problem.links:
         if len(set(link.between)) != 2:  # noqa: PLR2004 - two ends
             names = ", ".join(link.between)

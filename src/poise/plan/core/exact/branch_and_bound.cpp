@@ -18,12 +18,13 @@ constexpr double kSizeOverTie = 0.6;
 
 class AnyTree final : public Tree {
  public:
-  explicit AnyTree(const Problem& problem) : Tree(problem), times_(problem) {
+  explicit AnyTree(const Problem& problem) : Tree(problem) {
     if (!possible_) return;
     sort_units();
     connect();
     find_twins();
     measure();
+    if (p_.time_limits) times_.emplace(p_);
   }
 
  private:
@@ -88,7 +89,7 @@ class AnyTree final : public Tree {
     if (!p_.cost.empty() || !p_.distance.empty() || !p_.bandwidth.empty()) return;
     for (int h = 1; h < m_; ++h) {
       for (int g = h - 1; g >= 0 && twin_[h] < 0; --g) {
-        bool same = p_.time_limits.alike(h, g);
+        bool same = !p_.time_limits || p_.time_limits->alike(h, g);
         for (int k = 0; k < r_ && same; ++k) {
           same = p_.capacity[k * m_ + h] == p_.capacity[k * m_ + g] &&
                  p_.floor[k * m_ + h] == p_.floor[k * m_ + g] &&
@@ -129,8 +130,8 @@ class AnyTree final : public Tree {
     left_ = p_.capacity;
     units_on_.assign(m_, 0);
     traffic_.assign(p_.bandwidth.size(), 0.0);
-    times_.reset(Placement(n_, -1));
-    if (times_.sum().broken == 0) open(0);
+    if (times_) times_->reset(Placement(n_, -1));
+    if (!times_ || times_->sum().broken == 0) open(0);
   }
 
   void open(int depth) {
@@ -149,10 +150,12 @@ class AnyTree final : public Tree {
     }
   }
 
+  double paid() const { return paid_ + (times_ ? times_->sum().paid : 0.0); }
+
   // The computers worth trying, most promising first.
   int branches(int depth, Branch* out) {
     int count = 0;
-    const double rest = paid_ + least_sum_ - least_[depth] + times_.sum().paid;
+    const double rest = paid() + least_sum_ - least_[depth];
     const double* unary = unary_.data() + static_cast<std::size_t>(depth) * m_;
     for (int h = 0; h < m_; ++h) {
       double bound = rest + unary[h];
@@ -161,8 +164,8 @@ class AnyTree final : public Tree {
         if (p_.weight[k] > 0) bound += p_.weight[k] * imbalance(depth, k, h);
         if (p_.price[k] > 0) bound += p_.price[k] * shortage(depth, k, h);
       }
-      if (!p_.time_limits.empty() && bound < threshold_) {
-        const TimeSum change = times_.weigh(order_[depth], h);
+      if (times_ && bound < threshold_) {
+        const TimeSum change = times_->weigh(order_[depth], h);
         if (change.broken > 0) continue;
         bound += change.paid;
       }
@@ -232,12 +235,12 @@ class AnyTree final : public Tree {
       least_[d] = least;
     }
     const bool holds = p_.bandwidth.empty() || send(depth, computer, 1.0);
-    if (!p_.time_limits.empty()) times_.put(order_[depth], computer);
-    return holds && paid_ + least_sum_ + times_.sum().paid < threshold_;
+    if (times_) times_->put(order_[depth], computer);
+    return holds && paid() + least_sum_ < threshold_;
   }
 
   void leave(int depth, int computer) {
-    if (!p_.time_limits.empty()) times_.take_back();
+    if (times_) times_->take_back();
     if (!p_.bandwidth.empty()) send(depth, computer, -1.0);
     const double* saved = saved_.data() + later_start_[depth] * (m_ + 1);
     for (auto e = later_start_[depth]; e < later_start_[depth + 1]; ++e) {
@@ -288,7 +291,7 @@ class AnyTree final : public Tree {
   std::vector<double> left_;     // (r, m)
   std::vector<double> traffic_;  // (m, m), of a larger and a smaller index
   std::vector<int> units_on_;    // (m)
-  Times times_;
+  std::optional<Times> times_;
   std::vector<Branch> branch_;   // (n, m)
   double paid_ = 0, least_sum_ = 0;
 };

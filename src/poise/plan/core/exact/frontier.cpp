@@ -20,7 +20,7 @@ bool FrontierTree::takes(const Problem& p) {
   int weighed = 0;
   for (int k = 0; k < p.r; ++k) weighed += p.weight[k] > 0;
   return p.m == 2 && p.r > 0 && weighed <= kMostWeighed && p.bandwidth.empty() &&
-         !p.has_apart() && p.priced.empty() && p.time_limits.empty();
+         !p.has_apart() && p.priced.empty() && !p.time_limits;
 }
 
 FrontierTree::FrontierTree(const Problem& problem) : Tree(problem) {

@@ -44,7 +44,7 @@ void Tree::found() {
   const double total = terms(p_, placed).total();
   if (total >= threshold_) return;
   // What links carry was added and taken away step by step, and rounded at each.
-  const bool sums = !p_.bandwidth.empty() || !p_.time_limits.empty();
+  const bool sums = !p_.bandwidth.empty() || p_.time_limits;
   if (sums && !feasible(p_, placed)) return;
   set_best(total);
   best_placed_ = std::move(placed);

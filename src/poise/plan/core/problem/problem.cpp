@@ -2,6 +2,9 @@
 
 #include <algorithm>
 #include <numeric>
+#include <utility>
+
+#include "problem/times.h"
 
 namespace poise {
 
@@ -47,17 +50,18 @@ void Problem::restrict_units(
   }
 }
 
-void Problem::settle_time_limits() {
-  time_limits.list_units(n);
-  for (TimeLimits::Limit& each : time_limits.limits) {
+void Problem::limit_time(TimeLimits limits) {
+  limits.list_units(n);
+  for (TimeLimits::Limit& each : limits.limits) {
     for (TimeLimits::Run& run : each.runs) {
       double fastest = 0;
       for (int h = 0; h < m; ++h) {
-        if (allowed(run.unit, h)) fastest = std::max(fastest, time_limits.speed[h]);
+        if (allowed(run.unit, h)) fastest = std::max(fastest, limits.speed[h]);
       }
       run.least = fastest > 0 ? run.seconds / fastest : 0.0;
     }
   }
+  time_limits = std::move(limits);
 }
 
 void Problem::sort_units() {
@@ -148,9 +152,7 @@ Problem Problem::joined(const std::vector<std::int32_t>& part, int count) const 
     }
   });
   out.sort_units();
-  if (time_limits.empty()) return out;
-  out.time_limits = time_limits.joined(part);
-  out.settle_time_limits();
+  if (time_limits) out.limit_time(time_limits->joined(part));
   return out;
 }
 
@@ -206,9 +208,7 @@ Terms terms(const Problem& p, const Placement& placed) {
       out.shortage += p.price[k] * p.shortage(k, h, left[k * p.m + h]);
     }
   }
-  for (int i = 0; i < p.time_limits.size(); ++i) {
-    out.time += p.time_limits.cost(i, seconds(p, i, placed, left));
-  }
+  if (p.time_limits) out.time = time_sum(p, placed, left).paid;
   return out;
 }
 
@@ -237,39 +237,7 @@ bool feasible(const Problem& p, const Placement& placed) {
     // A computer that carries nothing breaks no limit.
     if (left[e] < p.floor[e] && left[e] < p.capacity[e]) return false;
   }
-  for (int i = 0; i < p.time_limits.size(); ++i) {
-    if (p.time_limits.breaks(i, seconds(p, i, placed, left))) return false;
-  }
-  return true;
-}
-
-double seconds(const Problem& p, int i, const Placement& placed,
-               const std::vector<double>& left) {
-  const TimeLimits& all = p.time_limits;
-  const TimeLimits::Limit& each = all.limits[i];
-  double total = each.fixed;
-  for (const TimeLimits::Run& run : each.runs) {
-    const int h = placed[run.unit];
-    if (h < 0) {
-      total += run.least;
-      continue;
-    }
-    double takes = run.seconds / all.speed[h];
-    const std::size_t e = static_cast<std::size_t>(each.cpu) * p.m + h;
-    if (each.cpu >= 0 && p.capacity[e] > 0) {
-      takes *= all.slowdown(h, (p.capacity[e] - left[e] - run.own) / p.capacity[e]);
-    }
-    total += takes;
-  }
-  for (const TimeLimits::Hop& hop : each.hops) {
-    const int a = placed[hop.a], b = placed[hop.b];
-    if (a < 0 || b < 0 || a == b) continue;
-    const std::size_t link = static_cast<std::size_t>(a) * p.m + b;
-    total += hop.seconds;
-    if (!all.latency.empty()) total += hop.crossings * all.latency[link];
-    if (!all.per_byte.empty()) total += hop.size * all.per_byte[link];
-  }
-  return total;
+  return !p.time_limits || time_sum(p, placed, left).broken == 0;
 }
 
 }  // namespace poise

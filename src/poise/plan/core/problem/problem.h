@@ -8,6 +8,7 @@
 #include <cstdint>
 #include <limits>
 #include <map>
+#include <optional>
 #include <vector>
 
 #include "problem/time_limits.h"
@@ -41,7 +42,7 @@ class Problem {
   std::vector<double> bandwidth;    // (m, m), or empty: unlimited
   std::vector<int> priced;          // the resources that have a price
   std::vector<std::int32_t> order;  // units in the order in which the greedy places them
-  TimeLimits time_limits;
+  std::optional<TimeLimits> time_limits;
   bool variance = false;
 
   // Set up what computers have: `has` and `limit` are (m, r); a limit whose resource has a
@@ -59,8 +60,8 @@ class Problem {
   }
   // Some units -> the computers that each may run on.
   void restrict_units(const std::map<std::int32_t, std::vector<std::int32_t>>& allowed);
-  // Bring time limits up to date with their units, and with where those may run.
-  void settle_time_limits();
+  // Set time limits, whose runs are at best where their units may run fastest.
+  void limit_time(TimeLimits limits);
   // Put units with one choice first, then by size; to be called when demands change.
   void sort_units();
 
@@ -129,11 +130,5 @@ bool feasible(const Problem& problem, const Placement& placed);
 
 // Residues (r, m) of a placement; units without a computer use nothing.
 std::vector<double> residues(const Problem& problem, const Placement& placed);
-
-// How long what time limit i is about takes, with residues `left` (r, m); at least, while
-// units have no computer: their hops take nothing, and their runs what they take on the
-// fastest computer where they may be.
-double seconds(const Problem& problem, int i, const Placement& placed,
-               const std::vector<double>& left);
 
 }  // namespace poise

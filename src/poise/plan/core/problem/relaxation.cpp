@@ -1,5 +1,7 @@
 #include "problem/relaxation.h"
 
+#include "problem/times.h"
+
 namespace poise {
 namespace {
 
@@ -45,10 +47,7 @@ double relaxation_bound(const Problem& p) {
                                           p.counted[k], levelling.level, demand_of(p, k),
                                           p.variance, levelling.alike);
   }
-  const Placement none(p.time_limits.empty() ? 0 : p.n, -1);
-  for (int i = 0; i < p.time_limits.size(); ++i) {
-    total += p.time_limits.cost(i, seconds(p, i, none, p.capacity));
-  }
+  if (p.time_limits) total += time_sum(p, Placement(p.n, -1), p.capacity).paid;
   return total;
 }
 

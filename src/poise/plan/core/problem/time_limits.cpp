@@ -33,7 +33,6 @@ bool TimeLimits::breaks(int i, double seconds) const {
 }
 
 bool TimeLimits::alike(int a, int b) const {
-  if (empty()) return true;
   return latency.empty() && per_byte.empty() && speed[a] == speed[b] &&
          queues[a].cores == queues[b].cores && queues[a].power == queues[b].power;
 }

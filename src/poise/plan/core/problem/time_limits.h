@@ -42,7 +42,6 @@ struct TimeLimits {
   Lists<std::int32_t> of_unit;   // unit -> the limits that it has a part in
   Lists<std::int32_t> sharing;   // unit -> those of them where its runs share
 
-  bool empty() const { return limits.empty(); }
   int size() const { return static_cast<int>(limits.size()); }
 
   // How many times as long a run takes on a computer where others use a share of the CPU.

@@ -8,18 +8,58 @@ namespace poise {
 void TimeSum::add(const TimeSum& other, int sign) {
   paid += sign * other.paid;
   excess += sign * other.excess;
-  late += sign * other.late;
   broken += sign * other.broken;
 }
 
-Times::Times(const Problem& problem) : p_(problem), limits_(problem.time_limits) {
-  if (limits_.empty()) return;
-  seen_.assign(limits_.limits.size(), 0);
-  on_.resize(p_.m);
+double seconds(const Problem& p, int i, const Placement& placed,
+               const std::vector<double>& left) {
+  const TimeLimits& all = *p.time_limits;
+  const TimeLimits::Limit& each = all.limits[i];
+  double total = each.fixed;
+  for (const TimeLimits::Run& run : each.runs) {
+    const int h = placed[run.unit];
+    if (h < 0) {
+      total += run.least;
+      continue;
+    }
+    double takes = run.seconds / all.speed[h];
+    const std::size_t e = static_cast<std::size_t>(each.cpu) * p.m + h;
+    if (each.cpu >= 0 && p.capacity[e] > 0) {
+      takes *= all.slowdown(h, (p.capacity[e] - left[e] - run.own) / p.capacity[e]);
+    }
+    total += takes;
+  }
+  for (const TimeLimits::Hop& hop : each.hops) {
+    const int a = placed[hop.a], b = placed[hop.b];
+    if (a < 0 || b < 0 || a == b) continue;
+    const std::size_t link = static_cast<std::size_t>(a) * p.m + b;
+    total += hop.seconds;
+    if (!all.latency.empty()) total += hop.crossings * all.latency[link];
+    if (!all.per_byte.empty()) total += hop.size * all.per_byte[link];
+  }
+  return total;
 }
 
+// What limit i comes to alone.
+static TimeSum sum_of(const TimeLimits& limits, int i, double seconds) {
+  const double limit = limits.limits[i].limit;
+  if (limits.breaks(i, seconds)) return {0, std::log(seconds / limit), 1};
+  return {limits.cost(i, seconds), 0, 0};
+}
+
+TimeSum time_sum(const Problem& p, const Placement& placed, const std::vector<double>& left) {
+  TimeSum sum;
+  for (int i = 0; i < p.time_limits->size(); ++i) {
+    sum.add(sum_of(*p.time_limits, i, seconds(p, i, placed, left)), 1);
+  }
+  return sum;
+}
+
+Times::Times(const Problem& problem)
+    : p_(problem), limits_(*problem.time_limits), seconds_(limits_.limits.size()),
+      on_(p_.m), seen_(limits_.limits.size(), 0) {}
+
 void Times::reset(const Placement& placed) {
-  if (limits_.empty()) return;
   placed_ = placed;
   left_ = residues(p_, placed);
   for (auto& units : on_) units.clear();
@@ -28,22 +68,11 @@ void Times::reset(const Placement& placed) {
       on_[placed_[unit]].push_back(unit);
     }
   }
-  seconds_.resize(limits_.limits.size());
-  sum_ = {};
-  for (int i = 0; i < limits_.size(); ++i) {
-    seconds_[i] = seconds(p_, i, placed_, left_);
-    sum_.add(sum_of(i, seconds_[i]), 1);
-  }
+  for (int i = 0; i < limits_.size(); ++i) seconds_[i] = seconds(p_, i, placed_, left_);
+  sum_ = time_sum(p_, placed_, left_);
   undo_.clear();
   old_seconds_.clear();
   old_left_.clear();
-}
-
-TimeSum Times::sum_of(int i, double seconds) const {
-  const TimeLimits::Limit& each = limits_.limits[i];
-  if (limits_.breaks(i, seconds)) return {0, std::log(seconds / each.limit), 0, 1};
-  const double cost = limits_.cost(i, seconds);
-  return {cost, 0, cost > 0, 0};
 }
 
 // Find the limits in which a unit that moves has a part, and those whose runs share one of
@@ -91,8 +120,8 @@ TimeSum Times::weigh(const Shift& shift) {
   }
   move(shift);
   for (const std::int32_t i : touched_) {
-    change.add(sum_of(i, seconds(p_, i, placed_, left_)), 1);
-    change.add(sum_of(i, seconds_[i]), -1);
+    change.add(sum_of(limits_, i, seconds(p_, i, placed_, left_)), 1);
+    change.add(sum_of(limits_, i, seconds_[i]), -1);
   }
   for (const std::int32_t unit : shift.out) placed_[unit] = shift.a;
   for (const std::int32_t unit : shift.back) placed_[unit] = shift.b;
@@ -117,19 +146,10 @@ void Times::apply(const Shift& shift) {
     }
   }
   move(shift);
-  settle();
-}
-
-// Bring up to date what limits have touched.
-void Times::settle() {
-  for (const std::int32_t i : touched_) {
-    sum_.add(sum_of(i, seconds_[i]), -1);
-    seconds_[i] = seconds(p_, i, placed_, left_);
-    sum_.add(sum_of(i, seconds_[i]), 1);
-  }
-  // Sums of many small steps must not keep what holds again.
-  if (sum_.late == 0) sum_.paid = 0;
-  if (sum_.broken == 0) sum_.excess = 0;
+  for (const std::int32_t i : touched_) seconds_[i] = seconds(p_, i, placed_, left_);
+  // Anew, as a sum of many steps up and down would not be exact.
+  sum_ = {};
+  for (int i = 0; i < limits_.size(); ++i) sum_.add(sum_of(limits_, i, seconds_[i]), 1);
 }
 
 TimeSum Times::weigh(std::int32_t unit, int computer) {
@@ -143,7 +163,11 @@ void Times::put(std::int32_t unit, int computer) {
   for (const int cpu : limits_.cpus) old_left_.push_back(left(cpu, computer));
   if (limits_.sharing.of(unit).size() > 0) on_[computer].push_back(unit);
   place(unit, computer);
-  settle();
+  for (const std::int32_t i : touched_) {
+    sum_.add(sum_of(limits_, i, seconds_[i]), -1);
+    seconds_[i] = seconds(p_, i, placed_, left_);
+    sum_.add(sum_of(limits_, i, seconds_[i]), 1);
+  }
 }
 
 void Times::take_back() {

@@ -16,12 +16,22 @@ struct Shift {
 struct TimeSum {
   double paid = 0;    // what F grows by
   double excess = 0;  // how far those are broken that must be kept, in logarithms
-  int late = 0;       // how many are beyond their limit for a price
-  int broken = 0;     // how many are broken that must be kept
+  int broken = 0;     // how many of these are broken
 
   void add(const TimeSum& other, int sign);
 };
 
+// How long what time limit i is about takes, with residues `left` (r, m); at least, while
+// units have no computer: their hops take nothing, and their runs what they take on the
+// fastest computer where they may be.
+double seconds(const Problem& problem, int i, const Placement& placed,
+               const std::vector<double>& left);
+
+// What all limits come to, from nothing.
+TimeSum time_sum(const Problem& problem, const Placement& placed,
+                 const std::vector<double>& left);
+
+// The problem must have time limits.
 class Times {
  public:
   explicit Times(const Problem& problem);
@@ -39,11 +49,9 @@ class Times {
   void take_back();
 
  private:
-  TimeSum sum_of(int i, double seconds) const;
   void find_touched(const Shift& shift);
   void move(const Shift& shift);
   void place(std::int32_t unit, int computer);
-  void settle();
   double& left(int cpu, int computer) {
     return left_[static_cast<std::size_t>(cpu) * p_.m + computer];
   }
@@ -63,8 +71,8 @@ class Times {
   std::vector<std::vector<std::int32_t>> on_;  // computer -> its units whose runs share
   TimeSum sum_;
   std::vector<std::int32_t> touched_;      // limits that a shift changes
-  std::vector<std::uint32_t> seen_;        // limit -> the last shift that touched it
-  std::uint32_t shift_ = 0;
+  std::vector<std::uint64_t> seen_;        // limit -> the last shift that touched it
+  std::uint64_t shift_ = 0;
   std::vector<double> before_;             // what was left where a shift changes it
   std::vector<Undo> undo_;
   std::vector<std::pair<std::int32_t, double>> old_seconds_;  // of all in `undo_`

@@ -13,11 +13,16 @@ constexpr int kMostUnits = 200;
 }  // namespace
 
 PairRepartition::PairRepartition(const Problem& problem)
-    : p_(problem), r_(problem.r), depth_of_(problem.n, -1), resources_(problem.r) {}
+    : p_(problem), r_(problem.r), depth_of_(problem.n, -1), resources_(problem.r) {
+  if (p_.time_limits) times_.emplace(p_);
+}
 
 bool PairRepartition::run(State& state, int a, int b, int most_nodes, Stop& stop) {
   if (!collect(state, a, b)) return false;
   weigh_resources(state, a, b);
+  sides_[0] = a;
+  sides_[1] = b;
+  take_off(state);
   nodes_ = 0;
   most_nodes_ = most_nodes;
   improved_ = false;
@@ -29,8 +34,9 @@ bool PairRepartition::run(State& state, int a, int b, int most_nodes, Stop& stop
     holds = fits(placed, now_[placed]);
     place(placed, now_[placed]);
   }
-  if (holds) {
-    const double total = base_[count_] - followed_ / 2 + imbalance(count_ - 1, -1);
+  if (holds && in_time()) {
+    const double total =
+        base_[count_] - followed_ / 2 + imbalance(count_ - 1, -1) + time_paid();
     best_total_ = total - 1e-10 * (1 + std::fabs(total));
   }
   while (placed > 0) {
@@ -46,15 +52,10 @@ bool PairRepartition::run(State& state, int a, int b, int most_nodes, Stop& stop
   for (int d = 0; d < count_; ++d) {
     if (best_[d] != now_[d]) (now_[d] == 0 ? out : back).push_back(units_[d]);
   }
-  const double excess = state.excess(), objective = state.objective();
+  const double excess = state.excess();
   state.apply(out, back, a, b);
-  // The tree knows nothing of links and time limits: what they make worse is taken back.
-  bool keeps = p_.bandwidth.empty() || state.excess() <= excess;
-  if (!p_.time_limits.empty()) {
-    const bool gains = state.objective() < objective - 1e-12 * (1 + std::fabs(objective));
-    keeps = state.excess() < excess || (gains && state.excess() <= excess);
-  }
-  if (keeps) return true;
+  // The tree knows nothing of links: what overfills one is taken back.
+  if (p_.bandwidth.empty() || state.excess() <= excess) return true;
   state.apply(back, out, a, b);
   return false;
 }
@@ -78,6 +79,20 @@ bool PairRepartition::collect(const State& state, int a, int b) {
     }
   }
   return true;
+}
+
+// Set up the times without the units, where any of them has a part in one.
+void PairRepartition::take_off(const State& state) {
+  timed_ = false;
+  if (!times_) return;
+  Placement others = state.placed();
+  for (const std::int32_t unit : units_) {
+    timed_ |= p_.time_limits->of_unit.of(unit).size() > 0;
+    others[unit] = -1;
+  }
+  if (!timed_) return;
+  times_->reset(others);
+  late_ = times_->sum().broken;
 }
 
 // Order the units as branch and bound does: those with one choice first, then by ties and size.
@@ -176,7 +191,8 @@ void PairRepartition::weigh_pulls() {
 
 void PairRepartition::open(int depth) {
   if (depth == count_) {
-    const double total = base_[depth] - followed_ / 2 + imbalance(depth - 1, -1);
+    const double total =
+        base_[depth] - followed_ / 2 + imbalance(depth - 1, -1) + time_paid();
     if (total >= best_total_) return;
     best_total_ = total;
     best_ = side_;
@@ -196,18 +212,26 @@ void PairRepartition::open(int depth) {
 void PairRepartition::enter(int depth, int side) {
   const double followed = followed_, pulling = pulling_;
   place(depth, side);
-  if (base_[depth + 1] - (followed_ + pulling_) / 2 < best_total_) open(depth + 1);
+  const double least = base_[depth + 1] - (followed_ + pulling_) / 2 + time_paid();
+  if (least < best_total_ && in_time()) open(depth + 1);
   unplace(depth, side);
   followed_ = followed;
   pulling_ = pulling;
 }
 
-double PairRepartition::bound(int depth, int side) const {
+double PairRepartition::bound(int depth, int side) {
   if (!fits(depth, side)) return kInfinity;
+  double times = 0;
+  if (timed_) {
+    TimeSum sum = times_->weigh(units_[depth], sides_[side]);
+    sum.add(times_->sum(), 1);
+    if (sum.broken > late_) return kInfinity;
+    times = sum.paid;
+  }
   const double pull = pull_[depth];
   const double follows = side == 0 ? pull : -pull;
   return base_[depth] - (followed_ + follows + pulling_ - std::fabs(pull)) / 2 +
-         imbalance(depth, side);
+         imbalance(depth, side) + times;
 }
 
 bool PairRepartition::fits(int depth, int side) const {
@@ -289,6 +313,7 @@ double PairRepartition::spread_of_one(const Resource& res, double share, double 
 void PairRepartition::place(int depth, int side) {
   const double x = side == 0 ? 1.0 : -1.0;
   side_[depth] = static_cast<signed char>(side);
+  if (timed_) times_->put(units_[depth], sides_[side]);
   followed_ += x * pull_[depth];
   pulling_ -= std::fabs(pull_[depth]);
   const double* need = need_.data() + static_cast<std::size_t>(depth) * r_;
@@ -303,6 +328,7 @@ void PairRepartition::place(int depth, int side) {
 }
 
 void PairRepartition::unplace(int depth, int side) {
+  if (timed_) times_->take_back();
   const double* need = need_.data() + static_cast<std::size_t>(depth) * r_;
   for (int k = 0; k < r_; ++k) resources_[k].left[side] += need[k];
   for (std::size_t e = tie_start_[depth]; e < tie_start_[depth + 1]; ++e) {

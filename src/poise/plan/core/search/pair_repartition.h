@@ -16,7 +16,7 @@ class PairRepartition {
   explicit PairRepartition(const Problem& problem);
 
   // Whether `state` was improved. Limits that are broken now count as infinitely bad; what
-  // the links carry, and how long things take, is looked at only in the end.
+  // the links carry is looked at only in the end.
   bool run(State& state, int a, int b, int most_nodes, Stop& stop);
 
  private:
@@ -35,17 +35,20 @@ class PairRepartition {
   };
 
   bool collect(const State& state, int a, int b);
+  void take_off(const State& state);
   void weigh_resources(const State& state, int a, int b);
   void sort_units(int a, int b);
   void connect(const State& state, int a, int b);
   void open(int depth);
   void enter(int depth, int side);
-  double bound(int depth, int side) const;
+  double bound(int depth, int side);
   double imbalance(int depth, int side) const;
   double spread(const Resource& resource, double a, double b, double open) const;
   double spread_of_one(const Resource& resource, double share, double open) const;
   void weigh_pulls();
   bool fits(int depth, int side) const;
+  double time_paid() const { return timed_ ? times_->sum().paid : 0.0; }
+  bool in_time() const { return !timed_ || times_->sum().broken <= late_; }
   void place(int depth, int side);
   void unplace(int depth, int side);
 
@@ -62,6 +65,10 @@ class PairRepartition {
   std::vector<Resource> resources_;
   double followed_ = 0, pulling_ = 0, best_total_ = 0;
   bool improved_ = false;
+  std::optional<Times> times_;  // with none of the units but those in the tree so far
+  bool timed_ = false;          // some unit has a part in a time limit
+  int late_ = 0;                // limits that are broken without them
+  int sides_[2] = {0, 0};       // the computers
 };
 
 }  // namespace poise

@@ -16,7 +16,8 @@ constexpr std::int64_t kLargestTable = 1 << 16;
 State::State(const Problem& problem)
     : p_(problem), placed_(p_.n, 0), on_(p_.m), spot_(p_.n), share_of_limit_(p_.r),
       high_(p_.r), low_(p_.r), sum_(p_.r), squares_(p_.r), centre_(p_.r), need_(p_.r),
-      mark_(p_.n, 0), times_(p_) {
+      mark_(p_.n, 0) {
+  if (p_.time_limits) times_.emplace(p_);
   for (int k = 0; k < p_.r; ++k) {
     double counted = 0;
     for (int h = 0; h < p_.m; ++h) {
@@ -32,8 +33,7 @@ void State::reset(const Placement& placed) {
   for (auto& units : on_) units.clear();
   const std::int64_t entries = static_cast<std::int64_t>(p_.n) * p_.m;
   if (entries <= kLargestTable || !p_.cost.empty() || !p_.distance.empty()) reset_table();
-  conflicts_ = 0;
-  paid_ = 0;
+  paid_ = conflicts_ = 0;
   for (int i = 0; i < p_.n; ++i) {
     spot_[i] = static_cast<std::int32_t>(on_[placed_[i]].size());
     on_[placed_[i]].push_back(i);
@@ -63,7 +63,7 @@ void State::reset(const Placement& placed) {
     }
   }
   balance_ = balance_now();
-  times_.reset(placed_);
+  if (times_) times_->reset(placed_);
   over_links_ = overfull_ = 0;
   traffic_.assign(p_.bandwidth.size(), 0.0);
   if (p_.bandwidth.empty()) return;
@@ -252,8 +252,8 @@ Change State::weigh_rest(const Units& out, const Units& back, int a, int b) {
   Change change = weigh_loads(a, b);
   if (p_.has_apart()) change.excess += conflicts_with(out, back, a, b);
   if (!p_.bandwidth.empty()) change.excess += link_excess(out, back, a, b);
-  if (p_.time_limits.empty()) return change;
-  const TimeSum times = times_.weigh({all_of(out), all_of(back), a, b});
+  if (!times_) return change;
+  const TimeSum times = times_->weigh({all_of(out), all_of(back), a, b});
   change.objective += times.paid;
   change.excess += times.excess;
   return change;
@@ -327,7 +327,7 @@ State::Others State::others(int k, int a, int b) const {
 void State::apply(const Units& out, const Units& back, int a, int b) {
   for (const std::int32_t unit : out) shift(unit, b);
   for (const std::int32_t unit : back) shift(unit, a);
-  if (!p_.time_limits.empty()) times_.apply({all_of(out), all_of(back), a, b});
+  if (times_) times_->apply({all_of(out), all_of(back), a, b});
   settle(a, b);
 }
 

@@ -39,10 +39,13 @@ class State {
   const std::vector<std::int32_t>& on(int computer) const { return on_[computer]; }
   double objective() const { return paid_ + loads(); }
   // The parts of F that cannot fall below nothing.
-  double loads() const { return balance_ + shortage_ + times_.sum().paid; }
-  double excess() const { return excess_ + over_links_ + conflicts_ + times_.sum().excess; }
+  double loads() const { return balance_ + shortage_ + (times_ ? times_->sum().paid : 0); }
+  double excess() const {
+    return excess_ + over_links_ + conflicts_ + (times_ ? times_->sum().excess : 0);
+  }
   bool feasible() const {
-    return excess_ <= 0 && overfull_ == 0 && conflicts_ == 0 && times_.sum().broken == 0;
+    const bool in_time = !times_ || times_->sum().broken == 0;
+    return excess_ <= 0 && overfull_ == 0 && conflicts_ == 0 && in_time;
   }
 
   // Weigh a search move: `out` leaves `a` for `b`, `back` leaves `b` for `a`; either may
@@ -97,7 +100,7 @@ class State {
   std::vector<double> need_;                   // (r): what a move takes from a to b
   std::vector<char> mark_;                     // (n): 1 in `out`, 2 in `back`
   std::vector<double> traffic_;                // (m, m)
-  Times times_;
+  std::optional<Times> times_;
   double paid_ = 0, balance_ = 0, shortage_ = 0, excess_ = 0, over_links_ = 0;
   int conflicts_ = 0;  // pairs that must be apart and are not
   int overfull_ = 0;   // links; `over_links_` is a sum of many steps, and not exact
