@@ -32,6 +32,9 @@ ROOT = Path(__file__).parents[1]
 TROT = ROOT / "examples/trot/robot.yaml"
 MADE_UP = 10
 NEAR_MEDIAN, NEAR_P99 = 0.25, 0.5
+STARTING = 2.0
+PAUSE = 3.0
+"""Between two starts no data is used for longer than this [s]."""
 ENOUGH = 0.8
 """This share of chains is to be near."""
 _MODULE = '''"""Made up."""
@@ -42,9 +45,9 @@ from poise import Component, Message, Provided, Published, Required, every, subs
 
 
 class Datum(Message, frozen=True):
-    """A number."""
+    """When it was made [s]."""
 
-    number: int
+    at: float
 
 
 class Ask:
@@ -60,13 +63,27 @@ def burn(seconds: float) -> None:
     end = time.thread_time() + seconds * random.lognormvariate(0.0, 0.3)
     while time.thread_time() < end:
         sum(range(100))
+
+
+class Last(Component):
+    """Notes how old data was when it was used."""
+
+    def activate(self) -> None:
+        """Begin to note."""
+        self._file = open(self.parameters["ages"], "a", buffering=1)
+
+    def use(self, datum: Datum) -> None:
+        """Use data."""
+        now = time.monotonic()
+        if datum.at:
+            print(now, now - datum.at, file=self._file)
 '''
 _HEAD = '''
 
-class C{i}(Component):
+class C{i}({base}):
     """Stage {i}."""
 
-    held = Datum(0)
+    held = Datum(0.0)
 '''
 _OUT = "    out: Published[Datum]\n"
 _SERVES = "    ask: Provided[Ask]\n"
@@ -127,10 +144,8 @@ def main() -> int:
     found: list[Age] = []
     for name in asked.only:
         with tempfile.TemporaryDirectory() as folder:
-            robot = poise.load(
-                TROT if name == "t-rot" else made_up(int(name), Path(folder))
-            )
-            ages = compare(name, robot, asked.seconds, asked.starts)
+            path = TROT if name == "t-rot" else made_up(int(name), Path(folder))
+            ages = compare(name, poise.load(path), asked.seconds, asked.starts)
         found += ages
         if not asked.json:
             print_table(ages)
@@ -167,27 +182,47 @@ def compare(name: str, robot: Robot, seconds: float, starts: int) -> list[Age]:
             )
     ages = []
     for chain in times.chains:
-        measured = [
-            each.age
-            for run in runs
-            for each in run.chains
-            if each.name == chain.name and each.age.count
-        ]
-        if not measured:
-            continue
-        uses = sum(age.count for age in measured)
-        ages.append(
-            Age(
-                name,
-                chain.name,
-                chain.median,
-                sum(age.count * age.median for age in measured) / uses,
-                chain.p99,
-                sum(age.count * age.p99 for age in measured) / uses,
-                uses,
+        if name == "t-rot":
+            measured = [
+                (each.age.count, each.age.median, each.age.p99)
+                for run in runs
+                for each in run.chains
+                if each.name == chain.name
+            ]
+        else:
+            last = next(c.through[-1] for c in robot.chains if c.name == chain.name)
+            measured = noted(Path(robot.folder) / f"{last}.ages")
+        uses = sum(count for count, *_ in measured)
+        if uses:
+            median = sum(count * each for count, each, _ in measured) / uses
+            p99 = sum(count * each for count, _, each in measured) / uses
+            ages.append(
+                Age(name, chain.name, chain.median, median, chain.p99, p99, uses)
             )
-        )
     return ages
+
+
+def noted(path: Path) -> list[tuple[int, float, float]]:
+    """Return the number of ages at each start, their median, and 99th percentile.
+
+    Those of the first seconds are left out: other components are still starting.
+    """
+    starts: list[list[tuple[float, float]]] = []
+    before = 0.0
+    for line in path.read_text().splitlines() if path.exists() else ():
+        at, age = map(float, line.split())
+        if at - before > PAUSE:
+            starts.append([])
+        starts[-1].append((at, age))
+        before = at
+    found = []
+    for start in starts:
+        ages = sorted(age for at, age in start if at - start[0][0] > STARTING)
+        if ages:
+            found.append(
+                (len(ages), ages[len(ages) // 2], ages[int(0.99 * (len(ages) - 1))])
+            )
+    return found
 
 
 def print_table(ages: list[Age]) -> None:
@@ -233,10 +268,11 @@ def made_up(seed: int, folder: Path) -> Path:
         names = ", ".join(f"c{i}" for i in stages)
         chains.append(f"  chain{k}: {{through: [{names}], deadline: 1 s}}")
     num_computers = chance.choice((2, 3))
-    cpu = chance.uniform(0.35, 0.6)
+    cpu = chance.uniform(0.4, 0.6)
     components = "\n".join(
         f'      c{i}: {{implementation: "made_up_{seed}:C{i}", '
-        f"isolated: {str(chance.random() < 0.5).lower()}}}"
+        f"isolated: {str(chance.random() < 0.5).lower()}, "
+        f"parameters: {{ages: {folder}/c{i}.ages}}}}"
         for i in range(num)
     )
     computers = "\n".join(
@@ -283,10 +319,12 @@ def stage(
     is_last: bool,
 ) -> str:
     """Return the code of a component."""
-    job = chance.uniform(0.02, 0.1) * period
-    hand_on = "pass" if is_last else "self.out.publish(self.held)"
+    job = chance.uniform(0.01, 0.06) * period
+    hand_on = "self.use(self.held)" if is_last else "self.out.publish(self.held)"
+    if kind == "source":
+        hand_on = "self.out.publish(Datum(time.monotonic()))"
     ticks = kind in {"source", "sampler"} or asks
-    text = _HEAD.format(i=i)
+    text = _HEAD.format(i=i, base="Last" if is_last else "Component")
     text += _OUT if not is_last and kind != "server" else ""
     text += _SERVES if kind == "server" else ""
     text += _ASKS if asks else ""

@@ -33,6 +33,7 @@ def test_there_are_seven_steps_each_with_a_command_or_a_file() -> None:
     )
 
 
+@pytest.mark.slow
 def test_step_1_shows_that_the_static_placement_does_not_fit() -> None:
     ((*words,),) = commands(1)
     done = called(words, ROOT)

@@ -15,14 +15,11 @@ from math import log, sqrt
 
 from msgspec import Struct, structs
 
-from poise.errors import PoiseError
 from poise.estimate.profile import ConnectorProfile, Profile
 from poise.estimate.profile.distribution import WINDOW
 from poise.manage.deploy.deployment_plan import DeploymentPlan
 from poise.model.robot import ComponentEntry, Connector, Robot
 from poise.model.software import ComponentCode
-from poise.runtime.code_check import code_of
-from poise.runtime.component.implementation import search_also
 from poise.runtime.component.ports import Timer
 from poise.simulation.components.models import (
     ComponentModel,
@@ -79,7 +76,6 @@ def workload_of(
         Component -> what it takes in each second, again and again [cores of the
         reference]; of the others the mean counts.
     """
-    search_also(robot.repository)
     profile = profile or Profile(
         robot=robot.name, poise="", computer="", speed=1.0, at="", seconds=0.0
     )
@@ -122,11 +118,7 @@ def _code_of(robot: Robot, entry: ComponentEntry) -> tuple[ComponentCode | None,
         return None, f"'{entry.name}' is a program: only its CPU counts"
     if (known := robot.code.get(entry.name)) is not None:
         return known, ""
-    try:
-        return code_of(entry, robot.folder), ""
-    except PoiseError as error:
-        text = str(error).partition("\n")[0]
-        return None, f"the code of '{entry.name}' is not known: {text}"
+    return None, f"the code of '{entry.name}' is not known"
 
 
 class _Rated(Struct):

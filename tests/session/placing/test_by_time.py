@@ -7,8 +7,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from msgspec.structs import replace
 
 from poise.model import load
+from poise.runtime.code_check import code_of
 from poise.session.placing.placement import Placement, place
 
 CODE = """
@@ -90,7 +92,9 @@ def placed(tmp_path: Path) -> Place:
             "chains": CHAIN,
         }
         path.write_text(FILE.format(module=module, **(usual | keys)))
-        return place(load(path), "go", method=method)
+        robot = load(path)
+        code = {c.name: code_of(c, robot.folder) for c in robot.components()}
+        return place(replace(robot, code=code), "go", method=method)
 
     return write
 

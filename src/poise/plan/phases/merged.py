@@ -20,8 +20,16 @@ Unit = tuple[int, int]
 
 def weighted(part: Arrays, weight: float) -> Arrays:
     """Return arrays whose F counts `weight` times."""
+    times = part.times and replace(
+        part.times,
+        limits=[
+            (limit, weight * price, *others)
+            for limit, price, *others in part.times.limits
+        ],
+    )
     return replace(
         part,
+        times=times,
         communication=weight * part.communication,
         spread=[weight * each for each in part.spread],
         price=[weight * each for each in part.price],

@@ -16,6 +16,7 @@ from msgspec.structs import replace
 from poise import plan
 from poise.model.robot import Robot
 from poise.plan import TimeLimit
+from poise.runtime.isolated_check import check_code_isolated
 from poise.session.placing.time_limits import chain_limits
 from poise.session.profiling.stored_profiles import read_profile
 from poise.simulation.predicted_times import PredictedTimes, predict_times
@@ -43,11 +44,15 @@ def decide_by_time(
 
     Parameters
     ----------
+    robot
+        If its code was not read yet, another process imports it.
     decide
         Decides a problem.
     """
     if not any(phase.problem.time_limits for phase in problem.phases):
         return DecidedByTime(decide(problem))
+    if not robot.code:
+        robot = replace(robot, code=check_code_isolated(robot).code)
     work = workload_of(robot, read_profile(robot))
     known = {each.name: each for each in chain_limits(robot, work)}
     problem = problem.changed(lambda each: _with_runs(each, known))
@@ -89,20 +94,25 @@ def _placed(result: plan.PhasedResult) -> Mapping[str, Mapping[str, str]]:
 
 def _total(decided: DecidedByTime) -> float:
     """Return F with the age of data that is predicted, not that which is summed."""
-    terms = [each.objective for each in decided.phased.results.values()]
-    summed = sum(each.time for each in terms if each is not None)
+    weights = decided.phased.problem.weights
+    summed = sum(
+        weights[name] * each.objective.time
+        for name, each in decided.phased.results.items()
+        if each.objective is not None
+    )
     return (decided.phased.total or 0.0) - summed + sum(_excesses(decided))
 
 
 def _excesses(decided: DecidedByTime) -> Iterator[float]:
     """Yield what F grows by for each chain whose data may be late."""
+    weights = decided.phased.problem.weights
     for name, times in decided.predicted.items():
         problem = decided.phased.results[name].problem
         prices = {each.name: each.price for each in problem.time_limits}
         for chain in times.chains:
             over = SURE * chain.p99 / chain.deadline - 1
             if over > 0:
-                yield prices.get(chain.name, 0.0) * over
+                yield weights[name] * prices.get(chain.name, 0.0) * over
 
 
 def _calibrated(
