@@ -1,6 +1,6 @@
 """How near the predicted age of data comes to what is measured on emulated computers.
 
-    python -m benchmarks.data_age [--seconds 12] [--starts 2] [--only 0 3] [--json]
+    python -m benchmarks.data_age [--seconds 8] [--starts 4] [--only 0 3] [--json]
 
 T-Rot, and ten small robots that are made up: chains of timers, messages and calls of
 three to five components, on two or three computers that are 40 to 80 % busy, placed at
@@ -32,9 +32,6 @@ ROOT = Path(__file__).parents[1]
 TROT = ROOT / "examples/trot/robot.yaml"
 MADE_UP = 10
 NEAR_MEDIAN, NEAR_P99 = 0.25, 0.5
-STARTING = 2.0
-PAUSE = 3.0
-"""Between two starts no data is used for longer than this [s]."""
 ENOUGH = 0.8
 """This share of chains is to be near."""
 _MODULE = '''"""Made up."""
@@ -45,9 +42,9 @@ from poise import Component, Message, Provided, Published, Required, every, subs
 
 
 class Datum(Message, frozen=True):
-    """When it was made [s]."""
+    """A number."""
 
-    at: float
+    number: int
 
 
 class Ask:
@@ -64,26 +61,13 @@ def burn(seconds: float) -> None:
     while time.thread_time() < end:
         sum(range(100))
 
-
-class Last(Component):
-    """Notes how old data was when it was used."""
-
-    def activate(self) -> None:
-        """Begin to note."""
-        self._file = open(self.parameters["ages"], "a", buffering=1)
-
-    def use(self, datum: Datum) -> None:
-        """Use data."""
-        now = time.monotonic()
-        if datum.at:
-            print(now, now - datum.at, file=self._file)
 '''
 _HEAD = '''
 
-class C{i}({base}):
+class C{i}(Component):
     """Stage {i}."""
 
-    held = Datum(0.0)
+    held = Datum(0)
 '''
 _OUT = "    out: Published[Datum]\n"
 _SERVES = "    ask: Provided[Ask]\n"
@@ -136,8 +120,8 @@ def main() -> int:
     parser = argparse.ArgumentParser(
         "python -m benchmarks.data_age", description=__doc__
     )
-    parser.add_argument("--seconds", type=float, default=12.0)
-    parser.add_argument("--starts", type=int, default=2)
+    parser.add_argument("--seconds", type=float, default=8.0)
+    parser.add_argument("--starts", type=int, default=4)
     parser.add_argument("--only", nargs="*", default=names, choices=names)
     parser.add_argument("--json", action="store_true")
     asked = parser.parse_args()
@@ -182,47 +166,20 @@ def compare(name: str, robot: Robot, seconds: float, starts: int) -> list[Age]:
             )
     ages = []
     for chain in times.chains:
-        if name == "t-rot":
-            measured = [
-                (each.age.count, each.age.median, each.age.p99)
-                for run in runs
-                for each in run.chains
-                if each.name == chain.name
-            ]
-        else:
-            last = next(c.through[-1] for c in robot.chains if c.name == chain.name)
-            measured = noted(Path(robot.folder) / f"{last}.ages")
-        uses = sum(count for count, *_ in measured)
+        measured = [
+            each.age
+            for run in runs
+            for each in run.chains
+            if each.name == chain.name and each.age.count
+        ]
+        uses = sum(age.count for age in measured)
         if uses:
-            median = sum(count * each for count, each, _ in measured) / uses
-            p99 = sum(count * each for count, _, each in measured) / uses
+            median = sum(age.count * age.median for age in measured) / uses
+            p99 = sum(age.count * age.p99 for age in measured) / uses
             ages.append(
                 Age(name, chain.name, chain.median, median, chain.p99, p99, uses)
             )
     return ages
-
-
-def noted(path: Path) -> list[tuple[int, float, float]]:
-    """Return the number of ages at each start, their median, and 99th percentile.
-
-    Those of the first seconds are left out: other components are still starting.
-    """
-    starts: list[list[tuple[float, float]]] = []
-    before = 0.0
-    for line in path.read_text().splitlines() if path.exists() else ():
-        at, age = map(float, line.split())
-        if at - before > PAUSE:
-            starts.append([])
-        starts[-1].append((at, age))
-        before = at
-    found = []
-    for start in starts:
-        ages = sorted(age for at, age in start if at - start[0][0] > STARTING)
-        if ages:
-            found.append(
-                (len(ages), ages[len(ages) // 2], ages[int(0.99 * (len(ages) - 1))])
-            )
-    return found
 
 
 def print_table(ages: list[Age]) -> None:
@@ -271,8 +228,7 @@ def made_up(seed: int, folder: Path) -> Path:
     cpu = chance.uniform(0.4, 0.6)
     components = "\n".join(
         f'      c{i}: {{implementation: "made_up_{seed}:C{i}", '
-        f"isolated: {str(chance.random() < 0.5).lower()}, "
-        f"parameters: {{ages: {folder}/c{i}.ages}}}}"
+        f"isolated: {str(chance.random() < 0.5).lower()}}}"
         for i in range(num)
     )
     computers = "\n".join(
@@ -320,11 +276,9 @@ def stage(
 ) -> str:
     """Return the code of a component."""
     job = chance.uniform(0.01, 0.06) * period
-    hand_on = "self.use(self.held)" if is_last else "self.out.publish(self.held)"
-    if kind == "source":
-        hand_on = "self.out.publish(Datum(time.monotonic()))"
+    hand_on = "pass" if is_last else "self.out.publish(self.held)"
     ticks = kind in {"source", "sampler"} or asks
-    text = _HEAD.format(i=i, base="Last" if is_last else "Component")
+    text = _HEAD.format(i=i)
     text += _OUT if not is_last and kind != "server" else ""
     text += _SERVES if kind == "server" else ""
     text += _ASKS if asks else ""

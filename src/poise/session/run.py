@@ -15,6 +15,7 @@ from poise.manage.deploy.deactivation import drain
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.journal import Journal, JournalEntry, check_journal
 from poise.manage.manager import Manager
+from poise.manage.observe.chains import chain_reports
 from poise.manage.observe.estimates import Estimates
 from poise.manage.observe.recording import Recording
 from poise.model.robot import Robot
@@ -190,9 +191,11 @@ def _measure(
             raise
         interrupted = True
     run.check = check
+    end = run.agents.statuses()
     return MeasuredRun(
         begin=begin,
-        end=run.agents.statuses(),
+        end=end,
+        chains=chain_reports(run.robot, last_seen.merged(end)),
         began=at,
         history=tuple(history.moments),
         last_seen=last_seen,

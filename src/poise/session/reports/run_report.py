@@ -19,7 +19,7 @@ from poise.manage.agent_connections.statuses import (
 )
 from poise.manage.deploy.deactivation import unprocessed
 from poise.manage.journal import JournalEntry
-from poise.manage.observe.chains import ChainReport, chain_reports
+from poise.manage.observe.chains import ChainReport
 from poise.manage.observe.faults import faults_after
 from poise.manage.tasks.report import TaskReport
 from poise.session.launch.start import Started
@@ -221,7 +221,9 @@ def _flat(record: Struct, *without: str) -> dict[str, Any]:
 class MeasuredRun(Struct, frozen=True, kw_only=True):
     """What was seen between the moments when all had begun and when all was to end.
 
-    `seconds` is the time between, and `began` the first of them [s since 1970].
+    `seconds` is the time between, and `began` the first of them [s since 1970]. `chains`
+    is how old data was by then: while components end one after the other, those that
+    still run use what they had last.
     """
 
     begin: Statuses
@@ -230,6 +232,7 @@ class MeasuredRun(Struct, frozen=True, kw_only=True):
     seconds: float
     history: tuple[Moment, ...]
     last_seen: LastSeen
+    chains: tuple[ChainReport, ...]
     invalid: str
     interrupted: bool
 
@@ -263,7 +266,7 @@ def reported(
         began=seen.began,
         history=seen.history,
         journal=journal,
-        chains=chain_reports(robot, final),
+        chains=seen.chains,
         put_aside=placed.result.aside,
         errors=component_errors(seen.last_seen.stays()),
         hung=hung_handlers(final),
