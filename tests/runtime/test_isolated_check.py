@@ -154,10 +154,13 @@ def test_what_classes_declare_is_known_without_importing_them_here(
     (tmp_path / "declares.py").write_text(
         "import poise\n"
         "class Ticks(poise.Component):\n"
+        "    out: poise.Published[int]\n"
         "    @poise.every(0.2, deadline=0.1)\n"
         "    def tick(self) -> None: ...\n"
         "    @poise.subscribed(keep=3)\n"
-        "    def seen(self, number: int) -> None: ...\n"
+        "    def seen(self, number: int) -> None: self._hand_on(number)\n"
+        "    def _hand_on(self, number: int) -> None:\n"
+        "        list(map(lambda each: self.out.publish(each), [number]))\n"
     )
     component = ComponentEntry(name="a", implementation="declares:Ticks")
     robot = Robot(
@@ -168,4 +171,5 @@ def test_what_classes_declare_is_known_without_importing_them_here(
     code = check_code_isolated(robot).code["a"]
     assert code.timers == (CodeTimer("tick", 0.2, 0.1),)
     assert code.keep == {"seen": 3}
+    assert code.sends == {"tick": (), "seen": ("out",)}
     assert "declares" not in sys.modules

@@ -132,10 +132,14 @@ class ComponentCode(Struct, frozen=True, kw_only=True):
     ----------
     keep
         Subscribed port -> how many messages wait at most.
+    sends
+        Timer, subscribed or provided port -> the ports that its code may publish or
+        call on.
     """
 
     timers: tuple[CodeTimer, ...] = ()
     keep: Mapping[str, int] = {}
+    sends: Mapping[str, tuple[str, ...]] = {}
 
 
 class ConnectorEnd(Struct, frozen=True):

@@ -5,9 +5,10 @@ The code is imported, so this is a second step after `poise.model.load`.
 
 from __future__ import annotations
 
+import inspect
 import operator
 import traceback
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from collections.abc import Set as AbstractSet
 from typing import Any
 
@@ -110,17 +111,45 @@ def code_of(entry: ComponentEntry, folder: str) -> ComponentCode:
         Its code cannot be imported, or is none of a component.
     """
     code = find(entry.implementation, folder)
+    ports, timers = ports_of(code), timers_of(code)
+    handlers = {name: [name] for name in timers} | {
+        name: methods_of(port.type) if port.kind == "provides" else [name]
+        for name, port in ports.items()
+        if port.kind in {"subscribes", "provides"}
+    }
+    out = {n for n, port in ports.items() if port.kind in {"publishes", "requires"}}
     return ComponentCode(
         timers=tuple(
-            CodeTimer(each.name, each.period, each.deadline)
-            for each in timers_of(code).values()
+            CodeTimer(each.name, each.period, each.deadline) for each in timers.values()
         ),
         keep={
             name: port.queue.size
-            for name, port in ports_of(code).items()
+            for name, port in ports.items()
             if port.queue and port.queue.policy == "keep"
         },
+        sends={
+            name: tuple(sorted(out & _names_in(code, methods)))
+            for name, methods in handlers.items()
+        },
     )
+
+
+def _names_in(code: type[Component], methods: Iterable[str]) -> set[str]:
+    """Return the names that methods use, and those of the class that they call."""
+    found, left = set[str](), [*methods]
+    while left:
+        method = inspect.unwrap(getattr(code, left.pop(), None) or _nothing)
+        codes = [method.__code__] if inspect.isfunction(method) else []
+        for each in codes:  # with what it defines: it grows meanwhile
+            codes += filter(inspect.iscode, each.co_consts)
+            new = set(each.co_names) - found
+            found |= new
+            left += [name for name in new if callable(getattr(code, name, None))]
+    return found
+
+
+def _nothing() -> None:
+    """Use no name."""
 
 
 def _check_functions(robot: Robot) -> Iterator[Finding]:

@@ -4,8 +4,9 @@ A profile says how much CPU a component takes, how often its timers are due and 
 long they run, and what goes over each connector; not which handler sends what. Here
 
 - timers take what they were measured to take, and messages and calls share the rest;
-- a connector is fed by the handler whose rate is the nearest above its own, a fraction
-  of whose runs send something: n out at n/s from a timer of n Hz go out at each run.
+- a connector is fed by a handler whose code names its port: of several by that whose
+  rate is the nearest above its own, a fraction of whose runs send something: n out at
+  n/s from a timer of n Hz go out at each run.
 """
 
 from __future__ import annotations
@@ -122,8 +123,12 @@ def _code_of(robot: Robot, entry: ComponentEntry) -> tuple[ComponentCode | None,
 
 
 class _Rated(Struct):
-    """A handler while it is put together: how often it runs, and what it sends."""
+    """A handler while it is put together: how often it runs, and what it sends.
 
+    `of` is its timer, or the port at which it takes or serves.
+    """
+
+    of: str
     rate: float
     work: float
     spread: float
@@ -167,8 +172,8 @@ class _ComponentWork:
         start = known.start if known else _USUAL_START
         timers = {timer.name: self._timer(timer) for timer in self._timers()}
         coming = list(self._coming())
-        taken = {slot: self._run(t.messages) for slot, t in coming if t.messages}
-        served = {slot: self._run(t.calls) for slot, t in coming if t.calls}
+        taken = {s: self._run(port, t.messages) for s, port, t in coming if t.messages}
+        served = {s: self._run(port, t.calls) for s, port, t in coming if t.calls}
         self._share_work(list(timers.values()), [*taken.values(), *served.values()])
         self._feed([*timers.values(), *taken.values(), *served.values()])
         return ComponentModel(
@@ -203,10 +208,10 @@ class _ComponentWork:
             # what it waited for is in that, too
             spread = min(spread, log(measured.p99 / measured.median) / _P99)
         work = measured.median * self._speed if measured else 0.0
-        return _Rated(1 / timer.period, work, spread, {}, {})
+        return _Rated(timer.name, 1 / timer.period, work, spread, {}, {})
 
-    def _run(self, rate: float) -> _Rated:
-        return _Rated(rate, 0.0, self._spread(rate), {}, {})
+    def _run(self, port: str, rate: float) -> _Rated:
+        return _Rated(port, rate, 0.0, self._spread(rate), {}, {})
 
     def _spread(self, rate: float) -> float:
         """Return how much runs differ, by how much windows with several of them do."""
@@ -216,10 +221,13 @@ class _ComponentWork:
         of_windows = max(0.0, cpu.p95 / cpu.mean - 1.0) / _P95
         return min(_MOST_SPREAD, of_windows * sqrt(max(1.0, rate * WINDOW)))
 
-    def _coming(self) -> Iterator[tuple[str, ConnectorProfile]]:
+    def _coming(self) -> Iterator[tuple[str, str, ConnectorProfile]]:
+        """Yield slot, port and traffic of each connector that ends here."""
         for connector in self._robot.all_connectors():
-            if connector.between[1].component == self._entry.name:
-                yield self._plan.slot_of(connector), self._over[str(connector)]
+            end = connector.between[1]
+            if end.component == self._entry.name:
+                over = self._over[str(connector)]
+                yield self._plan.slot_of(connector), end.port, over
 
     def _keeps(self) -> dict[str, int]:
         """Return slot -> how many messages wait at most, where the class says so."""
@@ -260,14 +268,17 @@ class _ComponentWork:
 
     def _feed(self, handlers: list[_Rated]) -> None:
         """Let a handler send what goes out over each connector."""
-        wanted: dict[str, ConnectorProfile] = {}
+        wanted: dict[str, tuple[str, ConnectorProfile]] = {}
         for connector in self._robot.all_connectors():
-            if connector.between[0].component == self._entry.name:
+            end = connector.between[0]
+            if end.component == self._entry.name:
                 slot, over = self._plan.slot_of(connector), self._over[str(connector)]
-                if slot not in wanted or over.rate > wanted[slot].rate:
-                    wanted[slot] = over
-        for slot, over in wanted.items():
-            by = _feeding(handlers, over.rate)
+                if slot not in wanted or over.rate > wanted[slot][1].rate:
+                    wanted[slot] = end.port, over
+        sends = self._code.sends if self._code else {}
+        for slot, (port, over) in wanted.items():
+            may = [each for each in handlers if port in sends.get(each.of, ())]
+            by = _feeding(may or handlers, over.rate)
             if by is None or not by.rate:
                 if over.rate:
                     self._guess(f"nothing sends over '{slot}': no handler runs")

@@ -221,9 +221,9 @@ def _flat(record: Struct, *without: str) -> dict[str, Any]:
 class MeasuredRun(Struct, frozen=True, kw_only=True):
     """What was seen between the moments when all had begun and when all was to end.
 
-    `seconds` is the time between, and `began` the first of them [s since 1970]. `chains`
-    is how old data was by then: while components end one after the other, those that
-    still run use what they had last.
+    `seconds` is the time between, and `began` the first of them [s since 1970].
+    `chains` is how old data was by then: while components end one after the other,
+    those that still run use what they had last.
     """
 
     begin: Statuses
