@@ -2,12 +2,13 @@
 
 CP-SAT counts in whole numbers, and errs when they are large: none here is above 10^7.
 So its model is a *relaxation*: demands, and what adds to F, are rounded down, and the
-square of the variance is replaced by tangents below it. Every placement that keeps the
-limits is one of the model, whose F is no lower there: what CP-SAT proves of the model,
-a bound or that there is no placement, holds. What it finds is looked at in real
-numbers. If it breaks a limit that rounding hid, or its F is more than the model says,
-the model gets a cut or a tangent there, and is solved again. A placement is proven when
-its F is above the bound by no more than what rounding alone may hide.
+square of the variance is replaced by tangents below it (for time limits see
+`benchmarks.cpsat_times`). Every placement that keeps the limits is one of the model,
+whose F is no lower there: what CP-SAT proves of the model, a bound or that there is no
+placement, holds. What it finds is looked at in real numbers. If it breaks a limit that
+rounding hid, or its F is more than the model says, the model gets a cut or a tangent
+there, and is solved again. A placement is proven when its F is above the bound by no
+more than what rounding alone may hide.
 
 It imports internal modules: what it proves is compared with what the core finds.
 """
@@ -23,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 from ortools.sat.python import cp_model
 
+from benchmarks.cpsat_times import TimeModel, largest
 from poise.model.hardware import SLACK, fits
 from poise.plan import _core
 from poise.plan.problem.arrays import Arrays, Placed, arrays_of
@@ -137,14 +139,16 @@ class _Relaxation:
         self._limits()
         self._squares: list[tuple[IntVar, _Affine]] = []
         self._tangents: set[tuple[int, int]] = set()
+        self._times = TimeModel(arrays, self.program, self.on, self._both, self.scale)
         terms = [
             *self._connectors(),
             *self._costs(),
             *self._spreads(),
             *self._shortages(),
+            *self._times.terms,
         ]
         self.program.minimize(sum(terms))
-        self.error = (self._roundings + 1) / self.scale
+        self.error = (self._roundings + self._times.roundings + 1) / self.scale
 
     def hint(self, known: Sequence[int]) -> None:
         """Let the search begin at a placement."""
@@ -160,7 +164,8 @@ class _Relaxation:
             held = [self.on[u][placed[u]] for u in units]
             self.program.add(sum(held) <= len(held) - 1)
         tangents = [self._tangent(i, placed) for i in range(len(self._squares))]
-        return bool(cuts) or any(tangents)
+        is_late = self._times.refine(placed)
+        return bool(cuts) or any(tangents) or is_late
 
     def _largest(self) -> float:
         """Return about how large F may be."""
@@ -177,7 +182,8 @@ class _Relaxation:
         costs = t.n * max((abs(c) for c in t.cost), default=0.0)
         overhead = sum(o for _, _, o, _ in t.connectors)
         short = sum(price * sum(t.demand[k :: t.r]) for k, price in enumerate(t.price))
-        return t.communication * overhead * far + sum(spreads) + costs + short or 1.0
+        others = costs + short + largest(t)
+        return t.communication * overhead * far + sum(spreads) + others or 1.0
 
     def _whole(self, value: float) -> int:
         """Return a part of F in whole numbers, rounded down."""

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 
 from poise.model.robot import Computer, Link, Objective
-from poise.plan import Edge, Item, Problem
+from poise.plan import Edge, Hop, Item, Problem, Run, TimeLimit
 from poise.plan.problem.arrays import arrays_of
 from poise.plan.violations import violations
 from tests.plan.reference import objective
@@ -67,6 +67,36 @@ def problems(
         ),
         together=draw(_groups(components)),
         apart=draw(_groups(components)),
+        time_limits=draw(_time_limits(components)),
+    )
+
+
+@st.composite
+def _time_limits(draw: st.DrawFn, names: list[str]) -> tuple[TimeLimit, ...]:
+    """Return none as often as some; their links have latencies of some ms."""
+    if not names or draw(st.booleans()):
+        return ()
+    name = st.sampled_from(names)
+    seconds = st.sampled_from([0.0, 0.01, 0.02, 0.05])
+    run = st.builds(Run, component=name, seconds=seconds)
+    hop = st.builds(
+        Hop,
+        between=st.tuples(name, name),
+        seconds=seconds,
+        crossings=st.sampled_from([0.0, 1.0, 2.0]),
+        size=st.sampled_from([0.0, 0.02]),
+    )
+    return tuple(
+        TimeLimit(
+            name=f"t{i}",
+            limit=draw(st.sampled_from([0.03, 0.1, 0.3])),
+            fixed=draw(st.sampled_from([0.0, 0.01])),
+            runs=tuple(draw(st.lists(run, max_size=4))),
+            hops=tuple(draw(st.lists(hop, max_size=4))),
+            shared=draw(st.booleans()),
+            price=draw(st.sampled_from([0.0, 0.1, 1.0])),
+        )
+        for i in range(draw(st.integers(1, 3)))
     )
 
 
@@ -86,8 +116,10 @@ def _groups(names: list[str]) -> st.SearchStrategy[tuple[tuple[str, ...], ...]]:
 @st.composite
 def _links(draw: st.DrawFn, names: list[str]) -> list[Link]:
     distances = st.sampled_from([0.5, 1.0, 2.0]) if draw(st.booleans()) else st.just(1)
+    latencies = st.sampled_from([0.0, 0.002, 0.02])
     links = [
-        Link(between=pair, distance=draw(distances)) for pair in combinations(names, 2)
+        Link(between=pair, distance=draw(distances), latency=draw(latencies))
+        for pair in combinations(names, 2)
     ]
     if links and not draw(st.integers(0, 3)):
         bandwidth = draw(st.sampled_from([0.0, 1.0, 3.0]))

@@ -78,7 +78,8 @@ def can_hold(problem: Problem) -> bool:
 def relieved(problem: Problem, conflict: plan.Conflict, part: float = 1.0) -> Problem:
     """Return the problem after what the relaxation says, or a part of each rise."""
     for more in conflict.more:
-        names = more.on if more.resource == "bandwidth" else (*more.on, more.resource)
+        is_whole = more.resource in {"bandwidth", "time"}
+        names = more.on if is_whole else (*more.on, more.resource)
         (limit,) = (k for k in limits_of(problem) if k.most and k.names == names)
         problem = relaxed(problem, {limit: part * more.amount})
     for limit in limits_of(problem):

@@ -34,6 +34,7 @@ GOOD: dict[str, Any] = {
     "variance": False,
     "times": None,
 }
+FIELDS = sorted(GOOD.keys() - {"times"})
 TIMES: dict[str, Any] = {
     "limits": [(1.0, 0.0, 0.1, 0, [(0, 0.1), (1, 0.2)], [(0, 1, 0.1, 1.0, 8.0)])],
     "speed": [1.0, 2.0],
@@ -75,7 +76,7 @@ ANYTHING = st.one_of(
 
 
 @pytest.mark.slow
-@given(st.dictionaries(st.sampled_from(sorted(GOOD)), ANYTHING, max_size=3), ANYTHING)
+@given(st.dictionaries(st.sampled_from(FIELDS), ANYTHING, max_size=3), ANYTHING)
 def test_nothing_crashes_the_interpreter(wrong: dict[str, Any], known: object) -> None:
     try:
         core = core_of(**wrong)

@@ -2,6 +2,8 @@
 
 import json
 import re
+from functools import reduce
+from operator import or_
 from pathlib import Path
 
 import pytest
@@ -14,11 +16,14 @@ REFERENCE = (DOCS / "problem-file.md").read_text()
 
 
 def test_the_example_is_a_problem_with_a_placement(tmp_path: Path) -> None:
-    example, soft = re.findall(r"```json\n(.*?)```", REFERENCE, re.DOTALL)
-    example = json.dumps(json.loads(example) | json.loads("{" + soft + "}"))
+    example, *more = re.findall(r"```json\n(.*?)```", REFERENCE, re.DOTALL)
+    keys = [json.loads("{" + each + "}") for each in more]
+    example = json.dumps(reduce(or_, keys, json.loads(example)))
     path = tmp_path / "problem.json"
     path.write_text(example)
-    assert plan.solve(plan.load(path)).feasible
+    found = plan.solve(plan.load(path))
+    assert found.feasible
+    assert [time.name for time in found.times] == ["see"]
 
 
 def test_the_schema_is_that_of_the_code() -> None:

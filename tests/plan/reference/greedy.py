@@ -1,17 +1,17 @@
 """The paper's greedy (section IV-D): the specification that the C++ core mirrors.
 
 Components that may run on one computer only come first; the others by size, largest
-first. Each goes where F over all placed so far is smallest and every limit still
-holds. Ties (within rounding) go to the lower index. Where the paper's text differs from
-its own formula (its worked example puts C3 on the first computer), Poise follows the
-formula.
+first. Each goes where F over all placed so far is smallest and every limit still holds;
+a limit of time where it can still hold. Ties (within rounding) go to the lower index.
+Where the paper's text differs from its own formula (its worked example puts C3 on the
+first computer), Poise follows the formula.
 """
 
 from math import inf
 
 from poise.plan.problem.arrays import Arrays, Placed
 from poise.plan.violations import obstacle
-from tests.plan.reference import objective
+from tests.plan.reference import objective, time
 
 ROUNDING = 1e-12
 """By how much two values of F may differ, relative to F (at least to 1), and be one."""
@@ -48,8 +48,8 @@ def greedy(arrays: Arrays) -> Placed:
 
 def _total(arrays: Arrays, placed: Placed, unit: int, computer: int) -> float:
     """Return F over all placed so far, and `unit` on a computer; where it may be."""
-    if obstacle(arrays, placed, unit, computer):
-        return inf
     trial = [*placed]
     trial[unit] = computer
+    if obstacle(arrays, placed, unit, computer) or time.is_late(arrays, trial):
+        return inf
     return objective.terms(arrays, trial).total

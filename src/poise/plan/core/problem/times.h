@@ -49,6 +49,7 @@ class Times {
   void take_back();
 
  private:
+  bool exact() const;
   void find_touched(const Shift& shift);
   void move(const Shift& shift);
   void place(std::int32_t unit, int computer);
