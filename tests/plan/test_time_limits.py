@@ -239,8 +239,8 @@ def test_phases_are_in_time_together() -> None:
     priced = robot(replace(SEE, shared=True, limit=0.1))
     phases = plan.PhasedProblem(
         phases=(
-            plan.PhaseProblem(name="one", problem=priced, after=("two",)),
-            plan.PhaseProblem(name="two", problem=priced, after=("one",)),
+            plan.PhaseProblem(name="one", problem=priced, after={"two": 1.0}),
+            plan.PhaseProblem(name="two", problem=priced, after={"one": 1.0}),
         ),
         move={"finder": 0.1},
     )
