@@ -7,6 +7,7 @@ from msgspec import structs
 
 from poise.estimate.profile import Costs, KindCosts, Profile
 from poise.model.robot import Robot
+from poise.model.software import CodeTimer, ComponentCode
 from poise.simulation.workload import SimulatedWork, workload_of
 from tests.simulation.conftest import small_scenario
 from tests.simulation.test_rehearsal import profile_of
@@ -79,3 +80,19 @@ def test_sending_over_a_wire_costs_more_than_together(robot: Robot) -> None:
     assert traffic.cost(name, "remote", "local", "source") == pytest.approx(3e-4)
     assert traffic.cost(name, "local", "local", "source") == 0.0
     assert traffic.apart(name, "local") == pytest.approx(3e-4)
+
+
+def test_a_connector_is_fed_by_the_handler_whose_code_names_its_port(
+    robot: Robot,
+) -> None:
+    """The filter's timer and its subscription have one rate."""
+    out = "filter.out-mind.seen"
+    for sends, is_by_timer in (("tick", True), ("raw", False)):
+        code = ComponentCode(
+            timers=(CodeTimer("tick", 0.1, None),), sends={sends: ("out",)}
+        )
+        known = structs.replace(robot, code={"filter": code})
+        model = workload_of(known, profile_of(robot)).models["filter"]
+        (timer,), (message,) = model.timers, model.takes.values()
+        assert (out in (timer.handler.publishes or {})) == is_by_timer
+        assert (out in (message.publishes or {})) != is_by_timer
