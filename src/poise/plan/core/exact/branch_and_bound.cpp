@@ -130,8 +130,8 @@ class AnyTree final : public Tree {
     left_ = p_.capacity;
     units_on_.assign(m_, 0);
     traffic_.assign(p_.bandwidth.size(), 0.0);
-    if (times_) times_->reset(Placement(n_, -1));
-    if (!times_ || times_->sum().broken == 0) open(0);
+    if (times_) time_ = times_->reset(Placement(n_, -1));
+    if (time_.broken == 0) open(0);
   }
 
   void open(int depth) {
@@ -150,7 +150,7 @@ class AnyTree final : public Tree {
     }
   }
 
-  double paid() const { return paid_ + (times_ ? times_->sum().paid : 0.0); }
+  double paid() const { return paid_ + time_.paid; }
 
   // The computers worth trying, most promising first.
   int branches(int depth, Branch* out) {
@@ -235,12 +235,12 @@ class AnyTree final : public Tree {
       least_[d] = least;
     }
     const bool holds = p_.bandwidth.empty() || send(depth, computer, 1.0);
-    if (times_) times_->put(order_[depth], computer);
+    if (times_) time_ = times_->put(order_[depth], computer);
     return holds && paid() + least_sum_ < threshold_;
   }
 
   void leave(int depth, int computer) {
-    if (times_) times_->take_back();
+    if (times_) time_ = times_->take_back();
     if (!p_.bandwidth.empty()) send(depth, computer, -1.0);
     const double* saved = saved_.data() + later_start_[depth] * (m_ + 1);
     for (auto e = later_start_[depth]; e < later_start_[depth + 1]; ++e) {
@@ -291,7 +291,8 @@ class AnyTree final : public Tree {
   std::vector<double> left_;     // (r, m)
   std::vector<double> traffic_;  // (m, m), of a larger and a smaller index
   std::vector<int> units_on_;    // (m)
-  std::optional<Times> times_;
+  std::optional<Times> times_;   // where there are time limits
+  TimeSum time_;                 // what these come to
   std::vector<Branch> branch_;   // (n, m)
   double paid_ = 0, least_sum_ = 0;
 };

@@ -60,7 +60,7 @@ Times::Times(const Problem& problem)
     : p_(problem), limits_(*problem.time_limits), seconds_(limits_.limits.size()),
       on_(p_.m), seen_(limits_.limits.size(), 0) {}
 
-void Times::reset(const Placement& placed) {
+const TimeSum& Times::reset(const Placement& placed) {
   placed_ = placed;
   left_ = residues(p_, placed);
   for (auto& units : on_) units.clear();
@@ -74,6 +74,7 @@ void Times::reset(const Placement& placed) {
   undo_.clear();
   old_seconds_.clear();
   old_left_.clear();
+  return sum_;
 }
 
 // Whether all is as from nothing: looked at in builds with assertions.
@@ -149,7 +150,7 @@ TimeSum Times::weigh(const Shift& shift) {
   return change;
 }
 
-void Times::apply(const Shift& shift) {
+const TimeSum& Times::apply(const Shift& shift) {
   find_touched(shift);
   for (const auto* units : {&shift.out, &shift.back}) {
     for (const std::int32_t unit : *units) {
@@ -165,13 +166,14 @@ void Times::apply(const Shift& shift) {
   sum_ = {};
   for (int i = 0; i < limits_.size(); ++i) sum_.add(sum_of(limits_, i, seconds_[i]), 1);
   assert(exact());
+  return sum_;
 }
 
 TimeSum Times::weigh(std::int32_t unit, int computer) {
   return weigh({{&unit, &unit + 1}, {nullptr, nullptr}, -1, computer});
 }
 
-void Times::put(std::int32_t unit, int computer) {
+const TimeSum& Times::put(std::int32_t unit, int computer) {
   find_touched({{&unit, &unit + 1}, {nullptr, nullptr}, -1, computer});
   undo_.push_back({unit, computer, sum_, old_seconds_.size()});
   for (const std::int32_t i : touched_) old_seconds_.push_back({i, seconds_[i]});
@@ -184,9 +186,10 @@ void Times::put(std::int32_t unit, int computer) {
     sum_.add(sum_of(limits_, i, seconds_[i]), 1);
   }
   assert(exact());
+  return sum_;
 }
 
-void Times::take_back() {
+const TimeSum& Times::take_back() {
   const Undo last = undo_.back();
   undo_.pop_back();
   placed_[last.unit] = -1;
@@ -201,6 +204,7 @@ void Times::take_back() {
     old_seconds_.pop_back();
   }
   sum_ = last.sum;
+  return sum_;
 }
 
 }  // namespace poise

@@ -37,16 +37,16 @@ class Times {
   explicit Times(const Problem& problem);
 
   // Take a placement of all units, or of some.
-  void reset(const Placement& placed);
+  const TimeSum& reset(const Placement& placed);
   const TimeSum& sum() const { return sum_; }
 
   TimeSum weigh(const Shift& shift);
-  void apply(const Shift& shift);
+  const TimeSum& apply(const Shift& shift);
 
   // The same for a unit that has no computer; `take_back` undoes the last `put`, exactly.
   TimeSum weigh(std::int32_t unit, int computer);
-  void put(std::int32_t unit, int computer);
-  void take_back();
+  const TimeSum& put(std::int32_t unit, int computer);
+  const TimeSum& take_back();
 
  private:
   bool exact() const;

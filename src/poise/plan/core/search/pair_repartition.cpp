@@ -34,9 +34,9 @@ bool PairRepartition::run(State& state, int a, int b, int most_nodes, Stop& stop
     holds = fits(placed, now_[placed]);
     place(placed, now_[placed]);
   }
-  if (holds && in_time()) {
+  if (holds && in_time(0)) {
     const double total =
-        base_[count_] - followed_ / 2 + imbalance(count_ - 1, -1) + time_paid();
+        base_[count_] - followed_ / 2 + imbalance(count_ - 1, -1) + time_.paid;
     best_total_ = total - 1e-10 * (1 + std::fabs(total));
   }
   while (placed > 0) {
@@ -83,16 +83,15 @@ bool PairRepartition::collect(const State& state, int a, int b) {
 
 // Set up the times without the units, where any of them has a part in one.
 void PairRepartition::take_off(const State& state) {
-  timed_ = false;
   if (!times_) return;
+  timed_ = false;
   Placement others = state.placed();
   for (const std::int32_t unit : units_) {
     timed_ |= p_.time_limits->of_unit.of(unit).size() > 0;
     others[unit] = -1;
   }
-  if (!timed_) return;
-  times_->reset(others);
-  late_ = times_->sum().broken;
+  time_ = timed_ ? times_->reset(others) : TimeSum{};
+  late_ = time_.broken;
 }
 
 // Order the units as branch and bound does: those with one choice first, then by ties and size.
@@ -192,7 +191,7 @@ void PairRepartition::weigh_pulls() {
 void PairRepartition::open(int depth) {
   if (depth == count_) {
     const double total =
-        base_[depth] - followed_ / 2 + imbalance(depth - 1, -1) + time_paid();
+        base_[depth] - followed_ / 2 + imbalance(depth - 1, -1) + time_.paid;
     if (total >= best_total_) return;
     best_total_ = total;
     best_ = side_;
@@ -202,6 +201,7 @@ void PairRepartition::open(int depth) {
   if (++nodes_ > most_nodes_) return;
   double bounds[2];
   for (const int side : {0, 1}) bounds[side] = bound(depth, side);
+  if (timed_) add_times(depth, bounds);
   const int better = bounds[1] < bounds[0] ? 1 : 0;
   for (const int side : {better, 1 - better}) {
     if (bounds[side] >= best_total_ || nodes_ > most_nodes_) return;
@@ -212,26 +212,29 @@ void PairRepartition::open(int depth) {
 void PairRepartition::enter(int depth, int side) {
   const double followed = followed_, pulling = pulling_;
   place(depth, side);
-  const double least = base_[depth + 1] - (followed_ + pulling_) / 2 + time_paid();
-  if (least < best_total_ && in_time()) open(depth + 1);
+  const double least = base_[depth + 1] - (followed_ + pulling_) / 2;
+  if (least < best_total_ && (!timed_ || in_time(least))) open(depth + 1);
   unplace(depth, side);
   followed_ = followed;
   pulling_ = pulling;
 }
 
-double PairRepartition::bound(int depth, int side) {
+double PairRepartition::bound(int depth, int side) const {
   if (!fits(depth, side)) return kInfinity;
-  double times = 0;
-  if (timed_) {
-    TimeSum sum = times_->weigh(units_[depth], sides_[side]);
-    sum.add(times_->sum(), 1);
-    if (sum.broken > late_) return kInfinity;
-    times = sum.paid;
-  }
   const double pull = pull_[depth];
   const double follows = side == 0 ? pull : -pull;
   return base_[depth] - (followed_ + follows + pulling_ - std::fabs(pull)) / 2 +
-         imbalance(depth, side) + times;
+         imbalance(depth, side);
+}
+
+// Add to the bounds of both sides what is beyond time limits then.
+void PairRepartition::add_times(int depth, double* bounds) {
+  for (const int side : {0, 1}) {
+    if (bounds[side] >= best_total_) continue;
+    TimeSum sum = times_->weigh(units_[depth], sides_[side]);
+    sum.add(time_, 1);
+    bounds[side] = sum.broken > late_ ? kInfinity : bounds[side] + sum.paid;
+  }
 }
 
 bool PairRepartition::fits(int depth, int side) const {
@@ -313,7 +316,7 @@ double PairRepartition::spread_of_one(const Resource& res, double share, double 
 void PairRepartition::place(int depth, int side) {
   const double x = side == 0 ? 1.0 : -1.0;
   side_[depth] = static_cast<signed char>(side);
-  if (timed_) times_->put(units_[depth], sides_[side]);
+  if (timed_) time_ = times_->put(units_[depth], sides_[side]);
   followed_ += x * pull_[depth];
   pulling_ -= std::fabs(pull_[depth]);
   const double* need = need_.data() + static_cast<std::size_t>(depth) * r_;
@@ -328,7 +331,7 @@ void PairRepartition::place(int depth, int side) {
 }
 
 void PairRepartition::unplace(int depth, int side) {
-  if (timed_) times_->take_back();
+  if (timed_) time_ = times_->take_back();
   const double* need = need_.data() + static_cast<std::size_t>(depth) * r_;
   for (int k = 0; k < r_; ++k) resources_[k].left[side] += need[k];
   for (std::size_t e = tie_start_[depth]; e < tie_start_[depth + 1]; ++e) {

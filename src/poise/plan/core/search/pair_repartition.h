@@ -41,14 +41,17 @@ class PairRepartition {
   void connect(const State& state, int a, int b);
   void open(int depth);
   void enter(int depth, int side);
-  double bound(int depth, int side);
+  double bound(int depth, int side) const;
+  void add_times(int depth, double* bounds);
   double imbalance(int depth, int side) const;
   double spread(const Resource& resource, double a, double b, double open) const;
   double spread_of_one(const Resource& resource, double share, double open) const;
   void weigh_pulls();
   bool fits(int depth, int side) const;
-  double time_paid() const { return timed_ ? times_->sum().paid : 0.0; }
-  bool in_time() const { return !timed_ || times_->sum().broken <= late_; }
+  // Whether time limits hold, and what is beyond them is not too much besides `least`.
+  bool in_time(double least) const {
+    return time_.broken <= late_ && least + time_.paid < best_total_;
+  }
   void place(int depth, int side);
   void unplace(int depth, int side);
 
@@ -66,6 +69,7 @@ class PairRepartition {
   double followed_ = 0, pulling_ = 0, best_total_ = 0;
   bool improved_ = false;
   std::optional<Times> times_;  // with none of the units but those in the tree so far
+  TimeSum time_;                // what these come to
   bool timed_ = false;          // some unit has a part in a time limit
   int late_ = 0;                // limits that are broken without them
   int sides_[2] = {0, 0};       // the computers

@@ -63,7 +63,7 @@ void State::reset(const Placement& placed) {
     }
   }
   balance_ = balance_now();
-  if (times_) times_->reset(placed_);
+  if (times_) time_ = times_->reset(placed_);
   over_links_ = overfull_ = 0;
   traffic_.assign(p_.bandwidth.size(), 0.0);
   if (p_.bandwidth.empty()) return;
@@ -327,7 +327,7 @@ State::Others State::others(int k, int a, int b) const {
 void State::apply(const Units& out, const Units& back, int a, int b) {
   for (const std::int32_t unit : out) shift(unit, b);
   for (const std::int32_t unit : back) shift(unit, a);
-  if (times_) times_->apply({all_of(out), all_of(back), a, b});
+  if (times_) time_ = times_->apply({all_of(out), all_of(back), a, b});
   settle(a, b);
 }
 

@@ -39,13 +39,10 @@ class State {
   const std::vector<std::int32_t>& on(int computer) const { return on_[computer]; }
   double objective() const { return paid_ + loads(); }
   // The parts of F that cannot fall below nothing.
-  double loads() const { return balance_ + shortage_ + (times_ ? times_->sum().paid : 0); }
-  double excess() const {
-    return excess_ + over_links_ + conflicts_ + (times_ ? times_->sum().excess : 0);
-  }
+  double loads() const { return balance_ + shortage_ + time_.paid; }
+  double excess() const { return excess_ + over_links_ + conflicts_ + time_.excess; }
   bool feasible() const {
-    const bool in_time = !times_ || times_->sum().broken == 0;
-    return excess_ <= 0 && overfull_ == 0 && conflicts_ == 0 && in_time;
+    return excess_ <= 0 && overfull_ == 0 && conflicts_ == 0 && time_.broken == 0;
   }
 
   // Weigh a search move: `out` leaves `a` for `b`, `back` leaves `b` for `a`; either may
@@ -100,7 +97,8 @@ class State {
   std::vector<double> need_;                   // (r): what a move takes from a to b
   std::vector<char> mark_;                     // (n): 1 in `out`, 2 in `back`
   std::vector<double> traffic_;                // (m, m)
-  std::optional<Times> times_;
+  std::optional<Times> times_;                 // where there are time limits
+  TimeSum time_;                               // what these come to
   double paid_ = 0, balance_ = 0, shortage_ = 0, excess_ = 0, over_links_ = 0;
   int conflicts_ = 0;  // pairs that must be apart and are not
   int overfull_ = 0;   // links; `over_links_` is a sum of many steps, and not exact
