@@ -9,13 +9,15 @@ from random import Random
 import pytest
 from msgspec.structs import replace
 
+from benchmarks.random_robots import random_robot
 from poise import plan
 from poise.model.robot import Link
 from poise.plan import Hop, Problem, Run, TimeLimit
 from poise.plan.phases.merged import merged
 from poise.plan.problem.arrays import arrays_of
+from poise.plan.violations import violations
 from tests.plan.native import Native
-from tests.plan.reference import time
+from tests.plan.reference import objective, time
 from tests.plan.test_brute_force import least, problem, softened
 
 
@@ -151,6 +153,35 @@ def test_a_conflict_of_time_is_one_and_its_relaxation_is_enough() -> None:
         assert least(replace(asked, time_limits=tuple(raised))) < math.inf
         seen += 1
     assert seen >= 5
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("shared", [False, True])
+def test_a_fleet_is_in_time(*, shared: bool) -> None:
+    """600 components are joined first; each of 100 chains has to keep its pairs."""
+    robot = random_robot(1, 600, 12, load=0.6)
+    chains = [connector.between for connector in robot.connectors[::6]][:100]
+    limits = tuple(
+        TimeLimit(
+            name=f"t{i}",
+            limit=0.06 if shared else 0.012,
+            runs=tuple(Run(component=name, seconds=0.005) for name in pair),
+            hops=(Hop(between=pair, seconds=0.05),),
+            shared=shared,
+            price=0.01 * (i % 2),
+        )
+        for i, pair in enumerate(chains)
+    )
+    asked = replace(robot, time_limits=limits)
+    found = plan.solve(asked, method="search", steps=100_000, why=False)
+    arrays = arrays_of(asked)
+    assert found.feasible
+    assert not violations(arrays, found.placed)
+    assert found.objective is not None
+    expected = objective.terms(arrays, found.placed)
+    assert found.objective.total == pytest.approx(expected.total)
+    assert found.objective.time == pytest.approx(expected.time)
+    assert len({each.name for each in found.times if each.seconds <= each.limit}) > 90
 
 
 @pytest.mark.parametrize("seed", range(8))

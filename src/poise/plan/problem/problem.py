@@ -114,8 +114,9 @@ class Problem(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     ----------
     links
         What a unit of overhead costs between two computers (`distance`, 1 where there
-        is no link), and how much their connectors may send together (`bandwidth`,
-        unlimited where there is none).
+        is no link), how much their connectors may send together (`bandwidth`,
+        unlimited where there is none), and how long a crossing takes (`latency`, 0
+        where there is none; for time limits).
     together, apart
         Sets of components that must share a computer, or must not.
     architectures

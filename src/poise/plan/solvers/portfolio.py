@@ -13,7 +13,7 @@ from poise.plan.problem.snapshot import Snapshot
 from poise.plan.result import Result
 from poise.plan.result_records import Answer, Ask, Stopped
 from poise.plan.solvers.budget import Budget
-from poise.plan.why.conflict import is_short
+from poise.plan.why.conflict import is_hopeless
 
 METHODS = ("auto", "greedy", "exact", "search")
 
@@ -90,7 +90,7 @@ def decide(snapshot: Snapshot, method: str, effort: Effort) -> Result:
 def _described(snapshot: Snapshot, method: str, answer: Answer) -> Result:
     proven, stopped_by = answer.proven, answer.stopped_by
     is_none = not answer.placed and snapshot.size > 0
-    if is_none and (proven or is_short(snapshot.arrays)):
+    if is_none and (proven or is_hopeless(snapshot.arrays)):
         proven, stopped_by = True, "infeasible"
     return Result.of(
         snapshot,

@@ -13,7 +13,7 @@ from poise.plan.phases.result import PhasedResult
 from poise.plan.problem.arrays import arrays_of
 from poise.plan.problem.problem import Problem
 from poise.plan.what_if.changed_problem import without
-from poise.plan.why.conflict import is_short
+from poise.plan.why.conflict import is_hopeless
 
 MOST_SETS = 4096
 """Of how many computers all sets are looked at: with more, one is dropped at a time."""
@@ -118,7 +118,7 @@ def _without(problem: Problem, dropped: set[str]) -> Problem:
         return problem
     smaller = without(problem, dropped)
     # Of architectures, not all may have to be placed.
-    if not smaller.architectures and is_short(arrays_of(smaller)):
+    if not smaller.architectures and is_hopeless(arrays_of(smaller)):
         raise UsageError("the other computers have too little")
     return smaller
 

@@ -66,7 +66,7 @@ class Oracle:
         arrays = replace(arrays_of(problem), cost=[])
         if not arrays.n:
             return not _late(arrays)
-        if is_short(arrays):
+        if is_hopeless(arrays):
             return False
         core = _core.Core(arrays)
         if core.greedy()[1]:
@@ -82,7 +82,7 @@ class Oracle:
         return True if placed else None
 
 
-def is_short(arrays: Arrays) -> bool:
+def is_hopeless(arrays: Arrays) -> bool:
     """Whether it clearly cannot hold.
 
     Some computers have less than what may run nowhere else needs, or what may run
