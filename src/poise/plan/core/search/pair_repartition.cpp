@@ -81,7 +81,7 @@ bool PairRepartition::collect(const State& state, int a, int b) {
   return true;
 }
 
-// Set up the times without the units, where any of them has a part in one.
+// Set up how long things take without the units, where any of them has a part in that.
 void PairRepartition::take_off(const State& state) {
   if (!times_) return;
   timed_ = false;
