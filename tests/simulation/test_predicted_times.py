@@ -133,10 +133,16 @@ def test_what_shares_a_computer_takes_longer_there(robot: Robot) -> None:
 
 
 def test_a_slow_computer_takes_longer(robot: Robot) -> None:
-    slow = replace(
-        robot, computers=tuple(replace(c, speed=0.5) for c in robot.computers)
-    )
-    assert predicted(slow).median == pytest.approx(0.03, rel=0.1)
+    slow = [replace(c, speed=0.5, address="10.0.0.1") for c in robot.computers]
+    chain = predicted(replace(robot, computers=tuple(slow)))
+    assert chain.median == pytest.approx(0.03, rel=0.1)
+
+
+def test_an_emulated_computer_runs_quickly_and_then_stands(robot: Robot) -> None:
+    """Of each 10 ms it runs for 5: 15 ms of work take from 20 to 30 ms."""
+    slow = [replace(c, speed=0.5) for c in robot.computers]
+    chain = predicted(replace(robot, computers=tuple(slow)))
+    assert 0.02 < chain.median < 0.028
 
 
 def test_timers_that_cannot_keep_their_deadlines_are_predicted(robot: Robot) -> None:

@@ -89,7 +89,8 @@ class PlacedComponents:
         agent = _agent(work.agent)
         for computer in robot.computers:
             cores = computer.capacity.get("cpu", _CORES)
-            cpu = engine.cpu(cores, computer.speed)
+            is_emulated = computer.address is None
+            cpu = engine.cpu(cores, computer.speed, is_emulated=is_emulated)
             own = engine.container(cpu, computer.name, _nothing, _nothing)
             name = f"agent of {computer.name}"
             executor = own.add((name, 0), 0, agent.made_in(engine), ())

@@ -1,6 +1,7 @@
 #include "cpu.h"
 
 #include <algorithm>
+#include <cmath>
 #include <limits>
 #include <numeric>
 
@@ -9,6 +10,7 @@ namespace poise::simulation {
 constexpr double never = std::numeric_limits<double>::infinity();
 // A quota is refilled this often [s], as `cpu.max` has it unless it is told.
 constexpr double period = 0.1;
+constexpr double emulated_period = 0.01;
 // Less work than this is none [core-seconds].
 constexpr double none = 1e-9;
 
@@ -82,12 +84,17 @@ void CpuGroup::advance(double seconds) {
   for (Job& job : jobs_) job.left -= each;
 }
 
-Cpu::Cpu(Events& events, double cores, double speed)
+Cpu::Cpu(Events& events, double cores, double speed, bool is_emulated)
     : events_(events),
       cores_(cores),
       speed_(speed),
+      real_cores_(is_emulated ? std::ceil(cores * speed) : cores),
+      real_speed_(is_emulated ? 1.0 : speed),
+      quota_(is_emulated ? cores * speed : never),
+      bucket_(quota_ * emulated_period),
       at_(events.now()),
-      refill_at_(events.now() + period) {}
+      refill_at_(events.now() + period),
+      next_at_(events.now() + emulated_period) {}
 
 CpuGroup& Cpu::group(double weight, double most, double quota) {
   groups_.push_back(&all_.emplace_back(*this, weight, most, quota));
@@ -105,7 +112,14 @@ void Cpu::advance() {
   const double passed = events_.now() - at_;
   at_ = events_.now();
   if (passed > 0.0)
-    for (CpuGroup* group : busy_) group->advance(passed);
+    for (CpuGroup* group : busy_) {
+      bucket_ -= group->rate_ * passed;
+      group->advance(passed);
+    }
+  if (at_ >= next_at_) {
+    while (next_at_ <= at_) next_at_ += emulated_period;
+    bucket_ = quota_ * emulated_period;
+  }
   if (at_ < refill_at_) return;
   while (refill_at_ <= at_) refill_at_ += period;
   for (CpuGroup* group : groups_) group->bucket_ = group->quota_ * period;
@@ -113,19 +127,21 @@ void Cpu::advance() {
 
 void Cpu::share() {
   double sum = 0.0;
-  for (CpuGroup* group : busy_) sum += group->rate_ = group->could_use();
-  if (sum <= cores_) return;
+  for (CpuGroup* group : busy_)
+    sum += group->rate_ = bucket_ > none ? group->could_use() : 0.0;
+  if (sum <= real_cores_) return;
   std::vector<CpuClaim> claims;
   for (const CpuGroup* group : busy_) claims.push_back({group->weight_, group->rate_});
-  const std::vector<double> given = shares(cores_, claims);
+  const std::vector<double> given = shares(real_cores_, claims);
   for (std::size_t i = 0; i < given.size(); ++i) busy_[i]->rate_ = given[i];
 }
 
 void Cpu::plan() {
   share();
-  double first = never;
+  double first = never, total = 0.0;
   for (CpuGroup* group : busy_) {
-    const double rate = group->rate_ *= speed_;
+    const double rate = group->rate_ *= real_speed_;
+    total += rate;
     if (rate > 0.0) {
       double least = never;
       for (const auto& job : group->jobs_) least = std::min(least, job.left);
@@ -135,6 +151,8 @@ void Cpu::plan() {
     if (group->quota_ < never && (rate > 0.0 || group->bucket_ <= none))
       first = std::min(first, refill_at_);
   }
+  if (is_emulated() && !busy_.empty())
+    first = std::min({first, next_at_, total > 0.0 ? at_ + bucket_ / total : never});
   ++plan_;
   if (first < never)
     events_.at(first, [this, plan = plan_] {

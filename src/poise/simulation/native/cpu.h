@@ -7,6 +7,7 @@
 
 #include <cstdint>
 #include <deque>
+#include <limits>
 #include <vector>
 
 #include "events.h"
@@ -68,10 +69,11 @@ class CpuGroup {
 };
 
 // The cores of one computer; `speed` is the work that each does in a second [core-seconds
-// of the reference].
+// of the reference]. An emulated one has cores of the reference instead, and does no more
+// in each `emulated_period` than it would do: it runs quickly, and then stands.
 class Cpu {
  public:
-  Cpu(Events& events, double cores, double speed);
+  Cpu(Events& events, double cores, double speed, bool is_emulated);
   Cpu(const Cpu&) = delete;
   Cpu& operator=(const Cpu&) = delete;
 
@@ -100,6 +102,7 @@ class Cpu {
     Cpu& cpu_;
   };
 
+  bool is_emulated() const { return quota_ < std::numeric_limits<double>::infinity(); }
   // Let all that runs have had its share until now.
   void advance();
   // Share out again, and plan the next moment at which that changes.
@@ -109,7 +112,8 @@ class Cpu {
 
   Events& events_;
   double cores_, speed_;
-  double at_, refill_at_;
+  double real_cores_, real_speed_, quota_, bucket_;
+  double at_, refill_at_, next_at_;  // groups' quotas and its own are refilled then
   double ended_ = 0.0;  // CPU time of groups that have ended [s]
   int depth_ = 0;
   std::uint64_t plan_ = 0;  // an event of an earlier plan does not count

@@ -298,9 +298,9 @@ void bind_engine(nb::module_& module) {
                          -> Stream& {
         return engine.links.stream(engine.number(source), engine.number(target));
       }, "source"_a, "target"_a, inside)
-      .def("cpu", [](Engine& engine, double cores, double speed) -> Cpu& {
-        return engine.cpus.emplace_back(engine.events, cores, speed);
-      }, "cores"_a, "speed"_a = 1.0, inside)
+      .def("cpu", [](Engine& engine, double cores, double speed, bool is_emulated) -> Cpu& {
+        return engine.cpus.emplace_back(engine.events, cores, speed, is_emulated);
+      }, "cores"_a, "speed"_a = 1.0, nb::kw_only(), "is_emulated"_a = false, inside)
       .def("handler", &make_handler, "work"_a, "spread"_a = 0.0,
            "publishes"_a.none() = nb::tuple(), "calls"_a = nb::tuple())
       .def("model", &make_model, "timers"_a, "takes"_a, "serves"_a, "other"_a, "factors"_a,
