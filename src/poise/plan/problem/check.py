@@ -165,8 +165,9 @@ def _weights(problem: Problem) -> Iterator[str]:
         if value not in choices:
             known = " or ".join(choices)
             yield f"objective: {name} is {value!r}, must be {known}"
-    if problem.overhead_scale is not None:
-        yield from _amounts("", {"overhead_scale": problem.overhead_scale})
+    scale = problem.overhead_scale  # of extreme overhead it is beyond other numbers
+    if scale is not None and not 0 <= scale < inf:
+        yield f"overhead_scale is {_shown(scale)}, must be finite and >= 0"
     terms = ("communication", "balance", "quality")
     yield from _amounts("objective: ", {term: getattr(given, term) for term in terms})
     yield from _amounts("objective: weight of ", given.weights)
