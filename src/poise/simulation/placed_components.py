@@ -25,6 +25,8 @@ _CORES = 4.0
 _USUAL = ComponentModel()
 _WEIGHT = 100.0
 _SAMPLES_EVERY = 0.1
+_BEGINS_WITHIN = 0.002
+"""All that is placed begins within this time [s]: the manager tells all at once."""
 
 
 class PlacedComponents:
@@ -37,7 +39,8 @@ class PlacedComponents:
     work
         What the components do.
     seed
-        Timers begin at random moments: that, and how long handlers take, is drawn.
+        How long handlers take is drawn, and the moments when containers begin: nearly
+        together, as on the robot.
     """
 
     def __init__(
@@ -49,16 +52,17 @@ class PlacedComponents:
     ) -> None:
         self._engine = Engine(seed)
         self._executors: dict[str, Executor] = {}
+        self._together: list[list[str]] = []
         set_links(self._engine, links_of(robot))
         self._add_components(robot, placement, work)
         random = Choices(seed).random("beginnings")
         begins = sorted(
-            (random.uniform(0.0, _longest_period(work, name)), name)
-            for name in self._executors
+            (random.uniform(0.0, _BEGINS_WITHIN), names) for names in self._together
         )
-        for at, name in begins:
+        for at, names in begins:
             self.run(at)
-            self._executors[name].activate()
+            for name in names:
+                self._executors[name].activate()
 
     @property
     def now(self) -> float:
@@ -117,15 +121,11 @@ class PlacedComponents:
                     executor.set_wanted(True)
                     executor.set_leased(False)
                     self._executors[each.name] = executor
-                inside = {each.name for each in spec.components}
+                inside = [each.name for each in spec.components]
+                self._together.append(inside)
                 for connector in spec.connectors:
                     if connector.source in inside:
                         container.add_sender(connectors[connector.key])
-
-
-def _longest_period(work: SimulatedWork, component: str) -> float:
-    timers = work.models.get(component, _USUAL).timers
-    return max((each.timer.period for each in timers), default=0.0)
 
 
 def _agent(cores: float) -> ComponentModel:

@@ -41,6 +41,9 @@ _HEADROOM = 1.05
 """A demand in the robot file is more than the mean by about this factor."""
 _START, _USUAL_START = (0.8, 1.2), 0.2
 """A component is configured within about what was measured, or within this [s]."""
+_COUNTED = 0.3
+"""So much may a rate be off that was counted over a few seconds, while timers skipped
+releases."""
 _AS_OFTEN = 1.05
 """A handler feeds a connector whose rate is up to this factor above its own."""
 
@@ -256,12 +259,21 @@ class _ComponentWork:
         return found
 
     def _share_work(self, timers: list[_Rated], others: list[_Rated]) -> None:
-        """Let all handlers together take the CPU that the component takes."""
+        """Let all handlers together take the CPU that the component takes.
+
+        Timers that seem to take more than all of it have waited: then all runs are
+        taken to be alike.
+        """
         total = self.cpu()
         measured = sum(each.rate * each.work for each in timers)
         rest = sum(each.rate for each in others)
+        if rest and measured > total:
+            alike = total / (rest + sum(each.rate for each in timers))
+            for each in (*timers, *others):
+                each.work = alike
+            return
         if rest:
-            by_timers = min(measured, total)
+            by_timers = measured
             for each in others:
                 each.work = (total - by_timers) / rest
         else:
@@ -299,11 +311,17 @@ class _ComponentWork:
                 if over.rate:
                     self._guess(f"nothing sends over '{slot}': no handler runs")
             elif over.calls:
-                by.calls[slot] = over.calls / by.rate
+                by.calls[slot] = _each(over.calls / by.rate)
             elif over.messages:
-                by.publishes[slot] = over.messages / by.rate
+                by.publishes[slot] = _each(over.messages / by.rate)
             else:
                 self._guess(f"nobody says what goes over '{slot}': nothing does here")
+
+
+def _each(often: float) -> float:
+    """Return how often a run sends: a whole number where it is one but for counting."""
+    whole = round(often)
+    return float(whole) if abs(often - whole) <= _COUNTED * whole else often
 
 
 def _feeding(handlers: list[_Rated], rate: float) -> _Rated | None:
