@@ -1,8 +1,7 @@
 """How old the data of chains gets on a placement, and how late timers are.
 
-What components do is simulated several times over, without manager and agents: where
-timers begin, and so how they stand to each other, is chance, and stays as it is while
-a robot runs. The figures are means over these robots.
+What components do is simulated several times over, without manager and agents. The
+figures are means over these robots.
 """
 
 from __future__ import annotations
