@@ -12,6 +12,9 @@ import pytest
 from tests.command import Poise
 from tests.session.simulating.fake_rehearsal import HELLO, FakeRehearsal, rehearsal
 
+pytestmark = pytest.mark.slow
+"""Another process reads the robot's code."""
+
 __all__ = ["rehearsal"]
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from poise.errors import RunError
-from poise.model.load import load
+from poise.session.robot_file import load
 from poise.simulation.faults import SimulatedFault
 from poise.simulation.rehearsal import Rehearsal, RehearsalPlan
 from poise.simulation.robot.robot import SimulatedRobot
@@ -39,6 +39,7 @@ def test_what_is_killed_misses_no_deadlines_afterwards() -> None:
         assert timer.missed <= 5
 
 
+@pytest.mark.slow
 def test_a_defect_before_the_robot_is_up_is_said(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

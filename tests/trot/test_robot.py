@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
 from msgspec.structs import replace
 
 import poise
@@ -58,6 +59,7 @@ def test_the_lesser_alternatives_need_less() -> None:
     assert needs["near_face_recogniser"] < 0.7 * needs["face_recogniser"]
 
 
+@pytest.mark.slow
 def test_chooses_lesser_alternatives_only_where_there_is_too_little_room() -> None:
     chosen = poise.place(ROBOT, "serve").architectures
     assert not LESSER & set(chosen.values())

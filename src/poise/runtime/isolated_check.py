@@ -95,7 +95,8 @@ def serve(check: Callable[..., list[Finding]], code_of: CodeOf) -> None:
             answers.write(msgspec.json.encode(item) + b"\n")
 
         found = check(robot, frozenset(skipped), answer)
-        parts = [] if found else [c for c in robot.components() if c.implementation]
+        is_right = not (found or skipped)
+        parts = [c for c in robot.components() if is_right and c.implementation]
         code = {each.name: code_of(each, robot.folder) for each in parts}
         sys.stdout.flush()  # with the answer this process is ended
         answer(CheckedCode(found, code))

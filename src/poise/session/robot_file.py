@@ -88,6 +88,16 @@ def _checked(
     return replace(source, robot=replace(source.robot, code=found.code))
 
 
+def with_code(robot: Robot) -> Robot:
+    """Return the robot with what its classes declare, which another process reads.
+
+    When something is wrong with the code, nothing of it is known.
+    """
+    if robot.code:
+        return robot
+    return replace(robot, code=check_code_isolated(robot).code)
+
+
 def task_of(robot: Robot, task: str | None) -> str:
     """Return the task, or the robot's first when none is named.
 

@@ -126,7 +126,7 @@ def _code_of(robot: Robot, entry: ComponentEntry) -> tuple[ComponentCode | None,
         return None, f"'{entry.name}' is a program: only its CPU counts"
     if (known := robot.code.get(entry.name)) is not None:
         return known, ""
-    return None, f"the code of '{entry.name}' is not known"
+    return None, f"the code of '{entry.name}' is not known: `poise check`"
 
 
 class _Rated(Struct):

@@ -16,9 +16,9 @@ from msgspec.structs import replace
 from poise import plan
 from poise.model.robot import Robot
 from poise.plan import TimeLimit
-from poise.runtime.isolated_check import check_code_isolated
 from poise.session.placing.time_limits import chain_limits
 from poise.session.profiling.stored_profiles import read_profile
+from poise.session.robot_file import with_code
 from poise.simulation.predicted_times import PredictedTimes, predict_times
 from poise.simulation.workload import SimulatedWork, workload_of
 
@@ -51,8 +51,7 @@ def decide_by_time(
     """
     if not any(phase.problem.time_limits for phase in problem.phases):
         return DecidedByTime(decide(problem))
-    if not robot.code:
-        robot = replace(robot, code=check_code_isolated(robot).code)
+    robot = with_code(robot)
     work = workload_of(robot, read_profile(robot))
     known = {each.name: each for each in chain_limits(robot, work)}
     problem = problem.changed(lambda each: _with_runs(each, known))

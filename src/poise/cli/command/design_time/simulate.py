@@ -26,7 +26,7 @@ from poise.session.placing.placement import place
 from poise.session.profiling.stored_profiles import profiled
 from poise.session.render.printable import console_to
 from poise.session.render.progress import virtual_progress
-from poise.session.robot_file import task_of
+from poise.session.robot_file import task_of, with_code
 from poise.session.simulating.simulate import compare_simulations, simulate
 from poise.session.simulating.simulation_results import Simulation, SimulationComparison
 from poise.session.writable import to_write
@@ -96,7 +96,7 @@ def simulate_command(
     def say(sentence: str) -> None:
         console.print(escape(sentence))
 
-    found = profiled(load(file))
+    found = profiled(with_code(load(file)))
     for sentence in found.says:
         say(sentence)
     robot = found.robot
