@@ -169,4 +169,6 @@ def test_the_same_robot_has_the_same_prediction(robot: Robot) -> None:
 def test_a_chain_whose_data_never_comes_is_not_predicted(robot: Robot) -> None:
     silent = {**PASSED_ON, "eye": ComponentModel(timers=())}
     work = SimulatedWork(models=silent)
-    assert predict_times(robot, ALL_LEFT, work).chains == ()
+    times = predict_times(robot, ALL_LEFT, work)
+    assert times.chains == ()
+    assert times.unknown == ("see",)

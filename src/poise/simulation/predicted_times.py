@@ -19,7 +19,7 @@ from poise.wire.records.status import Summary
 _ROBOTS = 8
 _SHORTEST, _LONGEST = 5.0, 60.0
 _PERIODS = 50.0
-"""Each robot is simulated for so many of the longest period, within these times [s]."""
+"""Each robot is simulated for 50 of the longest period, within these times [s]."""
 
 
 class PredictedHop(Struct, frozen=True, kw_only=True):
@@ -91,12 +91,15 @@ class PredictedTimes(Struct, frozen=True, kw_only=True):
 
     Parameters
     ----------
+    unknown
+        The chains whose data does not get to their end, by what is known.
     guesses
         What was assumed, because neither profile nor robot file nor code says it.
     """
 
     chains: tuple[PredictedChain, ...] = ()
     timers: tuple[PredictedTimer, ...] = ()
+    unknown: tuple[str, ...] = ()
     guesses: tuple[str, ...] = ()
 
 
@@ -121,9 +124,14 @@ def predict_times(
     robots = [PlacedComponents(robot, placement, work, seed) for seed in range(_ROBOTS)]
     for each in robots:
         each.run(each.now + seconds)
-    found = (_chain(each, robots, placement) for each in chains)
+    found = [_chain(each, robots, placement) for each in chains]
     return PredictedTimes(
         chains=tuple(each for each in found if each is not None),
+        unknown=tuple(
+            chain.name
+            for chain, each in zip(chains, found, strict=True)
+            if each is None
+        ),
         timers=tuple(_timers(robots, placement)),
         guesses=work.guesses,
     )

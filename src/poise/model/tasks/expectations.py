@@ -19,7 +19,7 @@ every other time, as with the prior of what is learned."""
 ROUNDS = 10
 """So often is repeated what has no number of times."""
 MOST_ROUNDS = 10**6
-"""More often, or more retries, count as so many."""
+"""A larger number of rounds or retries counts as this."""
 
 
 def seconds_of(action: Action) -> float:

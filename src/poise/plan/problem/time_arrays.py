@@ -12,7 +12,7 @@ from poise.plan.problem.check import LEAST
 from poise.plan.problem.problem import Problem
 
 MOST_CORES = 1024
-"""A computer with more cores keeps runs waiting as if it had so many: never long."""
+"""More cores count as 1024: with as many, runs never wait for long."""
 
 RunArray = tuple[int, float]
 """Component, and the seconds of its run."""

@@ -23,8 +23,7 @@ from poise.simulation.predicted_times import PredictedTimes, predict_times
 from poise.simulation.workload import SimulatedWork, workload_of
 
 SURE = 1.25
-"""The age of data counts so many times, for a prediction may be wrong: a seventh of
-all chains come out above that."""
+"""The predicted age of data counts 1.25 times, as predictions may be wrong."""
 _ROUNDS = 4
 
 Decide = Callable[[plan.PhasedProblem], plan.PhasedResult]

@@ -64,6 +64,12 @@ def _chains(times: Mapping[str, PredictedTimes]) -> Iterator[RenderableType]:
     if rows.row_count:
         yield rows
     for name, predicted in times.items():
+        if predicted.unknown:
+            yield _line(
+                "no data age is predicted",
+                f"of {', '.join(predicted.unknown)}: by what is known, data does not "
+                f"get to the end. {'; '.join(predicted.guesses)}",
+            )
         late = [
             f"{each.component}.{each.timer} {each.late:.0%}"
             for each in predicted.timers
