@@ -22,11 +22,11 @@ from pathlib import Path
 from benchmarks.synthetic import robots
 from poise.clock import SystemClock
 from poise.manage.agent_connections.agents import Agents
+from poise.manage.deploy.deactivation import stop
 from poise.manage.deploy.running_components import RunningComponents
-from poise.manage.deploy.stop import stop
 from poise.manage.journal import Journal
 from poise.model.robot import Robot
-from poise.runtime.agent.sampling.kernel_counters import proportional_memory
+from poise.runtime.sampling.kernel_counters import proportional_memory
 from poise.session.launch.computers import computers_of
 from poise.wire.records.status import AgentStatus
 

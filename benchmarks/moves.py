@@ -25,11 +25,11 @@ from threading import Timer
 from poise.clock import SystemClock
 from poise.manage.agent_connections.agents import Agents
 from poise.manage.agent_connections.statuses import components_of
+from poise.manage.deploy.deactivation import stop
 from poise.manage.deploy.running_components import RunningComponents
-from poise.manage.deploy.stop import stop
 from poise.manage.journal import Journal
+from poise.manage.migration.migration_report import MigrationReport
 from poise.manage.migration.move import move
-from poise.manage.migration.report import MigrationReport
 from poise.model import load
 from poise.session.launch.computers import computers_of
 

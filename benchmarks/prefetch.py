@@ -26,8 +26,7 @@ from typing import Any
 from msgspec.structs import replace
 
 import poise
-from poise.model.tasks.prefetch import Prefetch
-from poise.model.tasks.steps import Repeat, Task, actions_of
+from poise.model.tasks.steps import Prefetch, Repeat, Task, actions_of
 
 CODE = """
 import time

@@ -27,8 +27,7 @@ from msgspec import Struct
 import poise
 from poise.estimate.demands import with_profile
 from poise.estimate.profile import ComponentProfile, ConnectorProfile, Profile
-from poise.estimate.profile.distribution import Distribution
-from poise.estimate.profile.records import TimerProfile
+from poise.estimate.profile.profile_records import Distribution, TimerProfile
 from poise.model.robot import (
     Action,
     Architecture,

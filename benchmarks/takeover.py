@@ -34,15 +34,15 @@ from poise.errors import PoiseError
 from poise.manage.agent_connections.agents import Agents
 from poise.manage.agent_connections.requests import Reply
 from poise.manage.agent_connections.statuses import components_of
+from poise.manage.deploy.deactivation import stop
 from poise.manage.deploy.running_components import RunningComponents
-from poise.manage.deploy.stop import stop
 from poise.manage.deploy.takeover import start_or_take_over
 from poise.manage.journal import Journal
 from poise.manage.migration.move import move
 from poise.model import load
 from poise.session.launch.computers import computers_of
 from poise.wire.records.deployment import Deployment
-from poise.wire.records.migration import MigrationSteps, StepsOutcome
+from poise.wire.records.migration_records import MigrationSteps, StepsOutcome
 
 PLACEMENT = dict.fromkeys((*COMPONENTS, "conductor"), "a")
 _MOST_STEPS = 40

@@ -8,10 +8,9 @@ import pytest
 from msgspec.structs import replace
 
 from poise.errors import RunError, UsageError
-from poise.manage.tasks.progress import TaskState
-from poise.manage.tasks.report import TaskReport
-from poise.session.running_robots.running import Running
-from poise.session.running_robots.tasks import RunningTasks
+from poise.manage.tasks.task_progress import TaskState
+from poise.manage.tasks.task_report import TaskReport
+from poise.session.running_robots.running import Running, RunningTasks
 
 py_trees = pytest.importorskip("py_trees", reason="the extra `py_trees` is missing")
 Status = py_trees.common.Status

@@ -18,8 +18,7 @@ from poise import plan
 from poise.estimate.online import Estimate
 from poise.manage.adaptation.decision import decide
 from poise.manage.adaptation.situation import Situation
-from poise.manage.observe.estimates import DemandEstimate
-from poise.manage.observe.loads import Load
+from poise.manage.observe.estimates import DemandEstimate, Load
 from poise.model.robot import (
     Action,
     Architecture,

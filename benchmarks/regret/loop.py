@@ -28,16 +28,15 @@ from benchmarks.regret.rules import SOLVE_STEPS
 from benchmarks.regret.traces import STEP, Cores, Placement, Trace
 from poise.estimate.online import LEAST_SHARE, Drift, Estimate
 from poise.manage.adaptation.loop import Adaptation
-from poise.manage.adaptation.shortages.put_aside import PutAside
 from poise.manage.adaptation.situation import Situation
 from poise.manage.deploy.desired import Desired
 from poise.manage.deploy.incarnation import Incarnation
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.migration import transition_run
-from poise.manage.migration.report import TransitionReport, TransitionStep
-from poise.manage.observe.estimates import DemandEstimate
-from poise.manage.observe.loads import Load
-from poise.model.policy.values import TimerValues
+from poise.manage.migration.migration_report import TransitionReport, TransitionStep
+from poise.manage.observe.estimates import DemandEstimate, Load
+from poise.manage.shortages.suspension import PutAside
+from poise.model.policy.policy import TimerValues
 from poise.model.robot import (
     Action,
     Architecture,

@@ -15,7 +15,7 @@ from concurrent.futures import Future
 from poise.errors import UsageError
 from poise.estimate.online import Estimate
 from poise.estimate.profile import ConnectorProfile
-from poise.manage.control_socket.records import (
+from poise.manage.control_socket.commands import (
     Command,
     JournalCommand,
     JournalEntries,
@@ -26,8 +26,7 @@ from poise.manage.control_socket.records import (
 )
 from poise.manage.control_socket.server import ControlServer
 from poise.manage.journal import JournalEntry
-from poise.manage.observe.estimates import DemandEstimate
-from poise.manage.observe.loads import Load
+from poise.manage.observe.estimates import DemandEstimate, Load
 from poise.wire.records.requests import ManagerId
 from poise.wire.records.status import (
     AgentStatus,

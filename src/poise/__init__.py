@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from poise.estimate.success.learning import note_outcome as note_outcome
     from poise.manage.journal import JournalEntry as JournalEntry
     from poise.manage.journal import read_journal as read_journal
-    from poise.model.policy.seen import PolicyAction as PolicyAction
-    from poise.model.policy.seen import Seen as Seen
+    from poise.model.policy.policy import PolicyAction as PolicyAction
+    from poise.model.policy.policy import Seen as Seen
     from poise.model.robot import Robot as Robot
     from poise.runtime.component.component import Component as Component
     from poise.runtime.component.deadline import time_left as time_left
@@ -38,13 +38,13 @@ if TYPE_CHECKING:
     from poise.runtime.component.ports import subscribed as subscribed
     from poise.session.diagrams.draw import Drawing as Drawing
     from poise.session.diagrams.draw import draw as draw
-    from poise.session.launch.emulated import emulated as emulated
+    from poise.session.launch.emulated_agents import emulated as emulated
     from poise.session.placing.placement import Placement as Placement
     from poise.session.placing.placement import place as place
     from poise.session.profiling.calibrate import Calibration as Calibration
     from poise.session.profiling.calibrate import calibrate as calibrate
-    from poise.session.profiling.profile import Profiling as Profiling
-    from poise.session.profiling.profile import profile as profile
+    from poise.session.profiling.profile_robot import Profiling as Profiling
+    from poise.session.profiling.profile_robot import profile as profile
     from poise.session.recordings.policy_events import PolicyEvent as PolicyEvent
     from poise.session.recordings.policy_events import test_policies as test_policies
     from poise.session.recordings.recorded_run import RecordedRun as RecordedRun
@@ -88,9 +88,9 @@ else:
         "NoManager": "session.running_robots.running",
         "Placement": "session.placing.placement",
         "PoiseError": "errors",
-        "PolicyAction": "model.policy.seen",
+        "PolicyAction": "model.policy.policy",
         "PolicyEvent": "session.recordings.policy_events",
-        "Profiling": "session.profiling.profile",
+        "Profiling": "session.profiling.profile_robot",
         "Provided": "runtime.component.ports",
         "Published": "runtime.component.ports",
         "RecordedRun": "session.recordings.recorded_run",
@@ -102,7 +102,7 @@ else:
         "RunError": "errors",
         "RunReport": "session.reports.run_report",
         "Running": "session.running_robots.running",
-        "Seen": "model.policy.seen",
+        "Seen": "model.policy.policy",
         "Conditions": "estimate.success",
         "SimulatedFault": "simulation.faults",
         "Simulation": "session.simulating.simulation_results",
@@ -117,14 +117,14 @@ else:
         "compare_simulations": "session.simulating.simulate",
         "connect": "session.running_robots.running",
         "draw": "session.diagrams.draw",
-        "emulated": "session.launch.emulated",
+        "emulated": "session.launch.emulated_agents",
         "every": "runtime.component.ports",
         "load": "session.robot_file",
         "loan": "wire.connections.blocks",
         "note_outcome": "estimate.success.learning",
         "oneway": "runtime.component.ports",
         "place": "session.placing.placement",
-        "profile": "session.profiling.profile",
+        "profile": "session.profiling.profile_robot",
         "read_journal": "manage.journal",
         "record": "view.record",
         "run": "session.run",

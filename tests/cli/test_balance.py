@@ -7,10 +7,10 @@ import json
 import pytest
 import typer
 
-from poise.cli.command.run_time.running_robot import balance_command, move_command
+from poise.cli.commands.running_robot import balance_command, move_command
 from poise.manage.adaptation.proposals import Proposal
-from poise.manage.control_socket.records import Rebalanced
-from poise.manage.migration.report import (
+from poise.manage.control_socket.commands import Rebalanced
+from poise.manage.migration.migration_report import (
     MigrationReport,
     TransitionReport,
     TransitionStep,

@@ -10,10 +10,10 @@ import pytest
 from typer.testing import CliRunner
 
 from poise.cli.command_table import build
-from poise.emulate.starvation import StarvationWatch
+from poise.emulate.usage import StarvationWatch
 from poise.errors import RunError
 from poise.estimate.profile import Costs, KindCosts
-from poise.estimate.profile.store import Store
+from poise.estimate.profile.profile_files import Store
 from poise.session.profiling import calibrate as calibration
 from poise.session.profiling.calibrate import ComputerSpeed
 from poise.session.profiling.stored_profiles import STORE

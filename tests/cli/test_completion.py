@@ -10,10 +10,10 @@ import pytest
 import typer
 
 from poise.cli.command_table import build
-from poise.cli.completion import in_file, running
+from poise.cli.options import in_file, running
 from poise.errors import RunError
-from poise.manage.control_socket.records import RobotStatus
-from poise.manage.tasks.report import TaskReport
+from poise.manage.control_socket.commands import RobotStatus
+from poise.manage.tasks.task_report import TaskReport
 from poise.session.running_robots import local_robots as robots_here
 from poise.wire.records.requests import ManagerId
 

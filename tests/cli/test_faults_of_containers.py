@@ -12,7 +12,7 @@ import pytest
 
 from poise.emulate import look
 from poise.manage.control_socket.client import send_command
-from poise.manage.control_socket.records import RobotStatus, StatusCommand
+from poise.manage.control_socket.commands import RobotStatus, StatusCommand
 from poise.manage.journal import JournalEntry, read_journal
 from tests.command import robot_up, run_poise
 from tests.waiting import wait_long

@@ -17,8 +17,8 @@ import pytest
 
 from poise.errors import PoiseError
 from poise.manage.control_socket.client import send_command
-from poise.manage.control_socket.records import MoveCommand, RobotStatus, StatusCommand
-from poise.manage.migration.report import MigrationReport
+from poise.manage.control_socket.commands import MoveCommand, RobotStatus, StatusCommand
+from poise.manage.migration.migration_report import MigrationReport
 from tests.command import POISE, robot_up
 from tests.manage.agents import TELLING
 from tests.waiting import LONG, wait_long

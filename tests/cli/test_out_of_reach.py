@@ -15,8 +15,8 @@ import pytest
 from poise.emulate import Emulation, look
 from poise.manage.agent_connections.statuses import connectors_of
 from poise.manage.control_socket.client import send_command
-from poise.manage.control_socket.records import MoveCommand, RobotStatus, StatusCommand
-from poise.manage.migration.report import MigrationReport
+from poise.manage.control_socket.commands import MoveCommand, RobotStatus, StatusCommand
+from poise.manage.migration.migration_report import MigrationReport
 from poise.model.robot import Computer, Robot
 from poise.wire.records.status import ConnectorStatus
 from tests.busy import needs_quiet_machine

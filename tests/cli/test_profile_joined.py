@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from poise.estimate.profile import Profile
-from poise.estimate.profile import file as profile_file
-from poise.estimate.profile.store import Store
+from poise.estimate.profile import profile_files as profile_file
+from poise.estimate.profile.profile_files import Store
 from tests.command import Poise
 
 ROBOT = """\

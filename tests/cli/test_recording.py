@@ -8,8 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from poise.wire.recording_file import append
-from poise.wire.records.recorded import Recorded
+from poise.wire.recording_file import Recorded, append
 from poise.wire.records.samples import AgentSample, ComponentSample, ContainerSample
 from tests.command import Poise
 

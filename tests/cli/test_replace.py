@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from poise.manage.control_socket.client import send_command
-from poise.manage.control_socket.records import RobotStatus, StatusCommand
+from poise.manage.control_socket.commands import RobotStatus, StatusCommand
 from tests.command import robot_up, run_poise
 from tests.manage.agents import Told
 from tests.manage.migration.test_replacement import CODE

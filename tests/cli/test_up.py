@@ -13,9 +13,9 @@ import pytest
 
 from poise.errors import PoiseError
 from poise.manage.control_socket.client import send_command
-from poise.manage.control_socket.records import RobotStatus, StatusCommand
+from poise.manage.control_socket.commands import RobotStatus, StatusCommand
 from poise.manage.journal import Journal, read_journal
-from poise.manage.migration.transition import plan_transition
+from poise.manage.migration.transition_plan import plan_transition
 from poise.manage.migration.transition_run import transit
 from poise.model import load
 from poise.session.launch.start import started

@@ -9,16 +9,14 @@ import pytest
 from msgspec.structs import replace
 
 from poise.errors import UsageError
-from poise.estimate.profile import file as profile_file
+from poise.estimate.profile import profile_files as profile_file
 from poise.model import load
 from poise.model.robot import Generated, Robot, Workload
-from poise.session.profiling.rig import OTHERS, rig_of
-from poise.session.profiling.workload_replay import PLAYER, played
+from poise.session.profiling.rig import OTHERS, PLAYER, played, rig_of
 from poise.session.recordings.tapped_robot import tapped
 from poise.session.robot_file import check
-from poise.wire.recording_file import append
+from poise.wire.recording_file import Input, Recorded, append
 from poise.wire.recording_file import load as load_recording
-from poise.wire.records.recorded import Input, Recorded
 from tests.command import Poise
 
 ROBOT = """\

@@ -16,7 +16,7 @@ import pytest
 from poise.cgroup_mounts import mounts
 from poise.emulate import Emulation, look, sweep
 from poise.emulate.cgroup.groups import Group, Groups
-from poise.emulate.cgroup.v2 import V2
+from poise.emulate.cgroup.versions import V2
 from poise.emulate.layout import EmulationLayout
 from poise.emulate.limits import Limits
 from poise.emulate.probe import Probe

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from poise.emulate.starvation import StarvationWatch
-from poise.emulate.usage import Usage, is_starved
+from poise.emulate.usage import StarvationWatch, Usage, is_starved
 
 
 class Time:

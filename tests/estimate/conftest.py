@@ -8,7 +8,7 @@ from poise.estimate.profile import (
     Profile,
     TimerProfile,
 )
-from poise.estimate.profile.distribution import Distribution
+from poise.estimate.profile.profile_records import Distribution
 from poise.model.robot import (
     Architecture,
     ComponentEntry,

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from msgspec.structs import replace
 
-from poise.manage.agent_connections.checkpoint_copies import CheckpointCopies
+from poise.manage.agent_connections.agents import CheckpointCopies
 from poise.manage.agent_connections.requests import Reply
 from poise.model.robot import (
     Architecture,

@@ -15,7 +15,7 @@ import pytest
 
 from poise.errors import RobotError, RunError, UsageError
 from poise.manage.control_socket.client import send_command
-from poise.manage.control_socket.records import (
+from poise.manage.control_socket.commands import (
     Command,
     MoveCommand,
     Refusal,

@@ -8,7 +8,7 @@ import pytest
 from msgspec.structs import replace
 
 from poise.manage.agent_connections.agents import Agents
-from poise.manage.control_socket.records import (
+from poise.manage.control_socket.commands import (
     LogCommand,
     MoveCommand,
     Refusal,
@@ -19,10 +19,10 @@ from poise.manage.control_socket.records import (
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.journal import Journal
 from poise.manage.manager import Manager
-from poise.manage.migration.report import MigrationReport
+from poise.manage.migration.migration_report import MigrationReport
 from poise.manage.observe.estimates import Estimates
 from poise.manage.observe.recording import Recording
-from poise.manage.tasks.tasks import Tasks
+from poise.manage.tasks.concurrent_tasks import Tasks
 from poise.model.robot import Action, Robot, Task
 from poise.wire.records.samples import AgentSample, ComponentSample, ContainerSample
 from poise.wire.records.status import ComponentStatus, Fault

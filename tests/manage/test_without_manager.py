@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from msgspec.structs import replace
 
-from poise.manage.control_socket.agent_addresses import AgentAddresses
-from poise.manage.control_socket.without_manager import status_by_agents
+from poise.manage.control_socket.agents_without_manager import status_by_agents
+from poise.manage.control_socket.location import AgentAddresses
 from poise.wire.records.requests import ManagerId
 from poise.wire.records.status import (
     AgentStatus,

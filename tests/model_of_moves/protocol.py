@@ -3,8 +3,8 @@
 One component is moved, or two neighbours at once, each from a container ``old`` to a
 container ``new``. A source publishes to the first and has callers there; what a
 component gets, it publishes to the next, and the last to a sink. Calls go from one to
-the other, too. The steps have the names and phases of `poise.wire.records.migration`,
-and the phases follow each other as `poise.wire.migration_phases` allows.
+the other, too. Names and phases of the steps, and which phase may follow which, are
+those of `poise.wire.records.migration_records`.
 ``test_replay.py`` replays what real agents did.
 
 The manager may give up a round at any time, and does so when a step fails: a step that
@@ -16,8 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 
-from poise.wire.migration_phases import TRANSITIONS, Before, Phase
-from poise.wire.records.migration import STEPS
+from poise.wire.records.migration_records import STEPS, TRANSITIONS, Before, Phase
 from tests.model_of_moves.calls import SIDES, Calls
 from tests.model_of_moves.faults import Faults
 from tests.model_of_moves.world import MARK, Bounds, Incarnation, Order, Side, State

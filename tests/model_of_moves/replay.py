@@ -6,8 +6,8 @@ import re
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
-from poise.manage.migration.report import MigrationReport
-from poise.wire.records.migration import StepTaken
+from poise.manage.migration.migration_report import MigrationReport
+from poise.wire.records.migration_records import StepTaken
 from tests.model_of_moves.protocol import Protocol, initial, prepare, resuming, transfer
 from tests.model_of_moves.world import Bounds, State
 

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from poise.manage.migration.report import MigrationReport
-from poise.wire.migration_phases import Phase
-from poise.wire.records.migration import StepTaken
+from poise.manage.migration.migration_report import MigrationReport
+from poise.wire.records.migration_records import Phase, StepTaken
 from tests.model_of_moves.replay import replay
 
 pytestmark = pytest.mark.slow

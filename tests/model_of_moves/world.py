@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, Literal, NamedTuple
 
-from poise.wire.migration_phases import Before
+from poise.wire.records.migration_records import Before
 
 MARK = 0
 """A mark in a stream of messages, which are numbered from 1."""

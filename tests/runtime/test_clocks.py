@@ -18,16 +18,15 @@ from poise.manage.journal import Journal
 from poise.model import load
 from poise.runtime.agent.fence import Fence
 from poise.runtime.agent.heartbeat_exchange import HeartbeatExchange
-from poise.runtime.agent.sampling.watchdog import Silence
-from poise.runtime.agent.supervision.container_processes import ContainerProcess
-from poise.runtime.agent.supervision.control_link import ControlLink
 from poise.runtime.execution.clocks import ComputerClock
+from poise.runtime.sampling.watchdog import Silence
+from poise.runtime.supervision.container_processes import ContainerProcess
+from poise.runtime.supervision.process_host import ControlLink
 from poise.runtime.waker import wait_readable
 from poise.session.launch.start import Sampling, started
 from poise.wire import record_channel
 from poise.wire.control_session import locator
-from poise.wire.failure_detector import Contacts
-from poise.wire.heartbeats import Heartbeats
+from poise.wire.heartbeats import Contacts, Heartbeats
 from poise.wire.records.clocks import Clocks, ClockStatus
 from poise.wire.records.container import ToContainer
 from poise.wire.records.deployment import ContainerSpec

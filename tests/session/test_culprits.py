@@ -8,7 +8,7 @@ import pytest
 
 import poise
 from poise.estimate.online import Estimate
-from poise.session.render.status import remarks
+from poise.session.render.status_tables import remarks
 from tests.waiting import LONG, wait_long
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(LONG)]

@@ -65,7 +65,7 @@ def test_the_names_are_listed_before_they_are_imported() -> None:
         ),
         # containers are forked from it
         (
-            "import poise.cli.command.run_time.agent",
+            "import poise.cli.commands.agent",
             ["rich", "yaml", "poise.model", "poise.plan"],
         ),
     ],

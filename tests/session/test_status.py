@@ -9,11 +9,9 @@ from msgspec.structs import replace
 from rich.console import Console
 
 from poise.estimate.online import Drift, Estimate
-from poise.manage.control_socket.records import RobotStatus
-from poise.manage.observe.estimates import DemandEstimate
-from poise.manage.observe.loads import Load
-from poise.session.render.shared_tables.columns import table
-from poise.session.render.status import (
+from poise.manage.control_socket.commands import RobotStatus
+from poise.manage.observe.estimates import DemandEstimate, Load
+from poise.session.render.status_tables import (
     _remarks,
     component_table,
     computer_table,
@@ -22,6 +20,7 @@ from poise.session.render.status import (
     remarks,
     status_parts,
 )
+from poise.session.render.tables import table
 from poise.wire.records.requests import ManagerId
 from poise.wire.records.status import (
     AgentStatus,

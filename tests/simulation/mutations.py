@@ -16,23 +16,22 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any, cast
 
-from poise.manage.adaptation.shortages import failover
 from poise.manage.agent_connections.agents import Agents
 from poise.manage.deploy import desired_state, takeover
+from poise.manage.deploy.adoption import joined_by
 from poise.manage.deploy.desired import Desired
 from poise.manage.deploy.desired_state import DesiredState
-from poise.manage.deploy.other_side import joined_by
 from poise.manage.deploy.reconciler import Reconciler
 from poise.manage.migration import transition_run
 from poise.manage.migration.coordinator import Migration
-from poise.manage.migration.plan import MigrationPlan
+from poise.manage.migration.migration_plan import MigrationPlan
 from poise.manage.prefetch.prefetch import Prefetcher
+from poise.manage.shortages import failover
 from poise.manage.supervised import SupervisedTick
 from poise.manage.tasks.task_manager import TaskManager
-from poise.runtime.agent import lease
-from poise.runtime.agent.fence import Fence
+from poise.runtime.agent import fence
+from poise.runtime.agent.fence import Fence, Lease
 from poise.runtime.agent.heartbeat_exchange import HeartbeatExchange
-from poise.runtime.agent.lease import Lease
 from poise.simulation.robot.container_host import SimulatedControl
 from poise.simulation.run import simulate
 from poise.simulation.shrink import Shrunk
@@ -237,7 +236,7 @@ DEFECTS: Defects = {
         _lease_of_another_manager,
     ),
     # mutations
-    "long-lease": ("agents keep leases for 2 s", _put(lease, "LEASE", 2.0)),
+    "long-lease": ("agents keep leases for 2 s", _put(fence, "LEASE", 2.0)),
     "no-revoke": (
         "what was lost starts before its lease has ended",
         _put(transition_run, "_revoke_leases", lambda *_: None),

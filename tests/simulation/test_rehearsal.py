@@ -6,8 +6,7 @@ import pytest
 from msgspec import structs
 
 from poise.estimate.profile import ComponentProfile, ConnectorProfile, Profile
-from poise.estimate.profile.distribution import Distribution
-from poise.estimate.profile.records import TimerProfile
+from poise.estimate.profile.profile_records import Distribution, TimerProfile
 from poise.model.hardware import Link
 from poise.model.robot import Chain, Robot
 from poise.simulation.faults import SimulatedFault

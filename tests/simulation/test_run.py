@@ -15,7 +15,7 @@ from poise.simulation.faults import SimulatedFault
 from poise.simulation.run import Scenario, simulate
 from poise.simulation.shrink import Shrunk
 
-_LEASE = "poise.runtime.agent.lease.LEASE"
+_LEASE = "poise.runtime.agent.fence.LEASE"
 _ROOT = Path(__file__).parents[2]
 _DIGEST = """
 import sys

@@ -12,7 +12,7 @@ from poise.estimate.profile import (
     Profile,
     TimerProfile,
 )
-from poise.estimate.profile.distribution import Distribution
+from poise.estimate.profile.profile_records import Distribution
 from poise.view.profile_plot import plot_profile
 
 pytest.importorskip("matplotlib")

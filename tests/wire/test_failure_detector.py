@@ -6,7 +6,7 @@ import random
 
 import pytest
 
-from poise.wire.failure_detector import EVERY, Contacts
+from poise.wire.heartbeats import EVERY, Contacts
 
 
 def loss(came: list[bool]) -> float:

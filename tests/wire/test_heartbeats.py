@@ -14,7 +14,7 @@ from poise import threads
 from poise.clock import SystemClock
 from poise.endpoint import Endpoint
 from poise.wire.heartbeats import Address, Heartbeats
-from poise.wire.records.heartbeats import Heartbeat
+from poise.wire.records.heartbeat_records import Heartbeat
 from tests.runtime.conftest import free_port
 from tests.waiting import wait_until
 

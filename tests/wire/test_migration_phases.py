@@ -8,7 +8,12 @@ from typing import get_args
 import pytest
 
 from poise.errors import RunError
-from poise.wire.migration_phases import TRANSITIONS, MigrationPhases, Phase, Role
+from poise.wire.records.migration_records import (
+    TRANSITIONS,
+    MigrationPhases,
+    Phase,
+    Role,
+)
 
 
 def phases(role: Role, *way: Phase) -> MigrationPhases:

@@ -1,4 +1,4 @@
-"""The commands of `poise`: each has a line here and a function in `command/`."""
+"""The commands of `poise`: each has a line here and a function in `commands/`."""
 
 from __future__ import annotations
 
@@ -11,55 +11,55 @@ from typing import Annotated
 import typer
 
 COMMANDS = {
-    "check": ("design_time.check", "Check a robot file and the code that it names."),
-    "plan": ("design_time.plan", "Decide where each component runs."),
-    "simulate": ("design_time.simulate", "Simulate a task in virtual time."),
-    "draw": ("design_time.draw", "Draw components, placements or a transition."),
-    "profile": ("design_time.profile", "Measure what each component needs."),
-    "profile show": ("design_time.profile", "Show the last profile."),
-    "calibrate": ("design_time.calibrate", "Measure computers and connectors."),
-    "recording": ("design_time.recording", "Export or replay a recording."),
-    "policy": ("design_time.policy", "Show what a robot does by itself, and when."),
-    "repository": ("design_time.repository", "Show what provides which function."),
-    "repository list": ("design_time.repository", "List architectures by function."),
-    "repository show": ("design_time.repository", "Show an architecture's success."),
-    "repository reset": ("design_time.repository", "Forget what was learned of it."),
-    "run": ("run_time.run", "Run a task for a while and report."),
-    "demo": ("run_time.demo", "Drive a robot, placed by hand and by Poise."),
-    "emulate": ("run_time.emulate", "Keep a robot's emulated computers up."),
-    "emulate list": ("run_time.emulate", "Show what is up, and the faults there."),
-    "emulate cut": ("run_time.emulate", "Cut computers from each other."),
-    "emulate slow": ("run_time.emulate", "Slow a link down."),
-    "emulate heal": ("run_time.emulate", "End a cut, or make a link quick again."),
-    "emulate crash": ("run_time.emulate", "Kill all processes of a computer."),
-    "emulate freeze": ("run_time.emulate", "Stop all processes of a computer."),
-    "emulate boot": ("run_time.emulate", "Bring a computer back."),
-    "emulate load": ("run_time.emulate", "Let a program take CPU on a computer."),
-    "emulate stop": ("run_time.emulate", "End the emulated computers of a robot."),
-    "up": ("run_time.up", "Start a robot and keep it running."),
-    "top": ("run_time.top", "Watch a running robot in the terminal."),
-    "list": ("run_time.look", "List robots that run, and what they consist of."),
-    "echo": ("run_time.look", "Show messages as they go out over a connector."),
-    "hz": ("run_time.look", "Show how often something goes out over a connector."),
-    "record": ("run_time.record", "Record a running robot for Foxglove."),
-    "log": ("run_time.look", "Show what components wrote."),
-    "task": ("run_time.task", "Start, pause, resume and cancel tasks."),
-    "task start": ("run_time.task", "Start a task of a running robot."),
-    "task pause": ("run_time.task", "Let a task rest."),
-    "task resume": ("run_time.task", "Let a paused task go on."),
-    "task cancel": ("run_time.task", "End a task."),
-    "task list": ("run_time.task", "List the tasks that were started."),
-    "task show": ("run_time.task", "Show a task and its actions."),
-    "status": ("run_time.running_robot", "Show how a running robot is."),
-    "dashboard": ("run_time.dashboard", "Show a running robot as a web page."),
-    "move": ("run_time.running_robot", "Move a component of a running robot."),
-    "replace": ("run_time.running_robot", "Swap a component's implementation."),
-    "balance": ("run_time.running_robot", "Rebalance a running robot."),
-    "journal": ("run_time.journal", "Show what a manager decided and why."),
-    "stop": ("run_time.running_robot", "Stop a running robot."),
-    "agent": ("run_time.agent", "Run what the manager wants on this computer."),
+    "check": ("check", "Check a robot file and the code that it names."),
+    "plan": ("plan", "Decide where each component runs."),
+    "simulate": ("simulate", "Simulate a task in virtual time."),
+    "draw": ("draw", "Draw components, placements or a transition."),
+    "profile": ("profile", "Measure what each component needs."),
+    "profile show": ("profile", "Show the last profile."),
+    "calibrate": ("calibrate", "Measure computers and connectors."),
+    "recording": ("recording", "Export or replay a recording."),
+    "policy": ("policy", "Show what a robot does by itself, and when."),
+    "repository": ("repository", "Show what provides which function."),
+    "repository list": ("repository", "List architectures by function."),
+    "repository show": ("repository", "Show an architecture's success."),
+    "repository reset": ("repository", "Forget what was learned of it."),
+    "run": ("run", "Run a task for a while and report."),
+    "demo": ("demo", "Drive a robot, placed by hand and by Poise."),
+    "emulate": ("emulate", "Keep a robot's emulated computers up."),
+    "emulate list": ("emulate", "Show what is up, and the faults there."),
+    "emulate cut": ("emulate", "Cut computers from each other."),
+    "emulate slow": ("emulate", "Slow a link down."),
+    "emulate heal": ("emulate", "End a cut, or make a link quick again."),
+    "emulate crash": ("emulate", "Kill all processes of a computer."),
+    "emulate freeze": ("emulate", "Stop all processes of a computer."),
+    "emulate boot": ("emulate", "Bring a computer back."),
+    "emulate load": ("emulate", "Let a program take CPU on a computer."),
+    "emulate stop": ("emulate", "End the emulated computers of a robot."),
+    "up": ("up", "Start a robot and keep it running."),
+    "top": ("look", "Watch a running robot in the terminal."),
+    "list": ("look", "List robots that run, and what they consist of."),
+    "echo": ("look", "Show messages as they go out over a connector."),
+    "hz": ("look", "Show how often something goes out over a connector."),
+    "record": ("record", "Record a running robot for Foxglove."),
+    "log": ("look", "Show what components wrote."),
+    "task": ("task", "Start, pause, resume and cancel tasks."),
+    "task start": ("task", "Start a task of a running robot."),
+    "task pause": ("task", "Let a task rest."),
+    "task resume": ("task", "Let a paused task go on."),
+    "task cancel": ("task", "End a task."),
+    "task list": ("task", "List the tasks that were started."),
+    "task show": ("task", "Show a task and its actions."),
+    "status": ("running_robot", "Show how a running robot is."),
+    "dashboard": ("dashboard", "Show a running robot as a web page."),
+    "move": ("running_robot", "Move a component of a running robot."),
+    "replace": ("running_robot", "Swap a component's implementation."),
+    "balance": ("running_robot", "Rebalance a running robot."),
+    "journal": ("journal", "Show what a manager decided and why."),
+    "stop": ("running_robot", "Stop a running robot."),
+    "agent": ("agent", "Run what the manager wants on this computer."),
 }
-"""Command -> its file in `command/`, and what it does. A second word makes a
+"""Command -> its file in `commands/`, and what it does. A second word makes a
 sub-command. Its function is named after its last word: `stop_command`."""
 
 _EXIT_CODES = (
@@ -84,7 +84,7 @@ def build(arguments: Sequence[str]) -> typer.Typer:
     asked = both if both in COMMANDS else "".join(words[:1])
     for name, (where, help_) in COMMANDS.items():
         if name == asked:
-            loaded = importlib.import_module(f"poise.cli.command.{where}")
+            loaded = importlib.import_module(f"poise.cli.commands.{where}")
             group, last = _group_of(app, name)
             command = getattr(loaded, f"{last}_command")
             help_text = _flowing(inspect.getdoc(command) or "")

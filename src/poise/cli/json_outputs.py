@@ -12,21 +12,21 @@ from typing import Any, TypedDict, get_type_hints
 
 import msgspec
 
-from poise.cli.command.run_time.demo import DemoReport
-from poise.cli.command.run_time.emulate import ListedSet
+from poise.cli.commands.demo import DemoReport
+from poise.cli.commands.emulate import ListedSet
 from poise.errors import FileProblem
 from poise.estimate.profile import Profile
 from poise.manage.adaptation.proposals import WhatIf
-from poise.manage.control_socket.records import Rebalanced, RobotStatus
+from poise.manage.control_socket.commands import Rebalanced, RobotStatus
 from poise.manage.journal import JournalEntry
-from poise.manage.migration.report import MigrationReport
+from poise.manage.migration.migration_report import MigrationReport
 from poise.manage.observe.estimates import DemandEstimate
-from poise.manage.tasks.report import TaskReport
+from poise.manage.tasks.task_report import TaskReport
 from poise.model.policy.policy import Policy
-from poise.plan.phases.result import PlainPhases
+from poise.plan.phases.phase_result import PlainPhases
 from poise.plan.result import PlainResult
 from poise.session.experiment.summary import ExperimentReport
-from poise.session.placing.repository import Described, Listed
+from poise.session.placing.chosen_architectures import Described, Listed
 from poise.session.profiling.calibrate import Calibration
 from poise.session.reports.run_report import RunReport
 from poise.session.running_robots.local_robots import Robots

@@ -4,12 +4,11 @@ from poise.emulate.computer import EmulatedComputer
 from poise.emulate.emulation import Emulation
 from poise.emulate.full_speed import full_speed
 from poise.emulate.kept.emulated_set import EmulatedSet
-from poise.emulate.kept.injected_fault import InjectedFault
 from poise.emulate.kept.kept_sets import all_sets, find_set, set_for
+from poise.emulate.layout import InjectedFault
 from poise.emulate.probe import Probe, look
 from poise.emulate.registry import sweep
-from poise.emulate.starvation import StarvationWatch
-from poise.emulate.usage import Usage, is_starved
+from poise.emulate.usage import StarvationWatch, Usage, is_starved
 
 __all__ = [
     "EmulatedComputer",

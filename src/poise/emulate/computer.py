@@ -10,10 +10,9 @@ from typing import IO
 
 import msgspec
 
-from poise.emulate.cgroup.files import Files
-from poise.emulate.cgroup.groups import Group
+from poise.emulate.cgroup.groups import Files, Group
+from poise.emulate.emulated_network import NAMESPACES
 from poise.emulate.layout import ComputerLayout
-from poise.emulate.network.namespaces import NAMESPACES
 from poise.emulate.processes import MARK, stop
 from poise.emulate.usage import Usage, is_starved, stolen_time
 

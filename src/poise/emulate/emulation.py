@@ -11,14 +11,13 @@ from typing import Self
 from msgspec.structs import replace
 
 from poise.clock import wall_time
-from poise.emulate import processes
-from poise.emulate.cgroup import files as cgroup_files
+from poise.emulate import emulated_network, processes
+from poise.emulate.cgroup import groups as cgroup_files
 from poise.emulate.cgroup.groups import Groups
 from poise.emulate.computer import EmulatedComputer
+from poise.emulate.emulated_network import NetworkPlan
 from poise.emulate.layout import EmulationLayout, KeptSet, lay_out
 from poise.emulate.limits import shortages
-from poise.emulate.network import namespaces
-from poise.emulate.network.plan import NetworkPlan
 from poise.emulate.probe import Probe, look
 from poise.emulate.registry import addresses, register, remove, sweep
 from poise.errors import RunError
@@ -176,11 +175,11 @@ def _prepared(groups: Groups, run: str) -> tuple[Groups, list[str]]:
 
 def _wire(plan: NetworkPlan, host: Probe) -> list[str]:
     """Make the network, shaped if possible; return what is missing."""
-    namespaces.build(plan)
+    emulated_network.build(plan)
     if "tc" not in host.tools:
         return []
     slow = any(shape.latency for _, _, shape in plan.links)
-    delays = slow and namespaces.can_delay(plan.switch)
-    namespaces.shape(plan, delays=delays)
+    delays = slow and emulated_network.can_delay(plan.switch)
+    emulated_network.shape(plan, delays=delays)
     reason = "link latency: this kernel cannot delay packets (no sch_netem)"
     return [reason] if slow and not delays else []

@@ -10,9 +10,8 @@ from msgspec import Struct
 
 from poise.cgroup_mounts import Mount, mounts
 from poise.emulate.cgroup.groups import Groups
-from poise.emulate.cgroup.v1 import V1
-from poise.emulate.cgroup.v2 import V2
-from poise.emulate.network.namespaces import NAMESPACES
+from poise.emulate.cgroup.versions import V1, V2
+from poise.emulate.emulated_network import NAMESPACES
 
 _NAMES = {"cpu": "quota", "cpuset": "CPU set in a cgroup", "memory": "memory limit"}
 

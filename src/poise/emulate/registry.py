@@ -16,9 +16,9 @@ from pathlib import Path
 
 import msgspec
 
-from poise.emulate.cgroup import files as cgroup_files
+from poise.emulate import emulated_network
+from poise.emulate.cgroup import groups as cgroup_files
 from poise.emulate.layout import EmulationLayout
-from poise.emulate.network import namespaces
 from poise.emulate.owner import PREFIX, Owner
 from poise.emulate.processes import marked, stop
 from poise.errors import PoiseError, RunError, UsageError
@@ -156,8 +156,8 @@ def remove(layout: EmulationLayout) -> None:
         (_end_marked, [computer.mark for computer in computers]),
         (cgroup_files.remove, [each for c in computers for each in c.groups]),
         (cgroup_files.bring_back, layout.aside),
-        (namespaces.unplug, [network.owner] if network else []),
-        (namespaces.remove, network.namespaces if network else []),
+        (emulated_network.unplug, [network.owner] if network else []),
+        (emulated_network.remove, network.namespaces if network else []),
         (shutil.rmtree, [c.folder for c in computers if Path(c.folder).is_dir()]),
     )
     problems: list[str] = []

@@ -2,10 +2,9 @@
 
 The estimate covers the last `SPAN` seconds, and restarts when the demand has changed.
 The CPU time of a starved component is not its demand, nor is that of one that works off
-a backlog: the demand is then arriving jobs x CPU time per job
-(`poise.estimate.demand_windows`). While one job runs on (`poise.estimate.long_jobs`),
-the demand is what that uses. Windows that give only a lower bound count only if they
-raise the estimate.
+a backlog: the demand is then arriving jobs x CPU time per job, and while one job runs
+on, what that uses (`poise.estimate.demand_windows`). Windows that give only a lower
+bound count only if they raise the estimate.
 """
 
 from __future__ import annotations
@@ -17,14 +16,14 @@ from msgspec import Struct
 from poise.estimate import _change_point
 from poise.estimate.demand_windows import (
     Demand,
+    PresentJob,
     Reading,
     Sums,
     Window,
     demand_in,
     window_between,
 )
-from poise.estimate.long_jobs import PresentJob
-from poise.estimate.profile.distribution import error_of_mean, quantile
+from poise.estimate.profile.profile_records import error_of_mean, quantile
 
 SPAN = 30.0
 """An estimate covers this time [s]."""

@@ -22,11 +22,9 @@ from msgspec import structs
 from poise.errors import PoiseError, RunError, TakenOver
 from poise.manage.adaptation.bad_links import check_links
 from poise.manage.adaptation.loop import Adaptation
-from poise.manage.adaptation.shortages.put_aside import PutAside
 from poise.manage.adaptation.situation import Situation
 from poise.manage.adaptation.what_if import check_move
-from poise.manage.control_socket.read_commands import look, status_of
-from poise.manage.control_socket.records import (
+from poise.manage.control_socket.commands import (
     Command,
     JournalCommand,
     MoveCommand,
@@ -42,9 +40,10 @@ from poise.manage.control_socket.records import (
     TaskCommand,
     TaskDone,
 )
+from poise.manage.control_socket.read_commands import look, status_of
+from poise.manage.deploy.deactivation import stop
 from poise.manage.deploy.lost_computers import LostComputers
 from poise.manage.deploy.running_components import RunningComponents
-from poise.manage.deploy.stop import stop
 from poise.manage.migration.move import plan_move, plan_replacement
 from poise.manage.migration.planned import Planned
 from poise.manage.migration.replacement import plan_architecture_replacement
@@ -52,13 +51,13 @@ from poise.manage.observe.chains import ChainAges, ChainReader
 from poise.manage.observe.deadline_misses import DeadlineMisses
 from poise.manage.observe.deviations import Deviation
 from poise.manage.observe.estimates import Estimates
-from poise.manage.observe.manager_troubles import ManagerTroubles
 from poise.manage.observe.recording import Recording, RecordingFile
-from poise.manage.observe.thread_failures import ThreadFailures
+from poise.manage.observe.troubles import ManagerTroubles, ThreadFailures
 from poise.manage.observe.watch import Watch
 from poise.manage.prefetch.prefetch import Prefetcher
-from poise.manage.tasks.progress import Saved
+from poise.manage.shortages.suspension import PutAside
 from poise.manage.tasks.task_manager import TaskManager
+from poise.manage.tasks.task_progress import Saved
 
 MOST_COMMANDS = 64
 """At most this many commands queue; further ones are refused."""

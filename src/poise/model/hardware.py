@@ -13,8 +13,8 @@ from typing import Annotated
 from msgspec import Struct
 from msgspec.structs import force_setattr
 
-from poise.model.file_forms import RESERVE
 from poise.model.file_keys import (
+    RESERVE,
     Address,
     Amount,
     Bandwidth,

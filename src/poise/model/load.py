@@ -12,7 +12,7 @@ from poise.model.check import check
 from poise.model.repository import Repository, with_repository
 from poise.model.robot import Robot
 from poise.model.yaml.include import read_tree
-from poise.model.yaml.positions import Positions
+from poise.model.yaml.tree import Positions
 from poise.model.yaml.validate import validate
 from poise.units import quoted
 

@@ -19,8 +19,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from poise.errors import FileProblem
-from poise.model.file_forms import by_name
-from poise.model.file_keys import says
+from poise.model.file_keys import by_name, says
 from poise.model.robot import Architecture, Robot
 from poise.model.tasks.steps import Action, walk
 from poise.model.yaml.include import read_file

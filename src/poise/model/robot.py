@@ -12,15 +12,18 @@ from typing import Annotated, Literal, Protocol, TypeVar
 from msgspec import Struct
 from msgspec.structs import replace
 
-from poise.model.file_forms import COMMAND, PortKind, by_name, by_port
 from poise.model.file_keys import (
+    COMMAND,
     Amount,
     Bytes,
     Name,
+    PortKind,
     Rate,
     Reference,
     Seconds,
     Share,
+    by_name,
+    by_port,
     note,
     says,
 )
@@ -36,8 +39,7 @@ from poise.model.software import (
     Layer,
     WhenCutOff,
 )
-from poise.model.tasks.prefetch import PREFETCH, Prefetch
-from poise.model.tasks.steps import Action, Task, actions_of
+from poise.model.tasks.steps import PREFETCH, Action, Prefetch, Task, actions_of
 
 __all__ = [
     "Action",

@@ -8,17 +8,21 @@ from typing import Annotated, Any, Literal
 
 from msgspec import Struct
 
-from poise.model.file_forms import COMMAND, ENDS, PORTS, PortKind, by_name
 from poise.model.file_keys import (
+    COMMAND,
+    ENDS,
+    PORTS,
     Amount,
     Bytes,
     Cores,
     Name,
+    PortKind,
     Rate,
     Reference,
     Resource,
     Seconds,
     Share,
+    by_name,
     entries,
     says,
 )

@@ -1,13 +1,17 @@
 """Where each component runs: the objective, the greedy, search, proof, explanation."""
 
 from poise.model.terms import Terms
-from poise.plan.phases.problem import PhasedProblem, PhaseProblem, phased_problem_of
-from poise.plan.phases.result import PhasedResult, PhaseMove
-from poise.plan.phases.solve import solve_phases
+from poise.plan.phases.phase_problem import (
+    PhasedProblem,
+    PhaseProblem,
+    phased_problem_of,
+)
+from poise.plan.phases.phase_result import PhasedResult, PhaseMove
+from poise.plan.phases.solve_phases import solve_phases
 from poise.plan.planner import Overload, Planner, evaluate, solve
-from poise.plan.problem.file import load, schema
 from poise.plan.problem.from_robot import problem_of, static
 from poise.plan.problem.problem import Bundle, Edge, Item, Problem, SoftLimit
+from poise.plan.problem.problem_file import load, schema
 from poise.plan.problem.share_cpu import PRICE, Margin, share_cpu
 from poise.plan.problem.time_limit import Hop, Run, TimeLimit
 from poise.plan.result import Result

@@ -6,8 +6,8 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 from poise.plan.problem.arrays import Arrays, Placed
-from poise.plan.problem.check import LEAST
 from poise.plan.problem.problem import Problem
+from poise.plan.problem.problem_check import LEAST
 from poise.plan.problem.time_arrays import HopArray, RunArray, Times, queue_of
 from poise.plan.problem.time_limit import TimeLimit
 

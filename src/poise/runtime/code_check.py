@@ -15,19 +15,22 @@ from typing import Any
 import msgspec
 
 from poise.errors import PoiseError, RobotError
-from poise.model.check.cycles import check_cycles
-from poise.model.check.file_paths import components
-from poise.model.check.ports import KnownPort, check_ports, check_required
-from poise.model.check.tasks import check_ends
-from poise.model.check.workload import check_generated
+from poise.model.check.connectors import (
+    KnownPort,
+    check_cycles,
+    check_ports,
+    check_required,
+)
+from poise.model.check.names import components
+from poise.model.check.tasks import check_ends, check_generated
 from poise.model.robot import ComponentEntry, PortKind, Robot
 from poise.model.software import CodeTimer, ComponentCode
-from poise.model.yaml.positions import Finding, Path
+from poise.model.yaml.tree import Finding, Path
 from poise.runtime.component.component import Component
-from poise.runtime.component.fingerprint import fingerprint
 from poise.runtime.component.implementation import (
     find,
     find_type,
+    fingerprint,
     load_module,
     search_also,
 )

@@ -19,10 +19,10 @@ from tempfile import TemporaryFile
 import msgspec
 
 from poise.errors import RunError
-from poise.model.check.file_paths import components
+from poise.model.check.names import components
 from poise.model.robot import ComponentEntry, Robot
 from poise.model.software import ComponentCode
-from poise.model.yaml.positions import Finding
+from poise.model.yaml.tree import Finding
 from poise.runtime.hosting.command_line import die_with_parent
 
 CodeOf = Callable[[ComponentEntry, str], ComponentCode]

@@ -21,9 +21,9 @@ from poise.manage.observe.recording import Recording
 from poise.model.robot import Robot
 from poise.session.callbacks import Check, Say, log, nothing
 from poise.session.launch.start import Sampling, Started, started
+from poise.session.placing.chosen_architectures import note_architectures
 from poise.session.placing.first_phase import first_phase
 from poise.session.placing.placement import Placement
-from poise.session.placing.repository import note_architectures
 from poise.session.profiling.stored_profiles import read_profile
 from poise.session.recordings.record_run import keeping
 from poise.session.reports.history import History

@@ -13,7 +13,7 @@ from poise import threads
 from poise.emulate import EmulatedComputer, set_for
 from poise.errors import RunError, UsageError
 from poise.estimate.success.learning import actions_in, learned
-from poise.manage.control_socket.records import StopCommand
+from poise.manage.control_socket.commands import StopCommand
 from poise.manage.control_socket.server import ControlServer
 from poise.manage.deploy.takeover import start_or_take_over
 from poise.manage.journal import Journal, check_journal
@@ -24,16 +24,16 @@ from poise.manage.tasks.saved import goes_on_with
 from poise.model.robot import Robot
 from poise.session.callbacks import Check, Say, log, nothing
 from poise.session.launch.start import Sampling, Started, started
+from poise.session.placing.chosen_architectures import note_architectures
 from poise.session.placing.first_phase import first_phase
 from poise.session.placing.placement import Placement
-from poise.session.placing.repository import note_architectures
 from poise.session.profiling.stored_profiles import read_profile
 from poise.session.robot_file import task_of
 from poise.session.running_robots.running import Running
 from poise.session.state_folder import make_journal
 
 if TYPE_CHECKING:
-    from poise.manage.observe.export.opentelemetry import Telemetry
+    from poise.manage.observe.opentelemetry import Telemetry
 
 _END_LIMIT = 60.0
 """What the manager has begun, such as a move, ends within this time [s]."""
@@ -209,7 +209,7 @@ def up(  # noqa: PLR0913 - each is a choice of the user
         )
         agents = it.run.agents
         if metrics is not None:
-            from poise.manage.observe.export.prometheus import MetricsServer
+            from poise.manage.observe.metrics import MetricsServer
 
             to = MetricsServer(estimates, agents.statuses, ("127.0.0.1", metrics))
             stack.callback(to.close)
@@ -244,7 +244,7 @@ def _check_outlives(robot: Robot) -> None:
 def _telemetry() -> type[Telemetry]:
     """Return the class that sends metrics; UsageError when its extra is missing."""
     try:
-        from poise.manage.observe.export.opentelemetry import Telemetry
+        from poise.manage.observe.opentelemetry import Telemetry
     except ImportError as error:
         raise UsageError(
             f"--otel needs OpenTelemetry: pip install 'poise[otel]' ({error})"

@@ -12,8 +12,8 @@ from msgspec import Struct
 
 from poise.errors import RunError
 from poise.estimate.profile import Profile
-from poise.manage.control_socket.records import MoveCommand, Refusal, Result
-from poise.manage.migration.report import MigrationReport
+from poise.manage.control_socket.commands import MoveCommand, Refusal, Result
+from poise.manage.migration.migration_report import MigrationReport
 from poise.model.robot import Robot
 from poise.simulation.faults import SimulatedFault, inject
 from poise.simulation.report import SimulationReport

@@ -11,13 +11,13 @@ from functools import partial
 from msgspec import Struct
 
 from poise.errors import TakenOver
-from poise.manage.control_socket.records import (
+from poise.manage.control_socket.commands import (
     MoveCommand,
     Refusal,
     Result,
     RobotStatus,
 )
-from poise.manage.migration.report import MigrationReport
+from poise.manage.migration.migration_report import MigrationReport
 from poise.model.robot import Robot
 from poise.simulation.aimed_faults import AimedFaults
 from poise.simulation.faults import (

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from poise.manage.control_socket.records import RobotStatus
+from poise.manage.control_socket.commands import RobotStatus
 from poise.simulation.robot.robot import SimulatedRobot
 
 _ANSWERED = 0.01

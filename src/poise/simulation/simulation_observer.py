@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 
 from poise.manage.deploy.desired import Desired
 from poise.manage.journal import JournalEntry
-from poise.manage.migration.report import MigrationReport
+from poise.manage.migration.migration_report import MigrationReport
 from poise.model.robot import Robot
 from poise.simulation.report import (
     Outage,

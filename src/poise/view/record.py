@@ -17,12 +17,12 @@ from poise.errors import PoiseError, RunError
 from poise.session.callbacks import Check, Say, log, nothing
 from poise.session.running_robots.running import JournalEntry, Status, connect
 from poise.units import counted
-from poise.view.live import LiveReader
 from poise.view.mcap_file import McapFile, schema_like, schema_of
 from poise.view.robot_view import (
     ComponentRow,
     ComputerRow,
     ConnectorRow,
+    LiveReader,
     Reader,
     TimerRow,
 )

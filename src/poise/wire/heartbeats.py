@@ -1,5 +1,9 @@
 """Sends and takes heartbeats: datagrams, on a thread that goes first.
 
+A heartbeat names the last heartbeats that its sender has heard. So each participant
+knows up to which of its own heartbeats the others have heard it, on its own clock: no
+clock is compared with another.
+
 No connection: after a cut, TCP may be silent for longer than the cut lasted, and one
 lost packet holds back all that come after it.
 """
@@ -9,7 +13,9 @@ from __future__ import annotations
 import logging
 import socket
 import threading
-from collections.abc import Callable, Mapping
+from collections import deque
+from collections.abc import Callable, Iterable, Mapping
+from statistics import median
 
 import msgspec
 
@@ -17,8 +23,191 @@ from poise import threads
 from poise.clock import Clock
 from poise.endpoint import Endpoint
 from poise.priority import go_first
-from poise.wire.failure_detector import EVERY
-from poise.wire.records.heartbeats import Heartbeat
+from poise.wire.records.heartbeat_records import MANAGER, Echo, Heartbeat, LinkQuality
+
+EVERY = 0.1
+"""A heartbeat goes out this often [s]."""
+_PATIENT = 0.13
+"""Who answers the manager's heartbeats sends one by itself only after this time [s]."""
+ASK_AFTER = 0.2
+"""Who is silent for longer is asked for a heartbeat [s]."""
+ASK_EVERY = 0.025
+DETECTED = 0.4
+"""Who is silent for longer is out of reach [s]."""
+LEASE = 0.7
+"""An agent that its manager has not heard for longer is cut off [s]."""
+SURELY_ENDED = 0.95
+"""The lease of an agent that is silent for longer has ended, on its clock, too [s]."""
+UNCUT_LEASE = 10.0
+"""The lease of agents that nothing can cut off from their manager, but that may have to
+wait for CPU: each holds it while it runs [s]."""
+UNCUT_SURELY_ENDED = 11.0
+_WINDOW = 50
+"""The number of heartbeats over which loss is counted."""
+_IN_A_ROW = 2
+"""Of heartbeats in a row that did not come, so many count as lost: else one short cut
+would look like a bad link for as long as the window lasts."""
+_DELAYS = 15
+_FORGOTTEN = 3.0
+"""Who is silent for longer is named no more [s]."""
+
+
+class Contact:
+    """What one participant knows of another.
+
+    Attributes
+    ----------
+    last
+        The other's last heartbeat.
+    began, heard_at
+        When the first and the last came [s].
+    acked
+        The time of the last own heartbeat that the other has heard [s]; None: none.
+    """
+
+    def __init__(self, beat: Heartbeat, now: float) -> None:
+        self.last = beat
+        self.began = self.heard_at = now
+        self.acked: float | None = None
+        self._lost: deque[int] = deque(maxlen=_WINDOW)
+        self._delays: deque[float] = deque(maxlen=_DELAYS)
+
+    def note(self, beat: Heartbeat, echo: Echo | None, now: float) -> None:
+        """Take in a heartbeat, which says what the other has heard of this side."""
+        gap = beat.number - self.last.number - 1
+        self._lost.append(min(gap, _IN_A_ROW) if gap > 0 else 0)
+        self.last, self.heard_at = beat, now
+        if echo is not None and (self.acked is None or echo.sent > self.acked):
+            self.acked = echo.sent
+            self._delays.append(max(0.0, now - echo.sent - echo.held) / 2)
+
+    def quality(self, now: float) -> LinkQuality:
+        """Return how the way from and to the other is."""
+        silent = now - self.heard_at
+        missed = max(0, int(silent / EVERY) - 1)
+        lost = min(missed, _IN_A_ROW) + sum(self._lost)
+        return LinkQuality(
+            delay=median(self._delays) if self._delays and silent < LEASE else None,
+            loss=lost / (lost + len(self._lost)) if self._lost else 0.0,
+            silent=silent,
+        )
+
+
+class Contacts:
+    """Whom one participant hears.
+
+    Parameters
+    ----------
+    name
+        This side's: a computer's, or `MANAGER`.
+    key
+        Of this start.
+    """
+
+    def __init__(self, robot: str, name: str, key: str) -> None:
+        self._robot = robot
+        self._name = name
+        self._key = key
+        self._number = 0
+        self._sent: deque[float] = deque(maxlen=_WINDOW)
+        self._contacts: dict[str, Contact] = {}
+
+    def note(self, beat: Heartbeat, now: float) -> bool:
+        """Take in a heartbeat at `now` [s]; return whether it was news."""
+        if beat.robot != self._robot or beat.sender == self._name:
+            return False
+        contact = self._contacts.get(beat.sender)
+        is_same = contact is not None and contact.last.key == beat.key
+        if contact is None or not is_same:
+            contact = self._contacts[beat.sender] = Contact(beat, now)
+        elif beat.number <= contact.last.number:
+            return False  # it was overtaken
+        contact.note(beat, beat.heard.get(self._name), now)
+        return True
+
+    def forget(self, name: str) -> None:
+        """Know nothing of another any more, until it is heard again."""
+        self._contacts.pop(name, None)
+
+    def next_beat(
+        self,
+        now: float,
+        *,
+        managed: float | None = 0.0,
+        manager: str = "",
+        is_cut_off: bool = False,
+        asks: Iterable[str] = (),
+        revoked: Mapping[str, int] | None = None,
+    ) -> Heartbeat:
+        """Return this side's heartbeat at `now` [s]."""
+        self._number += 1
+        self._sent.append(now)
+        return Heartbeat(
+            robot=self._robot,
+            sender=self._name,
+            key=self._key,
+            number=self._number,
+            sent=now,
+            heard={
+                name: Echo(
+                    contact.last.sent, now - contact.heard_at, contact.last.is_cut_off
+                )
+                for name, contact in self._contacts.items()
+                if now - contact.heard_at < _FORGOTTEN
+            },
+            managed=managed,
+            manager=manager,
+            is_cut_off=is_cut_off,
+            asks=tuple(asks),
+            revoked=revoked or {},
+        )
+
+    def pause(self, now: float) -> float:
+        """Return how long to wait at most until the next heartbeat [s]."""
+        manager = self._contacts.get(MANAGER)
+        answers = manager is not None and now - manager.heard_at < EVERY
+        return _PATIENT if answers else EVERY
+
+    def get(self, name: str) -> Contact | None:
+        """Return what is known of another; None: it was never heard."""
+        return self._contacts.get(name)
+
+    def unanswered_since(self, name: str) -> float:
+        """Return when the first own heartbeat went out that another has not heard [s].
+
+        Infinite when it has heard all.
+        """
+        contact = self._contacts.get(name)
+        acked = contact.acked if contact is not None else None
+        first = float("inf")
+        for at in reversed(self._sent):
+            if acked is not None and at <= acked:
+                break
+            first = at
+        return first
+
+    def relayed(self, name: str, now: float) -> tuple[str, float] | None:
+        """Return who heard another last, and when at the latest [s], but for itself."""
+        found = [
+            (contact.heard_at - echo.held, other)
+            for other, contact in self._contacts.items()
+            if other not in {name, MANAGER} and now - contact.heard_at < DETECTED
+            for echo in [contact.last.heard.get(name)]
+            if echo is not None and not echo.is_cut_off
+        ]
+        if not found:
+            return None
+        at, other = max(found)
+        return other, at
+
+    def qualities(self, now: float) -> Mapping[str, LinkQuality]:
+        """Return how the ways to all other computers are."""
+        return {
+            name: contact.quality(now)
+            for name, contact in sorted(self._contacts.items())
+            if name != MANAGER
+        }
+
 
 log = logging.getLogger(__name__)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from poise.cgroup_mounts import mounts
-from poise.emulate.cgroup.files import table
+from poise.emulate.cgroup.groups import table
 
 
 def test_both_versions_are_found_with_the_own_folder(tmp_path: Path) -> None:

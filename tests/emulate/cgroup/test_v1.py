@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from poise.cgroup_mounts import Mount
-from poise.emulate.cgroup.v1 import V1
+from poise.emulate.cgroup.versions import V1
 from poise.emulate.limits import Limits
 
 

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from poise.cgroup_mounts import Mount
-from poise.emulate.cgroup.files import Files, bring_back
-from poise.emulate.cgroup.v2 import V2
+from poise.emulate.cgroup.groups import Files, bring_back
+from poise.emulate.cgroup.versions import V2
 from poise.emulate.limits import Limits
 
 

@@ -11,10 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from poise.emulate import Emulation
-from poise.emulate.network import namespaces
-from poise.emulate.network import plan as network_plan
-from poise.emulate.network.plan import Shape, plan_network
+from poise.emulate import Emulation, emulated_network
+from poise.emulate import emulated_network as network_plan
+from poise.emulate.emulated_network import Shape, plan_network
 from poise.emulate.owner import Owner
 from poise.errors import RobotError, RunError
 from poise.model.robot import Link, Robot
@@ -44,7 +43,7 @@ def test_a_tool_that_hangs_is_an_error_like_others(
     monkeypatch.setattr(subprocess, "run", hang)
     plan = plan_network(OWNER, 0, ["a", "b"], ())
     with pytest.raises(RunError, match=r"ip took over 10 s: netns add poise-4242-7-0"):
-        namespaces.build(plan)
+        emulated_network.build(plan)
 
 
 def test_addresses_differ_and_names_say_whose_they_are() -> None:
@@ -84,7 +83,7 @@ def test_each_link_is_shaped_at_both_ends_by_its_destination() -> None:
         "qdisc replace dev eth0 parent 1:3 bfifo limit 216384",
         f"{new_filter} {c.address}/32 flowid 1:3",
     ]
-    shaping = dict(namespaces.shaping(plan, delays=False))
+    shaping = dict(emulated_network.shaping(plan, delays=False))
     assert shaping[a.namespace] == [root, f"{new_class} 1:2 htb {narrow}", *to_b]
     assert shaping[b.namespace] == [root, *to_a, *to_c]
     assert shaping.keys() == {a.namespace, b.namespace, c.namespace}
@@ -92,7 +91,7 @@ def test_each_link_is_shaped_at_both_ends_by_its_destination() -> None:
 
 def test_what_waits_for_the_delay_is_not_dropped() -> None:
     plan = plan_network(OWNER, 0, ["a", "b"], LINKS)
-    _, commands = namespaces.shaping(plan, delays=True)[0]
+    _, commands = emulated_network.shaping(plan, delays=True)[0]
     # 1 MB/s for 40 ms in the queue, and for 2 ms under way, and a bucket of 16 KiB
     queue = "netem delay 2000us limit 38"
     assert f"qdisc replace dev eth0 parent 1:2 {queue}" in commands

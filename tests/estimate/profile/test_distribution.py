@@ -2,7 +2,7 @@ import random
 
 import pytest
 
-from poise.estimate.profile.distribution import (
+from poise.estimate.profile.profile_records import (
     distribution_of,
     error_of_mean,
     quantile,

@@ -5,7 +5,7 @@ import pytest
 
 from poise.errors import RobotError
 from poise.estimate.profile import Profile
-from poise.estimate.profile import file as profile_file
+from poise.estimate.profile import profile_files as profile_file
 
 
 def test_reads_what_it_wrote(profile: Profile) -> None:

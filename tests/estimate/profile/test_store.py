@@ -3,7 +3,7 @@ from pathlib import Path
 from msgspec.structs import replace
 
 from poise.estimate.profile import Profile
-from poise.estimate.profile.store import Store
+from poise.estimate.profile.profile_files import Store
 
 
 def test_gives_back_the_newest(tmp_path: Path, profile: Profile) -> None:

@@ -8,9 +8,8 @@ import pytest
 
 from poise.estimate.online import Estimate
 from poise.manage.adaptation.situation import Situation
-from poise.manage.observe.estimates import DemandEstimate
-from poise.manage.observe.loads import Load
-from poise.model.policy.values import TimerValues
+from poise.manage.observe.estimates import DemandEstimate, Load
+from poise.model.policy.policy import TimerValues
 from poise.model.robot import (
     Action,
     Architecture,

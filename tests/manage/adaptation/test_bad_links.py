@@ -12,13 +12,13 @@ from poise.errors import UsageError
 from poise.manage.adaptation.bad_links import check_links
 from poise.manage.adaptation.decision import decide
 from poise.manage.adaptation.move_limits import MoveLimits
-from poise.manage.adaptation.policy.evaluation import Policies
-from poise.manage.adaptation.policy.subjects import values_of
 from poise.manage.adaptation.situation import Situation
+from poise.manage.policy.evaluation import Policies
+from poise.manage.policy.subjects import values_of
+from poise.model.policy.policy import LinkValues
 from poise.model.policy.shipped import policies_of
-from poise.model.policy.values import LinkValues
 from poise.model.robot import Computer, Connector, ConnectorEnd, Link, Robot
-from poise.wire.records.heartbeats import LinkQuality
+from poise.wire.records.heartbeat_records import LinkQuality
 from poise.wire.records.status import AgentStatus
 from tests.manage.adaptation.conftest import Make
 

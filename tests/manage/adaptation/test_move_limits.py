@@ -8,7 +8,7 @@ import pytest
 
 from poise.manage.adaptation.decision import decide
 from poise.manage.adaptation.move_limits import BUDGET, REST, MoveLimits
-from poise.manage.migration.report import TransitionStep
+from poise.manage.migration.migration_report import TransitionStep
 from tests.manage.adaptation.conftest import Make
 
 AWAY = TransitionStep("a", "left", "right")

@@ -11,9 +11,9 @@ from math import inf
 import pytest
 
 from poise.manage.agent_connections.reachability import Reachability
-from poise.runtime.agent.lease import Lease
-from poise.wire.failure_detector import DETECTED, EVERY, LEASE, SURELY_ENDED, Contacts
-from poise.wire.records.heartbeats import MANAGER, Heartbeat
+from poise.runtime.agent.fence import Lease
+from poise.wire.heartbeats import DETECTED, EVERY, LEASE, SURELY_ENDED, Contacts
+from poise.wire.records.heartbeat_records import MANAGER, Heartbeat
 
 AGENTS = ("left", "right", "third")
 AHEAD = {MANAGER: 0.0, "left": 1e3, "right": -70.0, "third": 5e5}

@@ -12,11 +12,11 @@ from msgspec.structs import replace
 from poise import plan
 from poise.errors import UsageError
 from poise.manage.adaptation.decision import decide
-from poise.manage.adaptation.shortages.failover import fail_over
 from poise.manage.adaptation.situation import Situation
 from poise.manage.migration.move import move
 from poise.manage.migration.move import replace as replace_implementation
 from poise.manage.migration.replacement import replace_architecture
+from poise.manage.shortages.failover import fail_over
 from poise.model.policy.policy import Policy
 from poise.model.robot import Computer, Robot
 from tests.manage.adaptation.shortages.test_put_aside import BOTH, Robbed, robot_with

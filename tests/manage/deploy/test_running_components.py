@@ -9,8 +9,8 @@ from msgspec import structs
 
 from poise.errors import RunError
 from poise.manage.agent_connections.agents import Agents
+from poise.manage.deploy.deactivation import stop
 from poise.manage.deploy.running_components import RunningComponents
-from poise.manage.deploy.stop import stop
 from poise.manage.journal import Journal
 from poise.model.robot import Robot
 from poise.testing.clock import VirtualClock

@@ -18,7 +18,7 @@ from poise.manage.journal import Journal
 from poise.manage.manager import Manager
 from poise.manage.observe.estimates import Estimates
 from poise.manage.observe.recording import Recording
-from poise.manage.tasks.progress import Saved
+from poise.manage.tasks.task_progress import Saved
 from poise.model.robot import Robot
 from poise.wire.records.requests import ManagerId
 from tests.manage.conftest import FakeAgents

@@ -19,16 +19,16 @@ from poise.errors import RunError, UsageError
 from poise.manage.agent_connections.agents import Agents
 from poise.manage.agent_connections.requests import AgentRequests, Reply
 from poise.manage.agent_connections.statuses import components_of, connectors_of
+from poise.manage.deploy.deactivation import stop
 from poise.manage.deploy.running_components import RunningComponents
-from poise.manage.deploy.stop import stop
 from poise.manage.journal import Journal
 from poise.manage.migration.coordinator import (
     DOWNTIME_LIMIT,
     PREPARE_LIMIT,
     RESUME_LIMIT,
 )
+from poise.manage.migration.migration_report import MigrationReport
 from poise.manage.migration.move import move, replace
-from poise.manage.migration.report import MigrationReport
 from poise.model.robot import (
     Architecture,
     ComponentEntry,
@@ -38,7 +38,7 @@ from poise.model.robot import (
     Robot,
 )
 from poise.wire.records.deployment import Deployment
-from poise.wire.records.migration import MigrationSteps, StepName, StepsOutcome
+from poise.wire.records.migration_records import MigrationSteps, StepName, StepsOutcome
 from poise.wire.records.requests import Refused
 from poise.wire.records.status import Fault
 from tests.manage.agents import TELLING, TwoAgents, two_agents

@@ -6,7 +6,7 @@ from collections.abc import Collection, Mapping
 
 from poise.manage.deploy.deployment_plan import DeploymentPlan
 from poise.manage.deploy.incarnation import Incarnation
-from poise.manage.migration.plan import MigrationPlan
+from poise.manage.migration.migration_plan import MigrationPlan
 from poise.model.robot import (
     Architecture,
     ComponentEntry,
@@ -14,7 +14,7 @@ from poise.model.robot import (
     ConnectorEnd,
     Robot,
 )
-from poise.wire.records.migration import Step
+from poise.wire.records.migration_records import Step
 
 GATEWAYS = {"left": "10.0.0.1:4001", "right": "10.0.0.2:4002"}
 

@@ -11,8 +11,8 @@ import pytest
 from poise.errors import UsageError
 from poise.manage.agent_connections.agents import Agents
 from poise.manage.agent_connections.statuses import components_of
+from poise.manage.deploy.deactivation import stop
 from poise.manage.deploy.running_components import RunningComponents
-from poise.manage.deploy.stop import stop
 from poise.manage.journal import Journal
 from poise.manage.migration.move import replace
 from poise.manage.migration.replacement import replace_architecture

@@ -10,7 +10,7 @@ import pytest
 from poise.errors import RunError
 from poise.manage.deploy.incarnation import Incarnation
 from poise.manage.deploy.running_components import RunningComponents
-from poise.manage.migration.stall import STALL_LIMIT, Stall
+from poise.manage.migration.progress_limits import STALL_LIMIT, Stall
 from poise.wire.records.status import (
     AgentStatus,
     ComponentStatus,

@@ -7,8 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from poise.errors import RobotError
-from poise.manage.migration.report import TransitionStep
-from poise.manage.migration.transition import plan_transition
+from poise.manage.migration.migration_report import TransitionStep
+from poise.manage.migration.transition_plan import plan_transition
 from poise.model.robot import Architecture, ComponentEntry, Computer, Robot
 
 

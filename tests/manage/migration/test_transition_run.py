@@ -10,7 +10,7 @@ from msgspec import structs
 from poise.manage.agent_connections.agents import Agents
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.journal import Journal
-from poise.manage.migration.report import TransitionStep
+from poise.manage.migration.migration_report import TransitionStep
 from poise.manage.migration.transition_run import transit
 from poise.model.robot import Robot
 from poise.wire.records.deployment import Deployment

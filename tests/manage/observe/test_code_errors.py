@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from poise.manage.observe.code_errors import QUIET, CodeErrors
+from poise.manage.observe.troubles import QUIET, CodeErrors
 from poise.wire.records.status import (
     AgentStatus,
     ComponentStatus,

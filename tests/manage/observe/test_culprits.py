@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from poise.estimate.online import Estimate
-from poise.manage.observe.culprits import culprit_on
-from poise.manage.observe.estimates import DemandEstimate
-from poise.manage.observe.loads import Load
+from poise.manage.observe.estimates import DemandEstimate, Load, culprit_on
 
 ESTIMATES = tuple(
     DemandEstimate(

@@ -8,13 +8,12 @@ import pytest
 
 from poise.errors import RunError, UsageError
 from poise.estimate.profile import ComponentProfile, Profile
-from poise.estimate.profile.distribution import Distribution
+from poise.estimate.profile.profile_records import Distribution
 from poise.manage.observe.estimates import Estimates
-from poise.manage.observe.export.prometheus import MetricsServer, to_prometheus
+from poise.manage.observe.metrics import MetricsServer, to_prometheus
 from poise.manage.observe.recording import Recording
 from poise.model.robot import Robot
-from poise.wire.recording_file import append, load
-from poise.wire.records.recorded import Recorded
+from poise.wire.recording_file import Recorded, append, load
 from poise.wire.records.samples import AgentSample
 from poise.wire.records.status import (
     AgentStatus,

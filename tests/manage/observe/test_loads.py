@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from poise.manage.observe.loads import Loads
+from poise.manage.observe.estimates import Loads
 from poise.model.robot import Robot
 from poise.wire.records.samples import AgentSample, ComponentSample, ContainerSample
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from poise.manage.journal import Journal
-from poise.manage.observe.manager_troubles import ManagerTroubles
+from poise.manage.observe.troubles import ManagerTroubles
 
 
 class Clocks:

@@ -15,8 +15,7 @@ import pytest
 from poise.errors import RunError
 from poise.manage.observe import recording
 from poise.manage.observe.recording import Recording, RecordingFile
-from poise.wire.recording_file import append, load
-from poise.wire.records.recorded import Recorded
+from poise.wire.recording_file import Recorded, append, load
 from poise.wire.records.samples import AgentSample, ComponentSample, ContainerSample
 from tests.waiting import wait_until
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from poise.manage.journal import Journal
-from poise.manage.observe.thread_failures import ThreadFailures
+from poise.manage.observe.troubles import ThreadFailures
 from poise.threads import SHOWN_FOR
 
 

@@ -7,10 +7,10 @@ from collections.abc import Mapping
 import pytest
 from msgspec.structs import replace
 
-from poise.manage.prefetch.choice import PrefetchPlan, choose
-from poise.manage.tasks.likely import Likely
+from poise.manage.prefetch.prefetch import PrefetchPlan, choose
+from poise.manage.tasks.action_placement import Likely
 from poise.model.robot import Architecture, ComponentEntry, Computer, Device, Robot
-from poise.model.tasks.prefetch import Prefetch
+from poise.model.tasks.steps import Prefetch
 
 MB = 1 << 20
 FREE = {"left": 0.2, "right": 0.2}

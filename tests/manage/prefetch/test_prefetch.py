@@ -9,15 +9,15 @@ import pytest
 from msgspec.structs import replace
 
 from poise.manage.agent_connections.agents import Agents
+from poise.manage.deploy.deactivation import stop
 from poise.manage.deploy.running_components import RunningComponents
-from poise.manage.deploy.stop import stop
 from poise.manage.journal import Journal
-from poise.manage.observe.loads import Load
+from poise.manage.observe.estimates import Load
 from poise.manage.prefetch.prefetch import TRY_AGAIN, Prefetcher
 from poise.manage.prefetch.switch import switch
-from poise.manage.tasks.likely import Likely
+from poise.manage.tasks.action_placement import Likely
 from poise.model.robot import Robot
-from poise.model.tasks.prefetch import Prefetch
+from poise.model.tasks.steps import Prefetch
 from poise.wire.records.status import ComponentStatus, ContainerHealth, Fault
 from tests.manage.conftest import FakeAgents
 

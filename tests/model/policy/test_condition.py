@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from poise.model.policy.condition import check_sentence, parse_condition, sentence
-from poise.model.policy.values import ComponentValues, ComputerValues, LinkValues
+from poise.model.policy.policy import ComponentValues, ComputerValues, LinkValues
 
 FULL = ComputerValues(
     name="left", capacity=0.5, used=0.49, full=True, memory=300 * 2**20, late=2

@@ -7,8 +7,7 @@ from msgspec.structs import replace
 
 from poise.model import load
 from poise.model.robot import Robot
-from poise.model.tasks.expectations import assumed
-from poise.model.tasks.phases import LEAST_SHARE, phases_of
+from poise.model.tasks.phases import LEAST_SHARE, assumed, phases_of
 
 HEAD = """
 robot: r

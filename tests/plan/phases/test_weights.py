@@ -9,7 +9,7 @@ from poise import plan
 from poise.model import load
 from poise.model.robot import Computer, Robot
 from poise.plan import Bundle, Edge, Item, Problem
-from poise.plan.phases.problem import NEVER
+from poise.plan.phases.phase_problem import NEVER
 
 HALVES = tuple(Computer(name=name, capacity={"cpu": 0.5}) for name in ("one", "two"))
 

@@ -22,9 +22,9 @@ import pytest
 import zenoh
 from msgspec import structs
 
-from poise.runtime.agent.agent_setup import BROKEN
+from poise.runtime.agent.surroundings import BROKEN
 from poise.runtime.waker import wait_readable
-from poise.wire.connections.socket_path import agent_path
+from poise.wire.connections.sockets import agent_path
 from poise.wire.control_session import open_session
 from poise.wire.records.deployment import (
     ComponentSpec,
@@ -33,7 +33,7 @@ from poise.wire.records.deployment import (
     Deployment,
     Goal,
 )
-from poise.wire.records.migration import MigrationSteps, Step, StepsFailed
+from poise.wire.records.migration_records import MigrationSteps, Step, StepsFailed
 from poise.wire.records.requests import (
     PROTOCOL,
     Accepted,

@@ -3,7 +3,7 @@ import random
 import pytest
 
 from poise.clock import DRIFT
-from poise.runtime.agent.clock_offset import ClockOffset
+from poise.runtime.agent.heartbeat_exchange import ClockOffset
 
 
 def test_a_symmetric_trip_by_hand() -> None:

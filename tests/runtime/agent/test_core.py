@@ -13,19 +13,23 @@ import pytest
 from msgspec import structs
 
 from poise.errors import Unavailable
-from poise.runtime.agent.agent_setup import AgentSetup
 from poise.runtime.agent.core import AgentCore
 from poise.runtime.agent.supervised_parts import SHOWN_FOR
-from poise.runtime.agent.supervision.agent_state import AgentState
-from poise.runtime.agent.supervision.container_processes import ProcessEnd
-from poise.runtime.agent.supervision.supervisor import FENCE_GRACE
-from poise.runtime.agent.surroundings import Hear, NextBeat, Reply, Surroundings
+from poise.runtime.agent.surroundings import (
+    AgentSetup,
+    AgentState,
+    Hear,
+    NextBeat,
+    Reply,
+    Surroundings,
+)
+from poise.runtime.supervision.container_processes import ProcessEnd
+from poise.runtime.supervision.supervisor import FENCE_GRACE
 from poise.testing import VirtualClock
-from poise.wire.failure_detector import UNCUT_LEASE
-from poise.wire.heartbeats import Address
+from poise.wire.heartbeats import UNCUT_LEASE, Address
 from poise.wire.records.container import ContainerFailure, ToContainer
 from poise.wire.records.deployment import ComponentSpec, ContainerSpec, Deployment
-from poise.wire.records.migration import MigrationSteps, StepsFailed
+from poise.wire.records.migration_records import MigrationSteps, StepsFailed
 from poise.wire.records.requests import (
     Accepted,
     Claim,

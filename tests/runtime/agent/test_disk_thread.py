@@ -8,10 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from poise.runtime.agent.agent_folder import AgentFolder
-from poise.runtime.agent.checkpoint_files import CheckpointFiles
-from poise.runtime.agent.disk_thread import DiskThread
-from poise.runtime.agent.supervision.agent_state import AgentState
+from poise.runtime.agent.agent_files import AgentFolder, CheckpointFiles, DiskThread
+from poise.runtime.agent.surroundings import AgentState
 from poise.testing import VirtualClock
 from poise.wire.records.checkpoints import CheckpointCopy
 from poise.wire.records.deployment import ComponentSpec, ContainerSpec, Deployment

@@ -11,10 +11,9 @@ from poise.runtime.agent.fence import Fence
 from poise.runtime.agent.heartbeat_exchange import HeartbeatExchange
 from poise.runtime.agent.surroundings import Hear, NextBeat
 from poise.testing.clock import VirtualClock
-from poise.wire.failure_detector import LEASE, UNCUT_LEASE, Contacts
-from poise.wire.heartbeats import Address
-from poise.wire.records.heartbeats import MANAGER as THE_MANAGER
-from poise.wire.records.heartbeats import Echo, Heartbeat
+from poise.wire.heartbeats import LEASE, UNCUT_LEASE, Address, Contacts
+from poise.wire.records.heartbeat_records import MANAGER as THE_MANAGER
+from poise.wire.records.heartbeat_records import Echo, Heartbeat
 from poise.wire.records.requests import Claim, ManagerId
 
 AGENTS = {"left": "tcp/127.0.0.1:1", "right": "tcp/127.0.0.1:2"}

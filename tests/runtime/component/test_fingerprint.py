@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from poise.runtime.component.fingerprint import fingerprint
+from poise.runtime.component.implementation import fingerprint
 
 CODE = """
 from __future__ import annotations

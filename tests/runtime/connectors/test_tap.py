@@ -17,7 +17,7 @@ from poise.runtime.connectors.sender import Sender
 from poise.runtime.connectors.tap import MOST_PASSED, MOST_TIMES, Observer, Plain
 from poise.runtime.hosting import taps
 from poise.runtime.hosting.taps import MOST_VIEWERS, Taps
-from poise.wire.records.migration import StepsFailed
+from poise.wire.records.migration_records import StepsFailed
 from poise.wire.records.taps import Tap, TapReading
 from tests.runtime.connectors.test_sender import FakeRoute, Note, Sums
 

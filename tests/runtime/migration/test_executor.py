@@ -12,7 +12,7 @@ from poise.clock import SystemClock
 from poise.runtime.hosting.runner import Runner
 from poise.runtime.migration.executor import MigrationExecutor
 from poise.wire.records.deployment import ComponentSpec, ContainerSpec
-from poise.wire.records.migration import (
+from poise.wire.records.migration_records import (
     MigrationSteps,
     Step,
     StepsDone,

@@ -12,8 +12,7 @@ from poise import Message
 from poise.runtime.workload.replay import TICK, Replay
 from poise.testing import Bench
 from poise.wire.codec import codec
-from poise.wire.recording_file import append
-from poise.wire.records.recorded import Input, Recorded
+from poise.wire.recording_file import Input, Recorded, append
 
 
 class Text(Message):

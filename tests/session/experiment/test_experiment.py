@@ -10,9 +10,8 @@ import poise
 from poise.session.callbacks import nothing
 from poise.session.experiment.experiment import PAGE, RAW, experiment
 from poise.session.experiment.measure import measure
-from poise.session.experiment.results import read
+from poise.session.experiment.results import ARMS, CONDITIONS, Extent, named, read
 from poise.session.experiment.summary import ArmSummary
-from poise.session.experiment.trials import ARMS, CONDITIONS, Extent, named
 from tests.session.emulated_robot import written
 from tests.waiting import LONG
 

@@ -10,10 +10,16 @@ from xml.etree import ElementTree as ET
 import msgspec
 from rich.console import Console
 
-from poise.session.experiment.page import experiment_page
-from poise.session.experiment.results import Missed, TrialResult
+from poise.session.experiment.experiment_page import experiment_page
+from poise.session.experiment.results import (
+    SHORT,
+    USUAL,
+    Extent,
+    Missed,
+    TrialResult,
+    schedule,
+)
 from poise.session.experiment.summary import ExperimentReport, summarised
-from poise.session.experiment.trials import SHORT, USUAL, Extent, schedule
 from poise.session.render.experiment import experiment_parts
 
 

@@ -7,8 +7,7 @@ from pathlib import Path
 import pytest
 
 from poise.errors import UsageError
-from poise.session.experiment.results import TrialResult, append, read, remaining
-from poise.session.experiment.trials import Trial
+from poise.session.experiment.results import Trial, TrialResult, append, read, remaining
 
 TRIALS = [Trial(arm, "usual", seed) for seed in range(2) for arm in ("a", "b")]
 

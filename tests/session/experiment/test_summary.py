@@ -5,9 +5,8 @@ from __future__ import annotations
 import pytest
 from msgspec.structs import replace
 
-from poise.session.experiment.results import Missed, TrialResult
+from poise.session.experiment.results import Missed, Trial, TrialResult
 from poise.session.experiment.summary import summarised, wilson
-from poise.session.experiment.trials import Trial
 
 VALID = TrialResult(
     trial=Trial("a", "usual", 0),

@@ -15,7 +15,7 @@ from poise.model.robot import (
     Robot,
     Simulator,
 )
-from poise.session.experiment.trials import (
+from poise.session.experiment.results import (
     ARMS,
     BASE,
     CONDITIONS,

@@ -2,8 +2,13 @@ import pytest
 from msgspec.structs import replace
 
 from poise.errors import RunError
-from poise.session.profiling.calibration_robots import EMPTY, PAIRS, TICKING, Pair
-from poise.session.profiling.connector_costs import costs_of
+from poise.session.profiling.connector_costs import (
+    EMPTY,
+    PAIRS,
+    TICKING,
+    Pair,
+    costs_of,
+)
 from poise.wire.records.samples import AgentSample, ConnectorSample, ContainerSample
 
 PER_BYTE = {"direct": 0.0, "local": 1e-9, "remote": 1e-8}

@@ -4,7 +4,7 @@ import pytest
 from msgspec.structs import replace
 
 from poise.estimate.profile import ConnectorProfile
-from poise.estimate.profile.distribution import Distribution
+from poise.estimate.profile.profile_records import Distribution
 from poise.model.robot import (
     Architecture,
     ComponentEntry,
@@ -13,10 +13,9 @@ from poise.model.robot import (
     ConnectorEnd,
     Robot,
 )
-from poise.session.profiling.figures import Observed, disagreeing
+from poise.session.profiling.figures import MeasuredUsage, Observed, disagreeing
 from poise.session.profiling.figures import figures as measured_figures
 from poise.session.profiling.rig import EMPTY, ProfilingRig
-from poise.session.profiling.usage import MeasuredUsage
 from poise.wire.records.status import AgentStatus, ComponentStatus, ContainerStatus
 
 NAMES = ("eye", "mind")

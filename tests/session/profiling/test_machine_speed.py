@@ -8,7 +8,7 @@ import pytest
 from msgspec.structs import replace
 
 from poise.estimate.profile import Profile
-from poise.estimate.profile import file as profile_file
+from poise.estimate.profile import profile_files as profile_file
 from poise.model.robot import Computer, Robot
 from poise.session.profiling import machine_speed
 from poise.session.profiling.machine_speed import as_when_profiled

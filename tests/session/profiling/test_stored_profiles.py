@@ -5,13 +5,12 @@ from msgspec.structs import replace
 
 from poise.errors import RobotError
 from poise.estimate.profile import ComponentProfile, Profile
-from poise.estimate.profile import file as profile_file
+from poise.estimate.profile import profile_files as profile_file
 from poise.estimate.profile.code_version import version_of
-from poise.estimate.profile.distribution import Distribution
+from poise.estimate.profile.profile_records import Distribution
 from poise.model import load
 from poise.model.robot import Robot
-from poise.session.profiling.stored_profiles import profiled, stale
-from poise.session.profiling.write_demands import write_demands
+from poise.session.profiling.stored_profiles import profiled, stale, write_demands
 
 TEXT = """\
 robot: r

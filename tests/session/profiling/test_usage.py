@@ -1,6 +1,6 @@
 import pytest
 
-from poise.session.profiling.usage import measure
+from poise.session.profiling.figures import measure
 from poise.wire.records.samples import AgentSample
 from tests.manage.observe.conftest import Sampler
 

@@ -8,15 +8,12 @@ import msgspec
 import pytest
 
 import poise
-from poise.cli.command.design_time.policy import policy_command
+from poise.cli.commands.policy import policy_command
 from poise.errors import UsageError
 from poise.manage.observe.recording import RecordingFile
-from poise.model.policy.policy import Policy
-from poise.model.policy.seen import Seen
-from poise.model.policy.values import SUBJECTS, ComputerValues, LinkValues
+from poise.model.policy.policy import SUBJECTS, ComputerValues, LinkValues, Policy, Seen
 from poise.model.robot import Computer, Robot
-from poise.wire.recording_file import append
-from poise.wire.records.recorded import Recorded
+from poise.wire.recording_file import Recorded, append
 
 BUSY = Policy(
     name="busy",

@@ -11,8 +11,7 @@ from poise.errors import UsageError
 from poise.model.robot import Robot
 from poise.session.recordings.recorded_run import RecordedRun
 from poise.simulation.workload import workload_of
-from poise.wire.recording_file import append
-from poise.wire.records.recorded import Recorded
+from poise.wire.recording_file import Recorded, append
 from poise.wire.records.samples import AgentSample, ComponentSample, ContainerSample
 from tests.simulation.conftest import small_scenario
 from tests.simulation.test_rehearsal import profile_of

@@ -9,11 +9,11 @@ from msgspec.structs import replace
 from rich.console import Console
 
 from poise.estimate.profile import ComponentProfile, Profile
-from poise.estimate.profile import file as profile_file
-from poise.estimate.profile.distribution import Distribution
-from poise.estimate.profile.store import Store
+from poise.estimate.profile import profile_files as profile_file
+from poise.estimate.profile.profile_files import Store
+from poise.estimate.profile.profile_records import Distribution
 from poise.model import load
-from poise.session.render.profile import history_table
+from poise.session.render.profile_tables import history_table
 from tests.command import Poise
 
 ROBOT = """\

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 from rich.console import Console
 
-from poise.session.render.progress import virtual_progress
+from poise.session.render.run_progress import virtual_progress
 
 
 def drawn(moments: Sequence[float], clock: Sequence[float], *, tty: bool) -> str:

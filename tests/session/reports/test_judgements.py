@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from poise.session.reports.judgements import judgements
+from poise.session.render.run_tables import judgements
 
 FUNCTION = {"name": "audition", "success": True, "values": {}}
 TASK = {

@@ -15,7 +15,7 @@ import pytest
 from benchmarks.dashboard import FRAMES
 from benchmarks.synthetic.slow_link import SlowLink
 from benchmarks.synthetic.statuses import told
-from poise.manage.control_socket.records import StatusCommand
+from poise.manage.control_socket.commands import StatusCommand
 from tests.command import POISE, robot_up, run_poise
 from tests.waiting import LONG, wait_long
 

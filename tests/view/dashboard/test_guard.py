@@ -4,7 +4,14 @@ from __future__ import annotations
 
 import pytest
 
-from poise.view.dashboard.guard import Guard, Message, Receive, Scope, Send, is_loopback
+from poise.view.dashboard.server import (
+    Guard,
+    Message,
+    Receive,
+    Scope,
+    Send,
+    is_loopback,
+)
 
 TOKEN = "a-token"
 

@@ -8,7 +8,7 @@ from msgspec.structs import replace
 from poise.manage.journal import JournalEntry
 from poise.session.running_robots.running import Status
 from poise.view.dashboard.state import PageState, Updates, changes, why
-from poise.view.live import Look
+from poise.view.robot_view import Look
 from poise.wire.records.requests import ManagerId
 from poise.wire.records.status import (
     AgentStatus,

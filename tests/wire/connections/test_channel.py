@@ -20,12 +20,12 @@ from poise.errors import Timeout, Unavailable
 from poise.wire import frame
 from poise.wire.address import Address
 from poise.wire.codec import WireError, codec
-from poise.wire.connections import caller, connection_server
 from poise.wire.connections import channel as channels
+from poise.wire.connections import connection, connection_server
 from poise.wire.connections.channel import Channel, Closed
 from poise.wire.connections.connection import HEAD, Connection
 from poise.wire.connections.opening import CALLS, MESSAGES
-from poise.wire.connections.socket_path import socket_path
+from poise.wire.connections.sockets import socket_path
 from poise.wire.frame import LARGEST, Frame, Kind, Pieces
 from tests.waiting import LIMIT, wait_until
 from tests.wire.conftest import SHORT, TEXT, Receiver, Wire, both, call, message, remote
@@ -126,7 +126,7 @@ def test_what_comes_back_over_messages_is_taken_and_their_order_stays(
 
     def handle(received: Frame) -> None:
         receiver(received)
-        back = caller.connection()
+        back = connection.connection()
         assert back is not None
         back.send_back(message(received.value(TEXT)))
 
@@ -160,7 +160,7 @@ def test_a_source_that_takes_nothing_back_holds_nobody_up(wire: Wire) -> None:
 
     def handle(received: Frame) -> None:
         receiver(received)
-        back = caller.connection()
+        back = connection.connection()
         assert back is not None
         while not is_full.is_set() and back.send_back(message("x" * 10_000)):
             pass
@@ -559,9 +559,9 @@ def test_nothing_is_lost_to_a_peer_that_ended_and_came_back(wire: Wire) -> None:
 
 
 def _wait_until_gone(channel: Channel) -> None:
-    for connection in [*channel._calls, *channel._messages]:
-        connection._connection.setblocking(True)
-        assert connection._connection.recv(1, socket.MSG_PEEK) == b""
+    for opened in [*channel._calls, *channel._messages]:
+        opened._connection.setblocking(True)
+        assert opened._connection.recv(1, socket.MSG_PEEK) == b""
 
 
 @both

@@ -8,7 +8,7 @@ import socket
 import pytest
 
 from poise.wire.connections.connection import Connection
-from poise.wire.connections.fork import keep_private
+from poise.wire.connections.sockets import keep_private
 
 pytestmark = pytest.mark.slow
 

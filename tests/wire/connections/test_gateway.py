@@ -21,7 +21,7 @@ from poise.wire.connections.connection import HEAD, Connection
 from poise.wire.connections.connection_server import ConnectionServer
 from poise.wire.connections.gateway import Gateway
 from poise.wire.connections.opening import MESSAGES
-from poise.wire.connections.socket_path import gateway_path
+from poise.wire.connections.sockets import gateway_path
 from poise.wire.frame import VERSION, Kind
 from tests.waiting import LIMIT, wait_until
 from tests.wire.conftest import TEXT, Receiver, Wire, call, message, remote

@@ -19,13 +19,11 @@ from pathlib import Path
 from msgspec.structs import replace
 
 from poise.clock import wall_time
-from poise.emulate import processes, registry
+from poise.emulate import emulated_network, processes, registry
 from poise.emulate.computer import EmulatedComputer
+from poise.emulate.emulated_network import NetworkPlan, Shape
 from poise.emulate.kept.background_load import background_load
-from poise.emulate.kept.injected_fault import FaultKind, InjectedFault
-from poise.emulate.layout import EmulationLayout, KeptSet
-from poise.emulate.network import namespaces
-from poise.emulate.network.plan import NetworkPlan, Shape
+from poise.emulate.layout import EmulationLayout, FaultKind, InjectedFault, KeptSet
 from poise.errors import RunError, UsageError
 
 BOOT_LIMIT = 10.0
@@ -81,10 +79,10 @@ class EmulatedSet:
             _raise_if_crashed(faults, on)
             _add(faults, "cut", on)
             if other is None:
-                namespaces.detach(self._network(), self._index(computer))
+                emulated_network.detach(self._network(), self._index(computer))
             else:
                 one, two = map(self._index, on)
-                namespaces.cut(self._network(), one, two)
+                emulated_network.cut(self._network(), one, two)
 
     def slow(
         self,
@@ -134,10 +132,10 @@ class EmulatedSet:
             if cut is None and slow is None:
                 raise UsageError(f"{_both(on)} is neither cut nor slow{_said(faults)}")
             if cut is not None and other is None:
-                namespaces.attach(self._network(), self._index(computer))
+                emulated_network.attach(self._network(), self._index(computer))
             elif cut is not None:
                 one, two = map(self._index, on)
-                namespaces.join(self._network(), one, two)
+                emulated_network.join(self._network(), one, two)
             if slow is not None:
                 self._reshape(on, self._link(on))
 
@@ -147,7 +145,7 @@ class EmulatedSet:
         with self._changing() as faults:
             _add(faults, "crashed", on)
             if self.layout.network is not None:
-                namespaces.detach(self.layout.network, self._index(computer))
+                emulated_network.detach(self.layout.network, self._index(computer))
             processes.stop(self.computers[computer].running, ask=0.0)
             kinds: tuple[FaultKind, ...] = ("cut", "frozen", "frozen agent", "load")
             for kind in kinds:
@@ -193,7 +191,7 @@ class EmulatedSet:
                 text = f"'{computer}' is neither crashed nor frozen{_said(faults)}"
                 raise UsageError(text)
             if crashed is not None and self.layout.network is not None:
-                namespaces.attach(self.layout.network, self._index(computer))
+                emulated_network.attach(self.layout.network, self._index(computer))
             processes.thaw(running())
         what = f"the agent of '{computer}' did not start within {BOOT_LIMIT:g} s"
         _wait(lambda: bool(running()), BOOT_LIMIT, what)  # its keeper starts it
@@ -281,11 +279,11 @@ class EmulatedSet:
     def _reshape(self, on: tuple[str, ...], shape: Shape) -> None:
         network = self._network()
         one, two = map(self._index, on)
-        delays = shape.latency > 0 and namespaces.can_delay(network.switch)
-        namespaces.reshape(network, one, two, shape, delays=delays)
+        delays = shape.latency > 0 and emulated_network.can_delay(network.switch)
+        emulated_network.reshape(network, one, two, shape, delays=delays)
 
     def _raise_if_no_delays(self) -> None:
-        if not namespaces.can_delay(self._network().switch):
+        if not emulated_network.can_delay(self._network().switch):
             raise UsageError(
                 "slow: this kernel cannot delay packets (no sch_netem): give a "
                 "bandwidth only"

@@ -1,6 +1,6 @@
 """Profiles: what a robot's software needed when it was measured."""
 
-from poise.estimate.profile.records import (
+from poise.estimate.profile.profile_records import (
     ComponentProfile,
     ConnectorProfile,
     Costs,

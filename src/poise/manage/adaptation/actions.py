@@ -13,22 +13,22 @@ from functools import partial
 from poise.errors import PoiseError, RunError, UsageError
 from poise.manage.adaptation.bad_links import check_links
 from poise.manage.adaptation.move_limits import MoveLimits
-from poise.manage.adaptation.policy.evaluation import Policies, Symptom
 from poise.manage.adaptation.responder import Change
-from poise.manage.adaptation.shortages.crash_loops import CrashLoops, components_in
-from poise.manage.adaptation.shortages.put_aside import PutAside
 from poise.manage.adaptation.situation import Situation
 from poise.manage.adaptation.what_if import check_move
 from poise.manage.deploy.desired import Desired
 from poise.manage.deploy.running_components import RunningComponents
-from poise.manage.migration.move import move
-from poise.manage.migration.replacement import replace_architecture
-from poise.manage.migration.report import (
+from poise.manage.migration.migration_report import (
     MigrationReport,
     TransitionReport,
     TransitionStep,
 )
+from poise.manage.migration.move import move
+from poise.manage.migration.replacement import replace_architecture
 from poise.manage.migration.transition_run import transit
+from poise.manage.policy.evaluation import Policies, Symptom
+from poise.manage.shortages.crash_loops import CrashLoops, components_in
+from poise.manage.shortages.suspension import PutAside
 from poise.model.policy.policy import Do
 from poise.model.robot import Architecture
 

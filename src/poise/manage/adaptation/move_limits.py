@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterable, Mapping
 
-from poise.manage.migration.report import TransitionStep
+from poise.manage.migration.migration_report import TransitionStep
 
 REST = 2.0
 """The loop rests for so long after a transition [s]: loads are means over a second."""

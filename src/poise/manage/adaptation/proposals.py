@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 from msgspec import Struct
 
-from poise.manage.migration.report import TransitionStep
+from poise.manage.migration.migration_report import TransitionStep
 from poise.model.terms import Terms
 
 

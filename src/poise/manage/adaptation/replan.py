@@ -21,9 +21,8 @@ from poise.estimate.demands import CPU_HEADROOM, shifted_cpu_demand
 from poise.manage.adaptation.late_data import with_time_limits
 from poise.manage.adaptation.proposals import PresentDemand, Proposal
 from poise.manage.adaptation.situation import WANTS_MORE, Situation
-from poise.manage.migration.transition import plan_transition
-from poise.manage.observe.estimates import DemandEstimate
-from poise.manage.observe.loads import Load
+from poise.manage.migration.transition_plan import plan_transition
+from poise.manage.observe.estimates import DemandEstimate, Load
 from poise.model.robot import ComponentEntry, Computer, Robot
 
 SOLVE_FOR = 0.1

@@ -10,16 +10,16 @@ from poise.manage.adaptation.actions import saw
 from poise.manage.adaptation.decision import HORIZON, Decision, decide
 from poise.manage.adaptation.loss_suffered import LossSuffered
 from poise.manage.adaptation.move_limits import MoveLimits
-from poise.manage.adaptation.policy.evaluation import Key, Policies, Symptom
 from poise.manage.adaptation.responder import Change
-from poise.manage.adaptation.shortages.put_aside import PutAside
-from poise.manage.adaptation.shortages.take_back import CALM
 from poise.manage.adaptation.situation import Situation
 from poise.manage.adaptation.what_if import alternatives
 from poise.manage.deploy.desired import Desired
 from poise.manage.deploy.running_components import RunningComponents
-from poise.manage.migration.report import TransitionReport, TransitionStep
+from poise.manage.migration.migration_report import TransitionReport, TransitionStep
 from poise.manage.migration.transition_run import transit
+from poise.manage.policy.evaluation import Key, Policies, Symptom
+from poise.manage.shortages.resumption import CALM
+from poise.manage.shortages.suspension import PutAside
 
 _THINK_EVERY = 0.5
 """While a change is not worth its cost yet, it is thought about so often [s]."""

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import threading
+import time
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from typing import Self
 
+from msgspec import structs
 from msgspec.structs import replace
 
 from poise.clock import Clock
 from poise.errors import RunError
-from poise.manage.agent_connections.checkpoint_copies import CheckpointCopies
-from poise.manage.agent_connections.heartbeats import AgentHeartbeats
 from poise.manage.agent_connections.identity import gives_way_to, has_ended, manager_id
+from poise.manage.agent_connections.reachability import AgentHeartbeats
 from poise.manage.agent_connections.reports import AgentReports, reading
 from poise.manage.agent_connections.requests import (
     ANSWER_LIMIT,
@@ -24,10 +26,10 @@ from poise.manage.agent_connections.requests import (
 )
 from poise.priority import ahead
 from poise.wire.control_session import LEASE, open_session
-from poise.wire.failure_detector import SURELY_ENDED, UNCUT_SURELY_ENDED
+from poise.wire.heartbeats import SURELY_ENDED, UNCUT_SURELY_ENDED
 from poise.wire.records.checkpoints import CheckpointCopy
 from poise.wire.records.deployment import Deployment
-from poise.wire.records.migration import (
+from poise.wire.records.migration_records import (
     MigrationSteps,
     StepsDone,
     StepsFailed,
@@ -43,6 +45,43 @@ from poise.wire.records.requests import (
     Request,
 )
 from poise.wire.records.samples import AgentSample
+
+
+class CheckpointCopies:
+    """The last checkpoint of each component, as its agent sent it. Any thread may ask.
+
+    Parameters
+    ----------
+    clock
+        Returns the time [s].
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
+        self._lock = threading.Lock()
+        self._copies: dict[str, tuple[CheckpointCopy, float]] = {}
+
+    def note(self, copy: CheckpointCopy) -> None:
+        """Keep a copy; one without data says that the one before still holds."""
+        now = self._clock()
+        with self._lock:
+            before, _ = self._copies.get(copy.component, (copy, now))
+            if before.epoch > copy.epoch:
+                return
+            if copy.data is None:
+                if before.data is None or before.epoch != copy.epoch:
+                    return
+                copy = structs.replace(copy, data=before.data)
+            self._copies[copy.component] = copy, now
+
+    def get(self, component: str, epoch: int) -> CheckpointCopy | None:
+        """Return the last state of an incarnation, with its age now, if it is known."""
+        with self._lock:
+            copy, at = self._copies.get(component, (None, 0.0))
+        if copy is None or copy.epoch != epoch:
+            return None
+        return structs.replace(copy, age=copy.age + self._clock() - at)
+
 
 _LATE = LEASE + 1.0
 """An agent that was cut off knows within this time that its manager ended [s]."""

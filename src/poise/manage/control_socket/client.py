@@ -10,8 +10,13 @@ from pathlib import Path
 from typing import TypeVar
 
 from poise.errors import RunError, Timeout, UsageError
-from poise.manage.control_socket.location import path_of, running_here
-from poise.manage.control_socket.records import (
+from poise.manage.control_socket.agents_without_manager import (
+    NoManager,
+    agents_of,
+    ask_agents,
+    robots_without_manager,
+)
+from poise.manage.control_socket.commands import (
     Command,
     JournalCommand,
     Refusal,
@@ -19,15 +24,10 @@ from poise.manage.control_socket.records import (
     Result,
     StatusCommand,
 )
-from poise.manage.control_socket.without_manager import (
-    NoManager,
-    agents_of,
-    ask_agents,
-    robots_without_manager,
-)
+from poise.manage.control_socket.location import path_of, running_here
 from poise.wire import record_channel
 from poise.wire.codec import WireError
-from poise.wire.connections.socket_path import connect
+from poise.wire.connections.sockets import connect
 
 R = TypeVar("R", bound=Result)
 

@@ -11,7 +11,7 @@ from poise.clock import wall_time
 from poise.errors import PoiseError, RunError, UsageError
 from poise.manage.agent_connections.agents import Agents
 from poise.manage.agent_connections.statuses import Statuses
-from poise.manage.control_socket.records import (
+from poise.manage.control_socket.commands import (
     STALE,
     Command,
     JournalCommand,
@@ -28,9 +28,9 @@ from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.observe.chains import chain_reports
 from poise.manage.observe.deviations import Deviation
 from poise.manage.observe.estimates import Estimates
-from poise.manage.tasks.report import TaskReport
+from poise.manage.tasks.task_report import TaskReport
 from poise.model.robot import Computer
-from poise.wire.records.migration import StepsFailed
+from poise.wire.records.migration_records import StepsFailed
 from poise.wire.records.output import OutputLines, ReadOutput
 from poise.wire.records.requests import Refused
 from poise.wire.records.taps import Tap, TapReading

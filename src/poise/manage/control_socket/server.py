@@ -20,8 +20,8 @@ from typing import Self
 from poise import threads
 from poise.clock import wall_time
 from poise.errors import RunError, UsageError
+from poise.manage.control_socket.commands import Command, Refusal, Result, StatusCommand
 from poise.manage.control_socket.location import is_alive, make_folder, path_of
-from poise.manage.control_socket.records import Command, Refusal, Result, StatusCommand
 from poise.wire import record_channel
 from poise.wire.codec import WireError
 

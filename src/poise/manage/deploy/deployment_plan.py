@@ -9,9 +9,9 @@ from pathlib import PurePath
 
 from msgspec import structs
 
-from poise.manage.deploy.cpu_weights import cpu_weights
 from poise.manage.deploy.incarnation import Incarnation
-from poise.model.pinned import leased_components
+from poise.manage.deploy.priority_weights import cpu_weights
+from poise.model.check.allowed_computers import leased_components
 from poise.model.robot import (
     Action,
     Architecture,

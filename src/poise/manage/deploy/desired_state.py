@@ -16,11 +16,10 @@ from poise.clock import Clock, SystemClock
 from poise.estimate.profile.code_version import version_of
 from poise.manage.agent_connections.agents import Agents
 from poise.manage.agent_connections.statuses import gateways
-from poise.manage.deploy.adoption import as_committed, found_in
+from poise.manage.deploy.adoption import as_committed, found_in, joined_by
 from poise.manage.deploy.deployment_plan import DeploymentPlan
 from poise.manage.deploy.desired import Desired, difference
 from poise.manage.deploy.incarnation import Incarnation
-from poise.manage.deploy.other_side import joined_by
 from poise.manage.deploy.reconciler import Reconciler
 from poise.manage.journal import Journal
 from poise.manage.supervised import SupervisedTick

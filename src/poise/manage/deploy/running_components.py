@@ -28,7 +28,7 @@ from poise.manage.deploy.desired_state import DesiredState
 from poise.manage.deploy.incarnation import Incarnation
 from poise.manage.journal import Journal
 from poise.manage.observe.faults import fault_sentence, faults_after, last_numbers
-from poise.manage.prefetch.report import Switches
+from poise.manage.prefetch.prefetch_report import Switches
 from poise.model.robot import Robot
 from poise.units import counted
 from poise.wire.records.deployment import Goal

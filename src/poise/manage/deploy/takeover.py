@@ -9,7 +9,6 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from msgspec import structs
 
 from poise.errors import PoiseError, RobotError, RunError
-from poise.manage.adaptation.shortages.free_room import placed_beside
 from poise.manage.adaptation.situation import Situation
 from poise.manage.agent_connections.requests import LOOK_EVERY
 from poise.manage.deploy.adoption import (
@@ -17,23 +16,30 @@ from poise.manage.deploy.adoption import (
     Found,
     adopt,
     as_committed,
+    components_to_hold,
     found_in,
     is_half_done,
+    where_held,
 )
 from poise.manage.deploy.incarnation import Incarnation
-from poise.manage.deploy.other_side import components_to_hold, where_held
 from poise.manage.deploy.running_components import (
     ACTIVE_LIMIT,
     READY_LIMIT,
     STOP_LIMIT,
     RunningComponents,
 )
-from poise.manage.migration.transition import plan_transition
+from poise.manage.migration.transition_plan import plan_transition
 from poise.manage.migration.transition_run import transit
+from poise.manage.shortages.free_room import placed_beside
 from poise.model.check.allowed_computers import allowed_computers
 from poise.units import counted
 from poise.wire.records.deployment import Deployment
-from poise.wire.records.migration import MigrationSteps, Step, StepsDone, StepsOutcome
+from poise.wire.records.migration_records import (
+    MigrationSteps,
+    Step,
+    StepsDone,
+    StepsOutcome,
+)
 
 WITNESS_LIMIT = 5.0
 """Containers that do not say so are asked again for this time [s], and then ended."""

@@ -1,6 +1,6 @@
 """The manager's side of a migration: new incarnations replace old ones, or do not.
 
-The phases, and which may follow which, stand in `poise.wire.migration_phases`. Until
+`poise.wire.records.migration_records` has the phases, and which may follow which. Until
 the migration is committed any failure rolls it back: the sources go on with all that
 waits for them, and the targets are removed. Source and target never work at the same
 time, even when answers get lost: after the commit no source resumes, and before it no
@@ -19,15 +19,19 @@ from poise.errors import RunError
 from poise.manage.agent_connections.statuses import calling_ports, components_of
 from poise.manage.deploy.incarnation import Incarnation
 from poise.manage.deploy.running_components import RunningComponents
-from poise.manage.migration.late_connectors import late_connectors, raise_on_cut_state
-from poise.manage.migration.plan import MigrationPlan, PlacedStep
-from poise.manage.migration.report import MigrationReport
-from poise.manage.migration.stall import STALL_LIMIT, Stall
+from poise.manage.migration.migration_plan import MigrationPlan, PlacedStep
+from poise.manage.migration.migration_report import MigrationReport
+from poise.manage.migration.progress_limits import (
+    STALL_LIMIT,
+    Stall,
+    late_connectors,
+    raise_on_cut_state,
+)
 from poise.manage.observe.deviations import explain
 from poise.priority import first
 from poise.wire.address import LOST_AFTER
-from poise.wire.migration_phases import MigrationPhases
-from poise.wire.records.migration import (
+from poise.wire.records.migration_records import (
+    MigrationPhases,
     MigrationSteps,
     StepsDone,
     StepsOutcome,

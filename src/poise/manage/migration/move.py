@@ -18,8 +18,8 @@ from poise.manage.deploy.running_components import (
     RunningComponents,
 )
 from poise.manage.migration.coordinator import Migration
+from poise.manage.migration.migration_report import MigrationReport
 from poise.manage.migration.planned import Planned
-from poise.manage.migration.report import MigrationReport
 from poise.model.check.allowed_computers import allowed_computers
 
 

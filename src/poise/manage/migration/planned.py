@@ -15,8 +15,8 @@ from poise.errors import RunError
 from poise.manage.deploy.incarnation import Incarnation
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.migration.coordinator import PREPARE_LIMIT
-from poise.manage.migration.report import MigrationReport
-from poise.manage.migration.stall import Stall
+from poise.manage.migration.migration_report import MigrationReport
+from poise.manage.migration.progress_limits import Stall
 
 
 class Planned:

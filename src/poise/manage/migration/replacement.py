@@ -15,8 +15,8 @@ from poise.manage.agent_connections.statuses import calling_ports, components_of
 from poise.manage.deploy.incarnation import Incarnation
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.migration.coordinator import Migration
+from poise.manage.migration.migration_report import MigrationReport
 from poise.manage.migration.planned import Planned
-from poise.manage.migration.report import MigrationReport
 from poise.model.robot import Architecture, Robot
 
 

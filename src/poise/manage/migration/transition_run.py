@@ -14,12 +14,12 @@ from poise.manage.deploy.running_components import (
     READY_LIMIT,
     RunningComponents,
 )
-from poise.manage.migration.move import move
-from poise.manage.migration.report import (
+from poise.manage.migration.migration_report import (
     MigrationReport,
     TransitionReport,
     TransitionStep,
 )
+from poise.manage.migration.move import move
 from poise.units import counted
 
 LEASE_LIMIT = 3.0

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 
 from poise.manage.agent_connections.statuses import Statuses, located
-from poise.model.policy.values import TimerValues
+from poise.model.policy.policy import TimerValues
 from poise.wire.records.status import TimerStatus
 
 _SEVERAL, _MISSED = 2, 0.2

@@ -11,10 +11,9 @@ import msgspec
 
 from poise.errors import UsageError
 from poise.manage.background_file import BackgroundFile
-from poise.model.policy.seen import Seen
+from poise.model.policy.policy import Seen
 from poise.units import counted
-from poise.wire.recording_file import append, packed
-from poise.wire.records.recorded import Recorded
+from poise.wire.recording_file import Recorded, append, packed
 from poise.wire.records.samples import AgentSample
 
 MOST = 10_000

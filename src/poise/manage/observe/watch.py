@@ -9,9 +9,9 @@ from poise.clock import wall_time
 from poise.manage.agent_connections.statuses import Statuses
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.journal import Kind
-from poise.manage.observe.code_errors import CodeErrors
 from poise.manage.observe.deviations import Deviation, find_deviations, find_unjoined
 from poise.manage.observe.faults import FaultFilter
+from poise.manage.observe.troubles import CodeErrors
 
 _JOIN_WITHIN = 2.0
 """A connector that is not joined for so long is a deviation [s]."""

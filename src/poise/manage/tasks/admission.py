@@ -11,12 +11,11 @@ from poise.clock import boot_time
 from poise.estimate.success.learning import learned
 from poise.manage.adaptation.situation import Situation
 from poise.manage.deploy.running_components import RunningComponents
-from poise.manage.tasks.action_placement import Room, room_for_functions
+from poise.manage.tasks.action_placement import PlanOverTime, Room, room_for_functions
+from poise.manage.tasks.concurrent_tasks import Tasks
 from poise.manage.tasks.learned_choice import conditions_of
-from poise.manage.tasks.likely import PlanOverTime
-from poise.manage.tasks.progress import TaskRecord, Try
 from poise.manage.tasks.serving import Serving
-from poise.manage.tasks.tasks import Tasks
+from poise.manage.tasks.task_progress import TaskRecord, Try
 
 
 class Admission:

@@ -11,7 +11,7 @@ from poise.manage.adaptation.decision import shortages_of
 from poise.manage.adaptation.situation import Situation
 from poise.manage.journal import Journal
 from poise.model.robot import Robot
-from poise.model.tasks.expectations import first_action, promise_of
+from poise.model.tasks.phases import first_action, promise_of
 from poise.model.tasks.steps import Choice
 
 

@@ -10,8 +10,8 @@ from poise.clock import boot_id, boot_time
 from poise.errors import UsageError
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.journal import Journal
-from poise.manage.tasks.progress import OVER, Saved
-from poise.manage.tasks.tasks import Tasks
+from poise.manage.tasks.concurrent_tasks import Tasks
+from poise.manage.tasks.task_progress import OVER, Saved
 
 
 def goes_on_with(run: RunningComponents, asked: Tasks, journal: Journal) -> Saved:

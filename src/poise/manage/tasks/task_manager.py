@@ -14,25 +14,29 @@ from msgspec.structs import replace
 
 from poise.clock import boot_id, boot_time
 from poise.errors import PoiseError, RunError, UsageError
-from poise.manage.adaptation.policy.subjects import values_of
 from poise.manage.adaptation.situation import Situation
 from poise.manage.deploy.desired import Desired
 from poise.manage.deploy.incarnation import Incarnation
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.migration.transition_run import transit
-from poise.manage.prefetch.resting import Resting
-from poise.manage.prefetch.switch import switch
-from poise.manage.tasks.action_placement import Room, beyond_memory
+from poise.manage.policy.subjects import values_of
+from poise.manage.prefetch.switch import Resting, switch
+from poise.manage.tasks.action_placement import (
+    Likely,
+    PlanOverTime,
+    Room,
+    beyond_memory,
+    likely_next,
+)
 from poise.manage.tasks.admission import Admission
 from poise.manage.tasks.component_reports import ComponentReports, Heard
+from poise.manage.tasks.concurrent_tasks import Tasks
 from poise.manage.tasks.learned_choice import choose, conditions_of, note_ending
-from poise.manage.tasks.likely import Likely, PlanOverTime, likely_next
-from poise.manage.tasks.progress import OVER, ActionEnded, Saved, TaskRecord, Try
-from poise.manage.tasks.report import TaskReport, task_reports
 from poise.manage.tasks.serving import Serving
-from poise.manage.tasks.tasks import Tasks
+from poise.manage.tasks.task_progress import OVER, ActionEnded, Saved, TaskRecord, Try
+from poise.manage.tasks.task_report import TaskReport, task_reports
 from poise.model.policy.condition import parse_condition
-from poise.model.policy.values import SUBJECTS
+from poise.model.policy.policy import SUBJECTS
 from poise.model.robot import Architecture
 from poise.model.tasks.steps import Action, Choice, Task, Until
 

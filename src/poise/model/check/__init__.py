@@ -4,19 +4,28 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from poise.model.check.addresses import check_addresses
-from poise.model.check.allowed_computers import check_allowed_computers, check_demands
-from poise.model.check.checkpoints import check_checkpoints
-from poise.model.check.connectors import check_chains, check_connectors
-from poise.model.check.names import check_names
-from poise.model.check.policies import check_policies
-from poise.model.check.ports import check_ports, declared_ports
-from poise.model.check.tasks import check_ends, check_tasks
-from poise.model.check.together_apart import check_together_apart
-from poise.model.check.workload import check_workload
+from poise.model.check.allowed_computers import (
+    check_allowed_computers,
+    check_checkpoints,
+    check_demands,
+    check_together_apart,
+)
+from poise.model.check.connectors import (
+    check_chains,
+    check_connectors,
+    check_ports,
+    declared_ports,
+)
+from poise.model.check.names import check_addresses, check_names
+from poise.model.check.tasks import (
+    check_ends,
+    check_policies,
+    check_tasks,
+    check_workload,
+)
 from poise.model.repository import Repository
 from poise.model.robot import Robot
-from poise.model.yaml.positions import Finding
+from poise.model.yaml.tree import Finding
 
 
 def check(robot: Robot, repository: Repository) -> Iterator[Finding]:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from itertools import combinations
 
-from poise.model.check.file_paths import components
+from poise.model.check.names import check_components_known, components
 from poise.model.hardware import fits
 from poise.model.robot import Architecture, ComponentEntry, Computer, Robot
-from poise.model.yaml.positions import Finding, Path
+from poise.model.yaml.tree import Finding, Path
 from poise.suggest import listed
 from poise.units import format_amount
 
@@ -102,3 +103,108 @@ def _limits(
         reason = f"the {architecture.layer} layer stays at its home"
         limits[reason] = frozenset({architecture.home})
     return {reason: hosts for reason, hosts in limits.items() if hosts & known}
+
+
+def check_together_apart(robot: Robot) -> Iterator[Finding]:
+    """Yield what is wrong with the sets of components."""
+    for section in ("together", "apart"):
+        for index, names in enumerate(getattr(robot, section)):
+            yield from check_components_known(robot, (section, index), names)
+    allowed = allowed_computers(robot)
+    yield from _nowhere_together(robot, allowed)
+    yield from _not_apart(robot, allowed)
+
+
+def _groups(robot: Robot) -> Iterator[frozenset[str]]:
+    """Yield, for each `together`, the group that it makes with those before it."""
+    groups: dict[str, frozenset[str]] = {}
+    for names in robot.together:
+        merged = frozenset(names).union(*(groups.get(n, ()) for n in names))
+        groups.update(dict.fromkeys(merged, merged))
+        yield merged
+
+
+def _nowhere_together(robot: Robot, allowed: Mapping[str, Names]) -> Iterator[Finding]:
+    for index, group in enumerate(_groups(robot)):
+        limits = {name: allowed[name] for name in sorted(group) if allowed.get(name)}
+        if limits and not frozenset.intersection(*limits.values()):
+            where = "; ".join(
+                f"'{n}' on {listed(sorted(h))}" for n, h in limits.items()
+            )
+            yield Finding(
+                ("together", index), f"no computer may run all of them: {where}"
+            )
+
+
+def _not_apart(robot: Robot, allowed: Mapping[str, Names]) -> Iterator[Finding]:
+    groups = tuple(_groups(robot))
+    for index, names in enumerate(robot.apart):
+        distinct = dict.fromkeys(names)
+        if len(distinct) > len(robot.computers):
+            yield Finding(
+                ("apart", index),
+                f"{len(distinct)} components cannot all be on different computers: "
+                f"there are only {len(robot.computers)}",
+            )
+            continue
+        for pair in combinations(distinct, 2):
+            reason = _why_not_apart(pair, allowed, groups)
+            if reason:
+                both = f"'{pair[0]}' and '{pair[1]}' must be apart, but {reason}"
+                yield Finding(("apart", index), both)
+
+
+def _why_not_apart(
+    pair: tuple[str, str],
+    allowed: Mapping[str, Names],
+    groups: tuple[frozenset[str], ...],
+) -> str:
+    """Return why the two cannot be apart, or nothing."""
+    if any(group.issuperset(pair) for group in groups):
+        return "`together` puts them on one computer"
+    common = frozenset.union(*(allowed.get(name, frozenset()) for name in pair))
+    if len(common) == 1 and all(allowed.get(name) for name in pair):
+        return f"both can run only on '{next(iter(common))}'"
+    return ""
+
+
+def check_checkpoints(robot: Robot) -> Iterator[Finding]:
+    """Yield command lines with a checkpoint, or whose hangs would be noticed."""
+    for path, _, component in components(robot):
+        for key in ("checkpoint", "restart_when_hung"):
+            if component.command and getattr(component, key):
+                yield Finding(
+                    (*path, key),
+                    f"component '{component.name}' is a command line: Poise neither "
+                    f"knows its state nor what it does, so leave out `{key}`",
+                )
+
+
+def pinned_components(robot: Robot) -> Mapping[str, str]:
+    """Return component -> why it stays on its computer, of those that do."""
+    allowed = allowed_computers(robot)
+    pinned = {}
+    for architecture in robot.architectures:
+        for component in architecture.components:
+            choices = sorted(allowed[component.name])
+            if architecture.layer != "sequencing":
+                why = f"it belongs to the {architecture.layer} layer, which stays"
+            elif not component.movable:
+                why = "it is not movable (robot file)"
+            elif len(choices) < 2:  # noqa: PLR2004
+                why = f"it may run on {' or '.join(choices)} only"
+            else:
+                continue
+            pinned[component.name] = why
+    return pinned
+
+
+def leased_components(robot: Robot) -> frozenset[str]:
+    """Return the components that are inactive while their computer is cut off."""
+    pinned = pinned_components(robot)
+    return frozenset(
+        component.name
+        for component in robot.components()
+        if component.name not in pinned
+        and (component.when_cut_off or robot.when_cut_off) == "stop"
+    )

@@ -1,15 +1,28 @@
-"""Connectors and chains: their components exist and are in the right section."""
+"""Connectors and chains: their components exist and are in the right section.
+
+The code declares the ports of its components, the robot file those of components
+without a class (`declared_ports`). The same rules check both.
+
+A topic whose subscriber makes its publisher wait counts as a call.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Hashable, Iterator, Mapping
+from collections.abc import Set as AbstractSet
 from itertools import pairwise
 
-from poise.model.check.file_paths import component_names, connectors
-from poise.model.check.names import check_components_known
-from poise.model.robot import Architecture, Connector, Robot
-from poise.model.yaml.positions import Finding, Path
-from poise.suggest import unknown
+from msgspec import Struct
+
+from poise.model.check.names import (
+    check_components_known,
+    component_names,
+    components,
+    connectors,
+)
+from poise.model.robot import Architecture, Connector, ConnectorEnd, PortKind, Robot
+from poise.model.yaml.tree import Finding, Path
+from poise.suggest import did_you_mean, unknown
 
 
 def check_connectors(robot: Robot) -> Iterator[Finding]:
@@ -67,3 +80,212 @@ def check_chains(robot: Robot) -> Iterator[Finding]:
                     f"chain '{chain.name}' goes from '{one}' to '{next_}', but no "
                     "connector joins them",
                 )
+
+
+class KnownPort(Struct, frozen=True):
+    """A port whose kind and type are known.
+
+    `type` is for people; two ports fit when their `meaning` is equal. `waits`: callers
+    wait there for answers, or publishers for space in its queue.
+    """
+
+    name: str
+    kind: PortKind
+    type: str
+    meaning: Hashable
+    waits: bool = False
+
+    def __str__(self) -> str:
+        return f"{self.kind} {self.type}"
+
+
+Ports = Mapping[str, Mapping[str, KnownPort]]
+"""Component -> its ports by name. A component that is missing may have any port."""
+
+OPPOSITE: Mapping[PortKind, PortKind] = {
+    "publishes": "subscribes",
+    "requires": "provides",
+    "subscribes": "publishes",
+    "provides": "requires",
+}
+_FIRST = ("publishes", "requires")
+
+
+def declared_ports(robot: Robot) -> Ports:
+    """Return the ports of the components that declare theirs in the robot file."""
+    return {
+        component.name: {
+            port.name: KnownPort(port.name, port.kind, port.type, port.type)
+            for port in component.ports
+        }
+        for component in robot.components()
+        if component.ports
+    }
+
+
+def check_ports(robot: Robot, ports: Ports) -> Iterator[Finding]:
+    """Yield the connectors whose ends do not fit, as far as `ports` are known.
+
+    Two ends fit when the first publishes what the second subscribes to, or the first
+    requires what the second provides. A required port has one connector, and further
+    ones to architectures that take the place of the one that provides it.
+    """
+    served: dict[str, list[Connector]] = {}
+    for path, _, connector in connectors(robot):
+        between: Path = (*path, "between")
+        found = [_find(end, ports) for end in connector.between]
+        for index, end in enumerate(connector.between):
+            if end.component in ports and found[index] is None:
+                message = no_such_port(end, ports[end.component])
+                yield Finding((*between, index), message)
+        yield from _misfit(between, connector, found)
+        if found[0] is not None and found[0].kind == "requires":
+            caller = str(connector.between[0])
+            for other in served.setdefault(caller, []):
+                if not _are_alternatives(robot, connector, other):
+                    yield Finding(
+                        (*between, 0),
+                        f"'{caller}' requires one provider, but has two connectors: "
+                        f"{other} and {connector}; only architectures that provide "
+                        "the same function may both be joined to it",
+                    )
+                    break
+            served[caller].append(connector)
+
+
+def _are_alternatives(robot: Robot, *connectors: Connector) -> bool:
+    """Return whether at most one of the connectors' targets runs at a time."""
+    home = {c.name: each for each in robot.architectures for c in each.components}
+    first, second = (home[each.between[1].component] for each in connectors)
+    return first.function == second.function and first.name != second.name
+
+
+def check_required(robot: Robot, ports: Ports) -> Iterator[Finding]:
+    """Yield the required ports that no connector serves."""
+    served = {str(connector.between[0]) for _, _, connector in connectors(robot)}
+    for path, _, component in components(robot):
+        for port in ports.get(component.name, {}).values():
+            end = str(ConnectorEnd(component.name, port.name))
+            if port.kind == "requires" and end not in served:
+                yield Finding(
+                    path,
+                    f"'{end}' {port}, but no connector joins it to a provider: add "
+                    f"`{{between: [{end}, <component>.<port>]}}`",
+                )
+
+
+def _find(end: ConnectorEnd, ports: Ports) -> KnownPort | None:
+    return ports.get(end.component, {}).get(end.port)
+
+
+def no_such_port(end: ConnectorEnd, ports: Mapping[str, KnownPort]) -> str:
+    """Return the message for an end that is none of a component's ports."""
+    choices = ", ".join(f"'{port.name}' ({port})" for port in ports.values()) or "none"
+    if not end.port:
+        return f"name the port of component '{end.component}' too; it has: {choices}"
+    return (
+        f"component '{end.component}' has no port '{end.port}'"
+        f"{did_you_mean(end.port, ports)}; ports: {choices}"
+    )
+
+
+def _misfit(
+    path: Path, connector: Connector, found: list[KnownPort | None]
+) -> Iterator[Finding]:
+    first, second = found
+    wrong_way = [
+        index
+        for index, port in enumerate(found)
+        if port is not None and (port.kind in _FIRST) != (index == 0)
+    ]
+    if first and second and OPPOSITE[first.kind] != second.kind:
+        yield Finding(
+            path,
+            f"'{connector.between[0]}' {first.kind} and '{connector.between[1]}' "
+            f"{second.kind}: that does not fit; a connector joins "
+            "publishes -> subscribes or requires -> provides",
+        )
+    elif wrong_way:
+        yield Finding(
+            path,
+            f"the connector {connector} is the wrong way round: the publisher or "
+            f"caller comes first, as in [{connector.between[1]}, "
+            f"{connector.between[0]}]",
+        )
+    elif first and second and first.meaning != second.meaning:
+        yield Finding(
+            path,
+            f"the types differ: '{connector.between[0]}' {first}, "
+            f"'{connector.between[1]}' {second}",
+        )
+
+
+_Graph = dict[str, list[tuple[Path, Connector]]]
+
+
+def check_cycles(
+    robot: Robot, ports: Ports, reentrant: AbstractSet[str]
+) -> Iterator[Finding]:
+    """Yield the connectors that close a cycle of calls.
+
+    A call chain excludes other chains from all its components except re-entrant ones.
+    So a cycle through a re-entrant component cannot deadlock.
+
+    Parameters
+    ----------
+    ports
+        The known ports; others are not checked.
+    reentrant
+        Names of the re-entrant components.
+    """
+    graph = _calls(robot, ports, reentrant)
+    done: set[str] = set()
+    for start in graph:
+        if start not in done:
+            yield from _closing(graph, start, done)
+
+
+def _calls(robot: Robot, ports: Ports, reentrant: AbstractSet[str]) -> _Graph:
+    graph: _Graph = {}
+    for path, _, connector in connectors(robot):
+        source, target = connector.between
+        known = [ports.get(end.component, {}).get(end.port) for end in (source, target)]
+        waits = any(port is not None and port.waits for port in known)
+        ends = {source.component, target.component}
+        if waits and reentrant.isdisjoint(ends):
+            graph.setdefault(source.component, []).append((path, connector))
+    return graph
+
+
+def _closing(graph: _Graph, start: str, done: set[str]) -> Iterator[Finding]:
+    """Yield a finding for every connector back to a component on the way to it."""
+    way: list[Connector] = []
+    steps = [iter(graph.get(start, ()))]
+    names = [start]
+    while steps:
+        path, connector = next(steps[-1], (None, None))
+        if path is None or connector is None:
+            done.add(names.pop())
+            steps.pop()
+            way = way[:-1]
+            continue
+        callee = connector.between[1].component
+        if callee in names:
+            cycle = [*way[names.index(callee) :], connector]
+            yield Finding(path, _message(cycle))
+        elif callee not in done:
+            names.append(callee)
+            way.append(connector)
+            steps.append(iter(graph.get(callee, ())))
+
+
+def _message(cycle: list[Connector]) -> str:
+    closing = cycle[-1]
+    callers = [connector.between[0].component for connector in cycle]
+    return (
+        f"calls form a cycle: {', '.join(map(str, cycle))}. Two calls in it deadlock. "
+        f"Make the methods called over {closing} one-way (`@oneway`), or "
+        "publish a topic that keeps the last (`subscribed(keep=n)`); or make one of "
+        "these components re-entrant (`reentrant = True` in its class): "
+        f"{', '.join(callers)}"
+    )

@@ -4,10 +4,67 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 
-from poise.model.check.file_paths import component_names, components
-from poise.model.robot import Architecture, ComponentEntry, Robot
-from poise.model.yaml.positions import Finding, Path
-from poise.suggest import unknown
+from poise.endpoint import Endpoint
+from poise.model.robot import Architecture, ComponentEntry, Connector, Robot
+from poise.model.yaml.tree import Finding, Path
+from poise.suggest import listed, unknown
+
+
+def check_addresses(robot: Robot) -> Iterator[Finding]:
+    """Yield addresses that are malformed, shared or missing."""
+    owners: dict[Endpoint, str] = {}
+    for computer in robot.computers:
+        if computer.address is None:
+            continue
+        path = ("computers", computer.name, "address")
+        try:
+            endpoint = Endpoint.parse(computer.address)
+        except ValueError as error:
+            yield Finding(path, f"computer '{computer.name}': {error}")
+            continue
+        owner = owners.setdefault(endpoint, computer.name)
+        if owner != computer.name:
+            yield Finding(
+                path,
+                f"computers '{owner}' and '{computer.name}' have the same address "
+                f"{endpoint}; each agent needs its own host or port",
+            )
+    yield from _missing(robot)
+
+
+def _missing(robot: Robot) -> Iterator[Finding]:
+    reachable = [c.name for c in robot.computers if c.address is not None]
+    for computer in robot.computers if reachable else ():
+        if computer.address is None:
+            yield Finding(
+                ("computers", computer.name),
+                f"computer '{computer.name}' has no address, but others have one "
+                f"({listed(reachable)}); give all computers an address, or none of "
+                "them to emulate all",
+            )
+
+
+def components(robot: Robot) -> Iterator[tuple[Path, Architecture, ComponentEntry]]:
+    """Yield every component with its path and its architecture."""
+    for architecture in robot.architectures:
+        for component in architecture.components:
+            path = ("architectures", architecture.name, "components", component.name)
+            yield path, architecture, component
+
+
+def connectors(robot: Robot) -> Iterator[tuple[Path, Architecture | None, Connector]]:
+    """Yield every connector with its path and its architecture, if it is in one."""
+    for architecture in robot.architectures:
+        for index, connector in enumerate(architecture.connectors):
+            path = ("architectures", architecture.name, "connectors", index)
+            yield path, architecture, connector
+    for index, connector in enumerate(robot.connectors):
+        yield ("connectors", index), None, connector
+
+
+def component_names(robot: Robot) -> tuple[str, ...]:
+    """Return the names of all components."""
+    return tuple(component.name for component in robot.components())
 
 
 def check_names(robot: Robot) -> Iterator[Finding]:

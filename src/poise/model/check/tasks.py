@@ -2,20 +2,107 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
-from poise.model.check.file_paths import component_names
-from poise.model.check.policies import choices_of
-from poise.model.check.ports import Ports, no_such_port
-from poise.model.policy.condition import parse_condition
-from poise.model.policy.values import SUBJECTS
+from poise.model.check.connectors import KnownPort, Ports, no_such_port
+from poise.model.check.names import component_names
+from poise.model.policy.condition import check_sentence, parse_condition
+from poise.model.policy.policy import ACTIONS, SUBJECTS, Policy, Subject
+from poise.model.policy.shipped import policies_of, shipped
 from poise.model.repository import Repository
 from poise.model.robot import ConnectorEnd, Robot
 from poise.model.tasks.exclusive import clashes
 from poise.model.tasks.phases import MOST_PHASES, TooManyPhasesError, phases_of
 from poise.model.tasks.steps import Action, Repeat, Subtask, Task, Until, walk
-from poise.model.yaml.positions import Finding, Path
+from poise.model.yaml.tree import Finding, Path
 from poise.suggest import did_you_mean, listed, unknown
+
+
+def check_policies(robot: Robot) -> Iterator[Finding]:
+    """Yield what is wrong with the policies of a robot."""
+    known = {policy.name for policy in shipped()}
+    written = {policy.name for policy in robot.policies}
+    for policy in policies_of(robot):
+        if policy.name not in written:
+            continue
+        if policy.off:
+            if policy.name not in known:
+                yield _finding(
+                    policy,
+                    "",
+                    f"Poise ships no policy '{policy.name}'"
+                    f"{did_you_mean(policy.name, known)}; policies: {listed(known)}",
+                )
+        elif policy.call:
+            yield from _own_function(policy)
+        else:
+            yield from _one(robot, policy)
+
+
+def _one(robot: Robot, policy: Policy) -> Iterator[Finding]:
+    keys = {"for each": policy.for_each, "when": policy.when, "do": policy.do}
+    missing = [key for key, value in keys.items() if value is None]
+    if missing:
+        yield _finding(policy, "", f"a policy of your own needs {listed(missing)}")
+    if policy.for_each is None or policy.when is None:
+        return
+    record = SUBJECTS[policy.for_each]
+    try:
+        parse_condition(policy.when, record, choices_of(robot, policy.for_each))
+    except ValueError as error:
+        yield _finding(policy, "when", str(error))
+    try:
+        check_sentence(policy.say or "", record)
+    except ValueError as error:
+        yield _finding(policy, "say", str(error))
+    if policy.do is not None and policy.for_each not in ACTIONS[policy.do]:
+        of = listed(ACTIONS[policy.do])
+        text = f"'{policy.do}' is done for each {of}, not for each '{policy.for_each}'"
+        yield _finding(policy, "do", text)
+    yield from _targets(robot, policy)
+
+
+def _own_function(policy: Policy) -> Iterator[Finding]:
+    for key, value in (
+        ("for each", policy.for_each),
+        ("when", policy.when),
+        ("do", policy.do),
+    ):
+        if value is not None:
+            text = f"a policy with `call` has no '{key}': its function decides"
+            yield _finding(policy, key, text)
+
+
+def _targets(robot: Robot, policy: Policy) -> Iterator[Finding]:
+    computers = [computer.name for computer in robot.computers]
+    names = [architecture.name for architecture in robot.architectures]
+    if policy.do == "move" and policy.to is None:
+        yield _finding(policy, "do", "'move' needs 'to', a computer")
+    if policy.to is not None and policy.to not in computers:
+        yield _finding(policy, "to", unknown("computer", policy.to, computers))
+    if policy.by is not None and policy.by not in names:
+        yield _finding(policy, "by", unknown("architecture", policy.by, names))
+
+
+def choices_of(robot: Robot, subject: Subject) -> Mapping[str, tuple[str, ...]]:
+    """Return the names that values of a subject may have."""
+    computers = tuple(computer.name for computer in robot.computers)
+    names = {
+        "computer": computers,
+        "component": component_names(robot),
+        "chain": tuple(chain.name for chain in robot.chains),
+    }
+    return {
+        "computer": computers,
+        "component": names["component"],
+        "architecture": tuple(each.name for each in robot.architectures),
+        "name": names.get(subject, ()),
+    }
+
+
+def _finding(policy: Policy, key: str, message: str) -> Finding:
+    path = ("policies", policy.name, *([key] if key else []))
+    return Finding(path, f"policy '{policy.name}': {message}")
 
 
 def check_tasks(robot: Robot, repository: Repository) -> Iterator[Finding]:
@@ -187,3 +274,40 @@ def _of(task: Task, actions: tuple[Action, ...]) -> Path:
     """Return the path of the last of these actions that is in the task itself."""
     paths = [path for path, step in walk(task) if step in actions]
     return ("tasks", task.name, *(paths[-1] if paths else ()))
+
+
+def check_workload(robot: Robot) -> Iterator[Finding]:
+    """Yield ports of unknown components, and an empty workload."""
+    workload = robot.workload
+    if workload is None:
+        return
+    if not (workload.command or workload.recording or workload.generate):
+        yield Finding(
+            ("workload",), "the workload is empty: give command, recording or generate"
+        )
+    names = component_names(robot)
+    for each in workload.generate:
+        path = ("workload", "generate", str(each.port))
+        if each.port.component not in names:
+            yield Finding(path, unknown("component", each.port.component, names))
+        elif not each.port.port:
+            yield Finding(path, f"give the port, as in {each.port.component}.scan")
+
+
+def check_generated(
+    robot: Robot, known: Mapping[str, Mapping[str, KnownPort]]
+) -> Iterator[Finding]:
+    """Yield generated messages for ports that do not subscribe."""
+    for each in robot.workload.generate if robot.workload else ():
+        ports = known.get(each.port.component)
+        if ports is None:
+            continue  # its code is faulty, which is reported already
+        subscribing = [
+            name for name, port in ports.items() if port.kind == "subscribes"
+        ]
+        if each.port.port not in subscribing:
+            yield Finding(
+                ("workload", "generate", str(each.port)),
+                f"'{each.port.component}' subscribes to no '{each.port.port}'; it "
+                f"subscribes to {listed(subscribing)}",
+            )

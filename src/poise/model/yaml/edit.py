@@ -5,8 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 
-from poise.model.yaml.positions import Path, Positions
-from poise.model.yaml.tree import Location
+from poise.model.yaml.tree import Location, Path, Positions
 
 _VALUE = r"(\s*:\s*)(\"[^\"]*\"|'[^']*'|[^,}#\n]*?)(?=\s*(?:[,}#]|$))"
 

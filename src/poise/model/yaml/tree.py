@@ -7,7 +7,7 @@ A scalar stays text until the type of its field gives it a meaning, so that
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 import yaml
 from msgspec import Struct
@@ -181,3 +181,61 @@ def _syntax_problem(error: yaml.MarkedYAMLError, file: str) -> FileProblem:
     place = _place(file, mark) if mark else Location(file, 1, 1)
     parts = [error.context, error.problem]
     return place.problem("not YAML: " + ", ".join(p for p in parts if p))
+
+
+Path = tuple[str | int, ...]
+"""Keys and list indices from the top of the merged robot file, such as
+``("architectures", "navigator", "components", "localiser", "cpu")``."""
+
+
+class Finding(Struct, frozen=True):
+    """A problem of a robot; `path` is the faulty part."""
+
+    path: Path
+    message: str
+
+
+class Positions:
+    """Maps parts of a robot to ``file:line:column``."""
+
+    def __init__(self, root: Node) -> None:
+        self._places: Mapping[Path, Location] = dict(_walk(root, ()))
+
+    def at(self, path: Path) -> Location:
+        """Return the location of `path`, or of its nearest parent in the file."""
+        while path not in self._places:
+            path = path[:-1]
+        return self._places[path]
+
+    def has(self, path: Path) -> bool:
+        """Return whether the file contains `path`."""
+        return path in self._places
+
+    def first_key(self, path: Path) -> Location:
+        """Return the location of the first key or item under `path`.
+
+        Raises
+        ------
+        KeyError
+            There is none.
+        """
+        below = [p for p in self._places if p[:-1] == path and len(p) > len(path)]
+        if not below:
+            raise KeyError(path)
+        return min(
+            (self._places[each] for each in below), key=lambda p: (p.line, p.column)
+        )
+
+    def problem(self, finding: Finding) -> FileProblem:
+        """Return the finding with its location in the file."""
+        return self.at(finding.path).problem(finding.message)
+
+
+def _walk(node: Node, path: Path) -> Iterator[tuple[Path, Location]]:
+    yield path, node.place
+    if isinstance(node.value, dict):
+        for key, entry in node.value.items():
+            yield from _walk(entry, (*path, key))
+    elif isinstance(node.value, list):
+        for index, item in enumerate(node.value):
+            yield from _walk(item, (*path, index))

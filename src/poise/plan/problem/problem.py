@@ -13,7 +13,7 @@ from itertools import chain
 from msgspec import Struct
 
 from poise.model.robot import Computer, Link, Objective
-from poise.plan.problem.check import check
+from poise.plan.problem.problem_check import check
 from poise.plan.problem.time_limit import TimeLimit
 
 

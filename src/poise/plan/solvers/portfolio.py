@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from math import inf, log2
+from time import perf_counter, thread_time
 from typing import NamedTuple, cast
 
 from poise.errors import UsageError
@@ -12,8 +13,25 @@ from poise.plan.problem.arrays import Placed
 from poise.plan.problem.snapshot import Snapshot
 from poise.plan.result import Result
 from poise.plan.result_records import Answer, Ask, Stopped
-from poise.plan.solvers.budget import Budget
 from poise.plan.why.conflict import is_hopeless
+
+BUSY = 4.0
+"""On a busy machine a budget lasts this many times as long at most; `Stop` of the core
+(`plan/core/problem/stop.h`) has the same number."""
+
+
+class Budget:
+    """What this thread may spend from now on [s of a CPU]."""
+
+    def __init__(self, seconds: float) -> None:
+        self._seconds = seconds
+        self._began, self._cpu = perf_counter(), thread_time()
+
+    def left(self) -> float:
+        """Return what is left [s]; below 0 when it is over."""
+        waited = (perf_counter() - self._began) / BUSY
+        return self._seconds - max(thread_time() - self._cpu, waited)
+
 
 METHODS = ("auto", "greedy", "exact", "search")
 

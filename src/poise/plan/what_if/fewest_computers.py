@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 from poise.errors import UsageError
 from poise.model.robot import Computer
-from poise.plan.phases.problem import PhasedProblem
-from poise.plan.phases.result import PhasedResult
+from poise.plan.phases.phase_problem import PhasedProblem
+from poise.plan.phases.phase_result import PhasedResult
 from poise.plan.problem.arrays import arrays_of
 from poise.plan.problem.problem import Problem
 from poise.plan.what_if.changed_problem import without

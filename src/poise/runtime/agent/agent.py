@@ -30,20 +30,11 @@ from poise.clock import SystemClock, time_asleep, wall_time
 from poise.endpoint import Endpoint
 from poise.errors import RunError, Unavailable, UsageError
 from poise.priority import ahead, go_first, goes_first
-from poise.runtime.agent.agent_folder import AgentFolder
-from poise.runtime.agent.agent_setup import AgentSetup
-from poise.runtime.agent.checkpoint_files import CheckpointFiles
+from poise.runtime.agent.agent_files import AgentFolder, CheckpointFiles, DiskThread
 from poise.runtime.agent.core import AgentCore
-from poise.runtime.agent.disk_thread import DiskThread
 from poise.runtime.agent.inbox import AgentInbox
-from poise.runtime.agent.sampling.sampler import Sampler
-from poise.runtime.agent.sampling.watchdog import Silence
-from poise.runtime.agent.supervision.adoption import AdoptedContainers
-from poise.runtime.agent.supervision.container_processes import ProcessEnd
-from poise.runtime.agent.supervision.control_link import ControlLink
-from poise.runtime.agent.supervision.process_host import ProcessHost
-from poise.runtime.agent.supervision.supervisor import part_of
 from poise.runtime.agent.surroundings import (
+    AgentSetup,
     Hear,
     HeartbeatTransport,
     NextBeat,
@@ -51,10 +42,16 @@ from poise.runtime.agent.surroundings import (
 )
 from poise.runtime.container import zygote
 from poise.runtime.container.descendants import kill_all
+from poise.runtime.sampling.sampler import Sampler
+from poise.runtime.sampling.watchdog import Silence
+from poise.runtime.supervision.adopted_containers import AdoptedContainers
+from poise.runtime.supervision.container_processes import ProcessEnd
+from poise.runtime.supervision.process_host import ControlLink, ProcessHost
+from poise.runtime.supervision.supervisor import part_of
 from poise.runtime.waker import Waker, wait_readable
 from poise.wire.codec import WireError
 from poise.wire.connections.gateway import Gateway
-from poise.wire.connections.socket_path import socket_path
+from poise.wire.connections.sockets import socket_path
 from poise.wire.control_session import identity_key, locator, open_session
 from poise.wire.heartbeats import Heartbeats
 from poise.wire.records.requests import PROTOCOL

@@ -13,23 +13,30 @@ from typing import NamedTuple, TypeVar
 
 from msgspec import structs
 
-from poise.runtime.agent.agent_setup import AgentSetup
 from poise.runtime.agent.fence import Fence
 from poise.runtime.agent.heartbeat_exchange import HeartbeatExchange
-from poise.runtime.agent.sampling.watchdog import Silence
 from poise.runtime.agent.status_reports import StatusReports
 from poise.runtime.agent.supervised_parts import SupervisedParts
-from poise.runtime.agent.supervision.adoption import ADOPT_LIMIT
-from poise.runtime.agent.supervision.agent_state import AgentState
-from poise.runtime.agent.supervision.container_processes import STOP_LIMIT, ProcessEnd
-from poise.runtime.agent.supervision.health import HealthRecords
-from poise.runtime.agent.supervision.migration_relay import MigrationRelay
-from poise.runtime.agent.supervision.supervisor import Supervisor, part_of
-from poise.runtime.agent.surroundings import ContainerControl, Reply, Surroundings
-from poise.wire.failure_detector import Contacts
+from poise.runtime.agent.surroundings import (
+    AgentSetup,
+    AgentState,
+    ContainerControl,
+    Reply,
+    Surroundings,
+)
+from poise.runtime.sampling.watchdog import Silence
+from poise.runtime.supervision.adopted_containers import ADOPT_LIMIT
+from poise.runtime.supervision.container_processes import (
+    STOP_LIMIT,
+    MigrationRelay,
+    ProcessEnd,
+)
+from poise.runtime.supervision.health import HealthRecords
+from poise.runtime.supervision.supervisor import Supervisor, part_of
+from poise.wire.heartbeats import Contacts
 from poise.wire.records.checkpoints import CheckpointCopy
 from poise.wire.records.container import FromContainer, Order
-from poise.wire.records.migration import StepsFailed
+from poise.wire.records.migration_records import StepsFailed
 from poise.wire.records.output import ReadOutput
 from poise.wire.records.requests import (
     Accepted,

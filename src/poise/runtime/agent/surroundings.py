@@ -7,6 +7,7 @@ are called on the agent's own thread and return soon, unless said otherwise.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Mapping
 from random import Random
 from signal import Signals
@@ -15,16 +16,78 @@ from typing import Protocol
 from msgspec import Struct
 
 from poise.clock import Clock
-from poise.runtime.agent.supervision.agent_state import AgentState
-from poise.runtime.agent.supervision.health import Usage
+from poise.runtime.supervision.health import Usage
+from poise.wire.control_session import LEASE
 from poise.wire.heartbeats import Address
 from poise.wire.records.checkpoints import CheckpointCopy
 from poise.wire.records.container import ToContainer
 from poise.wire.records.deployment import ContainerSpec, Deployment
-from poise.wire.records.heartbeats import Heartbeat
+from poise.wire.records.heartbeat_records import Heartbeat
 from poise.wire.records.output import ReadOutput
-from poise.wire.records.requests import Answer
+from poise.wire.records.requests import PROTOCOL, Answer, ManagerId
+from poise.wire.records.samples import SAMPLE_EVERY
 from poise.wire.records.status import AgentStatus
+
+BROKEN = os.EX_SOFTWARE
+"""The exit code of an agent that an error of Poise ended: start it again."""
+
+
+class AgentSetup(Struct, frozen=True, kw_only=True):
+    """Where an agent is and whom it knows.
+
+    Parameters
+    ----------
+    robot, computer
+        Names.
+    address
+        IP address on which it and its containers listen.
+    port
+        TCP port of the agent.
+    gateway
+        TCP port for connections from other computers to its containers; 0: a free one.
+    folder
+        A folder of its own for sockets; the same one when it is started again.
+    lifeline
+        A file descriptor at whose end of file the agent ends; None: it runs on.
+    lease
+        Who is silent for this time [s] is lost.
+    sample_every
+        How often it tells what its containers count [s]; 0: never.
+    """
+
+    robot: str
+    computer: str
+    address: str
+    port: int = 7447
+    gateway: int = 0
+    folder: str
+    lifeline: int | None = None
+    lease: float = LEASE
+    sample_every: float = SAMPLE_EVERY
+
+
+class AgentState(Struct, frozen=True, kw_only=True):
+    """What an agent must know after it was killed.
+
+    Parameters
+    ----------
+    gateway
+        Its IP address and TCP port.
+    agents, is_leased
+        With whom it exchanges heartbeats, as in `Claim`.
+    boot
+        When the computer has started since, nothing of it holds.
+    """
+
+    gateway: str = ""
+    manager: ManagerId | None = None
+    token: int = 0
+    wanted: Deployment | None = None
+    agents: Mapping[str, str] = {}
+    is_leased: bool = False
+    boot: str = ""
+    protocol: int = PROTOCOL
+
 
 Reply = Callable[[Answer], object]
 """Answers a request; called once, now or later, on any thread."""

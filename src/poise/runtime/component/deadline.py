@@ -14,7 +14,7 @@ from contextlib import contextmanager
 
 from poise.errors import UsageError
 from poise.runtime import _calls
-from poise.wire.connections import caller
+from poise.wire.connections import connection
 
 _LONGEST = 1e9
 """What is longer is no limit [s]."""
@@ -56,4 +56,4 @@ def time_left() -> float:
     stop. Infinite in a timer, a message and a hook, and on threads of your own.
     """
     left = max(0.0, _calls.time_left(math.inf))
-    return 0.0 if left > 0.0 and caller.is_gone() else left
+    return 0.0 if left > 0.0 and connection.is_gone() else left

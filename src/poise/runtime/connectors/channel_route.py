@@ -26,7 +26,7 @@ from poise.runtime.execution.lease import LeaseEnd, LeaseEnded, check_lease
 from poise.runtime.execution.mailbox import Feed
 from poise.wire import frame
 from poise.wire.codec import Codec, WireError, codec
-from poise.wire.connections import caller
+from poise.wire.connections import connection
 from poise.wire.connections.channel import Channel, Closed
 from poise.wire.connections.connection_server import Handler
 from poise.wire.frame import Frame, Kind, Pieces, segments, size_of
@@ -201,7 +201,7 @@ def receiving(
             return serve(received)
         try:
             if received.kind is Kind.CREDIT_REQUEST:
-                issuer.requested(received, caller.connection())
+                issuer.requested(received, connection.connection())
                 return None
             latency = received.age + remote.ahead
             counts.add_message(0, received.size, latency, remote.error)
@@ -292,7 +292,7 @@ def _answering(
         limit=spec.limit,
         counts=counts,
         translate=raise_callee_error,
-        is_over=caller.is_gone,
+        is_over=connection.is_gone,
         lease=lease,
     )
 

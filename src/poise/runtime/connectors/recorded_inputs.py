@@ -16,7 +16,7 @@ import msgspec
 
 from poise.wire.connections.connection_server import Handler
 from poise.wire.frame import Frame, Kind, Pieces
-from poise.wire.records.recorded import Input
+from poise.wire.recording_file import Input
 
 log = logging.getLogger(__name__)
 

@@ -28,9 +28,8 @@ from poise.runtime.connectors.proxy import Proxy, oneway_function, refusing
 from poise.runtime.connectors.route import Route
 from poise.runtime.connectors.tap import Observers, observed_call, observed_send
 from poise.runtime.execution.connector_counters import Counts
-from poise.runtime.execution.exclusion import Exclusion
+from poise.runtime.execution.exclusion import Exclusion, stepping_out
 from poise.runtime.execution.lease import LeaseEnded
-from poise.runtime.execution.reentrant import stepping_out
 from poise.wire.codec import WireError
 
 log = logging.getLogger(__name__)

@@ -20,8 +20,7 @@ from poise.clock import Clock
 from poise.errors import Unavailable
 from poise.runtime.waker import is_writable
 from poise.wire import record_channel
-from poise.wire.connections.fork import keep_private
-from poise.wire.connections.socket_path import agent_path
+from poise.wire.connections.sockets import agent_path, keep_private
 from poise.wire.records.container import FromContainer, ToContainer
 
 ORPHAN_LIMIT = 60.0

@@ -45,7 +45,7 @@ from poise.wire.connections.connection_server import ConnectionServer
 from poise.wire.records.clocks import Clocks
 from poise.wire.records.container import ContainerFailure, Outcome, ToContainer
 from poise.wire.records.deployment import ComponentSpec, ContainerSpec
-from poise.wire.records.migration import MigrationSteps
+from poise.wire.records.migration_records import MigrationSteps
 from poise.wire.records.status import ComponentStatus, ContainerStatus
 from poise.wire.records.taps import Tap
 

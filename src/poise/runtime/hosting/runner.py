@@ -30,9 +30,8 @@ from poise.runtime.execution.mailbox import Inbox
 from poise.runtime.execution.timers import Releases, Timers
 from poise.runtime.hosting.checkpoints import Checkpoints
 from poise.runtime.hosting.execution_gate import ExecutionGate
-from poise.runtime.hosting.life_cycle import ENDED, LifeCycle
+from poise.runtime.hosting.life_cycle import ENDED, LifeCycle, TaskNews
 from poise.runtime.hosting.output import write_as
-from poise.runtime.hosting.task_news import TaskNews
 from poise.wire.codec import codec
 from poise.wire.records.deployment import Aim, ComponentSpec
 from poise.wire.records.status import ComponentStatus, State

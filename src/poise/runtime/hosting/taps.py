@@ -8,7 +8,7 @@ from poise.errors import UsageError
 from poise.runtime.connectors.sender import Sender
 from poise.runtime.connectors.tap import Observer
 from poise.runtime.hosting.wiring import Wiring
-from poise.wire.records.migration import StepsFailed
+from poise.wire.records.migration_records import StepsFailed
 from poise.wire.records.taps import Tap, TapReading
 
 KEPT_FOR = 3.0

@@ -1,9 +1,9 @@
 """A container's side of a migration: it takes the steps that the manager sends.
 
 Each step is harmless when repeated, and leaves all as it was when it fails. A step may
-be taken after the manager gave it up. Then the phases of the incarnation
-(`poise.wire.migration_phases`) refuse it, or the next deployment undoes it and refuses
-what comes later. What each step is for: `poise.wire.records.migration.STEPS`.
+be taken after the manager gave it up. Then the phases of the incarnation refuse it, or
+the next deployment undoes it and refuses what comes later. Phases, and what each step
+is for: `poise.wire.records.migration_records`.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from poise.runtime.hosting.wiring import Runners, Wiring
 from poise.runtime.migration.participant import Participant
 from poise.runtime.waker import poll_until
 from poise.wire.connections.connection_server import ConnectionServer
-from poise.wire.migration_phases import Role
 from poise.wire.records.deployment import ContainerSpec
-from poise.wire.records.migration import (
+from poise.wire.records.migration_records import (
     MigrationSteps,
+    Role,
     Step,
     StepsDone,
     StepsFailed,

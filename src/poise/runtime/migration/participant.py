@@ -14,8 +14,7 @@ from poise.runtime.waker import poll_until
 from poise.wire.address import Address
 from poise.wire.connections.channel import Channel
 from poise.wire.connections.connection_server import ConnectionServer
-from poise.wire.migration_phases import MigrationPhases, Role
-from poise.wire.records.migration import Step
+from poise.wire.records.migration_records import MigrationPhases, Role, Step
 
 _PAUSE_SHARE = 0.8
 """A pause may take this share of its time, so that targets learn why they get no state

@@ -12,7 +12,7 @@ from msgspec import Struct
 
 from poise.errors import UsageError
 from poise.runtime.component.component import Component
-from poise.runtime.component.fingerprint import fingerprint
+from poise.runtime.component.implementation import fingerprint
 
 _WAYS_OUT = "map it with --adapt, or drop it with --fresh"
 

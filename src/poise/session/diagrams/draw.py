@@ -11,15 +11,16 @@ from typing import Literal
 from msgspec import Struct
 
 from poise.errors import UsageError
-from poise.manage.migration.transition import plan_transition
+from poise.manage.migration.transition_plan import plan_transition
 from poise.model.robot import Robot
-from poise.session.diagrams.components import component_diagram
-from poise.session.diagrams.deployment import deployment_diagram
+from poise.session.diagrams.contents import (
+    component_diagram,
+    deployment_diagram,
+    sequence_diagram,
+)
 from poise.session.diagrams.dot import dot
-from poise.session.diagrams.mermaid import mermaid
-from poise.session.diagrams.plantuml import plantuml
 from poise.session.diagrams.records import Diagram
-from poise.session.diagrams.transition import sequence_diagram
+from poise.session.diagrams.text_notations import mermaid, plantuml
 
 What = Literal["components", "deployment", "transition"]
 TEXTS: Mapping[str, Callable[[Diagram], str]] = {

@@ -11,11 +11,18 @@ from msgspec.structs import replace
 from poise.errors import UsageError
 from poise.model.robot import Robot
 from poise.session.callbacks import Check, Say
+from poise.session.experiment.experiment_page import experiment_page
 from poise.session.experiment.measure import measure
-from poise.session.experiment.page import experiment_page
-from poise.session.experiment.results import TrialResult, append, read, remaining
+from poise.session.experiment.results import (
+    Extent,
+    TrialResult,
+    append,
+    named,
+    read,
+    remaining,
+    schedule,
+)
 from poise.session.experiment.summary import ExperimentReport, summarised
-from poise.session.experiment.trials import Extent, named, schedule
 from poise.session.profiling.machine_speed import steady
 from poise.session.writable import to_write
 from poise.units import counted

@@ -11,14 +11,15 @@ from poise.clock import wall_time
 from poise.errors import PoiseError, RunError
 from poise.manage.agent_connections.statuses import Statuses, components_of
 from poise.manage.observe.chains import chain_reports
-from poise.manage.tasks.progress import OVER
+from poise.manage.tasks.task_progress import OVER
 from poise.model.robot import Robot
 from poise.session.callbacks import Check, nothing
-from poise.session.experiment.results import Missed, TrialResult
-from poise.session.experiment.trials import (
+from poise.session.experiment.results import (
     Arm,
+    Missed,
     Trial,
     TrialCondition,
+    TrialResult,
     as_it_runs,
     under,
 )

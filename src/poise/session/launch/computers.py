@@ -15,7 +15,7 @@ from poise.model.robot import Robot
 from poise.session.callbacks import Say
 from poise.session.launch.emulated_agents import agent_of, emulated_agents
 from poise.wire.control_session import LEASE, locator
-from poise.wire.failure_detector import UNCUT_LEASE
+from poise.wire.heartbeats import UNCUT_LEASE
 from poise.wire.records.samples import SAMPLE_EVERY
 
 _TOLERATED = 0.1

@@ -19,15 +19,17 @@ from poise.back_off import BackOff
 from poise.emulate import EmulatedComputer, EmulatedSet, Emulation, find_set
 from poise.emulate.registry import locked
 from poise.endpoint import AGENT_PORT, Endpoint
-from poise.errors import PoiseError
+from poise.errors import PoiseError, UsageError
+from poise.manage.control_socket.location import forget
 from poise.model.robot import Robot
-from poise.runtime.agent.agent_setup import BROKEN
+from poise.runtime.agent.surroundings import BROKEN
 from poise.runtime.waker import Waker, wait_readable
-from poise.session.callbacks import Say
+from poise.session.callbacks import Say, log
 from poise.session.launch.printer import STDERR, Printer, relay
+from poise.session.launch.temporary_folders import scratch_folder
 from poise.units import counted
 from poise.wire.control_session import LEASE
-from poise.wire.failure_detector import UNCUT_LEASE
+from poise.wire.heartbeats import UNCUT_LEASE
 from poise.wire.records.samples import SAMPLE_EVERY
 
 _LOOK_EVERY = 0.02
@@ -185,3 +187,39 @@ def emulated_agents(
     finally:
         os.close(lifeline)
         os.close(held)
+
+
+@contextlib.contextmanager
+def emulated(robot: Robot, *, say: Say = log.info) -> Iterator[EmulatedSet]:
+    """Emulate a robot's computers inside the ``with`` block, with an agent on each.
+
+    Meanwhile `run` and `up` of this robot use them, from any process of this user, and
+    leave them up. An agent that ends is started again, as systemd would on a real
+    computer, unless its computer was crashed.
+
+    Parameters
+    ----------
+    say
+        Takes sentences, also on a thread of its own.
+
+    Raises
+    ------
+    UsageError
+        The robot's computers have addresses, or are kept by another process.
+    RobotError, RunError
+        They cannot be emulated; nothing is left.
+    """
+    real = [computer.name for computer in robot.computers if computer.address]
+    if real:
+        raise UsageError(
+            f"robot '{robot.name}' has real computers ({', '.join(real)}): only "
+            "computers without `address` are emulated"
+        )
+    with (
+        scratch_folder("poise-run-") as folder,
+        emulated_agents(robot, folder / "computers", say, keep=True),
+    ):
+        try:
+            yield find_set(robot.name)
+        finally:
+            forget(robot.name)  # what runs there ends, with a manager or without

@@ -17,15 +17,15 @@ from poise.clock import SystemClock
 from poise.errors import RobotError, RunError
 from poise.manage.agent_connections.agents import Agents
 from poise.manage.agent_connections.statuses import containers_left
-from poise.manage.control_socket.agent_addresses import AgentAddresses, forget, note
+from poise.manage.control_socket.location import AgentAddresses, forget, note
+from poise.manage.deploy.deactivation import stop
 from poise.manage.deploy.running_components import RunningComponents
-from poise.manage.deploy.stop import stop
 from poise.manage.journal import Journal
 from poise.model.robot import Robot
 from poise.session.callbacks import Check, Say, log, nothing
 from poise.session.launch.computers import Computers, computers_of
-from poise.session.launch.simulator import SimulatorProcess, world_of
 from poise.session.launch.temporary_folders import scratch_folder
+from poise.session.launch.world import SimulatorProcess, world_of
 from poise.units import counted
 from poise.wire.records.samples import SAMPLE_EVERY, AgentSample
 

@@ -1,5 +1,8 @@
 """Decides where components run so that the data of chains is in time.
 
+What a chain's data waits for where it is (a timer's next run, the turn of others) is
+part of what is predicted of a whole placement, and not of these: see `by_time`.
+
 How old data gets depends on all that runs beside it, which no sum over components and
 connectors tells. So a placement is decided by what can be summed (`chain_limits`),
 simulated, and decided again with what was missing from the sums, until the data is in
@@ -9,18 +12,111 @@ time or nothing changes any more.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
+from itertools import pairwise
 
 from msgspec import Struct
 from msgspec.structs import replace
 
 from poise import plan
-from poise.model.robot import Robot
-from poise.plan import TimeLimit
-from poise.session.placing.time_limits import chain_limits
+from poise.estimate.overhead import kinds_together
+from poise.manage.deploy.deployment_plan import DeploymentPlan
+from poise.model.robot import Chain, Connector, Robot
+from poise.plan import Hop, Run, TimeLimit
 from poise.session.profiling.stored_profiles import read_profile
 from poise.session.robot_file import with_code
+from poise.simulation.components.models import ComponentModel, HandlerModel
 from poise.simulation.predicted_times import PredictedTimes, predict_times
 from poise.simulation.workload import SimulatedWork, workload_of
+
+
+def chain_limits(robot: Robot, work: SimulatedWork) -> Iterator[TimeLimit]:
+    """Yield what the data of each chain passes from end to end.
+
+    Parameters
+    ----------
+    work
+        What the components do.
+    """
+    paths = _Paths(robot, work)
+    for chain in robot.chains:
+        yield TimeLimit(
+            name=chain.name,
+            limit=chain.deadline,
+            runs=tuple(
+                Run(component=name, seconds=handler.work)
+                for name, handler in paths.runs(chain)
+            ),
+            hops=tuple(
+                hop
+                for source, target in pairwise(chain.through)
+                for hop in paths.hops(source, target)
+            ),
+            shared=True,
+        )
+
+
+class _Paths:
+    """Finds the runs and connectors that data passes."""
+
+    def __init__(self, robot: Robot, work: SimulatedWork) -> None:
+        self._work = work
+        self._slot_of = DeploymentPlan(robot, "").slot_of
+        self._kinds = kinds_together(robot)
+        self._between: dict[frozenset[str], Connector] = {}
+        for connector in robot.all_connectors():
+            ends = frozenset(end.component for end in connector.between)
+            self._between.setdefault(ends, connector)
+
+    def runs(self, chain: Chain) -> Iterator[tuple[str, HandlerModel]]:
+        """Yield components and the handlers that the data goes through, each once.
+
+        The first component makes it when it sends it.
+        """
+        for component in chain.through[1:]:
+            handlers = [
+                handler
+                for pair in pairwise(chain.through)
+                if component in pair
+                for handler in self._at(component, *pair)
+            ]
+            for handler in {id(each): each for each in handlers}.values():
+                yield component, handler
+
+    def hops(self, source: str, target: str) -> Iterator[Hop]:
+        """Yield the way of data between two components."""
+        connector = self._between.get(frozenset((source, target)))
+        if connector is not None:
+            name, traffic = str(connector), self._work.traffic
+            share = 2 if name in traffic.calling else 1  # a call goes both ways
+            yield Hop(
+                between=(source, target),
+                seconds=traffic.apart(name, self._kinds[name]),
+                size=traffic.size_of(name) / share,
+            )
+
+    def _at(self, component: str, source: str, target: str) -> Iterator[HandlerModel]:
+        """Yield the handlers of a component that send data on, or that take it."""
+        connector = self._between.get(frozenset((source, target)))
+        model = self._work.models.get(component)
+        if connector is None or model is None:
+            return
+        slot = self._slot_of(connector)
+        if connector.between[0].component == component:  # it publishes or calls
+            yield from (h for h in _handlers(model) if _sends(h, slot))
+        else:
+            found = model.takes.get(slot) or model.serves.get(slot)
+            yield found or model.other
+
+
+def _handlers(model: ComponentModel) -> Iterator[HandlerModel]:
+    yield from (timer.handler for timer in model.timers)
+    yield from model.takes.values()
+    yield from model.serves.values()
+
+
+def _sends(handler: HandlerModel, slot: str) -> bool:
+    return slot in handler.calls or slot in (handler.publishes or {})
+
 
 SURE = 1.25
 """The predicted age of data counts 1.25 times, as predictions may be wrong."""

@@ -10,8 +10,8 @@ from poise import plan
 from poise.clock import boot_time
 from poise.errors import RobotError
 from poise.estimate.success.learning import WELL
+from poise.manage.tasks.concurrent_tasks import Tasks
 from poise.manage.tasks.learned_choice import choose
-from poise.manage.tasks.tasks import Tasks
 from poise.model.robot import Robot
 from poise.plan.solvers.portfolio import METHODS as SOLVERS
 from poise.session.callbacks import Say

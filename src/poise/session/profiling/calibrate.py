@@ -10,7 +10,7 @@ from msgspec import Struct
 
 from poise.errors import RunError, UsageError
 from poise.estimate.profile import KindCosts
-from poise.estimate.profile import file as profile_file
+from poise.estimate.profile import profile_files as profile_file
 from poise.manage.agent_connections.statuses import Statuses, located
 from poise.manage.journal import Journal
 from poise.manage.observe.recording import Recording
@@ -18,8 +18,7 @@ from poise.model.robot import Robot
 from poise.runtime.workload.calibration import SCORES
 from poise.session.callbacks import Check, nothing
 from poise.session.launch.start import Sampling, started
-from poise.session.profiling.calibration_robots import pairs, yardsticks
-from poise.session.profiling.connector_costs import costs_of
+from poise.session.profiling.connector_costs import costs_of, pairs, yardsticks
 from poise.session.profiling.machine_speed import steady
 from poise.session.profiling.stored_profiles import (
     check_keepable,

@@ -5,15 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from poise.errors import RunError
-from poise.estimate.profile.distribution import WINDOW
+from poise.estimate.profile.profile_records import WINDOW
 from poise.manage.deploy.running_components import ACTIVE_LIMIT
 from poise.manage.journal import Journal
 from poise.manage.observe.recording import Recording
 from poise.session.callbacks import Check, nothing
 from poise.session.launch.start import Sampling, Started, started
-from poise.session.profiling.figures import Observed
+from poise.session.profiling.figures import Observed, measure
 from poise.session.profiling.rig import ProfilingRig
-from poise.session.profiling.usage import measure
 
 Tick = Callable[[float], None]
 

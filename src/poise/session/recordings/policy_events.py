@@ -8,11 +8,10 @@ from pathlib import Path
 from msgspec import Struct
 
 from poise.errors import UsageError
-from poise.manage.adaptation.policy.evaluation import Policies
 from poise.manage.observe.recording import unpacked
-from poise.model.policy.policy import Do
+from poise.manage.policy.evaluation import Policies
+from poise.model.policy.policy import Do, Values
 from poise.model.policy.shipped import policies_of
-from poise.model.policy.values import Values
 from poise.model.robot import Robot
 from poise.session.callbacks import Say, log
 from poise.wire.recording_file import load

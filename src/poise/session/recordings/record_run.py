@@ -13,8 +13,7 @@ from poise.model.robot import Robot
 from poise.runtime.connectors.recorded_inputs import read_inputs
 from poise.session.callbacks import Say
 from poise.session.recordings.tapped_robot import Tapped, tapped
-from poise.wire.recording_file import append
-from poise.wire.records.recorded import Input, Recorded
+from poise.wire.recording_file import Input, Recorded, append
 
 
 class Kept(Struct, frozen=True):

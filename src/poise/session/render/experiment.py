@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from rich.console import RenderableType
 
-from poise.session.render.shared_tables.columns import table
+from poise.session.render.tables import table
 from poise.units import counted
 
 if TYPE_CHECKING:

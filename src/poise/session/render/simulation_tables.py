@@ -9,7 +9,7 @@ from rich.console import RenderableType
 from rich.markup import escape
 from rich.table import Table
 
-from poise.session.render.shared_tables.columns import table
+from poise.session.render.tables import table
 from poise.simulation.report import (
     Outage,
     SimulatedLoad,

@@ -13,7 +13,7 @@ from poise.manage.agent_connections.statuses import (
     connectors_of,
     located,
 )
-from poise.manage.observe.code_errors import refused
+from poise.manage.observe.troubles import refused
 from poise.model.robot import Connector, Robot
 from poise.wire.records.status import ComponentStatus, ErrorCount
 

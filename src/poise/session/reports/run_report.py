@@ -21,13 +21,13 @@ from poise.manage.deploy.deactivation import unprocessed
 from poise.manage.journal import JournalEntry
 from poise.manage.observe.chains import ChainReport
 from poise.manage.observe.faults import faults_after
-from poise.manage.tasks.report import TaskReport
+from poise.manage.tasks.task_report import TaskReport
 from poise.session.launch.start import Started
+from poise.session.pages.picture import Hosted, picture
+from poise.session.pages.report_page import page
 from poise.session.placing.placement import Placement
-from poise.session.render.html.page import page
-from poise.session.render.html.picture import Hosted, picture
 from poise.session.render.printable import Printable
-from poise.session.render.report import report_parts
+from poise.session.render.run_tables import report_parts
 from poise.session.reports.history import Moment, cpu_shares
 from poise.session.reports.last_seen import LastSeen
 from poise.session.reports.run_errors import (

@@ -7,9 +7,9 @@ from typing import Literal
 
 from poise.errors import PoiseError
 from poise.manage.agent_connections.statuses import connectors_of
+from poise.manage.control_socket.agents_without_manager import robots_without_manager
+from poise.manage.control_socket.commands import RobotStatus
 from poise.manage.control_socket.location import running_here
-from poise.manage.control_socket.records import RobotStatus
-from poise.manage.control_socket.without_manager import robots_without_manager
 from poise.session.running_robots.running import Running
 
 Thing = Literal["robots", "tasks", "computers", "components", "connectors"]

@@ -8,9 +8,9 @@ from poise.endpoint import Endpoint
 from poise.errors import RunError, UsageError
 from poise.manage.agent_connections.agents import Agents
 from poise.manage.agent_connections.statuses import containers_left
-from poise.manage.control_socket.agent_addresses import AgentAddresses, forget
-from poise.manage.control_socket.records import RobotStatus
-from poise.manage.control_socket.without_manager import ask_agents
+from poise.manage.control_socket.agents_without_manager import ask_agents
+from poise.manage.control_socket.commands import RobotStatus
+from poise.manage.control_socket.location import AgentAddresses, forget
 from poise.manage.deploy.running_components import STOP_LIMIT
 from poise.model.robot import Robot
 from poise.session.launch.computers import agent_locators

@@ -10,7 +10,7 @@ from msgspec import Struct
 from poise.manage.agent_connections.statuses import located
 from poise.model.robot import Robot
 from poise.session.callbacks import Check, Say
-from poise.session.launch.emulated import emulated
+from poise.session.launch.emulated_agents import emulated
 from poise.session.placing.placement import place
 from poise.session.running_robots.running import Running
 from poise.session.scenes.waiting import WARM_UP, measures, wait, wait_until

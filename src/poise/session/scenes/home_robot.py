@@ -13,14 +13,14 @@ from rich.markup import escape
 from poise.errors import RunError
 from poise.manage.agent_connections.statuses import components_of
 from poise.manage.deploy.running_components import RunningComponents
+from poise.manage.migration.migration_report import MigrationReport
 from poise.manage.migration.move import move
-from poise.manage.migration.report import MigrationReport
 from poise.model.robot import Robot
 from poise.session.callbacks import Check, nothing
 from poise.session.placing.placement import Placement, place
 from poise.session.profiling.machine_speed import as_when_profiled
-from poise.session.render.moves import outcome_sentence
-from poise.session.render.progress import progress
+from poise.session.render.move_tables import outcome_sentence
+from poise.session.render.run_progress import progress
 from poise.session.reports.run_report import RunReport
 from poise.session.robot_file import load
 from poise.session.run import Meanwhile, run

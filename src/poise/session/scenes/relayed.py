@@ -11,7 +11,7 @@ from msgspec import Struct
 from poise.emulate import EmulatedSet
 from poise.model.robot import Robot
 from poise.session.callbacks import Check, Say
-from poise.session.launch.emulated import emulated
+from poise.session.launch.emulated_agents import emulated
 from poise.session.placing.placement import place
 from poise.session.running_robots.running import Running
 from poise.session.scenes.handler_log import overlaps, read_handler_log

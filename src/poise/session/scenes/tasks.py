@@ -8,9 +8,9 @@ from collections.abc import Callable
 from msgspec import Struct
 from msgspec.structs import replace
 
-from poise.manage.prefetch.report import PrefetchReport
+from poise.manage.prefetch.prefetch_report import PrefetchReport
 from poise.model.robot import Robot
-from poise.model.tasks.prefetch import Prefetch
+from poise.model.tasks.steps import Prefetch
 from poise.session.callbacks import Check, Say
 from poise.session.running_robots.running import Running
 from poise.session.scenes.overload import Deadlines

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import contextlib
+import signal
+import threading
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, suppress
 from math import isfinite
 from os import PathLike
@@ -19,9 +22,31 @@ from poise.session.profiling.stored_profiles import read_profile
 from poise.session.recordings.recorded_run import RecordedRun
 from poise.session.robot_file import task_of
 from poise.session.simulating.fault_file import Faults, faults_of
-from poise.session.simulating.held_interrupts import interrupts_held
 from poise.session.simulating.simulation_results import Simulation, SimulationComparison
 from poise.simulation.faults import SimulatedFault
+
+
+@contextlib.contextmanager
+def interrupts_held() -> Iterator[None]:
+    """Raise the KeyboardInterrupt of Ctrl-C at the end of the block, not inside it.
+
+    Code that is simulated runs there: it would take the interrupt for an error of its
+    own. A program that handles SIGINT itself keeps its handler.
+    """
+    is_main = threading.current_thread() is threading.main_thread()
+    before = signal.getsignal(signal.SIGINT)
+    if not is_main or before is not signal.default_int_handler:
+        yield
+        return
+    came = threading.Event()
+    signal.signal(signal.SIGINT, lambda *_: came.set())
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+    if came.is_set():
+        raise KeyboardInterrupt
+
 
 if TYPE_CHECKING:
     from poise.simulation.rehearsal import Rehearsal, RehearsalPlan

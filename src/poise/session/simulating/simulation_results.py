@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from msgspec import Struct, structs
 from rich.console import RenderableType
 
-from poise.session.render.html.simulation_page import (
+from poise.session.pages.simulation_page import (
     comparison_page,
     simulation_page,
     simulation_picture,

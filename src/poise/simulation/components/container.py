@@ -18,7 +18,7 @@ from poise.simulation.schedule.scheduler import Scheduler, SimulatedTask
 from poise.wire.records.clocks import Clocks
 from poise.wire.records.container import FromContainer, ToContainer
 from poise.wire.records.deployment import ConnectorSpec, ContainerSpec
-from poise.wire.records.migration import MigrationSteps
+from poise.wire.records.migration_records import MigrationSteps
 from poise.wire.records.status import ConnectorStatus, ContainerStatus, Side
 from poise.wire.records.taps import TapReading
 

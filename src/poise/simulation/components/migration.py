@@ -1,6 +1,6 @@
 """How a modelled container takes the steps of a migration, in the real phases.
 
-`poise.wire.records.migration.STEPS` says what each step is for.
+`poise.wire.records.migration_records.STEPS` says what each step is for.
 """
 
 from __future__ import annotations
@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 from poise.errors import PoiseError, RunError
 from poise.simulation._engine import ExecutorState, Sender
 from poise.simulation.components.models import drawn
-from poise.wire.migration_phases import MigrationPhases
 from poise.wire.records.deployment import ContainerSpec
-from poise.wire.records.migration import (
+from poise.wire.records.migration_records import (
+    MigrationPhases,
     MigrationSteps,
     Step,
     StepsDone,

@@ -10,10 +10,9 @@ import zenoh
 
 from poise.clock import SystemClock, time_asleep
 from poise.endpoint import Endpoint
-from poise.runtime.agent.agent_setup import AgentSetup
 from poise.runtime.agent.core import AgentCore
 from poise.runtime.agent.inbox import AgentInbox
-from poise.runtime.agent.surroundings import Hear, NextBeat, Surroundings
+from poise.runtime.agent.surroundings import AgentSetup, Hear, NextBeat, Surroundings
 from poise.simulation.components.container import World
 from poise.simulation.computers.process import Process
 from poise.simulation.robot.container_host import (

@@ -9,8 +9,8 @@ from signal import SIGKILL, Signals
 from typing import TYPE_CHECKING
 
 from poise.errors import Unavailable
-from poise.runtime.agent.sampling.watchdog import Silence
-from poise.runtime.agent.supervision.container_processes import ProcessEnd
+from poise.runtime.sampling.watchdog import Silence
+from poise.runtime.supervision.container_processes import ProcessEnd
 from poise.simulation.components.container import SimulatedContainer, World
 from poise.simulation.components.models import drawn
 from poise.wire.records.container import FromContainer, ToContainer

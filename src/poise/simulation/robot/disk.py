@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 
-from poise.runtime.agent.supervision.agent_state import AgentState
-from poise.runtime.agent.surroundings import Reply
+from poise.runtime.agent.surroundings import AgentState, Reply
 from poise.simulation.computers.process import Process, SimulatedComputer
 from poise.wire.records.checkpoints import CheckpointCopy
 from poise.wire.records.deployment import Deployment

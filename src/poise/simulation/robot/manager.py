@@ -11,15 +11,15 @@ from poise.clock import SystemClock
 from poise.errors import PoiseError, TakenOver
 from poise.estimate.profile import Profile
 from poise.manage.agent_connections.agents import Agents
-from poise.manage.control_socket.records import Command, Refusal, Result, RobotStatus
+from poise.manage.control_socket.commands import Command, Refusal, Result, RobotStatus
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.deploy.takeover import start_or_take_over
 from poise.manage.journal import Journal, JournalEntry
 from poise.manage.manager import LOOK_EVERY, Manager
 from poise.manage.observe.estimates import Estimates
 from poise.manage.observe.recording import Recording
+from poise.manage.tasks.concurrent_tasks import Tasks
 from poise.manage.tasks.saved import goes_on_with
-from poise.manage.tasks.tasks import Tasks
 from poise.model.robot import Robot
 from poise.simulation.computers.process import Process
 

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import msgspec
 
-from poise.runtime.agent.supervision.health import ContainerUse, Usage
+from poise.runtime.supervision.health import ContainerUse, Usage
 from poise.simulation.components.container import SimulatedContainer, World
 from poise.simulation.computers.process import Process
 from poise.wire.records.samples import (

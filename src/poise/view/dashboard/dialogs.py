@@ -13,8 +13,8 @@ import msgspec
 from nicegui import run, ui
 
 from poise.errors import PoiseError
-from poise.session.render.html.page import html_table
-from poise.session.render.moves import outcome_sentence, what_if_lines
+from poise.session.pages.report_page import html_table
+from poise.session.render.move_tables import outcome_sentence, what_if_lines
 from poise.session.running_robots.running import JournalEntry, Running, WhatIf
 from poise.view.dashboard.state import Page, proposal_in, why
 from poise.wire.records.output import OutputLine

@@ -8,8 +8,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from poise.session.running_robots.running import ChainReport, JournalEntry, Status
-from poise.view.live import Look
-from poise.view.robot_view import ConnectorRow, Reader, containers
+from poise.view.robot_view import ConnectorRow, Look, Reader, containers
 
 Records = dict[str, dict[str, Any]]
 Page = dict[str, Records]

@@ -33,7 +33,7 @@ from poise.wire import _channel
 from poise.wire.address import LOST_AFTER
 from poise.wire.codec import Unreadable, WireError
 from poise.wire.connections.blocks import BLOCKS, THRESHOLD, Block, lender
-from poise.wire.connections.fork import keep_private
+from poise.wire.connections.sockets import keep_private
 from poise.wire.frame import LARGEST, Frame, Pieces
 
 _NEW = 1 << 31
@@ -278,3 +278,26 @@ class Connection:
             os.close(file)
         arrays = self._channel.lend(self._lenders[number], used, deadline)
         return _channel.parse(data, arrays)
+
+
+class _ServedCall(threading.local):
+    connection: Connection | None = None
+
+
+_served = _ServedCall()
+
+
+def serve(connection: Connection) -> None:
+    """Note the connection whose calls this thread runs from now on."""
+    _served.connection = connection
+
+
+def connection() -> Connection | None:
+    """Return the connection over which came what this thread handles."""
+    return _served.connection
+
+
+def is_gone() -> bool:
+    """Return at once whether the caller gave up or ended; False without a caller."""
+    connection = _served.connection
+    return connection is not None and not connection.is_idle()

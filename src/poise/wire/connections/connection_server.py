@@ -24,12 +24,10 @@ from poise import threads
 from poise.errors import Timeout, Unavailable
 from poise.wire import frame
 from poise.wire.codec import Unreadable, WireError
-from poise.wire.connections import caller
-from poise.wire.connections.accept_warning import AcceptWarning
+from poise.wire.connections import connection
 from poise.wire.connections.connection import LAST_ANSWER, Connection
-from poise.wire.connections.fork import keep_private
-from poise.wire.connections.opening import ANSWER_LIMIT, MESSAGES, NAME
-from poise.wire.connections.socket_path import gateway_path, socket_path
+from poise.wire.connections.opening import ANSWER_LIMIT, MESSAGES, NAME, AcceptWarning
+from poise.wire.connections.sockets import gateway_path, keep_private, socket_path
 from poise.wire.frame import Frame, Kind, Pieces
 
 log = logging.getLogger(__name__)
@@ -187,7 +185,7 @@ class ConnectionServer:
         connection.close()
 
     def _serve(self, served: _ServedConnection) -> None:
-        caller.serve(served.connection)
+        connection.serve(served.connection)
         try:
             self._greet(served)
             while self._serve_one(served):

@@ -24,10 +24,9 @@ from poise.errors import CallError, RunError
 from poise.wire import frame, record_channel
 from poise.wire.address import family_of, tune
 from poise.wire.codec import WireError
-from poise.wire.connections.accept_warning import AcceptWarning
 from poise.wire.connections.connection import Connection
-from poise.wire.connections.opening import ANSWER_LIMIT, NAME
-from poise.wire.connections.socket_path import connect, gateway_path
+from poise.wire.connections.opening import ANSWER_LIMIT, NAME, AcceptWarning
+from poise.wire.connections.sockets import connect, gateway_path
 from poise.wire.frame import Kind
 
 log = logging.getLogger(__name__)

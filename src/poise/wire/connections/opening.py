@@ -3,12 +3,16 @@
 A container of this computer is reached at its AF_UNIX socket, another at the gateway of
 its computer (`gateway`), where a frame names the container first. The next frame names
 the connector, and its number says whether calls or messages will follow.
+
+It is logged now and then, and reported for as long as it lasts.
 """
 
 from __future__ import annotations
 
 import errno
+import logging
 import os
+import resource
 import select
 import socket
 import time
@@ -20,7 +24,7 @@ from poise.wire import frame
 from poise.wire.address import LOST_AFTER, Address, family_of, tune
 from poise.wire.codec import WireError, codec
 from poise.wire.connections.connection import Connection
-from poise.wire.connections.socket_path import socket_path
+from poise.wire.connections.sockets import socket_path
 from poise.wire.frame import Kind
 
 NAME = codec(str)
@@ -147,3 +151,58 @@ class Opening:
 def _raise_if(error: int) -> None:
     if error not in {0, errno.EINPROGRESS}:
         raise OSError(error, os.strerror(error))
+
+
+log = logging.getLogger(__name__)
+
+EVERY = 10.0
+"""At most one warning in this time [s]."""
+_LATELY = 2.0
+"""A failure counts for this time [s]: status is asked for more often."""
+_PASSING = {errno.EAGAIN, errno.ECONNABORTED, errno.EINTR}
+
+
+class AcceptWarning:
+    """The warnings of one listener.
+
+    Parameters
+    ----------
+    who
+        Who accepts, for people.
+    """
+
+    def __init__(self, who: str) -> None:
+        self._who = who
+        self._again_at = 0.0
+        self._last = ""
+        self._last_at = float("-inf")
+
+    def note(self, error: OSError) -> None:
+        """Warn of an error of `accept`, unless the connection has just gone."""
+        if error.errno in _PASSING:
+            return
+        self._last_at, self._last = time.monotonic(), self._sentence(error)
+        if self._last_at >= self._again_at:
+            self._again_at = self._last_at + EVERY
+            log.warning("%s", self._last)
+
+    def trouble(self) -> str:
+        """Return why no connection can be accepted now; empty: they can."""
+        try:
+            os.close(os.eventfd(0))
+        except OSError as error:
+            return self._sentence(error)
+        return self._last if time.monotonic() < self._last_at + _LATELY else ""
+
+    def _sentence(self, error: OSError) -> str:
+        return f"{self._who} accepts no connection for now: {error}{_remedy(error)}"
+
+
+def _remedy(error: OSError) -> str:
+    if error.errno != errno.EMFILE:
+        return ""
+    limit, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
+    return (
+        f". Process {os.getpid()} may open {limit} files: raise that where the agent "
+        f"starts (`ulimit -n {2 * limit}`), or close what its components leave open"
+    )

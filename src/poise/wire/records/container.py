@@ -6,7 +6,7 @@ from msgspec import Struct
 
 from poise.wire.records.clocks import Clocks
 from poise.wire.records.deployment import ContainerSpec
-from poise.wire.records.migration import MigrationSteps, StepsDone, StepsFailed
+from poise.wire.records.migration_records import MigrationSteps, StepsDone, StepsFailed
 from poise.wire.records.status import ContainerStatus
 from poise.wire.records.taps import Tap, TapReading
 

@@ -1,6 +1,6 @@
 """What a manager asks of agents, with the answers.
 
-The steps of migrations stand in `poise.wire.records.migration`.
+The steps of migrations stand in `poise.wire.records.migration_records`.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from msgspec import Struct
 
 from poise.wire.records.checkpoints import CheckpointCopy
 from poise.wire.records.deployment import Deployment
-from poise.wire.records.migration import MigrationSteps, StepsDone, StepsFailed
+from poise.wire.records.migration_records import MigrationSteps, StepsDone, StepsFailed
 from poise.wire.records.output import OutputLines, ReadOutput
 from poise.wire.records.taps import Tap, TapReading
 

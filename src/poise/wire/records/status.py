@@ -10,7 +10,7 @@ from msgspec import Struct
 
 from poise.wire.records.clocks import ClockStatus
 from poise.wire.records.deployment import ConnectorKind
-from poise.wire.records.heartbeats import LinkQuality
+from poise.wire.records.heartbeat_records import LinkQuality
 from poise.wire.records.requests import PROTOCOL, ManagerId
 
 State = Literal[

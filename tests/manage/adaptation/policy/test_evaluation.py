@@ -8,13 +8,12 @@ import msgspec
 import pytest
 
 from poise.estimate.online import Drift, Estimate
-from poise.manage.adaptation.policy.evaluation import Policies, Symptom
-from poise.manage.adaptation.policy.subjects import values_of
 from poise.manage.adaptation.situation import Situation
 from poise.manage.observe.chains import ChainAge
-from poise.model.policy.policy import Policy
+from poise.manage.policy.evaluation import Policies, Symptom
+from poise.manage.policy.subjects import values_of
+from poise.model.policy.policy import SUBJECTS, Policy, Subject
 from poise.model.policy.shipped import shipped
-from poise.model.policy.values import SUBJECTS, Subject
 from poise.wire.records.status import (
     AgentStatus,
     ComponentStatus,

@@ -7,11 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from poise.manage.adaptation.policy.evaluation import Policies
-from poise.manage.adaptation.policy.own_function import OwnFunction
-from poise.model.policy.policy import Policy
-from poise.model.policy.seen import PolicyAction, Seen
-from poise.model.policy.values import ComputerValues
+from poise.manage.policy.evaluation import OwnFunction, Policies
+from poise.model.policy.policy import ComputerValues, Policy, PolicyAction, Seen
 
 pytestmark = pytest.mark.slow
 

@@ -9,8 +9,8 @@ from collections.abc import Iterator, Mapping
 import pytest
 from msgspec.structs import replace
 
-from poise.manage.adaptation.shortages.failover import fail_over
 from poise.manage.adaptation.situation import Situation
+from poise.manage.shortages.failover import fail_over
 from poise.model.robot import (
     Action,
     Architecture,

@@ -8,8 +8,8 @@ import pytest
 from msgspec.structs import replace
 
 from poise.manage.adaptation.loop import Adaptation
-from poise.manage.adaptation.shortages.missing_functions import Needs, missing_functions
-from poise.manage.adaptation.shortages.put_aside import FIRST
+from poise.manage.shortages.missing_functions import Needs, missing_functions
+from poise.manage.shortages.suspension import FIRST
 from poise.model.robot import Computer, Robot
 from tests.manage.adaptation.shortages.test_put_aside import (
     BOTH,

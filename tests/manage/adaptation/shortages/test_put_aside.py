@@ -10,18 +10,17 @@ from msgspec.structs import replace
 
 from poise.errors import UsageError
 from poise.manage.adaptation.decision import decide
-from poise.manage.adaptation.policy.evaluation import Symptom
 from poise.manage.adaptation.responder import Responder
-from poise.manage.adaptation.shortages.failover import fail_over
-from poise.manage.adaptation.shortages.put_aside import FIRST, PutAside, not_running
-from poise.manage.adaptation.shortages.take_back import CALM, TakeBack
 from poise.manage.adaptation.situation import Situation
 from poise.manage.agent_connections.agents import Agents
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.journal import Journal
-from poise.manage.observe.loads import Load
-from poise.model.policy.policy import Policy
-from poise.model.policy.values import ComputerValues, TimerValues
+from poise.manage.observe.estimates import Load
+from poise.manage.policy.evaluation import Symptom
+from poise.manage.shortages.failover import fail_over
+from poise.manage.shortages.resumption import CALM, TakeBack
+from poise.manage.shortages.suspension import FIRST, PutAside, not_running
+from poise.model.policy.policy import ComputerValues, Policy, TimerValues
 from poise.model.robot import (
     Action,
     Architecture,

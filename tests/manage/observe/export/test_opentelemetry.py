@@ -26,7 +26,7 @@ from opentelemetry.proto.collector.metrics.v1.metrics_service_pb2 import (
     ExportMetricsServiceRequest,
 )
 
-from poise.manage.observe.export.opentelemetry import Telemetry
+from poise.manage.observe.opentelemetry import Telemetry
 
 LIMIT = 20.0
 ENDS = ConnectorStatus(

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from poise.runtime.agent.sampling.kernel_counters import Processes
-from poise.runtime.agent.sampling.watchdog import LOOK_EVERY, Silence, Watchdog
+from poise.runtime.sampling.kernel_counters import Processes
+from poise.runtime.sampling.watchdog import LOOK_EVERY, Silence, Watchdog
 
 PID = 7
 

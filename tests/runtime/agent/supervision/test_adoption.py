@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from poise.runtime.agent.agent_folder import AgentFolder
-from poise.runtime.agent.supervision.agent_state import AgentState
+from poise.runtime.agent.agent_files import AgentFolder
+from poise.runtime.agent.surroundings import AgentState
 from poise.wire.records.deployment import Deployment
 from poise.wire.records.requests import Claim, Refused
 from tests.processes import children_of

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 
 import pytest
 
-from poise.runtime.agent.supervision.control_link import ControlLink
 from poise.runtime.hosting.stats_page import new_memory
+from poise.runtime.supervision.process_host import ControlLink
 from poise.wire import record_channel
 from poise.wire.records.status import ContainerStatus
 

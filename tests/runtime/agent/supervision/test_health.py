@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from poise.runtime.agent.supervision.health import HealthRecords
+from poise.runtime.supervision.health import HealthRecords
 
 
 def test_counts_the_restarts_of_the_last_minute() -> None:

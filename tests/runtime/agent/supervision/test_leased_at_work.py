@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from unittest.mock import Mock
 
-from poise.runtime.agent.supervision.container_processes import ContainerProcess
+from poise.runtime.supervision.container_processes import ContainerProcess
 from poise.wire.records.deployment import ComponentSpec, ContainerSpec
 from poise.wire.records.status import ComponentStatus, ContainerStatus
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from poise.runtime.agent.supervision.oom_kills import OomKills
+from poise.runtime.supervision.process_host import OomKills
 
 V1 = "31 1 0:28 / {0}/memory rw - cgroup cgroup rw,memory"
 V2 = "31 1 0:28 / {0}/memory rw - cgroup2 cgroup2 rw"

@@ -6,7 +6,7 @@ from io import StringIO
 
 from rich.console import Console
 
-from poise.session.render.shared_tables.connectors import connector_tables
+from poise.session.render.tables import connector_tables
 from poise.wire.records.status import ConnectorStatus, Side, Summary
 
 NAME = "laser-of-the-robot.distances-navigator.distances"

@@ -1,1 +1,0 @@
-"""Commands about robots that need not run: checked, measured, placed and drawn."""

@@ -1,1 +1,0 @@
-"""Commands that start, watch, change and stop robots."""

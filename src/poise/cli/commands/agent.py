@@ -1,0 +1,122 @@
+"""`poise agent`: run what the manager wants to run on this computer."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import sys
+import time
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from poise.cli.interrupts import Interrupts
+from poise.cli.options import parse_option
+from poise.endpoint import AGENT_PORT, Endpoint
+from poise.errors import PoiseError, UsageError
+from poise.runtime.agent.agent import Agent
+from poise.runtime.agent.surroundings import BROKEN, AgentSetup
+from poise.session.launch.temporary_folders import agent_folder
+from poise.units import SECONDS
+from poise.wire.control_session import LEASE
+
+log = logging.getLogger(__name__)
+
+_LAST = 65535
+
+
+def agent_command(
+    computer: Annotated[str, typer.Argument(help="This computer's name.")],
+    robot: Annotated[str, typer.Option(help="The robot's name.")],
+    address: Annotated[
+        str, typer.Option(help="IP address by which the others reach this computer.")
+    ],
+    port: Annotated[
+        int,
+        typer.Option(min=1, max=_LAST, help="TCP port, and UDP port for heartbeats."),
+    ] = AGENT_PORT,
+    gateway: Annotated[
+        int,
+        typer.Option(
+            min=0,
+            max=_LAST,
+            help="TCP port for connectors from other computers; 0: any.",
+        ),
+    ] = 0,
+    folder: Annotated[
+        Path | None,
+        typer.Option(help="Folder of its own for its sockets and what it must keep."),
+    ] = None,
+    sample_every: Annotated[
+        str, typer.Option(help="How often to count what is used; 0: never.")
+    ] = "200 ms",
+    lifeline: Annotated[
+        int | None, typer.Option(hidden=True, help="End at this descriptor's end.")
+    ] = None,
+    lease: Annotated[
+        float, typer.Option(hidden=True, help="Who is silent so long [s] is lost.")
+    ] = LEASE,
+) -> None:
+    """Run the containers of this computer until Ctrl-C.
+
+    When it is killed, they go on for a minute, and are adopted when it is started again
+    with the same robot, address and port, or the same folder.
+
+    Example: poise agent main --robot t-rot --address 10.0.0.1
+    """
+    _check_ip(address)
+    logging.basicConfig(
+        format=f"%(asctime)s {computer} %(levelname)s %(name)s: %(message)s",
+        level="WARNING",
+    )
+    logging.getLogger("poise.component").setLevel("INFO")
+    if lifeline is not None:  # its manager shows the faults already
+        logging.getLogger("poise.runtime.supervision.supervisor").setLevel("ERROR")
+    place = folder or agent_folder(f"{robot} {computer} {Endpoint(address, port)}")
+    with Interrupts() as interrupts:
+        agent = Agent(
+            AgentSetup(
+                robot=robot,
+                computer=computer,
+                address=address,
+                port=port,
+                gateway=gateway,
+                folder=str(place),
+                lifeline=lifeline,
+                lease=lease,
+                sample_every=parse_option("--sample-every", sample_every, SECONDS),
+            ),
+            say=_say if lifeline is None else lambda _: None,
+        )
+        interrupts.check()
+        try:
+            agent.run()  # with handlers of its own
+        except PoiseError:
+            raise
+        except Exception:
+            log.exception(
+                "agent '%s' ends by an error of Poise; its containers go on for a "
+                "minute and wait for the next agent: start it again",
+                computer,
+            )
+            raise typer.Exit(BROKEN) from None
+
+
+def _say(sentence: str) -> None:
+    with contextlib.suppress(OSError):  # nobody reads it
+        sys.stdout.write(f"{time.strftime('%H:%M:%S')} {sentence}\n")
+        sys.stdout.flush()
+
+
+def _check_ip(address: str) -> None:
+    """Raise UsageError unless it is an IP address without a port."""
+    try:
+        found = Endpoint.parse(address)
+    except ValueError as error:
+        raise UsageError(f"--address: {error}") from None
+    if not found.is_ip or found.host != address:
+        raise UsageError(
+            f"--address {address}: give an IP address of this computer, without "
+            "brackets or port, as in 10.0.0.1 or fd00::1; --port gives the port"
+        )

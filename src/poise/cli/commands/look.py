@@ -1,0 +1,221 @@
+"""What one types first at a running robot: `poise list`, `echo` and `hz`."""
+
+from __future__ import annotations
+
+import math
+import sys
+import time
+from typing import Annotated, Any
+
+import msgspec
+import typer
+import yaml
+
+from poise.cli.commands.running_robot import Robot
+from poise.cli.options import AsJson, print_json, running
+from poise.errors import UsageError
+from poise.manage.agent_connections.statuses import connectors_of
+from poise.session.render.printable import console_to
+from poise.session.render.robot_list import listing
+from poise.session.running_robots.local_robots import Thing, names_of, robots_here
+from poise.session.running_robots.rates import Rate
+from poise.session.running_robots.running import Running, connect
+from poise.units import format_bytes
+from poise.wire.records.output import OutputLine
+
+Connector = Annotated[
+    str,
+    typer.Argument(
+        help="Its name, or component.port of one of its ends.",
+        autocompletion=running("connectors"),
+    ),
+]
+
+
+def list_command(
+    what: Annotated[
+        Thing | None, typer.Argument(help="Only names of these, a line each.")
+    ] = None,
+    robot: Robot = None,
+    as_json: AsJson = False,
+) -> None:
+    """List the robots that run here, with their components and connectors.
+
+    Examples
+    --------
+    poise list
+
+    poise list connectors
+    """
+    robots = robots_here(robot)
+    if as_json:
+        print_json(robots)
+    elif what is not None:
+        for name in names_of(robots, what):
+            sys.stdout.write(f"{name}\n")
+    else:
+        console = console_to()
+        for part in listing(robots):
+            console.print(part)
+
+
+def echo_command(
+    connector: Connector,
+    rate: Annotated[
+        float, typer.Option(help="At most so many messages a second are shown.")
+    ] = 10.0,
+    count: Annotated[
+        int | None, typer.Option(min=1, help="End after so many messages.")
+    ] = None,
+    robot: Robot = None,
+    as_json: AsJson = False,
+) -> None:
+    """Show the messages or calls that go out over a connector, until Ctrl-C.
+
+    Long values are shortened. What is not shown is counted on standard error. With
+    --json each message is one line. The robot does not wait for this.
+
+    Examples
+    --------
+    poise echo counter.count
+
+    poise echo counter.count --count 1 --json
+    """
+    if not (math.isfinite(rate) and rate > 0):
+        raise UsageError(f"--rate {rate:g}: it is a positive number of messages")
+    shown = 0
+    for reading in Running(robot).echo(connector, rate=rate):
+        for passed in reading.passed[: None if count is None else count - shown]:
+            sys.stdout.write(_as_text(passed.at, passed.value, as_json=as_json))
+            shown += 1
+        sys.stdout.flush()
+        more = len(reading.times) + reading.missing - len(reading.passed)
+        if count is not None and shown >= count:
+            return
+        if more:
+            sys.stderr.write(f"# {more} more, not shown\n")
+
+
+def _as_text(at: float, value: Any, *, as_json: bool) -> str:  # noqa: ANN401, JSON's
+    if as_json:
+        return msgspec.json.encode({"at": at, "value": value}).decode() + "\n"
+    clock = time.strftime("%H:%M:%S", time.localtime(at))
+    text = yaml.safe_dump(value, sort_keys=False, allow_unicode=True)
+    return f"--- {clock}.{int(at % 1 * 1000):03}\n{text.removesuffix('...' + chr(10))}"
+
+
+def log_command(
+    component: Annotated[
+        str,
+        typer.Argument(
+            help="Only what this component wrote.", autocompletion=running("components")
+        ),
+    ] = "",
+    last: Annotated[int, typer.Option(min=1, help="At most the last N lines.")] = 100,
+    follow: Annotated[
+        bool, typer.Option("--follow", "-f", help="Wait for further lines.")
+    ] = False,
+    robot: Robot = None,
+    as_json: AsJson = False,
+) -> None:
+    """Show what components wrote to standard output and error, and what they logged.
+
+    Of each container the last 256 KiB are there, and up to as much before, also after
+    it has crashed. With --json each line is an object.
+
+    Examples
+    --------
+    poise log
+
+    poise log printer --follow
+    """
+    silent: tuple[str, ...] = ()
+    for reading in Running(robot).log(component, last=last, follow=follow):
+        if reading.omitted:
+            sys.stderr.write(f"# {reading.omitted} more before\n")
+        for line in reading.lines:
+            sys.stdout.write(_log_line(line, as_json=as_json))
+        sys.stdout.flush()
+        if reading.silent != silent:
+            silent = reading.silent
+            said = f"no answer from {', '.join(silent)}" if silent else "all answer"
+            sys.stderr.write(f"# {said}\n")
+
+
+def _log_line(line: OutputLine, *, as_json: bool) -> str:
+    if as_json:
+        return msgspec.json.encode(line).decode() + "\n"
+    clock = time.strftime("%H:%M:%S", time.localtime(line.at // 10**9))
+    millis = line.at // 10**6 % 1000
+    return f"{clock}.{millis:03} {line.component}@{line.computer}: {line.text}\n"
+
+
+def hz_command(
+    connector: Connector,
+    seconds: Annotated[
+        float, typer.Option("--for", help="Each line is about so many seconds.")
+    ] = 1.0,
+    count: Annotated[
+        int | None, typer.Option(min=1, help="End after so many lines.")
+    ] = None,
+    robot: Robot = None,
+    as_json: AsJson = False,
+) -> None:
+    """Show how often and how regularly something goes out over a connector.
+
+    A line each second until Ctrl-C: rate, times between two, their standard deviation
+    (jitter), and how large messages are if they leave their container.
+
+    Example: poise hz counter.count
+    """
+    if not (math.isfinite(seconds) and seconds > 0):
+        raise UsageError(f"--for {seconds:g}: it is a positive number of seconds")
+    running, lines = Running(robot), 0
+    times: list[float] = []
+    missing, until = 0, time.monotonic() + seconds
+    for reading in running.echo(connector, rate=0.0):
+        times += reading.times
+        missing += reading.missing
+        if time.monotonic() < until:
+            continue
+        rate = Rate.of(times, missing)
+        if as_json:
+            sys.stdout.write(msgspec.json.encode(rate).decode() + "\n")
+        else:
+            size = _sizes(running, reading.connector)
+            sys.stdout.write("".join(f"{line}{size}\n" for line in rate.lines()))
+        sys.stdout.flush()
+        lines += 1
+        if count is not None and lines >= count:
+            return
+        # the last one begins the next time, or the gap between would be lost
+        times, missing, until = times[-1:], 0, time.monotonic() + seconds
+
+
+def _sizes(running: Running, connector: str) -> str:
+    for end in connectors_of(running.status().computers):
+        if end.name == connector and end.end != "target" and end.size.count:
+            sizes = map(format_bytes, (end.size.median, end.size.maximum))
+            return ", {} in the median, {} at most".format(*sizes)
+    return ""
+
+
+def top_command(
+    every: Annotated[
+        float, typer.Option(min=0.2, help="Look again after so many seconds.")
+    ] = 1.0,
+    robot: Robot = None,
+) -> None:
+    """Watch a running robot: computers, components, connectors and last decisions.
+
+    Works over ssh in 60 x 24 characters. Tab goes from table to table, s sorts by the
+    next column, r the other way round, q quits. It goes on when the manager is
+    restarted.
+
+    Example: poise top
+    """
+    try:
+        from poise.view.top import Top
+    except ImportError as error:
+        raise UsageError("poise top needs textual: pip install 'poise[top]'") from error
+    Top(connect(robot).status, every).run()

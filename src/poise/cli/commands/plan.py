@@ -1,0 +1,361 @@
+"""`poise plan`: decide where each component runs, say why, and ask what if."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Annotated, NamedTuple
+
+import typer
+from rich.console import Console
+
+from poise import plan
+from poise.cli.commands.plan_what_if import changed_problem
+from poise.cli.interrupts import Interrupts
+from poise.cli.options import AsJson, busy, in_file, print_json
+from poise.errors import UsageError
+from poise.estimate.success import Conditions
+from poise.estimate.success.learning import actions_in, learned
+from poise.model import load
+from poise.model.robot import Robot
+from poise.session.placing.by_time import DecidedByTime, decide_by_time
+from poise.session.placing.placement import ALL, ruled
+from poise.session.profiling.stored_profiles import profiled
+from poise.session.render.plan_tables import (
+    show,
+    show_comparison,
+    show_explanation,
+    show_smallest,
+)
+
+
+def plan_command(
+    file: Annotated[
+        Path,
+        typer.Argument(help="Robot file, or problem in .json.", envvar="POISE_ROBOT"),
+    ],
+    task: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Task to place; else all functions. Several: --smallest.",
+            autocompletion=in_file("tasks"),
+        ),
+    ] = None,
+    at_once: Annotated[
+        bool,
+        typer.Option("--at-once", help="All of the task at once."),
+    ] = False,
+    method: Annotated[
+        str,
+        typer.Option(
+            help="auto, greedy, exact, search; static, round-robin, "
+            "whole-functions, random:SEED or a file with `component: computer`."
+        ),
+    ] = "auto",
+    budget: Annotated[
+        float | None,
+        typer.Option(help="Time to decide, in seconds: 0.1, or 0.26 for phases."),
+    ] = None,
+    seed: Annotated[int, typer.Option(help="Seed of the search.")] = 0,
+    steps: Annotated[
+        int | None, typer.Option(help="Steps instead of time: reproducible.")
+    ] = None,
+    fewer: Annotated[
+        bool,
+        typer.Option("--fewer", help="Put aside what does not fit, by priority."),
+    ] = False,
+    share: Annotated[
+        bool,
+        typer.Option("--share", help="Let CPU be short where not all fits."),
+    ] = False,
+    explain: Annotated[
+        str | None,
+        typer.Option(
+            help="Why is this component there, or this architecture not?",
+            autocompletion=in_file("components"),
+        ),
+    ] = None,
+    phase: Annotated[
+        str | None, typer.Option(help="The phase that --explain is about.")
+    ] = None,
+    compare: Annotated[
+        str | None, typer.Option(help="Methods side by side: static,greedy,search.")
+    ] = None,
+    without: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="What if this computer were gone?",
+            autocompletion=in_file("computers"),
+        ),
+    ] = None,
+    add: Annotated[
+        list[str] | None, typer.Option(help="What if: NAME:cpu=2,memory=4GiB")
+    ] = None,
+    scale: Annotated[
+        list[str] | None,
+        typer.Option(help="What if: RESOURCE=0.5 or COMPUTER=2 (x capacity)"),
+    ] = None,
+    smallest: Annotated[
+        bool,
+        typer.Option("--smallest", help="The cheapest computers for tasks; else all."),
+    ] = False,
+    explore: Annotated[
+        bool,
+        typer.Option("--explore", help="Try alternatives by what they promise."),
+    ] = False,
+    json: AsJson = False,
+) -> None:
+    """Decide where each component runs, say why, and ask what if.
+
+    Examples
+    --------
+    poise plan robot.yaml --task fetch
+
+    poise plan robot.yaml --task fetch --explain mapper --phase drive
+
+    poise plan robot.yaml --smallest --task fetch --task greet
+
+    poise plan robot.yaml --compare static,greedy,auto
+
+    poise plan robot.yaml --without main --add new:cpu=4,memory=8GiB
+    """
+    tasks = task or []
+    _check_together(tasks, explain, phase, compare, smallest=smallest, at_once=at_once)
+    _check_share(share=share, fewer=fewer, smallest=smallest)
+    say = Console(stderr=True, highlight=False).print
+    robot = _robot(file, tasks, say, explore=explore)
+
+    def known(task: str | None) -> Robot | None:
+        """Return the robot with what was learned of alternatives for a task."""
+        if robot is None:
+            return None
+        conditions = Conditions(lost=tuple(without or ()))
+        actions = actions_in(robot, task)
+        found = learned(
+            robot, actions, conditions=conditions, explore=explore, seed=seed
+        )
+        for sentence in found.says:
+            say(sentence)
+        return found.robot
+
+    def changed(problem: plan.Problem) -> plan.Problem:
+        found = changed_problem(problem, without or [], add or [], scale or [])
+        return plan.share_cpu(found) if share else found
+
+    if smallest and robot is not None and not tasks:
+        tasks = [each.name for each in robot.tasks]
+    if tasks and not at_once:
+        problems = {
+            name: plan.phased_problem_of(each, name)
+            for name in tasks
+            if (each := known(name)) is not None
+        }
+    else:
+        name = tasks[0] if tasks else None
+        each = known(name)
+        problem = plan.problem_of(each, name) if each else plan.load(file)
+        problems = {name or ALL: plan.PhasedProblem.of_one(name or ALL, problem)}
+    has_phases = len(tasks) > 1 or any(len(p.phases) > 1 for p in problems.values())
+    _check_phases(tasks, phase, compare, has_phases=has_phases)
+    problems = {name: each.changed(changed) for name, each in problems.items()}
+    with Interrupts() as interrupts:
+        how = How(
+            robot, method, budget, seed, steps, fewer, interrupts.has_come, not smallest
+        )
+        if smallest:
+            feasible = _answer_smallest(problems, how, json=json)
+        else:
+            (one,) = problems.values()
+            if compare is not None:
+                feasible = _answer_comparison(one, how, compare, json=json)
+            else:
+                feasible = _answer(one, how, explain, phase, json=json)
+    if not feasible:
+        raise typer.Exit(1)
+
+
+class How(NamedTuple):
+    """How to decide: the options of the command."""
+
+    robot: Robot | None
+    method: str
+    budget: float | None
+    seed: int
+    steps: int | None
+    fewer: bool
+    stop: Callable[[], bool]
+    why: bool
+
+    def decide(
+        self, problem: plan.PhasedProblem, method: str | None = None
+    ) -> DecidedByTime:
+        """Decide where components run; `method` is taken instead of the option's."""
+        method = method or self.method
+
+        def solve(asked: plan.PhasedProblem) -> plan.PhasedResult:
+            return ruled(method, self.robot, asked) or plan.solve_phases(
+                asked,
+                self.budget,
+                method,
+                self.seed,
+                steps=self.steps,
+                fewer=self.fewer,
+                stop=self.stop,
+                why=self.why,
+            )
+
+        with busy("placing"):
+            if self.robot is None:
+                return DecidedByTime(solve(problem))
+            return decide_by_time(self.robot, problem, solve)
+
+
+def _check_together(
+    tasks: list[str],
+    explain: str | None,
+    phase: str | None,
+    compare: str | None,
+    *,
+    smallest: bool,
+    at_once: bool,
+) -> None:
+    """Raise UsageError for options that exclude each other."""
+    other = f"--explain {explain}" if explain is not None else "--smallest"
+    if compare is not None and (explain is not None or smallest):
+        raise UsageError(
+            f"--compare and {other} together: {other} is about one method's placement; "
+            "take it with --method"
+        )
+    if smallest and explain is not None:
+        raise UsageError(
+            f"{other} and --smallest: find the computers first, then ask with --without"
+        )
+    if len(tasks) > 1 and not smallest:
+        raise UsageError(f"--task {' --task '.join(tasks)}: several need --smallest")
+    if phase is not None and explain is None:
+        raise UsageError(f"--phase {phase}: it goes with --explain")
+    if at_once and len(tasks) != 1:
+        raise UsageError("--at-once: it is about one --task")
+
+
+def _check_share(*, share: bool, fewer: bool, smallest: bool) -> None:
+    """Raise UsageError when CPU is to be short, and is not to be."""
+    if share and (fewer or smallest):
+        other = "--smallest" if smallest else "--fewer"
+        raise UsageError(f"--share and {other}: either CPU may be short, or not")
+
+
+def _check_phases(
+    tasks: list[str], phase: str | None, compare: str | None, *, has_phases: bool
+) -> None:
+    """Raise UsageError for options that phases do not have, or only phases have."""
+    if has_phases and compare is not None:
+        raise UsageError(f"--compare: task '{tasks[0]}' has phases; take --at-once")
+    if phase is not None and not has_phases:
+        raise UsageError(f"--phase {phase}: there are no phases, all is at once")
+
+
+def _robot(
+    file: Path, tasks: list[str], say: Callable[[str], None], *, explore: bool
+) -> Robot | None:
+    """Return the robot in `file`; None when it is a plain problem.
+
+    Parameters
+    ----------
+    say
+        Told where a robot's demands are from.
+    explore
+        Whether alternatives are to be tried: those of a robot.
+    """
+    if file.suffix != ".json":
+        found = profiled(load(file))
+        for sentence in found.says:
+            say(sentence)
+        return found.robot
+    if explore:
+        raise UsageError(f"--explore: {file} is a plain problem: nothing is learned")
+    if tasks:
+        raise UsageError(
+            f"--task {tasks[0]}: {file} is a plain problem and has no tasks"
+        )
+    return None
+
+
+def _answer(
+    problem: plan.PhasedProblem,
+    how: How,
+    explain: str | None,
+    phase: str | None,
+    *,
+    json: bool,
+) -> bool:
+    """Decide and print, or why something is where it is; return whether it holds."""
+    decided = how.decide(problem)
+    result = decided.phased
+    several = len(result.results) > 1
+    explanation = None
+    if explain is not None and (several or result.only[1].placement):
+        phase = phase or result.first_with(explain)
+        explanation = result.explain(phase, explain)
+    if json:
+        plain = result.to_dict() if several else result.only[1].to_dict()
+        extra = {"explanation": explanation} if explanation else {}
+        print_json(
+            {
+                **plain,
+                "predicted": decided.predicted,
+                **extra,
+                **({"phase": phase} if several and extra else {}),
+            }
+        )
+        return result.feasible
+    console = Console()
+    if explanation is None:
+        show(result, console, decided.predicted)
+        return result.feasible
+    if several:
+        console.print(f"phase {phase}:", highlight=False)
+    show_explanation(explanation, console)
+    return result.feasible
+
+
+def _answer_smallest(
+    tasks: Mapping[str, plan.PhasedProblem], how: How, *, json: bool
+) -> bool:
+    """Print the cheapest computers on which each task fits; return whether all do."""
+    problems = [*tasks.values()]
+    few = plan.smallest(problems, lambda each: how.decide(each).phased)
+    known = problems[0].computers
+    price = sum(h.price for h in known if h.name in few.computers)
+    results = dict(zip(tasks, few.results, strict=False))
+    if json:
+        answer = {
+            "feasible": few.feasible,
+            "computers": few.computers,
+            "price": price,
+            "smallest_proven": few.proven,
+            "tasks": {task: result.to_dict() for task, result in results.items()},
+        }
+        print_json(answer)
+        return few.feasible
+    console = Console()
+    if few.feasible:
+        show_smallest(few, price, console)
+    for task, result in results.items():
+        if len(tasks) > 1:
+            console.print(f"\n[bold]{task}[/]", highlight=False)
+        show(result, console)
+    return few.feasible
+
+
+def _answer_comparison(
+    problem: plan.PhasedProblem, how: How, methods: str, *, json: bool
+) -> bool:
+    """Print what several methods find; return whether one of them holds."""
+    names = [name.strip() for name in methods.split(",")]
+    results = {name: how.decide(problem, name).phased.only[1] for name in names}
+    if json:
+        print_json({"results": {name: r.to_dict() for name, r in results.items()}})
+    else:
+        show_comparison(problem.phases[0].problem, results, Console())
+    return any(result.feasible for result in results.values())

@@ -1,0 +1,176 @@
+"""`poise profile`: measure what each component needs, or show what was measured."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+from poise.cli.interrupts import Interrupts
+from poise.cli.options import AsJson, RobotFile, parse_option, print_json
+from poise.errors import RobotError
+from poise.estimate.overhead import overheads
+from poise.estimate.profile import Profile
+from poise.model.robot import Robot
+from poise.session.profiling.measurement import Tick
+from poise.session.profiling.profile_robot import Profiling, profile
+from poise.session.profiling.stored_profiles import (
+    read_profile,
+    stale,
+    store_of,
+    write_demands,
+)
+from poise.session.render.printable import console_to
+from poise.session.render.profile_tables import history_table, show_profile
+from poise.session.robot_file import load_bare
+from poise.session.writable import to_write
+from poise.units import SECONDS
+
+Write = Annotated[
+    bool, typer.Option("--write", help="Also write the demands into the robot file.")
+]
+
+
+def profile_command(
+    file: RobotFile,
+    architecture: Annotated[
+        list[str] | None, typer.Option(help="Measure only this one; may be repeated.")
+    ] = None,
+    for_: Annotated[
+        str, typer.Option("--for", help="How long to measure each time.")
+    ] = "30s",
+    warm_up: Annotated[str, typer.Option(help="How long to run before.")] = "3s",
+    on: Annotated[
+        str | None, typer.Option(help="The computer to measure on; else the first.")
+    ] = None,
+    repeat: Annotated[
+        int, typer.Option(min=1, help="How often to measure each architecture.")
+    ] = 2,
+    write: Write = False,
+    as_json: AsJson = False,
+) -> None:
+    """Measure what each component needs, every architecture alone on one computer.
+
+    The result goes into the profile that the robot file names, for `poise plan` and
+    all others, and into a store beside it that keeps older ones. A component that got
+    no messages at a subscribed port is not recorded; the exit code is then 1.
+    `poise profile show robot.yaml` shows the last profile.
+
+    Example: poise profile robot.yaml --for 30s
+    """
+    console = console_to(stderr=as_json)
+    robot = load_bare(file)
+    with Interrupts() as interrupts:
+        measured = profile(
+            robot,
+            architectures=architecture or (),
+            computer=on,
+            seconds=parse_option("--for", for_, SECONDS),
+            warm_up=parse_option("--warm-up", warm_up, SECONDS),
+            repeat=repeat,
+            say=lambda sentence: console.print(f"[yellow]{sentence}[/]"),
+            progress=_Bars(console).progress,
+            check=interrupts.check,
+        )
+    _print(robot, measured.profile, console, as_json=as_json)
+    if measured.file:
+        console.print(f"written to {measured.file}")
+    else:
+        console.print(
+            "kept in the store; add `profile: profile.yaml` to the robot file for the "
+            "planner"
+        )
+    if write:
+        _write(file, measured.profile, console)
+    _report_silence(measured, console)
+    if measured.unrecorded:
+        raise typer.Exit(1)
+
+
+def show_command(
+    file: RobotFile,
+    write: Write = False,
+    plot: Annotated[
+        Path | None,
+        typer.Option(help="Draw it into a .svg, .png or .pdf file.", callback=to_write),
+    ] = None,
+    history: Annotated[
+        bool, typer.Option("--history", help="Show it beside earlier profiles.")
+    ] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Show the last profile, and measure nothing.
+
+    Example: poise profile show robot.yaml --history --plot profile.svg
+    """
+    console = console_to(stderr=as_json)
+    robot = load_bare(file)
+    with store_of(robot) as store:
+        last = read_profile(robot) or store.latest(robot.name)
+        earlier = store.all(robot.name) if history else []
+    if last is None:
+        raise RobotError(
+            f"robot '{robot.name}' has no profile: `poise profile {file}` measures it"
+        )
+    _print(robot, last, console, as_json=as_json)
+    if history:
+        console.print(history_table(last, earlier))
+    if plot is not None:
+        from poise.view.profile_plot import plot_profile
+
+        plot_profile(last, overheads(robot, last), plot)
+        console.print(f"drawn to {plot}")
+    if write:
+        _write(file, last, console)
+
+
+def _print(robot: Robot, shown: Profile, console: Console, *, as_json: bool) -> None:
+    if as_json:
+        print_json(shown)
+        return
+    show_profile(robot, shown, console)
+    old = stale(robot, shown)
+    if old:
+        console.print(f"[yellow]changed since it was measured: {', '.join(old)}[/]")
+
+
+def _write(file: Path, shown: Profile, console: Console) -> None:
+    changed = write_demands(file, shown)
+    console.print(f"demands written to {', '.join(map(str, changed)) or 'no file'}")
+
+
+def _report_silence(measured: Profiling, console: Console) -> None:
+    for component, ports in measured.silent.items():
+        doubt = component in measured.unrecorded
+        for port in ports:
+            console.print(
+                f"[yellow]port '{port}' of component '{component}' got nothing during "
+                f"the measurement{'; its figures are not believed' if doubt else ''}[/]"
+            )
+    if measured.unrecorded:
+        console.print(
+            f"[yellow]not recorded: {', '.join(measured.unrecorded)}. Connect what "
+            "sends to these ports, or let the robot file generate messages for them "
+            "(`workload: {generate: ...}`)[/]"
+        )
+
+
+class _Bars:
+    """Shows the progress of each architecture on a console."""
+
+    def __init__(self, console: Console) -> None:
+        self._console = console
+
+    @contextlib.contextmanager
+    def progress(self, architecture: str, seconds: float) -> Iterator[Tick]:
+        """Show a bar for `seconds` [s]."""
+        self._console.print(f"measuring {architecture}")
+        columns = TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn()
+        with Progress(*columns, console=self._console, transient=True) as bars:
+            bar = bars.add_task(architecture, total=seconds)
+            yield lambda passed: bars.advance(bar, passed)

@@ -1,0 +1,229 @@
+"""Commands to a running robot: `poise status`, `move`, `replace`, `balance`, `stop`."""
+
+from __future__ import annotations
+
+import math
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from msgspec.structs import asdict
+
+import poise
+from poise import threads
+from poise.cli.options import AsJson, busy, print_json, running
+from poise.errors import PoiseError, UsageError
+from poise.model import load
+from poise.session.render.move_tables import Outcome, outcome_lines, what_if_lines
+from poise.session.render.printable import console_to
+from poise.session.running_robots.running import NoManager, RolledBack, Running, Status
+
+TELL_EVERY = 1.0
+"""What is under way is told this often [s]."""
+
+
+@contextmanager
+def telling_progress(running: Running) -> Iterator[None]:
+    """Say what migrations of a robot wait for, until the block ends."""
+    is_over = threading.Event()
+
+    def tell() -> None:
+        while not is_over.wait(TELL_EVERY):
+            try:
+                sentences = running.status().under_way
+            except PoiseError:  # the command itself says why
+                return
+            sys.stderr.writelines(f"{each}\n" for each in sentences)
+
+    telling = threads.daemon(tell, "progress")
+    telling.start()
+    try:
+        yield
+    finally:
+        is_over.set()
+        telling.join(TELL_EVERY)
+
+
+Robot = Annotated[
+    str | None,
+    typer.Option(
+        help="The robot's name, when several run here.",
+        autocompletion=running("robots"),
+    ),
+]
+
+
+def status_command(
+    robot: Robot = None,
+    file: Annotated[
+        Path | None,
+        typer.Option(help="Robot file: ask its agents, for want of a manager here."),
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Show where a running robot's components are, and how they and connectors do.
+
+    Of a robot without a manager it shows what its agents say; with --file also of one
+    that was started from elsewhere. The exit code is 1 when anything is not as the
+    robot file says, and 4 without a manager.
+
+    Example: poise status
+    """
+    if file is None:
+        status = Running(robot).status()
+    else:
+        status = Status(**asdict(poise.status_without_manager(load(file))))
+    print_json(status) if as_json else console_to().print(status)
+    if status.by_agents:
+        raise typer.Exit(NoManager.exit_code)
+    if status.deviations:
+        raise typer.Exit(1)
+
+
+def move_command(
+    component: Annotated[
+        str,
+        typer.Argument(help="The component.", autocompletion=running("components")),
+    ],
+    computer: Annotated[
+        str,
+        typer.Argument(help="Where it is to run.", autocompletion=running("computers")),
+    ],
+    force: Annotated[
+        bool,
+        typer.Option(
+            "--force",
+            help="Move it even where it does not fit, or in spite of its layer.",
+        ),
+    ] = False,
+    dry: Annotated[
+        bool, typer.Option("--dry-run", help="Say what it would change; move nothing.")
+    ] = False,
+    robot: Robot = None,
+    as_json: AsJson = False,
+) -> None:
+    """Move a component of a running robot to another computer.
+
+    It keeps its state, and no call or message is lost, doubled or reordered. When
+    something fails it goes on where it was, and the exit code is 1. A command-line
+    component is stopped and started. A component that does not fit beside what
+    runs on the computer is refused, unless --force is given. With --dry-run it says
+    what the move would change and cost; the exit code is 1 when it would be refused.
+
+    Example: poise move localiser vision
+    """
+    running = Running(robot)
+    if dry:
+        seen = running.what_if(component, computer)
+        print_json(seen) if as_json else sys.stdout.writelines(
+            f"{line}\n" for line in what_if_lines(seen)
+        )
+        if seen.breaks:
+            raise typer.Exit(1)
+        return
+    with telling_progress(running):
+        _act(lambda: running.move(component, computer, force=force), as_json=as_json)
+
+
+def replace_command(
+    what: Annotated[
+        str,
+        typer.Argument(
+            help="The component, or an architecture.",
+            autocompletion=running("components"),
+        ),
+    ],
+    by: Annotated[
+        str, typer.Argument(help="package.module:Class, or another architecture.")
+    ],
+    adapt: Annotated[
+        str, typer.Option(help="package.module:function that maps the old state.")
+    ] = "",
+    fresh: Annotated[
+        bool, typer.Option("--fresh", help="Drop the old state and begin without.")
+    ] = False,
+    robot: Robot = None,
+    as_json: AsJson = False,
+) -> None:
+    """Swap a running component's implementation, or a whole architecture.
+
+    State is kept: --adapt maps it where it is another one, and --fresh drops it. An
+    architecture is replaced by another that provides the same function: all its
+    components take over at once, or none does.
+
+    Example: poise replace localiser trot.navigator.scan_matcher:ScanMatcher
+    """
+    running = Running(robot)
+    with telling_progress(running):
+        _act(
+            lambda: running.replace(what, by, adapt=adapt, fresh=fresh),
+            as_json=as_json,
+        )
+
+
+def balance_command(
+    cost: Annotated[
+        float,
+        typer.Option(help="What F grows by for a move, and for each MB of its state."),
+    ] = 0.01,
+    dry: Annotated[
+        bool, typer.Option("--dry-run", help="Say what is best; move nothing.")
+    ] = False,
+    robot: Robot = None,
+    as_json: AsJson = False,
+) -> None:
+    """Find a better placement for what a running robot needs now, and go there.
+
+    Components move, one after the other, so that no computer is overfull midway. When
+    one cannot, all go back to where they were, and the exit code is 1.
+
+    Example: poise balance --dry-run
+    """
+    if not (math.isfinite(cost) and cost >= 0):
+        raise UsageError(f"--cost {cost:g}: it is a number that is not negative")
+    running = Running(robot)
+    _act(lambda: running.balance(cost=cost, dry_run=dry), as_json=as_json)
+
+
+def stop_command(
+    robot: Robot = None,
+    file: Annotated[
+        Path | None,
+        typer.Option(help="Robot file: end what a killed manager left running."),
+    ] = None,
+) -> None:
+    """Stop a running robot, and wait until it has stopped.
+
+    A move under way is rolled back. The exit code is 1 when something still runs. What
+    a killed manager left is ended by its agents. With --file that needs nothing else:
+    all containers on the computers of the robot end.
+
+    Example: poise stop
+    """
+    with busy("stopping"):
+        if file is None:
+            Running(robot).stop()
+        else:
+            poise.stop_without_manager(load(file))
+    console_to().print("stopped")
+
+
+def _act(act: Callable[[], Outcome], *, as_json: bool) -> None:
+    """Print the outcome; exit with 1 if it was rolled back."""
+    try:
+        with busy("waiting for the manager"):
+            outcome, is_done = act(), True
+    except RolledBack as error:
+        outcome, is_done = error.outcome, False
+    if as_json:
+        print_json(outcome)
+    else:
+        console = console_to()
+        for line in outcome_lines(outcome):
+            console.print(line)
+    if not is_done:
+        raise typer.Exit(1)

@@ -1,1 +1,0 @@
-"""The emulated computers' network: its plan, its namespaces, its shaped links."""

@@ -1,0 +1,259 @@
+"""The records of a profile: measurements of components and connectors.
+
+A profile belongs to one robot, one kind of computer and one version of the code. CPU is
+in cores of the reference computer.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+from msgspec import Struct
+
+WINDOW = 0.1
+"""CPU is measured over windows of this length [s]."""
+SUSTAINED = 2.0
+"""[s] A computer must provide the demand over windows of this length. Shorter bursts of
+components on one computer rarely coincide."""
+BATCHES = 10
+# Student's t for a two-sided 95 % interval and 1, 2, ... degrees of freedom
+_T95 = (12.71, 4.30, 3.18, 2.78, 2.57, 2.45, 2.36, 2.31, 2.26)
+
+
+class Distribution(Struct, frozen=True, kw_only=True):
+    """A measurement over windows of `WINDOW`, in its own unit (cores, for CPU).
+
+    Parameters
+    ----------
+    sustained
+        The 95th percentile over windows of `SUSTAINED`.
+    error
+        Half the width of the mean's 95 % confidence interval; None for too few windows.
+    windows
+        How many there were.
+    """
+
+    mean: float = 0.0
+    p95: float = 0.0
+    p99: float = 0.0
+    peak: float = 0.0
+    sustained: float = 0.0
+    error: float | None = None
+    windows: int = 0
+
+
+def quantile(values: Sequence[float], share: float) -> float:
+    """Return the smallest value that at least `share` of `values` do not exceed.
+
+    Parameters
+    ----------
+    values
+        At least one.
+    share
+        In [0, 1].
+    """
+    ordered = sorted(values)
+    # share * n of 0.95 * 20 is 19.000000000000004 in floating point
+    rank = math.ceil(share * len(ordered) - 1e-9)
+    return ordered[max(rank, 1) - 1]
+
+
+def error_of_mean(values: Sequence[float]) -> float | None:
+    """Return half the width of the 95 % confidence interval of a series' mean.
+
+    Neighbouring windows are correlated, so the series is cut into `BATCHES` batches,
+    whose means are nearly independent (method of batch means). None for fewer than four
+    values.
+    """
+    num = min(BATCHES, len(values) // 2)
+    if num <= 1:
+        return None
+    size = len(values) // num
+    means = [sum(values[i * size : (i + 1) * size]) / size for i in range(num)]
+    centre = sum(means) / num
+    variance = sum((mean - centre) ** 2 for mean in means) / (num - 1)
+    return _T95[num - 2] * math.sqrt(variance / num)
+
+
+def distribution_of(values: Sequence[float], window: float = WINDOW) -> Distribution:
+    """Return the distribution of a series over windows of equal length.
+
+    Parameters
+    ----------
+    values
+        One per window, oldest first.
+    window
+        Length of a window [s]; > 0.
+    """
+    if not values:
+        return Distribution()
+    return Distribution(
+        mean=sum(values) / len(values),
+        p95=quantile(values, 0.95),
+        p99=quantile(values, 0.99),
+        peak=max(values),
+        sustained=quantile(rolling_means(values, round(SUSTAINED / window)), 0.95),
+        error=error_of_mean(values),
+        windows=len(values),
+    )
+
+
+def rolling_means(values: Sequence[float], size: int) -> list[float]:
+    """Return the mean of every `size` values that follow each other.
+
+    The mean of all when there are fewer.
+    """
+    size = max(1, min(size, len(values)))
+    total = sum(values[:size])
+    means = [total / size]
+    for last, first in zip(values[size:], values, strict=False):
+        total += last - first
+        means.append(total / size)
+    return means
+
+
+class TimerProfile(Struct, frozen=True, kw_only=True):
+    """A timer's execution time [s], and the share of releases that were missed."""
+
+    period: float
+    median: float
+    p99: float
+    maximum: float
+    missed: float = 0.0
+
+
+class ComponentProfile(Struct, frozen=True, kw_only=True):
+    """Measurements of a component whose architecture ran alone.
+
+    Parameters
+    ----------
+    version
+        Fingerprint of its implementation and parameters (`version_of`).
+    cpu
+        Its own CPU [cores].
+    share
+        Its equal part of the container's own CPU: transports, status, the interpreter's
+        threads [cores].
+    memory
+        Peak of the memory that it adds to a container [bytes].
+    base
+        Its equal part of an empty container's memory [bytes].
+    state
+        Size of its snapshot [bytes].
+    start
+        Time from the request to start its container until it is ready [s].
+    repeat
+        Largest difference between the means of repeated measurements [cores].
+    stable
+        Whether repeated measurements agree.
+    """
+
+    version: str
+    cpu: Distribution
+    share: float = 0.0
+    memory: float = 0.0
+    base: float = 0.0
+    state: float = 0.0
+    start: float = 0.0
+    timers: Mapping[str, TimerProfile] = {}
+    repeat: float = 0.0
+    stable: bool = True
+
+
+class ConnectorProfile(Struct, frozen=True, kw_only=True):
+    """Traffic of a connector.
+
+    Parameters
+    ----------
+    calls, messages
+        Per second [1/s].
+    size
+        Mean size of a call, both ways, or of a message, when encoded [bytes].
+    median, p99, largest
+        Of these sizes; 0 where they were not counted [bytes].
+    """
+
+    calls: float = 0.0
+    messages: float = 0.0
+    size: float = 0.0
+    median: float = 0.0
+    p99: float = 0.0
+    largest: float = 0.0
+
+    @property
+    def rate(self) -> float:
+        """Calls and messages per second [1/s]."""
+        return self.calls + self.messages
+
+    @property
+    def traffic(self) -> float:
+        """Its traffic when its ends are apart [bytes/s]."""
+        return self.rate * self.size
+
+
+class Costs(Struct, frozen=True, kw_only=True):
+    """CPU time that one end of a connector costs its computer.
+
+    `call` and `message` in CPU time each [s], `byte` in CPU time per byte [s/byte].
+    """
+
+    call: float = 0.0
+    message: float = 0.0
+    byte: float = 0.0
+
+    def load(self, connector: ConnectorProfile) -> float:
+        """Return the CPU of this end for a connector's traffic [cores]."""
+        return (
+            self.call * connector.calls
+            + self.message * connector.messages
+            + self.byte * connector.traffic
+        )
+
+
+class KindCosts(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Costs of connectors of one kind, at the source and at the target.
+
+    Both ends of a direct connector are in one process: all counts for its source.
+    """
+
+    source: Costs = Costs()
+    target: Costs = Costs()
+
+    def load(self, connector: ConnectorProfile) -> float:
+        """Return the CPU of both ends [cores]."""
+        return self.source.load(connector) + self.target.load(connector)
+
+
+class Profile(Struct, frozen=True, kw_only=True):
+    """Measurements of a robot's software on one kind of computer.
+
+    Parameters
+    ----------
+    poise
+        The version of Poise.
+    computer
+        The computer on which it was measured, and its `speed`.
+    loops
+        Work that a CPU second did on the machine that emulated it [loops/s]; 0: it was
+        a real computer.
+    seconds
+        How long each architecture was measured each time [s].
+    agent
+        CPU of an agent [cores of the reference computer].
+    costs
+        ``direct``, ``local`` and ``remote`` -> what such connectors cost, as `poise
+        calibrate` measured it; empty: it did not.
+    """
+
+    robot: str
+    poise: str
+    computer: str
+    speed: float
+    at: str
+    seconds: float
+    loops: float = 0.0
+    agent: float = 0.0
+    components: Mapping[str, ComponentProfile] = {}
+    connectors: Mapping[str, ConnectorProfile] = {}
+    costs: Mapping[str, KindCosts] = {}

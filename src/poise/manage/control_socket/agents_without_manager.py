@@ -1,0 +1,197 @@
+"""Robots that go on without a manager: found where it noted their agents.
+
+Agents are only listened to. A robot is there if one of them says that it runs
+something.
+"""
+
+from __future__ import annotations
+
+import socket
+import time
+from collections.abc import Collection, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
+
+from msgspec.structs import replace
+
+from poise.clock import SystemClock, wall_time
+from poise.errors import RunError
+from poise.manage.agent_connections.reports import AgentReports
+from poise.manage.agent_connections.statuses import Statuses, located
+from poise.manage.control_socket.commands import RobotStatus
+from poise.manage.control_socket.location import AgentAddresses, noted
+from poise.manage.observe.deviations import Deviation
+from poise.wire.control_session import LEASE, endpoint_of, open_session
+
+AGENT_LIMIT = 2.0
+"""An agent that is there reports within this time [s]: it does so twice a second."""
+_CONNECT_LIMIT = 0.5
+_MOST_AT_ONCE = 8
+
+
+class NoManager(RunError):
+    """A robot is there, but no manager of it answers on this computer.
+
+    Parameters
+    ----------
+    status
+        What its agents say; None: they are not known.
+    left
+        Where they are, if they know that the manager is gone; None: it is only silent,
+        or elsewhere.
+    """
+
+    exit_code = 4
+
+    def __init__(
+        self,
+        message: str,
+        status: RobotStatus | None,
+        left: AgentAddresses | None = None,
+    ) -> None:
+        super().__init__(message)
+        self.status = status
+        self.left = left
+
+
+def robots_without_manager(but: Collection[str] = ()) -> dict[str, RobotStatus]:
+    """Return the robots that go on without a manager that this computer had.
+
+    Parameters
+    ----------
+    but
+        Robots that are not looked for.
+    """
+    left = [each for each in noted() if each.robot not in but]
+    with ThreadPoolExecutor(_MOST_AT_ONCE) as pool:
+        found = dict(
+            zip([e.robot for e in left], pool.map(ask_agents, left), strict=True)
+        )
+    return {name: status for name, status in found.items() if status is not None}
+
+
+def agents_of(robot: str) -> AgentAddresses | None:
+    """Return where a robot's agents are, if a manager noted that on this computer."""
+    return next((each for each in noted() if each.robot == robot), None)
+
+
+def ask_agents(addresses: AgentAddresses, why: str = "") -> RobotStatus | None:
+    """Return what the agents of a robot say; None: none says that something runs.
+
+    Parameters
+    ----------
+    why
+        Why the manager does not answer, and the way out; empty: it is gone.
+    """
+    with ThreadPoolExecutor(_MOST_AT_ONCE) as pool:
+        if not any(pool.map(_listens, addresses.endpoints.values())):
+            return None
+    reports = AgentReports(addresses.robot, addresses.endpoints, SystemClock())
+    endpoints = addresses.endpoints
+    session = open_session(connect=tuple(endpoints.values()), lease=LEASE)
+    try:
+        kept = reports.subscribe(session)
+        reports.wait_news(lambda: reports.reached() == endpoints.keys(), AGENT_LIMIT)
+        del kept
+    finally:
+        session.close()  # type: ignore[no-untyped-call]
+    found = status_by_agents(addresses, reports.statuses(), wall_time(), why)
+    return found and replace(found, ages=reports.ages())
+
+
+def status_by_agents(
+    addresses: AgentAddresses, statuses: Statuses, now: float, why: str = ""
+) -> RobotStatus | None:
+    """Return what is known of a robot by its agents alone; see `ask_agents`. Pure.
+
+    Parameters
+    ----------
+    statuses
+        Of those that reported.
+    now
+        When they were asked [s since 1970].
+    """
+    managers = [each.manager for each in statuses.values() if each.manager is not None]
+    if not managers or not any(each.containers for each in statuses.values()):
+        return None
+    # of agents that were out of the last manager's reach, an earlier one
+    manager = max(managers, key=lambda each: each.since)
+    since = [each.unmanaged for each in statuses.values()]
+    is_gone = all(since)
+    robot = addresses.robot
+    if why:
+        why += f" (its agents miss it since {_clock(max(since))})" if is_gone else ""
+    elif is_gone:
+        why = (
+            f"robot '{robot}' runs without a manager (since {_clock(max(since))}); "
+            "`poise up FILE` takes it over, `poise stop` ends it"
+        )
+    else:
+        why = (
+            f"robot '{robot}' has another manager: {manager}; it takes commands on "
+            f"'{manager.host}' only"
+        )
+    first = Deviation(what=why, computer="", since=max(since) if is_gone else now)
+    silent = sorted(addresses.endpoints.keys() - statuses.keys())
+    return RobotStatus(
+        robot=robot,
+        task="",
+        manager=manager,
+        placement=_placement(statuses),
+        computers=statuses,
+        out_of_reach=dict.fromkeys(silent, now),
+        deviations=(first, *_deviations(addresses.endpoints, silent, statuses, now)),
+        by_agents=True,
+    )
+
+
+def _deviations(
+    endpoints: Mapping[str, str],
+    silent: Collection[str],
+    statuses: Statuses,
+    now: float,
+) -> Iterator[Deviation]:
+    """Yield what is wrong beside the manager, for all that agents can say."""
+    for name in silent:
+        what = (
+            f"the agent of '{name}' ({endpoint_of(endpoints[name])}) gave no answer "
+            f"within {AGENT_LIMIT:g} s: what runs there is not known"
+        )
+        yield Deviation(what=what, computer=name, since=now)
+    for name, status in sorted(statuses.items()):
+        if status.cut_off:
+            what = f"movable components on '{name}' are inactive: its lease has ended"
+            yield Deviation(what=what, computer=name, since=status.cut_off)
+        for each in status.health:
+            if each.state not in {"running", "stopped"}:
+                what = f"container '{each.name}' on '{name}' is {each.state}"
+                what += f": {each.reason}" if each.reason else ""
+                yield Deviation(
+                    what=what, computer=name, container=each.name, since=each.since
+                )
+    for name, component in located(statuses):
+        if component.state in {"failed", "unresponsive"}:
+            yield Deviation(
+                what=f"component '{component.name}' on '{name}' is {component.state}",
+                computer=name,
+                component=component.name,
+                since=now,
+            )
+
+
+def _placement(statuses: Statuses) -> dict[str, str]:
+    """Return where components are; of several incarnations, where one is active."""
+    active = {c.name: name for name, c in located(statuses) if c.state == "active"}
+    return {c.name: name for name, c in located(statuses)} | active
+
+
+def _listens(locator: str) -> bool:
+    at = endpoint_of(locator)
+    try:
+        socket.create_connection((at.host, at.port), _CONNECT_LIMIT).close()
+    except OSError:
+        return False
+    return True
+
+
+def _clock(moment: float) -> str:
+    return time.strftime("%H:%M:%S", time.localtime(moment))

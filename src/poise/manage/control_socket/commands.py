@@ -1,0 +1,274 @@
+"""What a control client sends to the manager of a running robot, and its answers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Literal
+
+from msgspec import Struct
+
+from poise.errors import PoiseError, RobotError, RunError, UsageError
+from poise.estimate.profile import ConnectorProfile
+from poise.manage.adaptation.proposals import Proposal, WhatIf
+from poise.manage.journal import JournalEntry
+from poise.manage.migration.migration_report import MigrationReport, TransitionReport
+from poise.manage.observe.chains import ChainReport
+from poise.manage.observe.deviations import Deviation
+from poise.manage.observe.estimates import DemandEstimate, Load
+from poise.manage.prefetch.prefetch_report import PrefetchReport
+from poise.manage.tasks.task_report import TaskReport
+from poise.wire.records.output import OutputLine
+from poise.wire.records.requests import ManagerId
+from poise.wire.records.status import AgentStatus
+from poise.wire.records.taps import SHOWN_ITEMS, TapReading
+
+
+class StatusCommand(Struct, frozen=True, tag=True):
+    """Return the last known state; answered at once, even during a move."""
+
+
+class StopCommand(Struct, frozen=True, tag=True):
+    """Stop the robot; a move under way is rolled back."""
+
+
+class MoveCommand(Struct, frozen=True, tag=True):
+    """Move a component; `force`: also where it does not fit; `dry`: say what if."""
+
+    component: str
+    computer: str
+    force: bool = False
+    dry: bool = False
+
+
+class JournalCommand(Struct, frozen=True, tag=True):
+    """Return the journal's entries with numbers above `after`: the last `most` of them.
+
+    Answered at once, even during a move.
+    """
+
+    after: int = 0
+    most: int = 500
+
+
+class ReplaceCommand(Struct, frozen=True, tag=True):
+    """Swap a component's implementation, or put an architecture in another's place.
+
+    `by` is ``package.module:Class``, or the other architecture; `adapt` maps states;
+    `fresh`: what comes begins without state.
+    """
+
+    what: str
+    by: str
+    adapt: str = ""
+    fresh: bool = False
+
+
+class RebalanceCommand(Struct, frozen=True, tag=True):
+    """Find a better placement, and go there unless `dry`.
+
+    `move` is what F grows by for each component that moves.
+    """
+
+    move: float
+    dry: bool = False
+
+
+class TapCommand(Struct, frozen=True, tag=True):
+    """Tell what has gone out over a connector since `viewer` asked last.
+
+    `connector` is its name, or ``component.port`` of an end. See `Tap` for the others.
+    """
+
+    connector: str
+    viewer: str
+    rate: float = 0.0
+    items: int = SHOWN_ITEMS
+
+
+class LogCommand(Struct, frozen=True, tag=True):
+    """Tell what components wrote; see `ReadOutput`. `after`: computer -> moment."""
+
+    component: str = ""
+    after: Mapping[str, int] = {}
+    most: int = 1_000
+
+
+class TaskCommand(Struct, frozen=True, tag=True):
+    """Start, pause, resume or cancel a task; `priority`: None is the robot file's."""
+
+    verb: Literal["start", "pause", "resume", "cancel"]
+    task: str
+    priority: int | None = None
+
+
+Command = (
+    StatusCommand
+    | JournalCommand
+    | StopCommand
+    | MoveCommand
+    | ReplaceCommand
+    | RebalanceCommand
+    | TapCommand
+    | LogCommand
+    | TaskCommand
+)
+
+
+STALE = 5.0
+"""What an agent reported longer ago [s] says nothing about now: it does so twice a
+second."""
+
+
+class RobotStatus(Struct, frozen=True, tag=True, kw_only=True):
+    """The last known state of a running robot.
+
+    Parameters
+    ----------
+    placement
+        Component -> computer, as the manager wants it.
+    computers
+        Computer -> what its agent reported last.
+    ages
+        Computer -> how long ago its agent reported that [s].
+    out_of_reach
+        Computer -> since when its agent has not been reached [s since 1970].
+    deviations
+        Everything that is not as the robot file says.
+    under_way
+        The migrations that are being prepared, and what each waits for.
+    faults
+        How many faults there were since the start; they may be over.
+    demand_estimates
+        What components need now, against what their profile says.
+    chains
+        How old the data of the robot's chains was.
+    capacities
+        Computer -> what it has: ``cpu`` [its own cores], ``memory`` [bytes], ...
+    memory_demands
+        Component -> the memory that it was placed by [bytes].
+    recent
+        The last entries of the journal, without their facts.
+    task
+        The names of the tasks that are at work.
+    tasks
+        All tasks that were started, the last ones that are over, too.
+    prefetch
+        What prefetch was good for.
+    loads
+        Computer -> its CPU use over the last second, where it was seen.
+    traffic
+        Connector -> what goes over it now.
+    by_agents
+        Whether agents said this, since no manager answers; the first deviation says
+        why. Then `manager` is the last one, `placement` where components are, and what
+        only a manager knows is empty: tasks, demands, capacities, decisions.
+    """
+
+    robot: str
+    task: str
+    manager: ManagerId
+    placement: Mapping[str, str]
+    computers: Mapping[str, AgentStatus]
+    ages: Mapping[str, float] = {}
+    out_of_reach: Mapping[str, float] = {}
+    deviations: tuple[Deviation, ...] = ()
+    under_way: tuple[str, ...] = ()
+    faults: int = 0
+    demand_estimates: tuple[DemandEstimate, ...] = ()
+    chains: tuple[ChainReport, ...] = ()
+    capacities: Mapping[str, Mapping[str, float]] = {}
+    memory_demands: Mapping[str, float] = {}
+    recent: tuple[JournalEntry, ...] = ()
+    tasks: tuple[TaskReport, ...] = ()
+    prefetch: PrefetchReport = PrefetchReport()
+    loads: Mapping[str, Load] = {}
+    traffic: Mapping[str, ConnectorProfile] = {}
+    by_agents: bool = False
+
+    def not_known(self) -> set[str]:
+        """Return the computers of which it is not known how they are now."""
+        stale = {name for name, age in self.ages.items() if age > STALE}
+        known = self.computers.keys() - stale - self.out_of_reach.keys()
+        named = {*self.computers, *self.capacities, *self.placement.values()}
+        return (named | self.out_of_reach.keys()) - known
+
+
+class StopReport(Struct, frozen=True, tag=True):
+    """The robot has stopped; `remaining` says what still runs where, if anything."""
+
+    remaining: tuple[str, ...] = ()
+
+
+class JournalEntries(Struct, frozen=True, tag=True):
+    """Entries of the journal, oldest first."""
+
+    entries: tuple[JournalEntry, ...]
+
+
+class Rebalanced(Struct, frozen=True, tag=True):
+    """A proposal, and the outcome of going there; no report when nothing was done."""
+
+    proposal: Proposal
+    report: TransitionReport | None = None
+
+
+class LogReading(Struct, frozen=True, tag=True):
+    """What components wrote, oldest first.
+
+    Parameters
+    ----------
+    after
+        Computer -> the moment of its last line, for the next time.
+    omitted
+        How many lines there were before, on the computers together.
+    silent
+        The computers that gave no answer.
+    """
+
+    lines: tuple[OutputLine, ...]
+    after: Mapping[str, int]
+    omitted: int = 0
+    silent: tuple[str, ...] = ()
+
+
+class TaskDone(Struct, frozen=True, tag=True):
+    """What was asked of a task was done; how it is now."""
+
+    report: TaskReport
+
+
+Result = (
+    RobotStatus
+    | StopReport
+    | MigrationReport
+    | Rebalanced
+    | TaskDone
+    | TapReading
+    | LogReading
+    | JournalEntries
+    | WhatIf
+)
+
+
+class Refusal(Struct, frozen=True, tag=True):
+    """The command was not carried out; `error` is the class of the client's error."""
+
+    reason: str
+    error: Literal["UsageError", "RobotError", "RunError"] = "UsageError"
+
+    @classmethod
+    def from_error(cls, error: PoiseError) -> Refusal:
+        """Return the refusal for an error of the manager."""
+        for name in ("UsageError", "RobotError"):
+            if type(error).__name__ == name:
+                return cls(str(error), name)
+        return cls(str(error), "RunError")
+
+    def to_error(self) -> PoiseError:
+        """Return the client's error."""
+        classes = {e.__name__: e for e in (UsageError, RobotError, RunError)}
+        return classes[self.error](self.reason)
+
+
+Response = Result | Refusal
+"""What a client gets for its command."""

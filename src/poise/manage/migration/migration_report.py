@@ -1,0 +1,147 @@
+"""How a move, a replacement or a transition went."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+from msgspec import Struct
+
+from poise.wire.records.migration_records import StepTaken
+
+if TYPE_CHECKING:
+    from poise.manage.journal import Journal
+
+
+class MigrationReport(Struct, frozen=True, tag=True, kw_only=True):
+    """How a move went, or the replacement of a component's code or an architecture.
+
+    Parameters
+    ----------
+    what
+        The component or the architecture.
+    by
+        What was to replace it: ``package.module:Class`` or an architecture; empty: it
+        was to move.
+    before, after
+        Component -> computer: where they ran, and where they, or others, were to run.
+    committed
+        Whether `after` holds now; else `before` does, as if nothing had been asked.
+    reason
+        Why not.
+    cold
+        Whether it was stopped and started, as command-line components are.
+    downtime
+        How long the components were paused, or a cold one was away [s].
+    phases
+        How long each phase took [s].
+    steps
+        What containers did, by container in the order of their answers.
+    late
+        Connectors over which messages under way were dropped, and why.
+    """
+
+    what: str
+    by: str = ""
+    before: Mapping[str, str]
+    after: Mapping[str, str]
+    committed: bool = False
+    reason: str = ""
+    cold: bool = False
+    downtime: float = 0.0
+    phases: Mapping[str, float] = {}
+    steps: tuple[StepTaken, ...] = ()
+    late: Mapping[str, str] = {}
+
+    @property
+    def prepared(self) -> float:
+        """How long it took before the pause [s]."""
+        return self.phases.get("prepare", 0.0)
+
+    @property
+    def name(self) -> str:
+        """What it is about, for people: ``component 'localiser'``."""
+        kind = "architecture" if self.by and ":" not in self.by else "component"
+        return f"{kind} '{self.what}'"
+
+    @property
+    def way(self) -> str:
+        """The same with where it goes, or what comes instead."""
+        if self.by:
+            return f"{self.name} by '{self.by}'"
+        before, after = self.before.get(self.what), self.after.get(self.what)
+        return f"{self.name} from '{before}' to '{after}'"
+
+    def note_in(self, journal: Journal) -> None:
+        """Journal what was done, or why it was not."""
+        if self.committed:
+            how = " by a cold move" if self.cold else ""
+            verb = "replaced" if self.by else "moved"
+            text = f"{verb} {self.way}{how}; {self._times()}{self._losses()}"
+            journal.note("done", text, migration=self)
+        else:
+            verb = "replace" if self.by else "move"
+            text = f"did not {verb} {self.way}: {self.reason}"
+            journal.note("failed", text, migration=self)
+
+    def _losses(self) -> str:
+        return "".join(
+            f"; messages under way over '{connector}' were dropped: {why}"
+            for connector, why in self.late.items()
+        )
+
+    def _times(self) -> str:
+        if self.cold:
+            return f"downtime {self.downtime:.2f} s"
+        phases = ", ".join(f"{n} {s * 1e3:.1f}" for n, s in self.phases.items())
+        return f"downtime {self.downtime * 1e3:.1f} ms ({phases} ms)"
+
+
+class TransitionStep(Struct, frozen=True):
+    """One step of a transition.
+
+    Parameters
+    ----------
+    source, target
+        Computers; a start has no source, a stop no target, and a move has both.
+    why
+        Why it is no direct live move: an intermediate or a cold one; else empty.
+    """
+
+    component: str
+    source: str = ""
+    target: str = ""
+    why: str = ""
+
+    def inverse(self) -> TransitionStep:
+        """Return the step that undoes it."""
+        return TransitionStep(self.component, self.target, self.source)
+
+    def __str__(self) -> str:
+        way = f"move {self.component} from {self.source} to {self.target}"
+        if not self.source:
+            way = f"start {self.component} on {self.target}"
+        elif not self.target:
+            way = f"stop {self.component} on {self.source}"
+        return f"{way} ({self.why})" if self.why else way
+
+
+class TransitionReport(Struct, frozen=True, kw_only=True):
+    """How a transition went.
+
+    Parameters
+    ----------
+    steps
+        What was planned.
+    committed
+        Whether the new placement holds; else the old one does again.
+    reason
+        Why not; also when the roll back failed.
+    moves
+        The moves that were made, in order, those back included.
+    """
+
+    steps: tuple[TransitionStep, ...]
+    committed: bool
+    reason: str = ""
+    moves: tuple[MigrationReport, ...] = ()

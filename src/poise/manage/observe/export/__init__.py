@@ -1,1 +1,0 @@
-"""The metrics of a running robot, for Prometheus and OpenTelemetry."""

@@ -1,0 +1,248 @@
+"""What troubles the manager itself: its files, and its computer's clock."""
+
+from __future__ import annotations
+
+import re
+import time
+import traceback
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
+from typing import Protocol
+
+from msgspec.structs import replace
+
+from poise.clock import wall_time
+from poise.manage.agent_connections.statuses import Statuses
+from poise.manage.journal import Journal, Kind
+from poise.manage.observe.deviations import Deviation
+from poise.threads import SHOWN_FOR
+from poise.units import counted
+from poise.wire.records.status import ComponentStatus, ContainerStatus
+
+_LEAST_JUMP = 1.0
+"""A clock that jumps by less is not worth a word [s]."""
+_SHOWN = 60.0
+"""A jump is a deviation for this time [s]."""
+
+
+class Troubled(Protocol):
+    """What may be in trouble."""
+
+    @property
+    def trouble(self) -> str:
+        """A sentence; empty: all is well."""
+        ...
+
+
+class ManagerTroubles:
+    """Looks at the manager itself. The robot goes on, and nothing moves for it.
+
+    Parameters
+    ----------
+    wall, now
+        The time [s], by the clock that people set, and by one that never jumps.
+    others
+        What else the manager keeps, beside the journal.
+    """
+
+    def __init__(
+        self,
+        journal: Journal,
+        wall: Callable[[], float] = wall_time,
+        now: Callable[[], float] = time.monotonic,
+        others: Iterable[Troubled] = (),
+    ) -> None:
+        self._journal = journal
+        self._wall = wall
+        self._now = now
+        self._ahead = wall() - now()
+        self._jumped: tuple[float, Deviation] | None = None
+        self._watched = (journal, *others)
+        self._troubles: dict[int, Deviation] = {}
+
+    def look(self) -> None:
+        """Journal a jump of the clock; call it several times a second."""
+        ahead, now = self._wall() - self._now(), self._now()
+        jump, self._ahead = ahead - self._ahead, ahead
+        if abs(jump) >= _LEAST_JUMP:
+            way = "forward" if jump > 0 else "back"
+            what = (
+                f"the clock of the manager's computer jumped {way} by {abs(jump):.0f} "
+                "s: times before that are off; nothing else depends on it"
+            )
+            self._jumped = now, self._deviation(what)
+            self._journal.note("wrong", what, seconds=jump)
+        if self._jumped is not None and now - self._jumped[0] > _SHOWN:
+            self._jumped = None
+        for number, each in enumerate(self._watched):
+            self._note(number, each.trouble)
+
+    def deviations(self) -> list[Deviation]:
+        """Return what is wrong now; from any thread."""
+        jumped = self._jumped
+        found = [*self._troubles.copy().values()]
+        return [*found, jumped[1]] if jumped is not None else found
+
+    def _note(self, number: int, trouble: str) -> None:
+        """Journal that a trouble begins, and ends, but not each of its counts."""
+        before = self._troubles.get(number)
+        if not trouble:
+            if before is not None:
+                del self._troubles[number]
+                self._journal.note("right", before.end())
+            return
+        if before is None or _but_counts(before.what) != _but_counts(trouble):
+            self._journal.note("wrong", trouble)
+            before = self._deviation(trouble)
+        self._troubles[number] = replace(before, what=trouble)
+
+    def _deviation(self, what: str) -> Deviation:
+        return Deviation(what=what, computer="", since=self._wall())
+
+
+def _but_counts(sentence: str) -> str:
+    return re.sub(r"\d+ (\w+?)s?\b", r"\1", sentence)
+
+
+QUIET = 10.0
+"""Errors of one kind are over when none came for so long [s]."""
+_MOST = 10
+"""So many incarnations of a component are told apart; two are there in a move."""
+_Counts = Mapping[str, tuple[int, Deviation]]
+"""Kind of error -> how often, and the first one."""
+
+
+class CodeErrors:
+    """Tells what goes wrong now from what did before: errors, and messages refused.
+
+    A component that failed is a deviation, and not told of here.
+
+    Parameters
+    ----------
+    note
+        Takes entries of the journal.
+    """
+
+    def __init__(self, note: Callable[[Kind, str], object]) -> None:
+        self._note = note
+        self._counts: dict[str, dict[Hashable, _Counts]] = {}
+        """Component or connector -> incarnation -> what was counted."""
+        self._coming: dict[tuple[str, str], tuple[Deviation, int, float]] = {}
+        """What goes wrong now, how often it did so, and when it did last."""
+
+    def look(self, statuses: Statuses, now: float) -> None:
+        """Note what is new in `statuses`, and what came no more until `now` [s]."""
+        for computer, status in statuses.items():
+            for container in status.containers:
+                for component in container.components:
+                    stay = container.pid, component.epoch
+                    self._take(component.name, stay, _raised(component, computer), now)
+                for name, count in refused(container):
+                    error = Deviation(
+                        what=f"connector '{name}' refused messages on '{computer}': "
+                        "not of the port's type; `poise log` says more",
+                        computer=computer,
+                        since=wall_time(),
+                    )
+                    self._take(name, container.pid, {"": (count, error)}, now)
+        for key, (error, count, last) in list(self._coming.items()):
+            if now - last >= QUIET:
+                del self._coming[key]
+                self._note("right", f"{error.end()} ({counted(count, 'time')})")
+
+    def deviations(self) -> tuple[Deviation, ...]:
+        """Return what goes wrong now."""
+        return tuple(error for error, _, _ in self._coming.values())
+
+    def _take(self, name: str, stay: Hashable, counts: _Counts, now: float) -> None:
+        known = self._counts.setdefault(name, {})
+        before = known.pop(stay, {})
+        for kind, (count, error) in counts.items():
+            earlier = before[kind][0] if kind in before else 0
+            # an end of a connector may begin again in the same process
+            new = count - earlier if count >= earlier else count
+            if new and (name, kind) not in self._coming:
+                self._note("wrong", error.what)
+            if new:
+                first, so_far, _ = self._coming.get((name, kind), (error, 0, now))
+                self._coming[name, kind] = first, so_far + new, now
+        known[stay] = counts
+        if len(known) > _MOST:
+            del known[next(iter(known))]
+
+
+def _raised(component: ComponentStatus, computer: str) -> _Counts:
+    found: dict[str, tuple[int, Deviation]] = {}
+    name = component.name
+    for error in component.error_counts if component.state != "failed" else ():
+        text = error.text.rstrip().rpartition("\n")[2]
+        handler = f"'{error.where}' of component '{name}' on '{computer}'"
+        said = Deviation(
+            what=f"{handler} raised {text}; `poise log {name}` says more",
+            computer=computer,
+            since=error.first,
+        )
+        kind = f"{error.where} {text.partition(':')[0]}"
+        count, said = found.get(kind, (0, said))
+        found[kind] = count + error.count, said
+    return found
+
+
+def refused(container: ContainerStatus) -> Iterator[tuple[str, int]]:
+    """Yield connectors whose targets refused messages, and how many.
+
+    A call that fails is an error of its caller, who may expect it.
+    """
+    failing = [e for e in container.connectors if e.errors and e.end != "source"]
+    if not failing:
+        return
+    topics = tuple(
+        f"-{component.name}.{port}"
+        for component in container.components
+        for port in component.subscribes
+    )
+    for end in failing:
+        if end.name.endswith(topics):
+            yield end.name, end.errors
+
+
+_MOST_THREADS = 20
+"""The most threads whose failures are shown; all failures are journalled."""
+
+
+class ThreadFailures:
+    """Journals each failure, and shows it for `SHOWN_FOR`.
+
+    Parameters
+    ----------
+    now
+        Returns the time [s] by a clock that never jumps.
+    """
+
+    def __init__(
+        self, journal: Journal, now: Callable[[], float] = time.monotonic
+    ) -> None:
+        self._journal = journal
+        self._now = now
+        self._shown: dict[str, tuple[float, Deviation]] = {}
+
+    def note(self, thread: str, error: BaseException) -> None:
+        """Take note of a failure, as `poise.threads.hear_failures` reports it."""
+        what = (
+            f"the thread '{thread}' of the manager's process failed "
+            f"({type(error).__name__}: {error}); all else goes on"
+        )
+        text = "".join(traceback.format_exception(error))
+        self._journal.note("failed", what, traceback=text)
+        shown = {name: each for name, each in self._fresh() if name != thread}
+        found = Deviation(what=what, computer="", since=wall_time())
+        self._shown = dict(
+            [*shown.items(), (thread, (self._now(), found))][-_MOST_THREADS:]
+        )
+
+    def deviations(self) -> list[Deviation]:
+        """Return the last failure of each thread; from any thread."""
+        return [deviation for _, (_, deviation) in self._fresh()]
+
+    def _fresh(self) -> list[tuple[str, tuple[float, Deviation]]]:
+        since = self._now() - SHOWN_FOR
+        return [(name, each) for name, each in self._shown.items() if each[0] >= since]

@@ -1,0 +1,303 @@
+"""Evaluates the policies of a robot: what holds now, and for how long.
+
+`model/policy/shipped.yaml` has those that Poise ships.
+"""
+
+from __future__ import annotations
+
+import select
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Callable, Iterable, Mapping
+
+from msgspec import Struct, structs
+
+from poise.errors import PoiseError
+from poise.manage.policy import function_process
+from poise.manage.policy.function_process import IMPORT_LIMIT, LIMIT, FunctionAnswer
+from poise.model.policy.condition import Condition, parse_condition, sentence
+from poise.model.policy.policy import (
+    ACTIONS,
+    COOL_DOWN,
+    LASTS,
+    SUBJECTS,
+    Policy,
+    PolicyAction,
+    Seen,
+    Subject,
+    Values,
+)
+from poise.wire import record_channel
+
+_AGAIN, _LONGEST = 10.0, 300.0
+"""A process that ended is started again after this time [s]; then after twice that."""
+_MARGIN = 0.5
+"""The process has had time to end by itself, which says more [s]."""
+
+
+class OwnFunction:
+    """Asks a function what to do. All times are of one clock [s].
+
+    Parameters
+    ----------
+    reference
+        ``package.module:function``.
+    folder
+        Where that is imported from.
+
+    Attributes
+    ----------
+    trouble
+        What is wrong with it, for people; empty: nothing.
+    """
+
+    def __init__(self, reference: str, folder: str) -> None:
+        self._reference = reference
+        self._folder = folder
+        self._process: subprocess.Popen[bytes] | None = None
+        self._actions: tuple[PolicyAction, ...] = ()
+        self._asked_at: float | None = None
+        self._limit = IMPORT_LIMIT
+        self._start_at = float("-inf")
+        self._again = _AGAIN
+        self.trouble = ""
+
+    def ask(self, seen: Seen) -> tuple[PolicyAction, ...]:
+        """Return what it said last; ask it again, if it has answered by now."""
+        try:
+            self._hear()
+            self._ask(seen)
+        except (PoiseError, OSError) as error:
+            self._end(str(error), seen.at)
+        return self._actions
+
+    def answer(self, seen: Seen) -> tuple[PolicyAction, ...]:
+        """Ask it, and wait for what it says to this."""
+        self.ask(seen)
+        if self._asked_at is not None:
+            select.select([self._connection], [], [], self._limit + _MARGIN)
+        try:
+            self._hear()
+        except (PoiseError, OSError) as error:
+            self._end(str(error), seen.at)
+        return self._actions
+
+    def close(self) -> None:
+        """End its process."""
+        if self._process is not None:
+            self._process.kill()
+            self._process.wait()
+            self._connection.close()
+            self._process = None
+
+    def _ask(self, seen: Seen) -> None:
+        if self._process is None and seen.at >= self._start_at:
+            self._start()
+        if self._process is None:
+            return
+        if self._asked_at is None:
+            record_channel.send(self._connection, seen)
+            self._asked_at = seen.at
+        elif seen.at - self._asked_at > self._limit + _MARGIN:
+            self._end(f"did not answer within {self._limit:g} s", seen.at)
+
+    def _hear(self) -> None:
+        if self._asked_at is None:
+            return
+        answer = self._reader.next(FunctionAnswer)
+        if answer is None:
+            return
+        self._asked_at, self._limit = None, LIMIT
+        self._actions = answer.actions
+        if not answer.error:
+            self._again = _AGAIN
+        self.trouble = answer.error and f"'{self._reference}' failed: {answer.error}"
+
+    def _start(self) -> None:
+        self._connection, theirs = socket.socketpair()
+        self._reader = record_channel.RecordReader(self._connection)
+        with theirs:
+            words = (self._reference, self._folder, str(theirs.fileno()))
+            self._process = subprocess.Popen(  # noqa: S603, our own code and Python
+                [sys.executable, "-m", function_process.__name__, *words],
+                stdin=subprocess.DEVNULL,
+                pass_fds=[theirs.fileno()],
+                start_new_session=True,  # Ctrl-C is for the manager
+            )
+        self._asked_at, self._limit = None, IMPORT_LIMIT
+
+    def _end(self, why: str, now: float) -> None:
+        """Kill its process, and start another one later."""
+        process = self._process
+        self._actions, self._asked_at = (), None
+        self._start_at, again = now + self._again, self._again
+        self._again = min(2 * self._again, _LONGEST)
+        if process is not None:
+            process.kill()
+            if process.wait() == -signal.SIGALRM:
+                limits = f"{LIMIT:g} s, and {IMPORT_LIMIT:g} s for its import"
+                why = f"took too long and was ended: its limit is {limits}"
+            self._connection.close()
+            self._process = None
+        again_in = f"it is asked again in {again:g} s"
+        self.trouble = f"'{self._reference}' {why}; {again_in}"
+
+
+Key = tuple[str, str, str]
+"""A policy, a subject, and the computer where that is."""
+Read = Callable[[Subject], tuple[Values, ...]]
+"""Returns the values of all subjects of a kind; called more than once for each."""
+
+
+class Symptom(Struct, frozen=True, kw_only=True):
+    """A subject for which the condition of a policy holds.
+
+    Parameters
+    ----------
+    what
+        A sentence for people.
+    values
+        What was seen.
+    """
+
+    policy: Policy
+    what: str
+    values: Values
+
+    @property
+    def key(self) -> Key:
+        """What makes it the same one as before."""
+        return _key(self.policy, self.values)
+
+    @property
+    def computer(self) -> str:
+        """Where it is; empty: nowhere in particular."""
+        is_computer = self.policy.for_each == "computer"
+        return self.values.name if is_computer else self.key[2]
+
+
+Symptoms = tuple[Symptom, ...]
+
+
+class Policies:
+    """The policies of one robot, and since when their conditions hold.
+
+    All times are of one clock that never goes back [s].
+
+    Attributes
+    ----------
+    since
+        The symptoms that are there now -> when each was seen first.
+    """
+
+    def __init__(self, policies: Iterable[Policy], folder: str = "") -> None:
+        policies = [policy for policy in policies if not policy.off]
+        self._policies = [(p, _condition(p)) for p in policies if not p.call]
+        self._functions = [(p, OwnFunction(p.call, folder)) for p in policies if p.call]
+        self._acted: dict[Key, float] = {}
+        self.since: Mapping[Key, float] = {}
+
+    def troubles(self) -> tuple[str, ...]:
+        """Return what is wrong with functions, for people."""
+        return tuple(
+            f"policy '{policy.name}': {function.trouble}"
+            for policy, function in self._functions
+            if function.trouble
+        )
+
+    def close(self) -> None:
+        """End the processes of functions."""
+        for _, function in self._functions:
+            function.close()
+
+    def look(self, read: Read, now: float, *, waits: bool = False) -> Symptoms:
+        """Return the symptoms that have been there at every look for long enough.
+
+        Parameters
+        ----------
+        waits
+            Whether to wait for functions; else what they said last counts.
+        """
+        found = {
+            _key(policy, each): (policy, each)
+            for policy, holds in self._policies
+            if policy.for_each is not None
+            for each in read(policy.for_each)
+            if holds(each)
+        }
+        found |= self._by_functions(read, now, waits=waits)
+        self.since = {key: self.since.get(key, now) for key in found}
+        return tuple(
+            Symptom(policy=policy, what=_what(policy, each), values=each)
+            for key, (policy, each) in found.items()
+            if now - self.since[key] >= _or(policy.lasts, LASTS)
+        )
+
+    def _by_functions(
+        self, read: Read, now: float, *, waits: bool
+    ) -> dict[Key, tuple[Policy, Values]]:
+        found = {}
+        seen = Seen.by(read, now) if self._functions else Seen(at=now)
+        for policy, function in self._functions:
+            actions = function.answer(seen) if waits else function.ask(seen)
+            for action in actions:
+                whole, values = _resolved(policy, action, seen)
+                if values is None:
+                    text = f"'{policy.call}' names no subject '{action.about}'"
+                    function.trouble = f"{text} for '{action.do}'"
+                else:
+                    found[_key(whole, values)] = whole, values
+        return found
+
+    def due(self, symptoms: Iterable[Symptom], now: float) -> tuple[Symptom, ...]:
+        """Return the symptoms about which something may be done: none cools down."""
+        return tuple(
+            each
+            for each in symptoms
+            if now - self._acted.get(each.key, float("-inf"))
+            >= _or(each.policy.cool_down, COOL_DOWN)
+        )
+
+    def note_acted(self, symptoms: Iterable[Symptom], now: float) -> None:
+        """Remember that something was done about symptoms."""
+        self._acted |= {each.key: now for each in symptoms}
+
+
+def _resolved(
+    policy: Policy, action: PolicyAction, seen: Seen
+) -> tuple[Policy, Values | None]:
+    """Return the policy as if it had been written for an action, and its subject."""
+    for subject in ACTIONS[action.do]:
+        for values in seen.of(subject):
+            if values.name == action.about:
+                whole = structs.replace(
+                    policy,
+                    for_each=subject,
+                    do=action.do,
+                    to=action.to or None,
+                    by=action.by or None,
+                    force=action.force,
+                    say=action.why,
+                )
+                return whole, values
+    return policy, None
+
+
+def _what(policy: Policy, values: Values) -> str:
+    return (policy.say or "") if policy.call else sentence(policy.say or "", values)
+
+
+def _key(policy: Policy, values: Values) -> Key:
+    return policy.name, values.name, getattr(values, "computer", "")
+
+
+def _condition(policy: Policy) -> Condition:
+    # `poise check` saw to it that these are there
+    assert policy.for_each is not None  # noqa: S101
+    return parse_condition(policy.when or "", SUBJECTS[policy.for_each])
+
+
+def _or(seconds: float | None, default: float) -> float:
+    return default if seconds is None else seconds

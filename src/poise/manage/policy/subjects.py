@@ -1,0 +1,160 @@
+"""From what the loop knows to the values that policies ask of each subject. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+
+from poise.manage.adaptation.bad_links import link_values
+from poise.manage.adaptation.decision import shortages_of
+from poise.manage.adaptation.situation import Situation
+from poise.manage.observe.estimates import culprit_on
+from poise.model.policy.policy import (
+    ChainValues,
+    ComponentValues,
+    ComputerValues,
+    ContainerValues,
+    RobotValues,
+    Subject,
+    Values,
+)
+
+
+def values_of(situation: Situation, subject: Subject) -> tuple[Values, ...]:
+    """Return the values of all subjects of a kind."""
+    return tuple(_READ[subject](situation))
+
+
+def _computers(situation: Situation) -> Iterator[Values]:
+    shortages = shortages_of(situation)
+    for computer in situation.robot.computers:
+        load = situation.loads.get(computer.name)
+        status = situation.statuses.get(computer.name)
+        here = [n for n, at in situation.placement.items() if at == computer.name]
+        yield ComputerValues(
+            name=computer.name,
+            lost=computer.name in situation.lost,
+            capacity=computer.total("cpu"),
+            used=load.used if load else 0.0,
+            background=load.background if load else 0.0,
+            full=load is not None and load.is_full,
+            starved=max(
+                (
+                    each.estimate.starved
+                    for each in situation.demand_estimates
+                    if each.computer == computer.name
+                ),
+                default=0.0,
+            ),
+            late=sum(e.late for e in situation.misses if e.computer == computer.name),
+            drifted=sum(
+                e.estimate.drift is not None and e.computer == computer.name
+                for e in situation.demand_estimates
+            ),
+            short=shortages[computer.name],
+            culprit=culprit_on(load, situation.demand_estimates)
+            or "nothing takes more than was expected there",
+            memory=status.memory if status else 0.0,
+            components=len(here),
+        )
+
+
+def _components(situation: Situation) -> Iterator[Values]:
+    states = {
+        (computer, component.name): (component, container)
+        for computer, status in situation.statuses.items()
+        for container in status.containers
+        for component in container.components
+    }
+    memory = {
+        (computer, health.name): health.memory
+        for computer, status in situation.statuses.items()
+        for health in status.health
+    }
+    demands = {each.component: each.estimate for each in situation.demand_estimates}
+    for architecture in situation.robot.architectures:
+        for entry in architecture.components:
+            if (computer := situation.placement.get(entry.name)) is None:
+                continue
+            demand = demands.get(entry.name)
+            component, container = states.get((computer, entry.name), (None, None))
+            yield ComponentValues(
+                name=entry.name,
+                computer=computer,
+                architecture=architecture.name,
+                priority=architecture.priority,
+                state=component.state if component else "gone",
+                cpu=demand.mean if demand else 0.0,
+                expected=entry.demand.get("cpu", 0.0),
+                starved=demand.starved if demand else 0.0,
+                hung=component.hung if component else 0.0,
+                long_job=demand.long_job if demand else 0.0,
+                errors=component.errors if component else 0,
+                memory=memory.get((computer, container.name), 0.0)
+                if container
+                else 0.0,
+            )
+
+
+def _containers(situation: Situation) -> Iterator[Values]:
+    demands = {
+        each.name: each.demand.get("memory", 0.0)
+        for each in situation.robot.components()
+    }
+    for computer, status in situation.statuses.items():
+        inside = {each.name: each.components for each in status.containers}
+        for health in status.health:
+            components = inside.get(health.name, ())
+            # what a component allocates in `configure` is no leak
+            is_starting = any(each.state == "unconfigured" for each in components)
+            yield ContainerValues(
+                name=health.name,
+                computer=computer,
+                state=health.state,
+                restarts=health.restarts,
+                restarts_lately=health.restarts_lately,
+                cpu=health.cpu,
+                memory=health.memory,
+                components=", ".join(each.name for each in components),
+                expected=sum(demands.get(each.name, 0.0) for each in components),
+                growth=0.0 if is_starting else health.growth,
+                limit=health.limit,
+                full_in=health.full_in,
+            )
+
+
+def _chains(situation: Situation) -> Iterator[Values]:
+    for each in situation.chains:
+        yield ChainValues(
+            name=each.chain,
+            component=each.last,
+            computer=each.computers[each.slowest],
+            age=each.ages[each.last],
+            deadline=each.deadline,
+            used=each.used,
+            missed=each.missed,
+            share=each.missed / each.used,
+            over=each.seconds,
+            late=each.is_late,
+            steps=str(each),
+        )
+
+
+def _robots(situation: Situation) -> Iterator[Values]:
+    yield RobotValues(
+        name=situation.robot.name,
+        lost=len(situation.lost),
+        late=sum(each.late for each in situation.misses),
+        used=sum(load.used for load in situation.loads.values()),
+        calls=sum(each.calls + each.messages for each in situation.traffic.values()),
+    )
+
+
+_READ: Mapping[Subject, Callable[[Situation], Iterator[Values]]] = {
+    "computer": _computers,
+    "link": link_values,
+    "component": _components,
+    "container": _containers,
+    "timer": lambda situation: iter(situation.misses),
+    "chain": _chains,
+    "robot": _robots,
+}

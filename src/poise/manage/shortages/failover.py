@@ -1,0 +1,220 @@
+"""Restarts the components of lost computers elsewhere."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Collection, Iterator, Mapping
+from functools import partial
+
+from msgspec import Struct
+
+from poise import plan
+from poise.errors import RobotError
+from poise.manage.adaptation.move_limits import MoveLimits
+from poise.manage.adaptation.replan import explain
+from poise.manage.adaptation.responder import Change
+from poise.manage.adaptation.situation import Homes, Situation
+from poise.manage.deploy.desired import Desired
+from poise.manage.deploy.running_components import RunningComponents
+from poise.manage.migration.migration_report import TransitionStep
+from poise.manage.migration.transition_plan import plan_transition
+from poise.manage.migration.transition_run import start_together, transit
+from poise.manage.shortages.free_room import placed_beside
+from poise.manage.shortages.suspension import PutAside
+from poise.model.check.allowed_computers import allowed_computers, pinned_components
+from poise.model.robot import Architecture
+
+_ROOM_EVERY = 5.0
+"""Whether components of a lost computer fit meanwhile is tried this often [s]."""
+
+
+class Failover(Struct, frozen=True, kw_only=True):
+    """What becomes of the components of lost computers.
+
+    Parameters
+    ----------
+    placement
+        Component -> the computer where it restarts.
+    missing
+        Component -> why it runs nowhere until its computer is back.
+    waits_for_room
+        Whether some would run elsewhere if there were room: those of low priority.
+    aside
+        Architectures that are put aside before, to make room for higher ones.
+    steps
+        Moves of what works that make room before.
+    """
+
+    placement: Mapping[str, str]
+    missing: Mapping[str, str]
+    waits_for_room: bool = False
+    aside: tuple[str, ...] = ()
+    steps: tuple[TransitionStep, ...] = ()
+
+
+class FailOver:
+    """Restarts elsewhere what was on lost computers, once for each loss."""
+
+    purpose = "restart what was on lost computers"
+
+    def __init__(self, run: RunningComponents, put_aside: PutAside) -> None:
+        self._run = run
+        self._put_aside = put_aside
+        self._limits = MoveLimits()
+        self._missing: set[str] = set()
+        self._tries_again = float("inf")
+
+    def respond(self, situation: Situation, desired: Desired) -> Change | None:
+        """Return where components restart, and what makes room for them."""
+        now = situation.now
+        if self._limits.rests(now):
+            return None
+        lost = {each.values.name for each in situation.about("fail over")}
+        stranded = {n for n, c in situation.placement.items() if c in lost}
+        self._missing &= stranded
+        if stranded <= self._missing and now < self._tries_again:
+            return None
+        found = fail_over(situation, lost)
+        before, self._missing = self._missing, set(found.missing)
+        self._tries_again = now + _ROOM_EVERY if found.waits_for_room else float("inf")
+        for name, why in sorted(found.missing.items()):
+            if name not in before:
+                where = desired.placed[name].computer
+                what = f"component '{name}' of '{where}' is missing: {why}"
+                self._run.journal.note("wrong", what)
+        if not found.placement and not found.aside:
+            return None
+        return Change(
+            why=_sentence(found.placement) if found.placement else "",
+            facts={"placement": found.placement, "moves": found.steps},
+            carry_out=partial(self._restart, found, lost, now),
+        )
+
+    def _restart(self, found: Failover, lost: Collection[str], now: float) -> None:
+        if found.aside:
+            why = "components of a lost computer that have a higher priority need room"
+            self._put_aside.put(found.aside, why, now)
+        if found.placement:
+            is_room = not found.steps or transit(self._run, found.steps).committed
+            if is_room and start_together(self._run, found.placement, lost):
+                self._limits.forget_nothing()
+            else:
+                self._limits.note_nothing(now)
+
+
+def _sentence(placement: Mapping[str, str]) -> str:
+    where = ", ".join(f"'{c}' on '{at}'" for c, at in sorted(placement.items()))
+    what = "components of a lost computer restart, from checkpoints or without state"
+    return f"{what}: {where}"
+
+
+def fail_over(situation: Situation, lost: Collection[str]) -> Failover:
+    """Return where the components of lost computers can run.
+
+    All run that memory and devices allow: CPU that is short is shared by priority. What
+    works moves when only that makes room; else it is moved later, if that is worth it.
+
+    Parameters
+    ----------
+    lost
+        Computers that are out of reach.
+    """
+    allowed = allowed_computers(situation.robot)
+    pinned = pinned_components(situation.robot)
+    missing: dict[str, str] = {}
+    homes: dict[str, tuple[str, ...]] = {}
+    works = {n: at for n, at in situation.placement.items() if at not in lost}
+    for name in situation.placement:
+        choices = tuple(sorted(allowed[name] - set(lost)))
+        if name in works:
+            stays = name in pinned or works[name] not in choices
+            homes[name] = (works[name],) if stays else choices
+        elif name in pinned:
+            missing[name] = pinned[name]
+        elif not choices:
+            here = " or ".join(sorted(allowed[name]))
+            missing[name] = f"it may run on {here} only"
+        else:
+            homes[name] = choices
+    stranded = [name for name in homes if name not in works]
+    if not stranded:
+        return Failover(placement={}, missing=missing)
+    problem, result = placed_beside(situation, homes)
+    if result.feasible:
+        where = {name: result.placement[name] for name in stranded}
+        has_room = plan.evaluate(problem, {**works, **where}).feasible
+        then = works if has_room else {name: result.placement[name] for name in works}
+        with contextlib.suppress(RobotError):  # no way leads there
+            robot = situation.of_what_runs().robot  # no way leads over what is lost
+            steps = plan_transition(robot, works, then, shares_cpu=True)
+            return Failover(placement=where, missing=missing, steps=steps)
+    kept = {name: (at,) for name, at in works.items()}
+    wanted = {name: homes[name] for name in stranded}
+    return _by_priority(situation, kept, wanted, missing)
+
+
+def _by_priority(
+    situation: Situation,
+    kept: Homes,
+    stranded: Homes,
+    missing: Mapping[str, str],
+) -> Failover:
+    """Return what fits of the stranded, the highest priority first.
+
+    Architectures that run are put aside for higher ones only.
+
+    Parameters
+    ----------
+    kept
+        Where each component works.
+    stranded
+        The computers where each of the others may run.
+    """
+    placement: dict[str, str] = {}
+    aside: tuple[str, ...] = ()
+    missing = dict(missing)
+    for architecture in sorted(
+        situation.robot.architectures, key=lambda a: -a.priority
+    ):
+        names = [c.name for c in architecture.components if c.name in stranded]
+        if not names:
+            continue
+        wanted = {name: stranded[name] for name in names}
+        for lower in _more_and_more(situation, architecture.priority, kept):
+            gone = {c.name for a in lower for c in a.components}
+            left = {name: at for name, at in kept.items() if name not in gone}
+            result = placed_beside(situation, {**left, **wanted}).result
+            if result.feasible:
+                where = {name: result.placement[name] for name in names}
+                placement |= where
+                kept = {**left, **{name: (at,) for name, at in where.items()}}
+                aside += tuple(a.name for a in lower)
+                break
+        else:
+            explain(result)
+            why = f"it fits nowhere beside what runs: {result.reason}"
+            missing |= dict.fromkeys(names, why)
+    return Failover(
+        placement=placement,
+        missing=missing,
+        aside=aside,
+        waits_for_room=placement.keys() != set(stranded),
+    )
+
+
+def _more_and_more(
+    situation: Situation, priority: int, kept: Homes
+) -> Iterator[tuple[Architecture, ...]]:
+    """Yield which of the running architectures of less priority make room."""
+    lower = sorted(
+        (
+            a
+            for a in situation.robot.architectures
+            if a.layer == "sequencing"
+            and a.priority < priority
+            and any(c.name in kept for c in a.components)
+        ),
+        key=lambda a: a.priority,
+    )
+    for number in range(len(lower) + 1):
+        yield tuple(lower[:number])

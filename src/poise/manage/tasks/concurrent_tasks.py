@@ -1,0 +1,367 @@
+"""Several tasks at once: which of them may run now, and what runs for them. Pure.
+
+Times are given, in [s since 1970].
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+
+from msgspec.structs import replace
+
+from poise.clock import wall_time_at
+from poise.errors import UsageError
+from poise.manage.tasks.task_progress import (
+    OVER,
+    ActionEnded,
+    Choose,
+    Progress,
+    Saved,
+    Steps,
+    TaskRecord,
+    TaskState,
+    Try,
+)
+from poise.model.robot import Robot
+from poise.model.tasks.exclusive import clashes
+from poise.model.tasks.steps import Until
+from poise.suggest import did_you_mean
+
+_SAYINGS = {
+    "paused": "is paused",
+    "done": "is done",
+    "failed": "is given up",
+    "cancelled": "is cancelled",
+}
+_AT_REST = {*OVER, "paused"}
+MOST_OVER = 20
+"""So many tasks that are over are remembered."""
+
+
+class Tasks:
+    """The tasks of a robot that were started.
+
+    Parameters
+    ----------
+    choose
+        Decides between the steps of a choice.
+    say
+        Takes each change, for people.
+    wall
+        Returns the time of day [s since 1970] of a `now` of the methods, for people.
+        `now` itself is a time [s] that never steps.
+
+    Attributes
+    ----------
+    saved
+        What the next manager needs.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        say: Callable[[str], object] = lambda _: None,
+        choose: Choose = lambda *_: 0,
+        saved: Saved | None = None,
+        wall: Callable[[float], float] = wall_time_at,
+    ) -> None:
+        self._robot = robot
+        self._tasks = {each.name: each for each in robot.tasks}
+        self._say = say
+        self._wall = wall
+        self._steps = {
+            name: Steps(self._tasks, name, choose, self._next, say)
+            for name in self._tasks
+        }
+        self.saved = saved or Saved()
+        self._blocked: dict[str, str] = {}
+        self._ended: list[ActionEnded] = []
+        self._announced = {r.order: (r.state, r.why) for r in self.saved.records}
+        for record in list(self.saved.records):
+            if record.name not in self._tasks:
+                self.saved.records.remove(record)
+                say(f"task '{record.name}' is given up: the robot file has it no more")
+
+    @property
+    def records(self) -> list[TaskRecord]:
+        """All tasks, those that are over, too; the first started first."""
+        return self.saved.records
+
+    def start(self, name: str, now: float, priority: int | None = None) -> TaskRecord:
+        """Begin a task.
+
+        Raises
+        ------
+        UsageError
+            There is no such task, or it runs already.
+        """
+        if name not in self._tasks:
+            raise self._no_such(name)
+        if any(r.name == name and r.state not in OVER for r in self.records):
+            raise UsageError(
+                f"task '{name}' runs already; `poise task cancel {name}` ends it"
+            )
+        at = self._wall(now)
+        record = TaskRecord(
+            name=name,
+            priority=self._tasks[name].priority if priority is None else priority,
+            order=self._next(),
+            began=at,
+            since=at,
+            progress=self._steps[name].begin(),
+        )
+        over = [r for r in self.records if r.state in OVER]
+        for old in over[: max(0, len(over) - MOST_OVER + 1)]:
+            self.records.remove(old)
+        self.records.append(record)
+        self._say(f"task '{name}' starts, with priority {record.priority}")
+        return record
+
+    def pause(self, name: str, now: float) -> None:
+        """Let a task rest until it is resumed; UsageError when it does not run."""
+        record = self.find(name)
+        if record.state != "paused":
+            self._rest(record, now)
+            self._enter(record, "paused", now, "it was asked")
+
+    def resume(self, name: str, now: float) -> None:
+        """Let a paused task go on; UsageError when it is not paused."""
+        record = self.find(name)
+        if record.state != "paused":
+            raise UsageError(f"task '{name}' is {record.state}, not paused")
+        self._enter(record, "waiting", now, "it is resumed")
+
+    def cancel(self, name: str, now: float) -> None:
+        """End a task; UsageError when it does not run."""
+        record = self.find(name)
+        self._rest(record, now)
+        self._enter(record, "cancelled", now, "it was asked")
+
+    def find(self, name: str) -> TaskRecord:
+        """Return a task that is not over; UsageError when there is none."""
+        running = [r for r in self.records if r.state not in OVER]
+        for record in running:
+            if record.name == name:
+                return record
+        if name not in self._tasks:
+            raise self._no_such(name)
+        raise UsageError(f"task '{name}' does not run; `poise task start {name}`")
+
+    def tries(self, record: TaskRecord) -> tuple[Try, ...]:
+        """Return the actions of a task that are its turn now."""
+        return self._steps[record.name].tries(record.progress)
+
+    def going(self) -> list[TaskRecord]:
+        """Return the tasks that may run now, the most important first."""
+        return [r for r in self._by_rank() if r.state == "going"]
+
+    def arbitrate(self, now: float) -> None:
+        """Decide which tasks may run now: the others wait, and say for what.
+
+        A task waits while another of higher priority, or of the same that is at work,
+        uses what only one may use; or while `block` says so.
+        """
+        granted: list[tuple[TaskRecord, Try]] = []
+        for record in self._by_rank():
+            mine = [(record, each) for each in self.tries(record)]
+            why = self._blocked.get(record.name, "") or self._clash(granted, mine)
+            if why:
+                self._rest(record, now)
+                self._enter(record, "waiting", now, why)
+            else:
+                self._enter(record, "going", now, "")
+                granted += mine
+
+    def announce(self) -> None:
+        """Say which tasks go on, and which wait for what, where that has changed."""
+        for record in self.records:
+            now = record.state, record.why
+            before = self._announced.get(record.order, ("going", ""))
+            self._announced[record.order] = now
+            if now != before and record.state in {"going", "waiting"}:
+                what = "goes on" if record.state == "going" else "waits"
+                self._say_of(record, what)
+
+    def block(self, name: str, why: str) -> None:
+        """Let a task wait, for a reason, until `unblock`."""
+        self._blocked[name] = why
+
+    def unblock(self) -> None:
+        """Let all that were blocked be looked at again."""
+        self._blocked.clear()
+
+    def began(self, number: int, now: float) -> None:
+        """Note that an action's functions work."""
+        for record, each in self._all_tries():
+            if each.number == number and each.progress.since is None:
+                each.progress.since = now
+                how = "goes on" if each.progress.spent else "begins"
+                self._say(f"action '{each.name}' of task '{record.name}' {how}")
+
+    def end(self, number: int, now: float, why: str, *, done: bool) -> None:
+        """Note that an action has ended, and begin what comes next."""
+        for record, each in list(self._all_tries()):
+            if each.number == number:
+                self._end(record, each, why, done=done)
+                self._settle(record, now)
+
+    def look(self, now: float, holds: Callable[[Until], bool]) -> None:
+        """End actions whose time is over, and what conditions end.
+
+        Parameters
+        ----------
+        holds
+            Whether a condition holds now.
+        """
+        for record in self.going():
+            for until, progress in list(
+                self._steps[record.name].conditions(record.progress)
+            ):
+                if progress.state == "going" and holds(until):
+                    self._end_by(record, until, progress)
+            for each in self.tries(record):
+                limit, worked = each.action.limit, self.worked(each, now)
+                if limit is not None and worked >= limit:
+                    self._end(record, each, f"{limit:g} s are over", done=False)
+            self._settle(record, now)
+
+    def due(self, now: float) -> float | None:
+        """Return in how long the next limit is over [s]; None: there is none."""
+        left = [
+            each.action.limit - self.worked(each, now)
+            for record in self.going()
+            for each in self.tries(record)
+            if each.action.limit is not None and each.progress.since is not None
+        ]
+        return min(left, default=None)
+
+    def worked(self, each: Try, now: float) -> float:
+        """Return for how long an action's functions have worked [s]."""
+        since = each.progress.since
+        return each.progress.spent + (0.0 if since is None else now - since)
+
+    def functions_of(self, records: Iterable[TaskRecord]) -> set[str]:
+        """Return the functions that tasks use while the actions work that are next."""
+        return {
+            function
+            for record in records
+            for each in self.tries(record)
+            for function in each.action.functions
+        }
+
+    def next_actions(self) -> list[tuple[TaskRecord, Try, float]]:
+        """Return the actions that may come next, with their probabilities."""
+        return [
+            (record, each, probability)
+            for record in self._by_rank()
+            for each, probability in self._next_of(record)
+        ]
+
+    def take_ended(self) -> list[ActionEnded]:
+        """Return the actions that have ended since the last call."""
+        ended, self._ended = self._ended, []
+        return ended
+
+    def _no_such(self, name: str) -> UsageError:
+        names = ", ".join(self._tasks) or "none"
+        what = f"robot '{self._robot.name}' has no task '{name}'"
+        return UsageError(
+            f"{what}{did_you_mean(name, self._tasks)}; its tasks: {names}"
+        )
+
+    def _next_of(self, record: TaskRecord) -> Iterable[tuple[Try, float]]:
+        if record.state != "going":  # it goes on where it was
+            return [(each, 1.0) for each in self.tries(record)]
+        return self._steps[record.name].next_actions(record.progress)
+
+    def _by_rank(self) -> list[TaskRecord]:
+        """Return what is not over or paused, the most important first.
+
+        Of the same priority, what is at work keeps what it has.
+        """
+        records = [r for r in self.records if r.state not in _AT_REST]
+        if len(records) > 1:  # whether one is at work takes a walk through its steps
+            records.sort(key=lambda r: (-r.priority, not self._is_at_work(r), r.order))
+        return records
+
+    def _is_at_work(self, record: TaskRecord) -> bool:
+        return any(each.progress.since is not None for each in self.tries(record))
+
+    def _clash(
+        self,
+        granted: list[tuple[TaskRecord, Try]],
+        mine: list[tuple[TaskRecord, Try]],
+    ) -> str:
+        """Return what a task cannot share with those before it; empty: nothing."""
+        actions = {
+            f"{record.name}.{each.name}": record.name for record, each in granted + mine
+        }
+        renamed = [
+            replace(each.action, name=f"{record.name}.{each.name}")
+            for record, each in granted + mine
+        ]
+        for clash in clashes(self._robot, renamed):
+            # that of a task with itself is for `poise check`
+            users = [n for n in actions if any(f"'{n}'" in u for u in clash.users)]
+            others = {actions[n] for n in users} - {mine[0][0].name} if mine else ()
+            if others and any(actions[n] == mine[0][0].name for n in users):
+                who = " and ".join(f"'{name}'" for name in sorted(others))
+                return f"task {who} uses the {clash.kind} '{clash.name}'"
+        return ""
+
+    def _rest(self, record: TaskRecord, now: float) -> None:
+        """Stop the clocks of a task's actions: their functions do not work for it."""
+        for each in self.tries(record):
+            each.progress.spent = self.worked(each, now)
+            each.progress.since = None
+
+    def _end_by(self, record: TaskRecord, until: Until, progress: Progress) -> None:
+        for each in self.tries(record):
+            if each.progress is progress:
+                self._end(record, each, f"{until.when} holds", done=True)
+                return
+        progress.state = "done"
+        progress.inside = []
+        self._say(f"task '{record.name}': a repetition is done: {until.when} holds")
+
+    def _end(self, record: TaskRecord, each: Try, why: str, *, done: bool) -> None:
+        progress = each.progress
+        progress.state = "done" if done else "ended"
+        progress.why = "" if done else f"action '{each.name}' failed: {why}"
+        how = "is done" if done else "has failed"
+        self._say(f"action '{each.name}' of task '{record.name}' {how}: {why}")
+        self._ended.append(ActionEnded(each.action, done))
+
+    def _settle(self, record: TaskRecord, now: float) -> None:
+        steps = self._steps[record.name]
+        state = steps.settle(record.progress)
+        if state == "done":
+            self._enter(record, "done", now, "")
+        elif state == "failed":
+            self._enter(record, "failed", now, record.progress.why)
+
+    def _enter(
+        self, record: TaskRecord, state: TaskState, now: float, why: str
+    ) -> None:
+        if (record.state, record.why) == (state, why):
+            return
+        is_new = record.state != state
+        record.state, record.why = state, why
+        if is_new:
+            record.since = self._wall(now)
+        if state not in {"going", "waiting"}:  # `announce` says these
+            self._say_of(record, _SAYINGS[state])
+
+    def _say_of(self, record: TaskRecord, what: str) -> None:
+        why = f": {record.why}" if record.why else ""
+        self._say(f"task '{record.name}' {what}{why}")
+
+    def _all_tries(self) -> Iterator[tuple[TaskRecord, Try]]:
+        for record in self.records:
+            if record.state not in OVER:
+                for each in self.tries(record):
+                    yield record, each
+
+    def _next(self) -> int:
+        self.saved.number += 1
+        return self.saved.number

@@ -1,0 +1,328 @@
+"""Reads and writes the folder of an agent, on a thread of its own.
+
+A container writes each checkpoint into the agent's folder. A thread of the agent sends
+those that changed to the manager, which keeps the last: so they outlive the container
+and the computer.
+
+A disk may not answer for seconds. The agent and its containers go on meanwhile, and its
+status says so.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import logging
+import os
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import msgspec
+
+from poise import threads
+from poise.clock import Clock, boot_id
+from poise.errors import UsageError
+from poise.runtime.agent.surroundings import AgentState, Reply
+from poise.runtime.hosting.output import forget_output, read_output
+from poise.wire.records.checkpoints import (
+    CheckpointCopy,
+    age_of,
+    checkpoint_path,
+    set_age,
+)
+from poise.wire.records.deployment import Deployment
+from poise.wire.records.output import ReadOutput
+from poise.wire.records.requests import PROTOCOL, Accepted, Answer, Refused
+
+log = logging.getLogger(__name__)
+
+
+class AgentFolder:
+    """The folder of an agent, which one process uses at a time.
+
+    Raises
+    ------
+    UsageError
+        Another agent uses it.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._path = folder / "state"
+        self._lock = os.open(folder / "lock", os.O_RDWR | os.O_CREAT, 0o600)
+        self._boot = boot_id()
+        self._kept = AgentState()
+        self.trouble = ""
+        try:
+            # a lock of this process alone: what it forks does not hold it
+            fcntl.lockf(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            os.close(self._lock)
+            raise UsageError(
+                f"another agent uses the folder {folder}: end that one, or choose "
+                "another with --folder"
+            ) from None
+
+    def left(self) -> AgentState:
+        """Return what an agent that was killed has kept here; nothing: as it began."""
+        try:
+            kept = msgspec.msgpack.decode(self._path.read_bytes(), type=AgentState)
+        except FileNotFoundError:
+            return AgentState()
+        except (OSError, msgspec.DecodeError) as error:
+            log.warning("what an earlier agent kept in %s: %s", self._path, error)
+            return AgentState()
+        is_valid = kept.boot == self._boot and kept.protocol == PROTOCOL
+        return kept if is_valid else AgentState()
+
+    def keep(self, state: AgentState) -> None:
+        """Keep what the next agent must know, if it changed; `trouble` says why not."""
+        state = msgspec.structs.replace(state, boot=self._boot)
+        if state == self._kept:
+            return
+        new = self._path.with_suffix(".new")
+        try:
+            new.write_bytes(msgspec.msgpack.encode(state))
+            new.replace(self._path)
+        except OSError as error:
+            self.forget()  # better nothing than what holds no more
+            self._kept = AgentState()
+            self.trouble = (
+                f"the agent cannot keep what should run: {error}; if it is killed, the "
+                "next one waits for its manager"
+            )
+        else:
+            self._kept, self.trouble = state, ""
+
+    def forget(self) -> None:
+        """Leave nothing for the next agent."""
+        self._path.unlink(missing_ok=True)
+
+
+LOOK_EVERY = 0.1
+"""New checkpoints are looked for this often [s]."""
+_JOIN_LIMIT = 1.0
+
+
+class CheckpointFiles:
+    """The checkpoints in the folder of an agent.
+
+    Parameters
+    ----------
+    send
+        Sends a copy to the manager; called on a thread of its own.
+    """
+
+    def __init__(self, folder: Path, send: Callable[[CheckpointCopy], object]) -> None:
+        self._folder = folder
+        self._send = send
+        self._wanted: tuple[tuple[str, int], ...] = ()
+        self._sent: dict[tuple[str, int], tuple[int, int]] = {}
+        self._ended = threading.Event()
+        self._has_work = threading.Event()
+        self._modified: dict[tuple[str, int], float] = {}
+        self._thread = threads.daemon(self._main, "checkpoints", again=True)
+
+    def start(self) -> None:
+        """Begin to send."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Send no more."""
+        self._ended.set()
+        self._has_work.set()
+        if self._thread.is_alive():
+            self._thread.join(_JOIN_LIMIT)
+
+    def send_only(self, wanted: Deployment) -> None:
+        """Send the checkpoints of what is wanted from now on."""
+        components = [c for each in wanted.containers for c in each.components]
+        self._wanted = tuple((c.name, c.epoch) for c in components if c.checkpoint)
+        if self._wanted:
+            self._has_work.set()
+
+    def remove_all_but(self, wanted: Deployment) -> None:
+        """Remove the checkpoints of what is not wanted; raises OSError."""
+        components = [c for each in wanted.containers for c in each.components]
+        kept = {checkpoint_path(self._folder, c.name, c.epoch) for c in components}
+        for path in set(self._folder.glob("*.checkpoint")) - kept:
+            path.unlink(missing_ok=True)
+
+    def resend(self) -> None:
+        """Send all again: there is another manager."""
+        self._sent = {}
+
+    def write(self, copy: CheckpointCopy) -> None:
+        """Keep a copy for a component that is to start here; raises OSError."""
+        path = checkpoint_path(self._folder, copy.component, copy.epoch)
+        path.write_bytes(copy.data or b"")
+        set_age(path, copy.age)
+
+    def age(self, component: str, epoch: int) -> float | None:
+        """Return the age of a checkpoint [s]; None: there is none. No disk is used."""
+        modified = self._modified.get((component, epoch))
+        return None if modified is None else age_of(modified)
+
+    def _main(self) -> None:
+        self._has_work.wait()  # most robots have no checkpoints
+        while not self._ended.wait(LOOK_EVERY):
+            for copy in self._news():
+                self._send(copy)
+
+    def _news(self) -> Iterator[CheckpointCopy]:
+        sent, self._sent = self._sent, dict(self._sent)
+        self._modified = {k: v for k, v in self._modified.items() if k in self._wanted}
+        for component, epoch in self._wanted:
+            path = checkpoint_path(self._folder, component, epoch)
+            with contextlib.suppress(OSError):  # there is none yet
+                found = path.stat()
+                at = found.st_ino, found.st_mtime_ns
+                self._modified[component, epoch] = found.st_mtime
+                before = sent.get((component, epoch))
+                if at == before:
+                    continue
+                # the same file has the same content: only its age is news
+                is_same = before is not None and before[0] == at[0]
+                yield CheckpointCopy(
+                    component=component,
+                    epoch=epoch,
+                    data=None if is_same else path.read_bytes(),
+                    age=age_of(found.st_mtime),
+                )
+                self._sent[component, epoch] = at
+
+
+_MOST = 100
+"""The most jobs that wait for the disk."""
+_SLOW = 1.0
+"""A disk that does not answer for longer is in trouble [s]."""
+_STOP_LIMIT = 2.0
+_NOTHING = Deployment(generation=0, containers=())
+
+
+class DiskThread:
+    """The `AgentDisk` of a real computer.
+
+    Parameters
+    ----------
+    path, folder
+        The folder, and what is kept in it for the next agent.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        folder: AgentFolder,
+        checkpoints: CheckpointFiles,
+        clock: Clock,
+    ) -> None:
+        self._path = path
+        self._folder = folder
+        self._checkpoints = checkpoints
+        self._clock = clock
+        self._kept: AgentState | None = None
+        self._jobs: dict[object, Callable[[], object]] = {}
+        self._changed = threading.Condition()
+        self._busy_since = float("inf")
+        self._is_stopping = False
+        self._thread = threads.daemon(self._main, "disk", again=True)
+
+    def start(self) -> None:
+        """Begin with what waits."""
+        self._thread.start()
+        self._checkpoints.start()
+
+    def stop(self) -> None:
+        """End when all is done, or after a limit; then the log says so."""
+        self._checkpoints.stop()
+        with self._changed:
+            self._is_stopping = True
+            self._changed.notify()
+        if self._thread.is_alive():
+            self._thread.join(_STOP_LIMIT)
+        if self._thread.is_alive():
+            log.warning("folder %s: the disk does not answer; it is left", self._path)
+
+    def keep(self, state: AgentState) -> None:
+        """Keep what the next agent must know, if it changed; the last one counts."""
+        if state != self._kept:
+            self._kept = state
+            self._put("state", lambda: self._keep(state))
+
+    def forget(self) -> None:
+        """Leave nothing to the next agent: nothing runs any more."""
+        self._kept = None
+        self._put("state", self._forget)
+
+    def serve(self, request: ReadOutput | CheckpointCopy, reply: Reply) -> None:
+        """Read or write what a manager asks for; answers when that is done."""
+        if not self._put(object(), lambda: reply(self._use(request))):
+            reply(Refused(f"its disk is too slow: {_MOST} requests wait for it"))
+
+    def keep_only(self, wanted: Deployment) -> None:
+        """Remove the checkpoints of all that is not wanted, and send the others."""
+        self._checkpoints.send_only(wanted)
+        self._put("checkpoints", lambda: self._checkpoints.remove_all_but(wanted))
+
+    def resend(self) -> None:
+        """Send all checkpoints again: there is another manager."""
+        self._checkpoints.resend()
+
+    def checkpoint_age(self, component: str, epoch: int) -> float | None:
+        """Return how old the last checkpoint is [s]; None: there is none."""
+        return self._checkpoints.age(component, epoch)
+
+    def trouble(self) -> str:
+        """Return what is wrong with it, in words; empty: nothing is."""
+        seconds = self._clock.now() - self._busy_since
+        if seconds > _SLOW:
+            return (
+                f"the disk of {self._path} has not answered for {seconds:.0f} s: what "
+                "the agent must know if it is killed is not kept meanwhile"
+            )
+        return self._folder.trouble
+
+    def _put(self, key: object, job: Callable[[], object]) -> bool:
+        """Queue a job, in place of one with the same key; return whether it fits."""
+        with self._changed:
+            # of those with a name there are only two
+            if not isinstance(key, str) and len(self._jobs) >= _MOST:
+                return False
+            self._jobs.pop(key, None)
+            self._jobs[key] = job
+            self._changed.notify()
+        return True
+
+    def _main(self) -> None:
+        while True:
+            with self._changed:
+                self._busy_since = float("inf")
+                while not self._jobs:
+                    if self._is_stopping:
+                        return
+                    self._changed.wait()
+                job = self._jobs.pop(next(iter(self._jobs)))
+                self._busy_since = self._clock.now()
+            try:
+                job()
+            except OSError as error:  # what was to be removed stays until the next time
+                log.warning("the agent cannot use its folder: %s", error)
+
+    def _keep(self, state: AgentState) -> None:
+        self._folder.keep(state)
+        if self._folder.trouble:
+            self._kept = None  # it is tried again
+
+    def _forget(self) -> None:
+        self._folder.forget()
+        forget_output(self._path)
+        self._checkpoints.remove_all_but(_NOTHING)
+
+    def _use(self, request: ReadOutput | CheckpointCopy) -> Answer:
+        try:
+            if isinstance(request, ReadOutput):
+                return read_output(self._path, request)
+            self._checkpoints.write(request)
+        except OSError as error:
+            return Refused(f"it cannot use its folder: {error}")
+        return Accepted()

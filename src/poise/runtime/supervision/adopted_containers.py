@@ -1,0 +1,135 @@
+"""The containers that an agent which was killed has left, and the next one adopts.
+
+An agent keeps in its folder what must be known after it was killed (`AgentState`). The
+next one waits until the containers that still run ask to be adopted, and kills those
+that do not within `ADOPT_LIMIT`, so that nothing runs twice.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+import signal
+import socket
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+
+from poise.clock import Clock
+from poise.runtime.container.agent_link import Orphan, take_over
+from poise.wire.connections.sockets import agent_path, socket_path
+
+log = logging.getLogger(__name__)
+
+ADOPT_LIMIT = 5.0
+"""A container of an earlier agent asks to be adopted within this time [s]."""
+
+
+class AdoptedContainers:
+    """Waits for the containers of an earlier agent, and for the ends of adopted ones.
+
+    A container of this computer listens at a socket in the folder for as long as it
+    lives: so those that were left are known, whatever an agent could keep.
+    """
+
+    def __init__(self, folder: Path, clock: Clock) -> None:
+        self._folder = folder
+        self._clock = clock
+        self._until = clock.now() + ADOPT_LIMIT
+        self._pidfds: dict[int, int] = {}
+        self._left: dict[int, Path] = {}
+        self.num_adopted = 0
+        for path in set(folder.glob("*.sock")) - {agent_path(folder)}:
+            pid = _listener(path)
+            if pid and self.watch(pid):
+                self._left[pid] = path
+        agent_path(folder).unlink(missing_ok=True)
+        self._listening = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self._listening.bind(os.fspath(agent_path(folder)))
+        self._listening.setblocking(False)
+
+    def awaits(self, container: str) -> bool:
+        """Return whether a container may run still, and so must not be started."""
+        return socket_path(self._folder, container) in self._left.values()
+
+    def is_settled(self) -> bool:
+        """Return whether all that were left have asked, or have ended."""
+        return not self._left
+
+    def fileno(self) -> int:
+        """Return the descriptor where containers ask; negative: it is closed."""
+        return self._listening.fileno()
+
+    def pidfds(self) -> list[int]:
+        """Return the descriptors that tell of ends of processes."""
+        return list(self._pidfds)
+
+    def moment(self) -> float:
+        """Return when `give_up` has something to do [s]."""
+        return self._until if self._left else float("inf")
+
+    def next_orphan(self) -> tuple[Orphan, socket.socket, int] | None:
+        """Return a container that asks to be adopted, as `take_over` does.
+
+        None: none asks now. WireError: something asks that is no container of this
+        version; others may still wait.
+        """
+        while True:
+            try:
+                orphan, connection, stats_page = take_over(self._listening, Orphan)
+            except OSError:
+                return None
+            if connection is None:  # no descriptor is free: it asks again
+                continue
+            is_left = self._left.pop(orphan.pid, None) is not None
+            if is_left or self.watch(orphan.pid):
+                self.num_adopted += 1
+            return orphan, connection, stats_page
+
+    def ended(self, ready: set[int]) -> Iterator[int]:
+        """Yield the processes that ended, of the descriptors that are ready."""
+        for file in ready & self._pidfds.keys():
+            pid = self._pidfds.pop(file)
+            os.close(file)
+            self._left.pop(pid, None)
+            # what it leaves behind, if its zygote is gone, too
+            with contextlib.suppress(ProcessLookupError, PermissionError):
+                os.killpg(pid, signal.SIGKILL)
+            yield pid
+
+    def give_up(self) -> None:
+        """Kill the containers that did not ask in time; they end soon."""
+        if self._clock.now() < self.moment():
+            return
+        self._until = float("inf")
+        for file, pid in self._pidfds.items():
+            if pid in self._left:
+                log.warning("process %d of an earlier agent does not respond", pid)
+                with contextlib.suppress(ProcessLookupError):
+                    signal.pidfd_send_signal(file, signal.SIGKILL)
+
+    def close(self) -> None:
+        """Kill what was not adopted, and adopt no more."""
+        self._until = 0.0
+        self.give_up()
+        self._listening.close()
+        agent_path(self._folder).unlink(missing_ok=True)
+
+    def watch(self, pid: int) -> bool:
+        """Watch a process for its end, from now on; return whether it still runs."""
+        if pid in self._pidfds.values():
+            return True
+        with contextlib.suppress(OSError):
+            self._pidfds[os.pidfd_open(pid)] = pid
+        return pid in self._pidfds.values()
+
+
+def _listener(path: Path) -> int:
+    """Return the process that listens at a socket; 0: none does."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as asking:
+        asking.setblocking(False)
+        if asking.connect_ex(os.fspath(path)):
+            return 0
+        credentials = asking.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, 12)
+        return int(struct.unpack("3i", credentials)[0])

@@ -1,0 +1,317 @@
+"""The containers of an agent: what each should be, and what it is.
+
+Each batch is answered once: with its outcome, or with why its container is silent.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Callable, Mapping
+
+from msgspec import Struct
+
+from poise.errors import Timeout, Unavailable
+from poise.runtime.agent.surroundings import ContainerControl, Reply
+from poise.runtime.sampling.watchdog import Silence
+from poise.wire.codec import WireError
+from poise.wire.records.clocks import Clocks, ClockStatus
+from poise.wire.records.container import (
+    ContainerFailure,
+    FromContainer,
+    Order,
+    Outcome,
+    ToContainer,
+)
+from poise.wire.records.deployment import ContainerSpec
+from poise.wire.records.migration_records import StepsFailed
+from poise.wire.records.status import ComponentStatus, ContainerStatus
+
+STOP_LIMIT = 2.0
+"""A container that was asked to end is killed after this time [s]."""
+
+
+class ContainerProcess:
+    """A running container, from the agent's side.
+
+    `pid` is 0 until its birth is reported. `kill_at` is when it has had time enough to
+    end [s]. `silence` says why it does not respond; None: it does.
+
+    Parameters
+    ----------
+    control
+        Its process, and the connection to it.
+    pid
+        Of one that runs already, and was told nothing yet; 0: it is being born.
+    """
+
+    def __init__(
+        self, spec: ContainerSpec, control: ContainerControl, pid: int = 0
+    ) -> None:
+        self.name = spec.name
+        self._is_adopted = bool(pid)
+        self.spec = spec
+        self._control = control
+        self.pid = 0
+        self.status: ContainerStatus | None = None
+        self.silence: Silence | None = None
+        self.silent_since = 0.0
+        self.kill_at = float("inf")
+        self.is_stopping = False
+        self.is_deaf = False
+        self._why_ended = ""
+        self._clocks: Mapping[str, ClockStatus] = {}
+        if pid:
+            self.note_born(pid)
+        else:
+            self._send(spec)
+
+    def note_born(self, pid: int) -> None:
+        """Take note of its process; raises as `ContainerControl.note_born`."""
+        self.pid = pid
+        self._control.note_born(pid)
+        if self.is_deaf:
+            self.kill()
+
+    def extend_lease(self, until: float) -> None:
+        """Let its leased components act until then, as `ContainerControl` does."""
+        self._control.extend_lease(until)
+
+    def is_fenced(self) -> bool:
+        """Return whether its leased components may not act; False before its birth."""
+        return bool(self.pid) and self._control.is_lease_past()
+
+    def runs_only(self, wanted: ContainerSpec | None) -> bool:
+        """Return whether it says of no component that is not wanted."""
+        if wanted is None:
+            return False
+        if self.status is None:  # one that was adopted may run anything
+            return not self._is_adopted
+        known = {(each.name, each.epoch) for each in wanted.components}
+        return all((each.name, each.epoch) in known for each in self._components())
+
+    def close(self) -> None:
+        """Let go of what leads to it."""
+        self._control.close()
+
+    def tell(self, spec: ContainerSpec) -> None:
+        """Tell it what it should be now, if that changed."""
+        if self.is_deaf or spec is self.spec:
+            return
+        is_new = spec != self.spec
+        self.spec = spec  # also if it is equal: then it is the same the next time
+        if is_new:
+            self._send(spec)
+
+    def tell_clocks(self, known: Mapping[str, ClockStatus]) -> None:
+        """Tell it other computers' clocks, if that is new and it listens."""
+        if known != self._clocks and not self.is_deaf and not self.silence:
+            self._clocks = known
+            self._send(Clocks(known))
+
+    def take_steps(self, steps: Order) -> None:
+        """Let it take steps of a migration, or read a tap."""
+        if not self.is_deaf:
+            self._send(steps)
+
+    @property
+    def hung_at(self) -> float:
+        """When it does not respond for longer than its components allow [s]."""
+        limits = [c.restart_when_hung for c in self.spec.components]
+        silence = self.silence
+        if silence is None or silence.is_starved or self.is_deaf or not any(limits):
+            return float("inf")
+        return self.silent_since + min(limit for limit in limits if limit)
+
+    def is_stuck(self) -> bool:
+        """Return whether it does not respond, and not only for lack of CPU.
+
+        Its heartbeat is known sooner than the watchdog says that it responds again.
+        """
+        silence = self.silence
+        return (
+            silence is not None
+            and not silence.is_starved
+            and silence.heartbeat == self._control.heartbeat()
+        )
+
+    def take(self, what: FromContainer) -> Outcome | None:
+        """Take in what it says; return the outcome of a step, if it is one."""
+        if isinstance(what, ContainerStatus):
+            self.status = what
+            return None
+        if isinstance(what, ContainerFailure):
+            self._why_ended = what.reason
+            return None
+        return what
+
+    def leased_at_work(self, since: float) -> list[str]:
+        """Return the leased components that it says are active, if it said so lately.
+
+        Parameters
+        ----------
+        since
+            Of what it said before, or does not say because it is starved or stopped,
+            nothing is known [s].
+        """
+        if self.status is None or self.status.at < since:
+            return []
+        leased = {(c.name, c.epoch) for c in self.spec.components if c.leased}
+        return sorted(
+            c.name
+            for c in self._components()
+            if c.state == "active" and (c.name, c.epoch) in leased
+        )
+
+    def keep_limits(self, now: float) -> None:
+        """Kill it when it takes too long to end, or to respond."""
+        if self.kill_at <= now:
+            self.kill()
+        if self.silence and self.hung_at <= now:
+            self.give_up(f"it does not respond: {self.silence.reason}")
+
+    def stop(self, now: float) -> None:
+        """Ask it to end at `now` [s], or kill it if it is silent; once is enough."""
+        if self.pid and not self.is_stopping:
+            self.is_stopping = True
+            self.kill_at = now + (0.0 if self.silence else STOP_LIMIT)
+            self._control.signal(signal.SIGTERM)
+
+    def kill(self) -> None:
+        """End it now, or as soon as it is born."""
+        self.kill_at = float("inf")
+        if self.pid:
+            self._control.signal(signal.SIGKILL)
+
+    def last_error(self) -> str:
+        """Return the last lines of the errors that it ended with, or nothing."""
+        failed = [c for c in self._components() if c.error and c.state == "failed"]
+        said = [f"{c.name}: {c.error.splitlines()[-1]}" for c in failed]
+        return "; ".join(filter(None, [*said, self._why_ended]))
+
+    def loss(self, age_of: Callable[[str, int], float | None]) -> str:
+        """Return what became of the states of its components, in words.
+
+        Parameters
+        ----------
+        age_of
+            As `AgentDisk.checkpoint_age`.
+        """
+        active = [c for c in self._components() if c.state == "active"]
+        ages = {c.name: age_of(c.name, c.epoch) for c in active}
+        kept = "; ".join(
+            f"'{name}' restarts with its state of {age:.1f} s ago"
+            for name, age in sorted(ages.items())
+            if age is not None
+        )
+        lost = sorted(name for name, age in ages.items() if age is None)
+        if not lost:
+            return kept
+        names = ", ".join(f"'{name}'" for name in lost)
+        restart = "it restarts" if len(lost) == 1 else "they restart"
+        gone = f"the state of {names} is gone: {restart}"
+        return f"{kept}; {gone}" if kept else gone
+
+    def may_be_oom(self, how: ProcessEnd | str) -> bool:
+        """Return whether the kernel may have ended it, or one of its commands."""
+        has_command = any(component.command for component in self.spec.components)
+        return isinstance(how, ProcessEnd) and (how.is_kill or has_command)
+
+    def give_up(self, why: str = "") -> None:
+        """Listen no more: it is ending, or stuck. The zygote reports its end."""
+        self.is_deaf = True
+        if why and not self._why_ended:
+            self._why_ended = f"its agent gave it up: {why}"
+        self.kill()
+
+    def _components(self) -> tuple[ComponentStatus, ...]:
+        return self.status.components if self.status else ()
+
+    def _send(self, what: ToContainer) -> None:
+        try:
+            self._control.send(what)
+        except (Timeout, Unavailable, WireError) as error:
+            self.give_up("" if isinstance(error, Unavailable) else str(error))
+
+
+class ProcessEnd(Struct, frozen=True):
+    """How a process ended, for people."""
+
+    status: int
+
+    @property
+    def is_kill(self) -> bool:
+        """Whether it was killed."""
+        return (
+            os.WIFSIGNALED(self.status) and os.WTERMSIG(self.status) == signal.SIGKILL
+        )
+
+    def __str__(self) -> str:
+        if os.WIFSIGNALED(self.status):
+            return f"was killed by {signal.Signals(os.WTERMSIG(self.status)).name}"
+        return f"ended with exit code {os.waitstatus_to_exitcode(self.status)}"
+
+
+class _Pending(Struct, frozen=True):
+    steps: Order
+    reply: Reply
+    limit: float
+
+
+class MigrationRelay:
+    """The migration steps and taps in progress in one agent's containers.
+
+    Parameters
+    ----------
+    processes
+        The containers that run, by name.
+    """
+
+    def __init__(self, processes: Mapping[str, ContainerProcess]) -> None:
+        self._processes = processes
+        self._pending: dict[int, _Pending] = {}
+
+    def pass_on(self, steps: Order, reply: Reply, now: float) -> None:
+        """Pass steps or a tap, which came at `now` [s], to their container."""
+        process = self._processes.get(steps.container)
+        if process is None or process.is_deaf:
+            reason = f"container '{steps.container}' does not run"
+            reply(StepsFailed(steps.number, reason))
+            return
+        if process.is_stuck():
+            reply(StepsFailed(steps.number, _why_silent(process)))
+            return
+        process.take_steps(steps)
+        self._pending[steps.number] = _Pending(steps, reply, now + steps.limit)
+
+    def end(self, outcome: Outcome) -> None:
+        """Answer with an outcome, unless that was answered before."""
+        pending = self._pending.pop(outcome.number, None)
+        if pending is not None:
+            pending.reply(outcome)
+
+    def give_up(self, now: float) -> None:
+        """Answer for containers that are gone, silent or too slow at `now` [s]."""
+        for pending in list(self._pending.values()):
+            container = pending.steps.container
+            process = self._processes.get(container)
+            if process is None or process.is_deaf:
+                reason = f"container '{container}' ended"
+            elif process.is_stuck():
+                reason = _why_silent(process)
+            elif now > pending.limit:
+                reason = f"container '{container}' took over {pending.steps.limit:g} s"
+                reason = _why_silent(process) if process.silence else reason
+            else:
+                continue
+            self.end(StepsFailed(pending.steps.number, reason))
+
+    def moment(self) -> float:
+        """Return when the next steps are given up [s]."""
+        limits = (pending.limit for pending in self._pending.values())
+        return min(limits, default=float("inf"))
+
+
+def _why_silent(process: ContainerProcess) -> str:
+    why = process.silence.reason if process.silence else ""
+    return f"container '{process.name}' does not respond: {why}"

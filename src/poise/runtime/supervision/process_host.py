@@ -1,0 +1,251 @@
+"""Starts container processes by way of the zygote, and shares the computer out.
+
+The kernel counts such kills per cgroup (``memory.oom_control`` of version 1,
+``memory.events`` of version 2), and in ``/proc/vmstat`` for the whole machine.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import socket
+from collections import deque
+from pathlib import Path
+
+from poise.cgroup_mounts import NO_LIMIT, memory_group
+from poise.runtime._calls import LeaseEnd, PageSampler
+from poise.runtime.container import zygote
+from poise.runtime.hosting.stats_page import new_memory
+from poise.runtime.supervision.container_weights import CpuWeights, own_group
+from poise.units import format_bytes
+from poise.wire import record_channel
+from poise.wire.records.container import FromContainer, ToContainer
+from poise.wire.records.deployment import ContainerSpec
+
+
+class ControlLink:
+    """A `ContainerControl` of a real process.
+
+    Parameters
+    ----------
+    stats_page
+        The descriptor of its stats page; closed when it is not needed any more.
+
+    Attributes
+    ----------
+    page
+        Reads the container's stats page; None before its birth.
+    """
+
+    def __init__(self, name: str, connection: socket.socket, stats_page: int) -> None:
+        self.name = name
+        self.pid = 0
+        self.page: PageSampler | None = None
+        self._connection = connection
+        self._reader = record_channel.RecordReader(connection)
+        self._stats_page = stats_page
+        self._lease: LeaseEnd | None = None
+
+    def fileno(self) -> int:
+        """Return the descriptor to wait for; negative: it is closed."""
+        return self._connection.fileno()
+
+    def next(self) -> FromContainer | None:
+        """Return what the container says next, as `RecordReader.next` does."""
+        said: FromContainer | None = self._reader.next(FromContainer)
+        return said
+
+    def note_born(self, pid: int) -> None:
+        """Take note of its process; OSError or RuntimeError: no memory is free."""
+        self.pid = pid
+        self.page = PageSampler(self._stats_page, pid)
+        self._lease = LeaseEnd(self._stats_page)
+
+    def send(self, record: ToContainer) -> None:
+        """Tell it something; raises as `record_channel.send`."""
+        record_channel.send(self._connection, record)
+
+    def signal(self, number: signal.Signals) -> None:
+        """Send its process a signal; harmless when that has ended."""
+        if self.pid:
+            with contextlib.suppress(ProcessLookupError):  # its end is reported
+                os.kill(self.pid, number)
+
+    def extend_lease(self, until: float) -> None:
+        """Let its leased components act until then [s, CLOCK_BOOTTIME].
+
+        Called from any thread; without effect before it is born.
+        """
+        if self._lease is not None:
+            self._lease.at = until
+
+    def is_lease_past(self) -> bool:
+        """Return whether its leased components may not act; raises as `note_born`."""
+        return LeaseEnd(self._stats_page).is_past()
+
+    def heartbeat(self) -> int | None:
+        """Return how often its control thread has run; None before it is born."""
+        return None if self.page is None else self.page.heartbeat()
+
+    def close(self) -> None:
+        """Let go of socket and page."""
+        if self._connection.fileno() >= 0:
+            self._connection.close()
+            os.close(self._stats_page)
+
+
+_LATE = 10.0
+"""The end of a killed process is known within this time after the kill [s]."""
+
+
+class OomKills:
+    """The kills of this process's cgroup, each of which explains one end.
+
+    Parameters
+    ----------
+    proc
+        Where the kernel's process files are.
+    """
+
+    def __init__(self, proc: Path = Path("/proc")) -> None:
+        mount = memory_group(proc)
+        group = mount.own if mount is not None else Path("/nonexistent")
+        counters = [
+            group / "memory.events",
+            group / "memory.oom_control",
+            proc / "vmstat",
+        ]
+        self._file = next((f for f in counters if _count(f) is not None), None)
+        self._limits = group / "memory.max", group / "memory.limit_in_bytes"
+        self._seen = (_count(self._file) or 0) if self._file else 0
+        self._unclaimed: deque[float] = deque()
+
+    def look(self, now: float) -> None:
+        """Take note of kills until `now` [s]; call it a few times a second."""
+        count = _count(self._file) if self._file else None
+        if count is None:  # no file descriptor is free at the moment
+            count = self._seen
+        self._unclaimed.extend([now] * (count - self._seen))
+        self._seen = count
+        while self._unclaimed and self._unclaimed[0] < now - _LATE:
+            self._unclaimed.popleft()
+
+    def claim(self, now: float) -> bool:
+        """Return whether a kill explains an end at `now` [s]; it explains no other."""
+        self.look(now)
+        if not self._unclaimed:
+            return False
+        self._unclaimed.popleft()
+        return True
+
+    def limit(self) -> str:
+        """Return the memory limit of this computer in words; empty: none is known."""
+        for file in self._limits:
+            try:
+                limit = int(file.read_text())
+            except (OSError, ValueError):
+                continue
+            return f" (limit {format_bytes(limit)})" if limit < NO_LIMIT else ""
+        return ""
+
+
+def _count(file: Path) -> int | None:
+    try:
+        lines = file.read_text().splitlines()
+    except OSError:
+        return None
+    counts = (line.split()[1] for line in lines if line.startswith("oom_kill "))
+    return next(map(int, counts), None)
+
+
+_OOM_SCORE = 500
+_PREPARED_OOM_SCORE = 1000
+"""When memory is short, the kernel ends first what is only prepared, then other
+containers, and last the agent."""
+
+
+class ProcessHost:
+    """The `ContainerHost` of a real computer.
+
+    Parameters
+    ----------
+    zygote_socket
+        The socket of the zygote, from `poise.runtime.container.zygote.start`.
+    computer, folder
+        The name of the computer, and the folder of the agent.
+    """
+
+    def __init__(
+        self, zygote_socket: socket.socket, computer: str, folder: Path
+    ) -> None:
+        self._zygote = zygote_socket
+        self._computer = computer
+        self._folder = folder
+        self._oom_kills = OomKills()
+        self._weights = CpuWeights(own_group())
+        self._links: list[ControlLink] = []
+
+    @property
+    def cpu_weights(self) -> str:
+        """What gives containers their CPU weights, as in `AgentStatus`."""
+        return self._weights.means
+
+    def start(self, spec: ContainerSpec) -> ControlLink:
+        """Ask the zygote for a container, as `ContainerHost.start` says."""
+        memory = new_memory()
+        try:
+            wanted = zygote.Fork(
+                name=spec.name,
+                computer=self._computer,
+                folder=os.fspath(self._folder),
+                nice=self._weights.nice_of(spec),
+            )
+            connection = zygote.ask(self._zygote, wanted, memory)
+        except BaseException:
+            os.close(memory)
+            raise
+        return self.link(spec.name, connection, memory)
+
+    def link(
+        self, name: str, connection: socket.socket, stats_page: int
+    ) -> ControlLink:
+        """Return the agent's end of a connection to a container that it owns now."""
+        found = ControlLink(name, connection, stats_page)
+        self._links = [*self.links(), found]
+        return found
+
+    def links(self) -> list[ControlLink]:
+        """Return the connections that are open; from any thread."""
+        return [link for link in self._links if link.fileno() >= 0]
+
+    def pages(self) -> list[tuple[str, int, PageSampler]]:
+        """Return name, process and stats page of what was born; from any thread."""
+        return [(each.name, each.pid, each.page) for each in self.links() if each.page]
+
+    def settle(self, spec: ContainerSpec, pid: int) -> None:
+        """Give a process what its container is to have of the CPU and the memory."""
+        self._weights.nice_of(spec)  # makes the groups, if there are groups
+        self._weights.settle(spec, pid)
+        with contextlib.suppress(OSError):  # it has ended
+            score = _PREPARED_OOM_SCORE if spec.spare else _OOM_SCORE
+            Path(f"/proc/{pid}/oom_score_adj").write_text(str(score))
+
+    def release(self, container: str) -> None:
+        """Free what a container had that ended."""
+        self._weights.forget(container)
+        self._links = self.links()
+
+    def count_kills(self, now: float) -> None:
+        """Take note of processes that the kernel killed until `now` [s]."""
+        self._oom_kills.look(now)
+
+    def explain_kill(self, now: float) -> str:
+        """Return why the kernel killed a process lately; empty: it killed none."""
+        if not self._oom_kills.claim(now):
+            return ""
+        return (
+            "was killed because its computer ran out of memory (OOM)"
+            f"{self._oom_kills.limit()}: give the computer more, or move "
+            "components to another"
+        )

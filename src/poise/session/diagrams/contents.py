@@ -1,0 +1,206 @@
+"""What diagrams of a robot show: its software, where it runs, how that changes."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Collection, Iterable, Iterator, Mapping
+
+from poise.manage.migration.migration_report import TransitionStep
+from poise.model.robot import Computer, Connector, ConnectorEnd, Link, Robot
+from poise.runtime.component.implementation import find, search_also
+from poise.runtime.component.ports import ports_of
+from poise.session.diagrams.records import (
+    Arrow,
+    ComponentDiagram,
+    DeployedComponent,
+    DeploymentDiagram,
+    DeploymentNode,
+    Join,
+    Path,
+    Placed,
+    SequenceDiagram,
+    Subsystem,
+)
+from poise.units import (
+    counted,
+    format_amount,
+    format_bandwidth,
+    format_bytes,
+    format_seconds,
+)
+
+Ports = dict[str, dict[str, tuple[str, str]]]
+"""Component -> port -> its kind and the name of its type."""
+
+
+def component_diagram(
+    robot: Robot, functions: Collection[str] | None
+) -> ComponentDiagram:
+    """Return the diagram of what provides `functions`; None: of all architectures."""
+    chosen = [
+        each
+        for each in robot.architectures
+        if functions is None or each.function in functions
+    ]
+    drawn = {c.name for each in chosen for c in each.components}
+    subsystems = tuple(
+        Subsystem(each.name, each.function, tuple(c.name for c in each.components))
+        for each in chosen
+    )
+    ports = _ports(robot, drawn)
+    joins = dict.fromkeys(
+        _join(connector, ports)
+        for connector in robot.all_connectors()
+        if {end.component for end in connector.between} <= drawn
+    )
+    return ComponentDiagram(robot.name, subsystems, tuple(joins))
+
+
+def _join(connector: Connector, ports: Ports) -> Join:
+    source, target = connector.between
+    kind, type_ = _port(source, ports) or _port(target, ports) or ("", "")
+    names = source.component, target.component
+    if kind in {"requires", "provides"}:
+        return Join(*names, "call", target.port, type_)
+    return Join(*names, "flow" if kind else "use", source.port, type_)
+
+
+def _port(end: ConnectorEnd, ports: Ports) -> tuple[str, str] | None:
+    return ports[end.component].get(end.port)
+
+
+def _ports(robot: Robot, drawn: Collection[str]) -> Ports:
+    search_also(robot.repository)
+    ports: Ports = {}
+    for component in robot.components():
+        if component.name in drawn:
+            declared = {
+                each.name: (each.kind, each.type.rpartition(":")[2])
+                for each in component.ports
+            }
+            named = dict(_of_class(component.implementation, robot.folder))
+            ports[component.name] = declared | named
+    return ports
+
+
+def _of_class(
+    implementation: str, folder: str
+) -> Iterator[tuple[str, tuple[str, str]]]:
+    if implementation:
+        for name, port in ports_of(find(implementation, folder)).items():
+            yield name, (port.kind, getattr(port.type, "__qualname__", str(port.type)))
+
+
+_MOST_CROSSING = 4
+"""So many connectors between two computers are named; of more, how many there are."""
+
+
+def deployment_diagram(
+    robot: Robot, placements: Mapping[str, Mapping[str, str]]
+) -> DeploymentDiagram:
+    """Return placements (component -> computer) side by side, by their names.
+
+    What is elsewhere than in the first one is marked.
+    """
+    first: Mapping[str, str] = next(iter(placements.values()), {})
+    views = []
+    for name, placement in placements.items():
+        nodes = tuple(_node(robot, c, placement, first) for c in robot.computers)
+        views.append(Placed(name, nodes, tuple(_paths(robot, placement))))
+    return DeploymentDiagram(robot.name, tuple(views))
+
+
+def _node(
+    robot: Robot,
+    computer: Computer,
+    placement: Mapping[str, str],
+    first: Mapping[str, str],
+) -> DeploymentNode:
+    here = [n for n, there in placement.items() if there == computer.name]
+    demands = {each.name: each.demand for each in robot.components()}
+    lines = []
+    for resource in computer.capacity:
+        usable = computer.usable(resource)
+        used = sum(demands[name].get(resource, 0.0) for name in here)
+        share = f"{used / usable:.0%} of " if usable and used else ""
+        lines.append(f"{resource}: {share}{format_amount(resource, usable)}")
+    devices = [d.name for d in robot.devices if d.computer == computer.name]
+    lines += [f"devices: {', '.join(devices)}"] if devices else []
+    parts = [
+        DeployedComponent(name, _remark(name, computer.name, first))
+        for name in sorted(here)
+    ]
+    return DeploymentNode(computer.name, tuple(lines), tuple(parts))
+
+
+def _remark(name: str, computer: str, first: Mapping[str, str]) -> str:
+    before = first.get(name)
+    if before == computer:
+        return ""
+    return "starts" if before is None else f"from {before}"
+
+
+def _paths(robot: Robot, placement: Mapping[str, str]) -> Iterator[Path]:
+    """Yield a path for each two computers that are linked, or talk to each other."""
+    links = {frozenset(link.between): link for link in robot.links}
+    crossing: dict[frozenset[str], list[str]] = defaultdict(list)
+    traffic: dict[frozenset[str], float] = defaultdict(float)
+    for connector in robot.all_connectors():
+        ends = [placement.get(end.component) for end in connector.between]
+        if None not in ends and ends[0] != ends[1]:
+            pair = frozenset(end for end in ends if end is not None)
+            crossing[pair].append(" → ".join(e.component for e in connector.between))
+            traffic[pair] += connector.traffic
+    for pair in dict.fromkeys((*links, *crossing)):
+        one, other = sorted(pair)
+        lines = _path_lines(links.get(pair), crossing[pair], traffic[pair])
+        yield Path((one, other), tuple(lines))
+
+
+def _path_lines(
+    link: Link | None, names: Iterable[str], traffic: float
+) -> Iterator[str]:
+    if link is not None and link.bandwidth < float("inf"):
+        latency = f", {format_seconds(link.latency)}" if link.latency else ""
+        yield f"{format_bandwidth(link.bandwidth)}{latency}"
+    names = list(dict.fromkeys(names))
+    if names:
+        size = f", {format_bytes(traffic)}/s" if traffic else ""
+        yield f"{counted(len(names), 'connector')}{size}"
+    if len(names) <= _MOST_CROSSING:
+        yield from names
+
+
+MANAGER = "manager"
+
+
+def sequence_diagram(
+    robot: Robot, title: str, steps: Iterable[TransitionStep]
+) -> SequenceDiagram:
+    """Return the steps as messages between the manager and the agents of computers."""
+    states = {each.name: each.state for each in robot.components()}
+    messages = tuple(
+        message
+        for step in steps
+        for message in _messages(step, states.get(step.component, 0.0))
+    )
+    used = {name for each in messages for name in (each.source, each.target)}
+    computers = [c.name for c in robot.computers if c.name in used]
+    return SequenceDiagram(f"{robot.name}: {title}", (MANAGER, *computers), messages)
+
+
+def _messages(step: TransitionStep, state: float) -> Iterator[Arrow]:
+    """Yield what a step takes; docs/design/moves.md has all of its parts."""
+    name, source, target = step.component, step.source, step.target
+    why = f" ({step.why})" if step.why else ""
+    if not step.source:
+        yield Arrow(MANAGER, target, f"start {name}{why}")
+    elif not step.target:
+        yield Arrow(MANAGER, source, f"stop {name}{why}")
+    else:
+        size = f", {format_bytes(state)}" if state else ""
+        yield Arrow(MANAGER, target, f"prepare {name}{why}")
+        yield Arrow(MANAGER, source, f"pause {name}")
+        yield Arrow(source, target, f"state of {name}{size}")
+        yield Arrow(MANAGER, target, f"resume {name}")
+        yield Arrow(MANAGER, source, f"end {name}")

@@ -1,0 +1,292 @@
+"""Profiles a robot: measures each architecture alone and keeps the result."""
+
+from __future__ import annotations
+
+import contextlib
+import datetime as dt
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager
+from importlib.metadata import version
+from pathlib import Path
+
+import msgspec
+from msgspec import Struct
+
+from poise.errors import UsageError
+from poise.estimate.profile import Profile
+from poise.estimate.profile import profile_files as profile_file
+from poise.estimate.profile.code_version import version_of
+from poise.manage.agent_connections.statuses import components_of
+from poise.model.robot import Robot
+from poise.session.callbacks import Check, Say, log, nothing
+from poise.session.profiling.figures import Figures, Observed, disagreeing, figures
+from poise.session.profiling.machine_speed import is_emulated, loops, steady
+from poise.session.profiling.measurement import Tick, measure_alone
+from poise.session.profiling.rig import ProfilingRig, rig_of
+from poise.session.profiling.stored_profiles import (
+    check_keepable,
+    read_profile,
+    store_of,
+)
+from poise.session.reports.run_errors import silent_ports
+
+Progress = Callable[[str, float], AbstractContextManager[Tick]]
+"""Takes an architecture and the time that its measurement takes [s]; gives a function
+that is called with the time that has passed [s]."""
+_MOST_EXTRA = 2
+"""How often unstable or invalid measurements are repeated."""
+
+
+class Profiling(Struct, frozen=True, kw_only=True):
+    """The result of profiling.
+
+    Parameters
+    ----------
+    profile
+        The measurements, with those of an older profile for other components.
+    file
+        The file that was written; None: the robot file names none.
+    silent
+        Component -> its ports that got nothing during the measurement.
+    unrecorded
+        The components whose figures are not believed, because their inputs were silent.
+    """
+
+    profile: Profile
+    file: Path | None
+    silent: Mapping[str, Sequence[str]]
+    unrecorded: Sequence[str]
+
+
+@contextlib.contextmanager
+def _no_progress(_: str, __: float) -> Iterator[Tick]:
+    yield lambda _: None
+
+
+def profile(  # noqa: PLR0913 - each is a choice of the user
+    robot: Robot,
+    *,
+    architectures: Sequence[str] = (),
+    computer: str | None = None,
+    seconds: float = 30.0,
+    warm_up: float = 3.0,
+    repeat: int = 2,
+    say: Say = log.info,
+    progress: Progress = _no_progress,
+    check: Check = nothing,
+) -> Profiling:
+    """Measure what each component needs, every architecture alone on one computer.
+
+    The result is written to the profile that the robot file names, and to the store.
+
+    Parameters
+    ----------
+    architectures
+        Names of those to measure; empty: all.
+    computer
+        The computer to measure on; None: the first.
+    seconds, warm_up
+        Duration of each measurement, and of the time before it [s].
+    repeat
+        How often to measure each architecture; at least 1.
+    say
+        Called with a sentence for each doubt about a measurement.
+    progress
+        Called for each architecture.
+    check
+        Called several times a second; may raise to end the measurement.
+
+    Raises
+    ------
+    UsageError
+        A name is unknown, or the result cannot be written.
+    RobotError, RunError
+        The robot could not be run.
+    """
+    if not seconds > 0:
+        raise UsageError("a measurement must last longer than 0 s")
+    names = _chosen(robot, architectures)
+    check_keepable(robot)
+    measuring = _Measuring(
+        robot, computer or robot.computers[0].name, seconds, warm_up, repeat, say, check
+    )
+    found = []
+    with steady(robot):
+        for name in names:
+            total = (repeat + 1) * (seconds + warm_up)
+            with progress(name, total) as tick:
+                found.append(measuring.measure(name, tick))
+        done = loops() if is_emulated(robot) else 0.0
+    silent = {n: p for each in found for n, p in each.silent.items()}
+    unrecorded = [name for each in found for name in each.idle]
+    new = measuring.profile([each.figures for each in found], unrecorded, done)
+    kept = _kept(robot, new)
+    return Profiling(
+        profile=kept, file=_write(robot, kept), silent=silent, unrecorded=unrecorded
+    )
+
+
+def _chosen(robot: Robot, names: Sequence[str]) -> list[str]:
+    known = [a.name for a in robot.architectures]
+    unknown = [name for name in names if name not in known]
+    if unknown or not known:
+        raise UsageError(
+            f"--architecture {', '.join(unknown)}: the robot has "
+            f"{', '.join(known) or 'none'}"
+        )
+    return list(names) or known
+
+
+class _Found(Struct, frozen=True):
+    """Figures of an architecture, ports that got nothing, and who had no work so."""
+
+    figures: Figures
+    silent: Mapping[str, Sequence[str]]
+    idle: Sequence[str]
+
+
+class _Measuring(Struct, frozen=True):
+    """Measures architectures, one after the other."""
+
+    robot: Robot
+    computer: str
+    seconds: float
+    warm_up: float
+    repeat: int
+    say: Say
+    check: Check
+
+    def measure(self, architecture: str, tick: Tick) -> _Found:
+        """Measure one architecture: as it is used, and with its components apart."""
+        rig = rig_of(self.robot, architecture, self.computer, apart=False)
+        apart = rig_of(self.robot, architecture, self.computer, apart=True)
+        runs = self._runs(rig, tick)
+        sizes = self._run(apart, tick)
+        doubtful = disagreeing(runs, rig.measured)
+        if doubtful:
+            names = ", ".join(doubtful)
+            self.say(f"not stable after {len(runs)} measurements: {names}")
+        versions = {
+            c.name: version_of(c, self.robot.folder, *self.robot.repository)
+            for c in self.robot.components()
+        }
+        found = figures(
+            self.robot, rig, runs, sizes, versions=versions, speed=self._speed()
+        )
+        silent = self._silent(rig, [*runs, sizes])
+        return _Found(found, silent, self._idle(sizes, silent))
+
+    def _silent(
+        self, rig: ProfilingRig, runs: Sequence[Observed]
+    ) -> dict[str, list[str]]:
+        """Return component -> its connected ports to which nothing came in any run."""
+        ports = self._connected(rig.measured)
+        for run in runs:
+            silent = silent_ports(rig.robot, run.statuses, ports)
+            ports &= {each.port for each in silent}
+        return {
+            name: sorted(p.partition(".")[2] for p in ports if p.startswith(f"{name}."))
+            for name in rig.measured
+            if any(port.startswith(f"{name}.") for port in ports)
+        }
+
+    def _connected(self, names: Collection[str]) -> set[str]:
+        """Return the components' connected ports; a command has its own connections."""
+        coded = {c.name for c in self.robot.components() if c.implementation}
+        ends = (connector.between[1] for connector in self.robot.all_connectors())
+        return {str(end) for end in ends if end.component in coded.intersection(names)}
+
+    def _idle(self, run: Observed, silent: Mapping[str, Sequence[str]]) -> list[str]:
+        """Return the components that did not do their work because of silent ports.
+
+        They wait for messages of each subscribed port. Calls to provided ports may be
+        rare, unless there is no other input.
+        """
+        topics = {c.name: c.subscribes for c in components_of(run.statuses)}
+        return [
+            name
+            for name, ports in silent.items()
+            if len(ports) == len(self._connected({name}))
+            or not set(ports).isdisjoint(topics.get(name, ()))
+        ]
+
+    def profile(
+        self, found: Sequence[Figures], unrecorded: Iterable[str], done: float
+    ) -> Profile:
+        """Return the profile of the measured components without `unrecorded`."""
+        components = {n: c for each in found for n, c in each.components.items()}
+        return Profile(
+            robot=self.robot.name,
+            poise=version("poise"),
+            computer=self.computer,
+            speed=self.robot.computer(self.computer).speed,
+            at=dt.datetime.now(dt.UTC).isoformat(timespec="seconds"),
+            seconds=self.seconds,
+            loops=done,
+            agent=max(each.agent for each in found),
+            components={n: c for n, c in components.items() if n not in unrecorded},
+            connectors={n: c for each in found for n, c in each.connectors.items()},
+        )
+
+    def _runs(self, rig: ProfilingRig, tick: Tick) -> list[Observed]:
+        runs: list[Observed] = []
+        for attempt in range(self.repeat + _MOST_EXTRA):
+            run = self._run(rig, tick)
+            if not run.invalid or attempt == self.repeat + _MOST_EXTRA - 1:
+                runs.append(run)
+            if len(runs) >= self.repeat and not disagreeing(runs, rig.measured):
+                break
+        return runs
+
+    def _run(self, rig: ProfilingRig, tick: Tick) -> Observed:
+        run = measure_alone(rig, self.seconds, self.warm_up, tick, self.check)
+        if run.invalid:
+            self.say(run.invalid)
+        return run
+
+    def _speed(self) -> float:
+        """Return the factor from the computer's CPU time to the reference computer's.
+
+        An emulated computer of speed 0.5 runs half of the time, at full speed.
+        """
+        if is_emulated(self.robot):
+            return 1.0
+        return self.robot.computer(self.computer).speed
+
+
+def _kept(robot: Robot, new: Profile) -> Profile:
+    """Return the new profile with older figures of others, and add it to the store."""
+    merged = _merged(new, read_profile(robot), robot)
+    with store_of(robot) as store:
+        if not merged.costs:
+            costs = store.latest_costs(robot.name)
+            merged = msgspec.structs.replace(merged, costs=costs)
+        store.add(merged)
+    return merged
+
+
+def _merged(new: Profile, old: Profile | None, robot: Robot) -> Profile:
+    """Return the new profile with the older one's figures of other components.
+
+    Figures of another computer, or of components that no longer exist, are dropped.
+    """
+    if old is None or (old.computer, old.robot) != (new.computer, new.robot):
+        return new
+    names = {c.name for c in robot.components()}
+    components = {n: c for n, c in old.components.items() if n in names}
+    connectors = {str(c) for c in robot.all_connectors()}
+    joined = {n: c for n, c in old.connectors.items() if n in connectors}
+    return msgspec.structs.replace(
+        new,
+        components={**components, **new.components},
+        connectors={**joined, **new.connectors},
+        costs=old.costs,
+    )
+
+
+def _write(robot: Robot, kept: Profile) -> Path | None:
+    if not robot.profile:
+        return None
+    path = Path(robot.folder) / robot.profile
+    path.write_text(profile_file.to_text(kept), "utf-8")
+    return path

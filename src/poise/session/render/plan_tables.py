@@ -1,0 +1,376 @@
+"""What `poise plan` prints for people."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterator, Mapping
+
+from rich.console import Console, RenderableType
+from rich.markup import escape
+
+from poise import plan, units
+from poise.model.robot import Computer
+from poise.session.render.tables import table
+from poise.simulation.predicted_times import PredictedTimes
+from poise.units import counted
+
+BAR = 10
+"""Length of a full bar [characters]."""
+MOST_NAMES = 25
+"""How many components of one computer are named; `--json` names all."""
+ALWAYS = "communication", "balance", "move"
+TERMS = (*ALWAYS, "quality", "shortage", "time")
+"""The terms of F; the last ones are shown where they are not 0."""
+_LATE = 0.01
+"""A timer that misses a smaller share of its deadlines is not named."""
+_MOST_BARS = 3
+"""The most placements whose bars fit side by side."""
+
+
+def plan_parts(
+    phased: plan.PhasedResult, times: Mapping[str, PredictedTimes] = {}
+) -> tuple[RenderableType, ...]:
+    """Return what is printed of a placement: its phases, or the only one whole.
+
+    Parameters
+    ----------
+    times
+        Phase -> what is predicted of it.
+    """
+    several = len(phased.results) > 1
+    parts = _phases(phased) if several else _phase(phased.only[1])
+    return (*parts, *_chains(times))
+
+
+def _chains(times: Mapping[str, PredictedTimes]) -> Iterator[RenderableType]:
+    """Yield how old the data of each chain is predicted to be, if there is one."""
+    phase = ("phase",) if len(times) > 1 else ()
+    names = "predicted data age", "median", "p99", "deadline", "margin", "late"
+    rows = table(*phase, *names, "most time to")
+    for name, predicted in times.items():
+        for chain in predicted.chains:
+            margin = units.format_seconds(abs(chain.margin))
+            is_late = chain.margin < 0
+            rows.add_row(
+                *(escape(each) for each in (name,) * len(phase)),
+                chain.name,
+                units.format_seconds(chain.median),
+                units.format_seconds(chain.p99),
+                units.format_seconds(chain.deadline),
+                f"[bold red]-{margin}[/]" if is_late else margin,
+                f"{chain.late:.1%}",
+                chain.slowest,
+            )
+    if rows.row_count:
+        yield rows
+    for name, predicted in times.items():
+        if predicted.unknown:
+            yield _line(
+                "no data age is predicted",
+                f"of {', '.join(predicted.unknown)}: by what is known, data does not "
+                f"get to the end. {'; '.join(predicted.guesses)}",
+            )
+        late = [
+            f"{each.component}.{each.timer} {each.late:.0%}"
+            for each in predicted.timers
+            if each.late >= _LATE
+        ]
+        if late:
+            where = f" in {name}" if phase else ""
+            yield _line(f"predicted to miss deadlines{where}", ", ".join(late))
+
+
+def _phase(result: plan.Result) -> tuple[RenderableType, ...]:
+    """Return a result: placement and load by computer, then the terms of F."""
+    if result.objective is None:
+        return (_line("no placement", result.reason),)
+    problem = result.problem
+    resources = problem.resources
+    rows = table("computer", "components", *resources, folds=1)
+    held: dict[str, list[str]] = {computer.name: [] for computer in problem.computers}
+    for component, there in result.placement.items():
+        held[there].append(component)
+    used = _used(problem, result)
+    for computer in problem.computers:
+        bars = [_bar(computer, r, used[computer.name, r]) for r in resources]
+        rows.add_row(computer.name, _some(held[computer.name]), *bars)
+    parts: list[RenderableType] = [rows]
+    if not result.feasible:
+        parts.append(_line("not feasible", result.reason))
+    if result.aside:
+        why = f", as not all fits: {result.reason}" if result.feasible else ""
+        parts.append(_line("put aside", f"{', '.join(result.aside)}{why}"))
+    parts += [f"{what}: by {by}" for what, by in result.architectures.items()]
+    parts += _short(result)
+    parts.append(_terms(result))
+    if result.unknown:
+        parts.append(_line("no demand is known", _missing(result)))
+    return tuple(parts)
+
+
+def _missing(result: plan.Result) -> str:
+    """Return which demands are not known, and what to do about it."""
+    is_all = len(result.unknown) == len(result.placement)
+    whose = "any component" if is_all else _some([*result.unknown])
+    return (
+        f"of {whose}, so none is counted: measure it with `poise profile`, or write it "
+        "into the file"
+    )
+
+
+def _short(result: plan.Result) -> list[str]:
+    """Return what computers are short of, where that is shared."""
+    return [
+        _line(
+            f"short on {each.computer}",
+            f"{units.format_amount(each.resource, each.amount)} of {each.resource}",
+        )
+        for each in result.shortages
+    ]
+
+
+def _line(head: str, text: str) -> str:
+    return f"[bold red]{head}[/]: {escape(text)}"
+
+
+def show(
+    phased: plan.PhasedResult,
+    console: Console,
+    times: Mapping[str, PredictedTimes] = {},
+) -> None:
+    """Print a placement, and what is predicted of each phase."""
+    for part in plan_parts(phased, times):
+        console.print(part, highlight=False)
+
+
+def show_smallest(few: plan.Smallest, price: float, console: Console) -> None:
+    """Print on which computers everything fits, and for what price."""
+    known = "no cheaper set will do" if few.proven else "a cheaper set may do"
+    names = ", ".join(few.computers)
+    console.print(
+        f"fits on {len(few.computers)}, price {price:g}: {names}; {known}",
+        highlight=False,
+    )
+
+
+def _some(names: list[str]) -> str:
+    more = len(names) - MOST_NAMES
+    said = ", ".join(names[:MOST_NAMES])
+    return f"{said} and {more} more" if more > 0 else said
+
+
+def _used(
+    problem: plan.Problem, result: plan.Result
+) -> defaultdict[tuple[str, str], float]:
+    """Return what a placement uses of each computer's resources."""
+    used: defaultdict[tuple[str, str], float] = defaultdict(float)
+    for component in problem.components:
+        there = result.placement.get(component.name)
+        if there is not None:
+            for resource, amount in component.demand.items():
+                used[there, resource] += amount
+    return used
+
+
+def _bar(computer: Computer, resource: str, used: float) -> str:
+    """Return how much of a resource is used, as a bar and a share of the capacity."""
+    text, capacity = _share(computer, resource, used), computer.total(resource)
+    if capacity <= 0:
+        return text
+    full = min(BAR, round(used / capacity * BAR))
+    return f"{'█' * full}{'░' * (BAR - full)} {text:>4}"
+
+
+def _share(computer: Computer, resource: str, used: float) -> str:
+    """Return which share of a capacity is used; where there is none, how much is."""
+    capacity = computer.total(resource)
+    if capacity <= 0:
+        return units.format_amount(resource, used) if used else "none"
+    return f"{used / capacity:.0%}"
+
+
+def _phases(phased: plan.PhasedResult) -> tuple[RenderableType, ...]:
+    """Return the phases of a task side by side, then what moves between them."""
+    computers = phased.problem.computers
+    names = (computer.name for computer in computers)
+    rows = table("phase", "weight", *names, "F", "")
+    for column in rows.columns[2:-2]:
+        column.no_wrap = False
+    weights = phased.problem.weights
+    for name, result in phased.results.items():
+        cells = [_on(computer, result) for computer in computers]
+        rows.add_row(
+            escape(name),
+            f"{100 * weights[name]:.3g}%",
+            *cells,
+            _term(result, "total"),
+            "fits" if result.feasible else "[bold red]does not fit[/]",
+        )
+    parts: list[RenderableType] = [rows]
+    if phased.reason:
+        head = "put aside, as not all fits" if phased.feasible else "not feasible"
+        parts.append(_line(head, phased.reason))
+    for name, result in phased.results.items():
+        parts += [f"{name}: {f} by {by}" for f, by in result.architectures.items()]
+    parts += [
+        f"{move.component} moves from {move.source} to {move.target} between "
+        f"{move.before} and {move.after}"
+        for move in phased.moves
+    ]
+    parts += [f"assumed: {escape(each)}" for each in phased.problem.assumed]
+    parts.append(_sum(phased))
+    return tuple(parts)
+
+
+def _on(computer: Computer, result: plan.Result) -> str:
+    """Return what a phase uses of a computer, and which components are there."""
+    if not result.placement:
+        return "-"
+    used = _used(result.problem, result)
+    shares = [
+        f"{resource} {_share(computer, resource, used[computer.name, resource])}"
+        for resource in result.problem.resources
+        if computer.total(resource) > 0
+    ]
+    names = [c for c, there in result.placement.items() if there == computer.name]
+    return f"{', '.join(shares)}\n{_some(names)}"
+
+
+def _sum(phased: plan.PhasedResult) -> str:
+    """Return the mean of F over the phases, and what moves add."""
+    time = units.format_seconds(phased.seconds)
+    if phased.total is None:
+        return f"decided in {time}"
+    phases = phased.total - phased.of_moves
+    known = _known(phased.bound, is_least=phased.proven and phased.feasible)
+    return (
+        f"F = {_cost(phased.total)} = {counted(len(phased.results), 'phase')} "
+        f"{_cost(phases)} + {counted(len(phased.moves), 'move')} "
+        f"{_cost(phased.of_moves)}{known}; in {time}"
+        f"{', stopped by Ctrl-C' if phased.stopped_by == 'interrupted' else ''}"
+    )
+
+
+def show_comparison(
+    problem: plan.Problem, results: dict[str, plan.Result], console: Console
+) -> None:
+    """Print results side by side: the terms of F, then load by computer."""
+    names = list(results)
+    rows = table("", *names)
+    rows.add_row("total", *(_term(results[name], "total") for name in names))
+    for label in TERMS:
+        values = [_term(results[name], label) for name in names]
+        if label in ALWAYS or {*values} - {"0", "-"}:
+            rows.add_row(label, *values)
+    rows.add_row("lower bound", *(_number(results[n].bound) for n in names))
+    rows.add_row("proven", *("yes" if results[n].proven else "no" for n in names))
+    rows.add_row("feasible", *("yes" if results[n].feasible else "NO" for n in names))
+    rows.add_row("decided in", *(_seconds(results[n]) for n in names))
+    load = _bar if len(names) <= _MOST_BARS else _share
+    used = [_used(problem, result) for result in results.values()]
+    for computer in problem.computers:
+        for resource in problem.resources:
+            rows.add_row(
+                f"{computer.name} {resource}",
+                *(load(computer, resource, u[computer.name, resource]) for u in used),
+            )
+    console.print(rows)
+    for name, result in results.items():
+        if result.reason:
+            console.print(f"{name}: {result.reason}", highlight=False)
+
+
+def show_explanation(
+    explanation: plan.Explanation | plan.Rejection, console: Console
+) -> None:
+    """Print why something is where it is, or not there, and what else would cost."""
+    if isinstance(explanation, plan.Rejection):
+        _show_rejection(explanation, console)
+    else:
+        _show_options(explanation, console)
+
+
+def _show_options(explanation: plan.Explanation, console: Console) -> None:
+    """Print why a component is where it is, and what each other computer costs."""
+    console.print(str(explanation), highlight=False)
+    if explanation.together:
+        names = ", ".join(explanation.together)
+        console.print(f"It moves together with {names}.", highlight=False)
+    options = explanation.options
+    terms = [
+        name
+        for name in TERMS
+        if name in ALWAYS or any(getattr(each.change, name) for each in options)
+    ]
+    rows = table("computer", "F", "change", *terms, "", folds=3 + len(terms))
+    for option in options:
+        here = option.computer == explanation.computer
+        rows.add_row(
+            option.computer,
+            _cost(option.objective.total),
+            *(
+                "" if here else f"{getattr(option.change, name):+.4g}"
+                for name in ("total", *terms)
+            ),
+            option.obstacle or ("here" if here else ""),
+        )
+    console.print(rows)
+
+
+def _show_rejection(rejection: plan.Rejection, console: Console) -> None:
+    """Print why an architecture was not chosen, and what it would cost."""
+    console.print(str(rejection), highlight=False)
+    if rejection.objective is None or rejection.change is None:
+        return
+    names = ("total", *TERMS)
+    rows = table("", *("F" if name == "total" else name for name in names))
+    best = (_cost(getattr(rejection.objective, name)) for name in names)
+    change = (f"{getattr(rejection.change, name):+.4g}" for name in names)
+    rows.add_row("with it, at best", *best)
+    rows.add_row("change", *change)
+    console.print(rows)
+
+
+def _terms(result: plan.Result) -> str:
+    terms = result.objective
+    if terms is None:
+        return ""
+    parts = [
+        f"communication {_cost(terms.communication)}",
+        f"balance {_cost(terms.balance)}",
+        f"move {_cost(terms.move)}",
+    ]
+    parts += [
+        f"{name} {_cost(cost)}"
+        for name in ("quality", "shortage", "time")
+        if (cost := getattr(terms, name))
+    ]
+    known = _known(result.bound, is_least=result.proven)
+    return (
+        f"F = {_cost(terms.total)} = {' + '.join(parts)} ({result.scale} scale, "
+        f"{result.spread}){known}; by {result.method} in {_seconds(result)}"
+        f"{', stopped by Ctrl-C' if result.stopped_by == 'interrupted' else ''}"
+    )
+
+
+def _known(bound: float | None, *, is_least: bool) -> str:
+    if is_least:
+        return ", proven to be the least"
+    return "" if bound is None else f", at least {_cost(bound)} in any placement"
+
+
+def _term(result: plan.Result, label: str) -> str:
+    return _number(getattr(result.objective, label, None))
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else _cost(value)
+
+
+def _seconds(result: plan.Result) -> str:
+    return units.format_seconds(result.seconds)
+
+
+def _cost(value: float) -> str:
+    """Return a term of F; what is left of rounding is 0."""
+    return f"{round(value, 9) + 0.0:.6g}"

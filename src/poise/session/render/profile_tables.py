@@ -1,0 +1,139 @@
+"""A profile, for people."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from rich.console import Console
+from rich.table import Table
+
+from poise.estimate.demands import cpu_demand, memory_demand
+from poise.estimate.overhead import overheads
+from poise.estimate.profile import ComponentProfile, ConnectorProfile, Profile
+from poise.model.robot import Robot
+from poise.session.profiling.figures import AGREE_CORES, AGREE_SHARE
+from poise.session.render.tables import NamedRows, table
+from poise.units import format_bytes, format_seconds
+
+_MOST_EARLIER = 2
+
+
+def show_profile(robot: Robot, profile: Profile, console: Console) -> None:
+    """Print a profile's components, timers and connectors."""
+    console.print(
+        f"robot '{profile.robot}' on '{profile.computer}' (speed {profile.speed:g}), "
+        f"{profile.at}, Poise {profile.poise}, {profile.seconds:g} s each time"
+    )
+    found = {
+        component.name: profile.components[component.name]
+        for component in robot.components()
+        if component.name in profile.components
+    }
+    console.print(_cpu(found))
+    console.print(_needs(found))
+    console.print(_timers(found))
+    console.print(_connectors(robot, profile))
+    unit = "hundredths of a core" if profile.costs else "MB/s"
+    console.print(f"overhead in {unit}, while the ends are apart")
+    for name, each in found.items():
+        if not each.stable:
+            console.print(f"[yellow]unstable: {name} ± {each.repeat / 2:.1%}[/]")
+
+
+def history_table(now: Profile, earlier: Sequence[Profile]) -> Table:
+    """Return every component's CPU and memory by profile, newest first.
+
+    Parameters
+    ----------
+    earlier
+        Newest first. Those on another computer are left out, and so is `now` itself.
+    """
+    others = [
+        each for each in earlier if each.computer == now.computer and each.at != now.at
+    ][:_MOST_EARLIER]
+    rows = table("component")
+    for each in (now, *others):
+        title = f"{each.at.removesuffix('+00:00')}\nPoise {each.poise}"
+        rows.add_column(title, overflow="fold")
+    for name, found in now.components.items():
+        cells = [_brief(found)]
+        newer = found
+        for each in others:
+            older = each.components.get(name)
+            cells.append(_compared(older, newer) if older else "")
+            newer = older or newer
+        rows.add_row(name, *cells)
+    return rows
+
+
+def _brief(found: ComponentProfile) -> str:
+    return f"{found.cpu.mean:.2%}, {format_bytes(found.memory)}"
+
+
+def _compared(older: ComponentProfile, newer: ComponentProfile) -> str:
+    """Return what was measured, marked where the code or the CPU changed since."""
+    text = _brief(older)
+    if older.version != newer.version:
+        text += " other code"
+    moved = abs(newer.cpu.mean - older.cpu.mean)
+    if moved > max(AGREE_SHARE * older.cpu.mean, AGREE_CORES):
+        return f"[yellow]{text}[/]"
+    return text
+
+
+def _cpu(found: Mapping[str, ComponentProfile]) -> Table:
+    rows = table("CPU of component", "mean", "p95", "p99", "peak", "sustained")
+    for name, each in found.items():
+        cpu = each.cpu
+        error = f" ± {cpu.error:.1%}" if cpu.error is not None else ""
+        shares = (f"{s:.1%}" for s in (cpu.p95, cpu.p99, cpu.peak, cpu.sustained))
+        rows.add_row(name, f"{cpu.mean:.2%}{error}", *shares)
+    return rows
+
+
+def _needs(found: Mapping[str, ComponentProfile]) -> Table:
+    rows = table("component", "memory", "snapshot", "start", "demand: CPU", "memory")
+    for name, each in found.items():
+        rows.add_row(
+            name,
+            format_bytes(each.memory),
+            format_bytes(each.state) if each.state else "",
+            format_seconds(each.start),
+            f"{cpu_demand(each):.2%}",
+            format_bytes(memory_demand(each)),
+        )
+    return rows
+
+
+def _timers(found: Mapping[str, ComponentProfile]) -> Table:
+    rows = table("timer", "period", "median", "p99", "longest", "missed")
+    for name, component in found.items():
+        for timer, each in component.timers.items():
+            rows.add_row(
+                f"{name}.{timer}",
+                format_seconds(each.period),
+                format_seconds(each.median),
+                format_seconds(each.p99),
+                format_seconds(each.maximum),
+                f"{each.missed:.1%}",
+            )
+    return rows
+
+
+def _connectors(robot: Robot, profile: Profile) -> NamedRows:
+    rows = NamedRows("connector", "a second", "size", "p99", "largest", "overhead")
+    relative = overheads(robot, profile)
+    for name, each in profile.connectors.items():
+        sizes = each.median or each.size, each.p99, each.largest
+        rows.add_row(
+            name,
+            _rates(each),
+            *(format_bytes(size) if size else "" for size in sizes),
+            f"{relative.get(name, 0.0):.3g}",
+        )
+    return rows
+
+
+def _rates(found: ConnectorProfile) -> str:
+    rates = {"calls": found.calls, "messages": found.messages}
+    return ", ".join(f"{rate:.3g} {what}" for what, rate in rates.items() if rate)

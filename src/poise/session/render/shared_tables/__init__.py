@@ -1,1 +1,0 @@
-"""Tables that reports and statuses share, and how tables look."""

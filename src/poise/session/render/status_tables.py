@@ -1,0 +1,209 @@
+"""How a running robot is, for people."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+
+from rich.console import RenderableType
+from rich.markup import escape
+from rich.table import Table
+from rich.text import Text
+
+from poise.manage.agent_connections.statuses import connectors_of, located
+from poise.manage.control_socket.commands import RobotStatus
+from poise.manage.observe.estimates import DemandEstimate, culprit_on
+from poise.session.render.tables import (
+    chain_tables,
+    clock_tables,
+    connector_tables,
+    table,
+    task_lines,
+)
+from poise.units import counted, format_bytes, format_seconds
+from poise.wire.records.status import ComponentStatus, ContainerHealth
+
+
+def status_parts(status: RobotStatus) -> Iterator[RenderableType]:
+    """Yield a status: deviations first."""
+    yield f"robot '{status.robot}'"
+    yield from task_lines(status.tasks)
+    if switches := str(status.prefetch):
+        yield f"switches from action to action: {switches}"
+    yield f"{'last ' if status.by_agents else ''}managed by {status.manager}"
+    for computer, report in sorted(status.computers.items()):
+        if report.manager is not None and report.manager != status.manager:
+            yield f"[yellow]the agent of '{computer}' obeys {report.manager}[/]"
+    yield from map(Text, status.under_way)
+    for each in status.deviations:
+        yield Text(f"{each.what} (noticed {_clock(each.since)})", style="red")
+    unknown = status.not_known()
+    if unknown:
+        yield f"[red]not known how these are now: {', '.join(sorted(unknown))}[/]"
+    elif not status.deviations:
+        faults = counted(status.faults, "fault")
+        lately = f"; {faults} since the start (below)" if status.faults else ""
+        yield f"everything is as the robot file says{lately}"
+    yield component_table(status)
+    for remark in remarks(status):
+        yield f"[yellow]{remark}[/]"
+    yield from chain_tables(status.chains)
+    yield from connector_tables(connectors_of(status.computers))
+    known = {name: each.clocks for name, each in sorted(status.computers.items())}
+    yield from clock_tables(known)
+    yield computer_table(status)
+    yield container_table(status)
+    if means := {
+        n: c.cpu_weights for n, c in status.computers.items() if c.cpu_weights
+    }:
+        by = ", ".join(f"{how} on {name}" for name, how in sorted(means.items()))
+        yield f"containers share the CPU by priority: {by}"
+    for line in container_lines(status):
+        yield Text(line, style="yellow")
+
+
+def component_table(answer: RobotStatus) -> Table:
+    """Return where components are and what they need, by computer."""
+    rows = table("component", "computer", "state", "CPU", "profile", folds=1)
+    unknown = answer.not_known()
+    for computer, component, standing in _each(answer):
+        state: str = "unknown" if computer in unknown else component.state
+        is_prepared = answer.prefetch.prepared.get(component.name) == computer
+        if state == "inactive" and is_prepared:
+            state = "prepared"
+        rows.add_row(component.name, computer, state, *_needs(standing))
+    return rows
+
+
+def computer_table(answer: RobotStatus) -> Table:
+    """Return what agents and containers use of each computer, and what restarted.
+
+    Where that is not known now, it says how old it is.
+    """
+    unknown, columns = answer.not_known(), ["containers", "restarts"]
+    columns += ["reported"] if unknown else []
+    rows = table("computer", "CPU", "memory", *columns)
+    for name in sorted({*answer.computers, *unknown}):
+        computer, age = answer.computers.get(name), answer.ages.get(name)
+        heard = "" if age is None else f"{format_seconds(age)} ago"
+        if computer is None:
+            rows.add_row(name, *["not known"] * 4, "never")
+            continue
+        running = [h for h in computer.health if h.state != "stopped"]
+        rows.add_row(
+            name,
+            f"{computer.load:.2f} cores",
+            format_bytes(computer.memory),
+            str(len(running)),
+            str(sum(health.restarts for health in computer.health)),
+            *[heard] * bool(unknown),
+        )
+    return rows
+
+
+def container_table(answer: RobotStatus) -> Table:
+    """Return the memory of containers, and what their components were placed by.
+
+    Where it grows steadily, it says how fast, and when the computer's limit is reached.
+    """
+    rows = table("container", "computer", "memory", "demand", "grows", "components")
+    for name, computer in sorted(answer.computers.items()):
+        inside = {
+            container.name: [component.name for component in container.components]
+            for container in computer.containers
+        }
+        for health in computer.health:
+            if health.name not in inside:
+                continue
+            components = inside[health.name]
+            demand = sum(answer.memory_demands.get(each, 0.0) for each in components)
+            text = format_bytes(health.memory)
+            rows.add_row(
+                health.name,
+                name,
+                f"[yellow]{text}[/]" if 0 < demand < health.memory else text,
+                format_bytes(demand) if demand else "",
+                _growth(health),
+                ", ".join(components),
+            )
+    return rows
+
+
+def _growth(health: ContainerHealth) -> str:
+    if not health.growth:
+        return ""
+    limit = f"{format_bytes(health.limit)} in {format_seconds(health.full_in)}"
+    return f"[yellow]{format_bytes(health.growth)}/s: {limit}[/]"
+
+
+def container_lines(answer: RobotStatus) -> Iterator[str]:
+    """Give the state and the last fault of each container that had one."""
+    for computer, status in sorted(answer.computers.items()):
+        for health in status.health:
+            fault = health.last_fault
+            if fault is None:
+                continue
+            restarts = counted(health.restarts, "restart")
+            yield (
+                f"container '{health.name}' on '{computer}': {health.state} since "
+                f"{_clock(health.since)}, {restarts}; last fault at "
+                f"{_clock(fault.at)}: {fault.message}"
+            )
+
+
+def _clock(moment: float) -> str:
+    return time.strftime("%H:%M:%S", time.localtime(moment))
+
+
+def remarks(answer: RobotStatus) -> Iterator[str]:
+    """Give what is wrong with components, a line for each, by computer."""
+    for computer, component, standing in _each(answer):
+        load = answer.loads.get(computer)
+        culprit = culprit_on(load, answer.demand_estimates, component.name)
+        found = ", ".join(_remarks(component, standing, culprit))
+        if found:
+            yield f"{component.name}: {found}"
+
+
+def _each(
+    answer: RobotStatus,
+) -> Iterator[tuple[str, ComponentStatus, DemandEstimate | None]]:
+    demand_estimates = {each.component: each for each in answer.demand_estimates}
+    for computer, component in located(answer.computers):
+        yield computer, component, demand_estimates.get(component.name)
+
+
+def _remarks(
+    component: ComponentStatus, standing: DemandEstimate | None, culprit: str = ""
+) -> Iterator[str]:
+    if component.errors:
+        last = component.error.rstrip().rpartition("\n")[2]
+        yield counted(component.errors, "error") + (
+            f" ({escape(last)})" if last else ""
+        )
+    if standing is not None and standing.estimate.starved:
+        why = f" ({culprit})" if culprit else ""
+        yield f"starved {standing.estimate.starved:.0%}{why}"
+    if standing is not None and standing.estimate.long_job:
+        what = f"'{component.handler}'" if component.handler else "a job"
+        lasted = format_seconds(standing.estimate.long_job)
+        yield f"{what} has computed for {lasted} and not ended"
+    for timer in component.timers:
+        if timer.deadline is not None and timer.missed:
+            share = timer.missed / timer.releases
+            yield f"{timer.name} missed {share:.1%} of deadlines"
+
+
+def _needs(standing: DemandEstimate | None) -> tuple[str, str]:
+    """Return what a component needs now, and what its profile says."""
+    if standing is None:
+        return "", ""
+    now, expected = standing.estimate, standing.expected
+    text = f"{now.mean:.1%}"
+    if now.error is not None:
+        text += f" ± {now.error:.1%}"
+    elif now.starved:
+        text = f"at least {text}"
+    if now.drift:
+        text = f"[yellow]{text}[/]"
+    return text, "" if expected is None else f"{expected:.1%}"

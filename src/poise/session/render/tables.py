@@ -1,0 +1,247 @@
+"""Tables for people: how they look, and those that several commands print."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from itertools import pairwise
+
+from rich import box
+from rich.console import Console, ConsoleOptions, RenderResult
+from rich.markup import escape
+from rich.segment import Segment
+from rich.table import Table
+
+from poise.manage.observe.chains import ChainReport
+from poise.manage.tasks.task_report import ActionReport, TaskReport
+from poise.units import format_bytes, format_seconds
+from poise.wire.records.clocks import ClockStatus
+from poise.wire.records.status import ConnectorStatus, Summary
+
+
+def table(*columns: str, folds: int = 0) -> Table:
+    """Return an empty table; long words are broken over lines rather than cut.
+
+    The first column, of names, and the one with the number `folds` give way to others.
+    """
+    made = Table(box=box.SIMPLE_HEAD, show_edge=False, padding=(0, 1, 0, 0))
+    for place, title in enumerate(columns):
+        made.add_column(title, overflow="fold", no_wrap=place not in {0, folds})
+    return made
+
+
+class NamedRows:
+    """A table of rows that stand under a name, which has a line of its own.
+
+    Names of connectors are as long as four names of components and ports: in a column
+    they would leave no room for the numbers.
+
+    Parameters
+    ----------
+    title
+        Of the names.
+    """
+
+    def __init__(self, title: str, *columns: str) -> None:
+        self._rows = table(title, *columns)
+        self._names: list[str] = []
+
+    @property
+    def row_count(self) -> int:
+        """How many rows there are, names aside."""
+        return len(self._names)
+
+    def add_row(self, name: str, *cells: str) -> None:
+        """Add a row; that of the same name as the one before stands under it."""
+        self._names.append(name)
+        self._rows.add_row("", *cells)
+
+    def __rich_console__(
+        self, console: Console, options: ConsoleOptions
+    ) -> RenderResult:
+        """Give the lines, for rich."""
+        title, rule, *rows = console.render_lines(self._rows, options, pad=False)
+        yield from _line(title)
+        yield from _line(rule)
+        before = None
+        for name, row in zip(self._names, rows, strict=True):
+            if name != before:
+                yield name
+            before = name
+            yield from _line(row)
+
+
+def _line(segments: list[Segment]) -> list[Segment]:
+    return [*segments, Segment.line()]
+
+
+def chain_tables(chains: Iterable[ChainReport]) -> Iterator[Table]:
+    """Yield a row for each chain, if there is one: the age of its data when used."""
+    names = "chain, data age", "deadline", "used", "missed", "median", "p99", "maximum"
+    rows = table(*names, "±", "median by step")
+    for chain in chains:
+        age, head = chain.age, (chain.name, format_seconds(chain.deadline))
+        if not age.count:
+            rows.add_row(*head, "0")
+            continue
+        ages = map(format_seconds, (age.median, age.p99, age.maximum, chain.error))
+        share = f"{chain.missed / age.count:.1%}"
+        rows.add_row(*head, str(age.count), share, *ages, _steps(chain))
+    if rows.row_count:
+        yield rows
+
+
+def _steps(chain: ChainReport) -> str:
+    """Return how much older the data is at each component than at the one before."""
+    return ", ".join(
+        f"{next_.component} {format_seconds(max(0.0, next_.age.median - one))}"
+        for one, next_ in (
+            (before.age.median, after) for before, after in pairwise(chain.hops)
+        )
+    )
+
+
+def clock_tables(
+    clocks: Mapping[str, Mapping[str, ClockStatus]],
+) -> Iterator[Table]:
+    """Yield a row for each two computers: how far the second is ahead, +- error."""
+    rows = table("clock of", "seen from", "ahead by", "quickest round trip", folds=1)
+    for here, known in clocks.items():
+        for there, clock in known.items():
+            if there < here and here in clocks.get(there, {}):
+                continue  # the same from the other side
+            error = format_seconds(clock.error)
+            ahead = f"{_signed(clock.offset, clock.error)} ± {error}"
+            rows.add_row(there, here, ahead, format_seconds(clock.trip))
+    if rows.row_count:
+        yield rows
+
+
+def _signed(offset: float, error: float) -> str:
+    """Return an offset, as exactly as it is known."""
+    if abs(offset) <= error:
+        return "0 s"
+    sign = "-" if offset < 0 else ""
+    return f"{sign}{format_seconds(abs(offset))}"
+
+
+_OF = "connector"
+_Ends = list[ConnectorStatus]
+_Cells = Callable[[_Ends], tuple[str, ...]]
+
+
+def connector_tables(ends: Iterable[ConnectorStatus]) -> list[NamedRows]:
+    """Return what went over connectors, how long it took, and how large it was.
+
+    While a component moves, its connectors have a target more: their numbers are added.
+    """
+    grouped = dict(sorted(_grouped(ends).items()))
+    counts = NamedRows(_OF, "kind", "end", "count", "out", "in", "errors", "drops")
+    times = NamedRows(_OF, "end", "took", "p99", "one way", "p99")
+    sizes = NamedRows(_OF, "end", "size", "p99", "largest")
+    for rows, cells in ((counts, _counts), (times, _times), (sizes, _sizes)):
+        _fill(rows, grouped, cells)
+    return [rows for rows in (counts, times, sizes) if rows.row_count]
+
+
+def _grouped(ends: Iterable[ConnectorStatus]) -> dict[tuple[str, str], _Ends]:
+    found: dict[tuple[str, str], _Ends] = {}
+    for end in ends:
+        found.setdefault((end.name, end.end), []).append(end)
+    return found
+
+
+def _fill(
+    rows: NamedRows, grouped: dict[tuple[str, str], _Ends], cells: _Cells
+) -> None:
+    for (name, _), same in grouped.items():
+        # a source that has a path more reports the same numbers twice
+        found = cells(same if same[0].end == "target" else same[:1])
+        if found:
+            rows.add_row(name, *found)
+
+
+def _counts(same: _Ends) -> tuple[str, ...]:
+    kind = same[0].kind if all(end.ready for end in same) else "not joined"
+    sizes = [sum(e.bytes_out for e in same), sum(e.bytes_in for e in same)]
+    return (
+        kind,
+        same[0].end,
+        str(sum(e.calls + e.messages for e in same) or ""),
+        *(format_bytes(size) if size else "" for size in sizes),
+        str(sum(e.errors for e in same) or ""),
+        str(sum(e.drops for e in same) or ""),
+    )
+
+
+def _times(same: _Ends) -> tuple[str, ...]:
+    """Return how long calls took, or messages waited, whichever there are more of."""
+    took = _most(s for e in same for s in (e.delay, e.wait))
+    busiest = max(same, key=lambda end: end.latency.count)
+    way, error = busiest.latency, busiest.latency_error
+    if not took.count and not way.count:
+        return ()
+    median, p99 = _pair(way)
+    if error:
+        median += f" ± {format_seconds(error)}"
+    return (same[0].end, *_pair(took), median, p99)
+
+
+def _sizes(same: _Ends) -> tuple[str, ...]:
+    size = _most(end.size for end in same)
+    if not size.count:
+        return ()
+    found = size.median, size.p99, size.maximum
+    return (same[0].end, *map(format_bytes, found))
+
+
+def _pair(times: Summary) -> tuple[str, str]:
+    if not times.count:
+        return "", ""
+    return format_seconds(times.median), format_seconds(times.p99)
+
+
+def _most(summaries: Iterable[Summary]) -> Summary:
+    return max(summaries, key=lambda summary: summary.count)
+
+
+_COLOURS = {"failed": "red", "waiting": "yellow", "paused": "yellow"}
+
+
+def task_table(tasks: Iterable[TaskReport]) -> Table:
+    """Return tasks with their states and actions."""
+    rows = table("task", "state", "since", "priority", "actions", "why", folds=2)
+    for each in tasks:
+        colour = _COLOURS.get(each.state, "")
+        rows.add_row(
+            each.name,
+            f"[{colour}]{each.state}[/]" if colour else each.state,
+            time.strftime("%H:%M:%S", time.localtime(each.since)),
+            str(each.priority),
+            escape(", ".join(map(_action, each.actions))),
+            escape(each.why),
+        )
+    return rows
+
+
+def task_lines(tasks: Iterable[TaskReport]) -> Iterator[str]:
+    """Yield a line for each task."""
+    for each in tasks:
+        colour = _COLOURS.get(each.state, "")
+        at = f" with {', '.join(map(_action, each.actions))}" if each.actions else ""
+        why = f": {each.why}" if each.why else ""
+        line = escape(f"task '{each.name}' is {each.state}{at}{why}")
+        yield f"[{colour}]{line}[/]" if colour else line
+
+
+def action_lines(task: TaskReport) -> Iterator[str]:
+    """Yield a line for each action of a task whose turn it is."""
+    for each in task.actions:
+        by = ", ".join(each.architectures) or "nothing yet"
+        needs = ", ".join(each.functions) or "no function"
+        yield escape(f"{_action(each)}: uses {needs}, provided by {by}")
+
+
+def _action(action: ActionReport) -> str:
+    worked = f" ({action.worked:.1f} s)" if action.is_at_work else ""
+    return f"'{action.name}'{worked}"

@@ -1,0 +1,287 @@
+"""What manager and containers tell each other while components move.
+
+A *source* is the incarnation that a component leaves, a *target* the one that it goes
+to. Why the steps come in this order: docs/design/moves.md.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from typing import Literal
+
+from msgspec import Struct
+
+from poise.errors import RunError
+
+Phase = Literal["prepare", "quiesce", "transfer", "commit", "resume", "roll back"]
+Role = Literal["manager", "source", "target"]
+"""The manager, and the incarnations that a component leaves and goes to."""
+
+Before = Phase | Literal["start"]
+
+TRANSITIONS: Mapping[Role, Mapping[Before, frozenset[Phase]]] = {
+    "manager": {
+        "start": frozenset({"prepare"}),
+        "prepare": frozenset({"quiesce", "roll back"}),
+        "quiesce": frozenset({"transfer", "roll back"}),
+        "transfer": frozenset({"commit", "roll back"}),
+        "commit": frozenset({"resume"}),
+    },
+    "source": {
+        # a container that was started again in the middle knows of no migration
+        "start": frozenset({"prepare", "commit", "roll back"}),
+        "prepare": frozenset({"quiesce", "roll back"}),
+        "quiesce": frozenset({"transfer", "roll back"}),
+        "transfer": frozenset({"commit", "roll back"}),
+    },
+    "target": {
+        "start": frozenset({"prepare", "resume"}),
+        "prepare": frozenset({"transfer"}),
+        "transfer": frozenset({"resume"}),
+    },
+}
+"""The phases that may follow a phase. A phase may always be entered again."""
+
+
+class MigrationPhases:
+    """The state machine of one party to a migration; any thread may use it.
+
+    Parameters
+    ----------
+    who
+        Names the party in errors: ``migration of component 'localiser'``.
+    """
+
+    def __init__(self, role: Role, who: str) -> None:
+        self._allowed = TRANSITIONS[role]
+        self._who = who
+        self._phase: Before = "start"
+        self._since = time.monotonic()
+        self._seconds: dict[str, float] = {}
+        self._changing = threading.Lock()
+
+    def enter(self, phase: Phase, since: float | None = None) -> None:
+        """Go to a phase; harmless when it is there already.
+
+        Parameters
+        ----------
+        since
+            When it began, by the monotonic clock [s]; None: now.
+
+        Raises
+        ------
+        RunError
+            The phase may not follow the present one, which stays.
+        """
+        with self._changing:
+            self._check(phase)
+            self._count(since)
+            self._phase = phase
+
+    @contextmanager
+    def taking(self, step: str, phase: Phase) -> Iterator[None]:
+        """Take a step, and enter the phase that it leads to when it succeeds.
+
+        Raises
+        ------
+        RunError
+            The phase may not follow the present one, before or after the step.
+        """
+        with self._changing:
+            self._check(phase, step)
+        yield
+        self.enter(phase)
+
+    def seconds(self) -> dict[str, float]:
+        """Return how long each phase took until now, in order [s]."""
+        with self._changing:
+            self._count()
+            return dict(self._seconds)
+
+    def _check(self, phase: Phase, step: str = "") -> None:
+        allowed = self._allowed.get(self._phase, frozenset())
+        if phase != self._phase and phase not in allowed:
+            leads = f"step '{step}' leads to phase" if step else "phase"
+            choices = ", ".join(sorted(allowed)) or "no other"
+            raise RunError(
+                f"{self._who}: {leads} '{phase}', which may not follow "
+                f"'{self._phase}' (only {choices})"
+            )
+
+    def _count(self, until: float | None = None) -> None:
+        now = time.monotonic() if until is None else until
+        if self._phase != "start":
+            seconds = self._seconds.get(self._phase, 0.0)
+            self._seconds[self._phase] = seconds + now - self._since
+        self._since = now
+
+
+StepName = Literal[
+    "offer state",
+    "pre-copy",
+    "request state",
+    "await idle",
+    "buffer",
+    "pause",
+    "drain channels",
+    "drain mailbox",
+    "send state",
+    "restore state",
+    "activate",
+    "redirect",
+    "resume",
+    "release to targets",
+    "roll back",
+    "release to sources",
+    "halt",
+]
+
+STEPS: Mapping[StepName, tuple[Role | None, Phase]] = {
+    # serve the state to the targets of this migration
+    "offer state": ("source", "prepare"),
+    # connect to the sources, and fetch a large state while they still work
+    "pre-copy": ("target", "prepare"),
+    # ask the sources for everything; they answer when they send it
+    "request state": ("target", "prepare"),
+    # wait until it has just finished its work: a pause that begins then delays nobody;
+    # succeeds at its limit, too
+    "await idle": ("source", "prepare"),
+    # send a marker over connectors, and buffer all messages after it; where data is
+    # late, send no marker, and buffer only what the subscriber would keep
+    "buffer": (None, "quiesce"),
+    # finish the calls in progress, start no more, and send markers but where
+    # data is late
+    "pause": ("source", "quiesce"),
+    # wait until the markers have arrived at a component over connectors; take no more
+    # where data is late
+    "drain channels": (None, "quiesce"),
+    # handle all messages that wait; no more come
+    "drain mailbox": ("source", "quiesce"),
+    # paused and drained: send the state to the targets that asked for it
+    "send state": ("source", "transfer"),
+    # restore the state as soon as the sources send it
+    "restore state": ("target", "transfer"),
+    # run `activate`, and stay paused
+    "activate": ("target", "transfer"),
+    # send callers that wait for it to the target
+    "redirect": ("source", "commit"),
+    # begin to work
+    "resume": ("target", "resume"),
+    # send buffered messages, and all that follow, to the targets
+    "release to targets": (None, "resume"),
+    # resume after a migration that failed
+    "roll back": ("source", "roll back"),
+    # send buffered messages, and all that follow, to the sources again
+    "release to sources": (None, "roll back"),
+    # a new manager decides: take no more steps of the migration that it found
+    "halt": (None, "prepare"),
+}
+"""All steps: which party takes each, and the phase that it leads to. Steps without a
+party are taken by other components, or by connectors that begin in a container."""
+
+
+class Step(Struct, frozen=True, omit_defaults=True):
+    """A step of a migration.
+
+    Parameters
+    ----------
+    component, epoch
+        The incarnation that takes it; empty for a step of connectors.
+    connectors
+        Names, for `buffer` and `drain channels`; keys, for a release.
+    sources
+        For `pre-copy`: component -> epoch and address of the incarnations that
+        transfer their state. From a source of the same component a target takes state,
+        buffered messages and timers; from others what `adapt` (`ComponentSpec`) makes
+        of their states.
+    late
+        Keys of connectors whose link is cut, for `buffer`, `pause` and `drain
+        channels`, and how many messages their subscribers keep.
+    limit
+        For `await idle` [s].
+    """
+
+    name: StepName
+    component: str = ""
+    epoch: int = 0
+    connectors: tuple[str, ...] = ()
+    sources: Mapping[str, tuple[int, str]] = {}
+    late: Mapping[str, int] = {}
+    limit: float = 0.0
+
+    @property
+    def role(self) -> Role | None:
+        """The party that takes it."""
+        return STEPS[self.name][0]
+
+    @property
+    def phase(self) -> Phase:
+        """The phase that it leads to."""
+        return STEPS[self.name][1]
+
+
+class MigrationSteps(Struct, frozen=True, tag=True):
+    """Steps for one container, one after the other; the first that fails ends them.
+
+    Parameters
+    ----------
+    number
+        Tells these steps from all others.
+    migration
+        The migration that they belong to; its markers have the same number.
+    limit
+        They are answered within this time [s], but may still be taken afterwards.
+    """
+
+    number: int
+    migration: int
+    container: str
+    steps: tuple[Step, ...]
+    limit: float
+
+
+class StepTaken(Struct, frozen=True):
+    """A step that a container took, for the trace of a migration.
+
+    Parameters
+    ----------
+    who
+        Component and epoch (``localiser/3``), or the container of a sender.
+    began, ended
+        By the monotonic clock of the container's computer [s].
+    """
+
+    who: str
+    step: StepName
+    phase: Phase
+    began: float
+    ended: float
+
+
+class StepsDone(Struct, frozen=True, tag=True):
+    """All steps were taken.
+
+    Parameters
+    ----------
+    is_committed
+        Whether the container began a step that follows the commit, since its latest
+        deployment that a manager made.
+    """
+
+    number: int
+    taken: tuple[StepTaken, ...] = ()
+    is_committed: bool = False
+
+
+class StepsFailed(Struct, frozen=True, tag=True):
+    """A step was not taken, and why; all is as before that step."""
+
+    number: int
+    reason: str
+    taken: tuple[StepTaken, ...] = ()
+
+
+StepsOutcome = StepsDone | StepsFailed
