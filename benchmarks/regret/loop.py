@@ -262,7 +262,9 @@ def _transitions() -> Sequence[tuple[ModuleType, str]]:
     return [
         (module, name)
         for module in [*sys.modules.values()]
-        if module.__name__.startswith("poise.manage.adaptation.")
+        if module.__name__.startswith(
+            ("poise.manage.adaptation.", "poise.manage.shortages.")
+        )
         for name in ("transit", "start_together")
         if vars(module).get(name) is getattr(transition_run, name)
     ]
