@@ -12,6 +12,7 @@ from poise import plan
 from poise.model.robot import Computer, Link
 from poise.plan import Edge, Item, Problem
 from poise.plan.problem.arrays import arrays_of
+from poise.plan.problem.time_limit import Run, TimeLimit
 from poise.plan.violations import violations
 from poise.plan.why.conflict import _at_least
 from poise.plan.why.relaxation import limits_of, relaxed
@@ -104,6 +105,20 @@ def test_a_conflict_is_small_and_its_way_out_leads_out(problem: Problem) -> None
     assert can_hold(relieved(problem, conflict))
     if len(conflict.more) == 1 and "letting" not in conflict.relaxation:
         assert not can_hold(relieved(problem, conflict, part=0.99))
+
+
+def test_a_raise_leaves_room_for_what_shares_the_cpu_and_has_a_time_limit() -> None:
+    """c1 needs all of 0.1 cores, and then c0 would never end; with 0.15 in 30 ms."""
+    runs = (Run(component="c0", seconds=0.01),)
+    problem = Problem(
+        components=components(0, 0.1),
+        computers=computers(0),
+        time_limits=(TimeLimit(name="t", limit=0.03, runs=runs, shared=True),),
+    )
+    conflict = plan.solve(problem).conflict
+    assert conflict is not None
+    assert conflict.relaxation == "0.15 more cpu on h0 (0 now)"
+    assert can_hold(relieved(problem, conflict))
 
 
 def test_the_cheapest_of_several_rises_is_named() -> None:

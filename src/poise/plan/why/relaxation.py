@@ -254,14 +254,20 @@ def usual(problem: Problem, limit: Limit) -> float:
     return max(h.capacity.get(limit.names[1], 0.0) for h in problem.computers) or 1.0
 
 
+_IDLE = 100.0
+"""More CPU than this multiple of all demands makes nothing quicker that shares it."""
+
+
 def limits_of(problem: Problem) -> Iterator[Limit]:
     """Yield each limit of a problem."""
     softened = {each.resource for each in problem.soft_limits}
+    is_shared = any(t.shared and not t.price for t in problem.time_limits)
     for resource in (r for r in problem.resources if r not in softened):
         total = sum(c.demand.get(resource, 0.0) for c in problem.components)
         if total > 0:
+            room = _IDLE if is_shared and resource == "cpu" else 1.0
             for h in problem.computers:
-                yield _capacity(h, resource, total)
+                yield _capacity(h, resource, room * total)
     traffic = sum(k.traffic for k in problem.connectors)
     if traffic > 0:
         for link in (k for k in problem.links if k.bandwidth < inf):
@@ -271,7 +277,7 @@ def limits_of(problem: Problem) -> Iterator[Limit]:
     for t in problem.time_limits:
         if not t.price:
             text = f"time limit {t.name!r} is {format_seconds(t.limit)}"
-            most = longest(problem, t)
+            most = longest(problem, t) * (2.0 if t.shared else 1.0)
             yield Limit("time", (t.name,), text, now=t.limit, most=most)
     yield from _groups("together", problem.together, "run apart")
     yield from _groups("apart", problem.apart, "share a computer")
