@@ -18,10 +18,10 @@ DRIFT = 50e-6
 
 
 def wall_time() -> float:
-    """Return the time of day [s since 1970], for records that people read only.
+    """Return the time of day [s since 1970], for records that people read.
 
     It steps, by years on a computer whose clock has no battery. So no limit, age or
-    order may depend on it.
+    order may depend on it; the phase of a timer may, where any would do.
     """
     return time.time()  # noqa: TID251, the one place
 

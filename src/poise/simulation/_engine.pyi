@@ -197,6 +197,7 @@ class Engine:
         factors: Sequence[float],
         keep: Mapping[str, int],
         keep_other: int,
+        release_offset: float = 0.0,
     ) -> Model: ...
     def connector(
         self,

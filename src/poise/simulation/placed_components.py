@@ -8,12 +8,14 @@ anything runs.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from random import Random
 
 from poise.estimate.overhead import kinds_together
 from poise.manage.deploy.deployment_plan import DeploymentPlan
 from poise.manage.deploy.incarnation import Incarnation
 from poise.model.robot import Robot
 from poise.runtime.component.ports import Timer
+from poise.runtime.execution.timers import release_offset
 from poise.simulation._engine import Engine, Executor
 from poise.simulation.components.models import ComponentModel, HandlerModel, TimerModel
 from poise.simulation.network.links import links_of, set_links
@@ -25,8 +27,8 @@ _CORES = 4.0
 _USUAL = ComponentModel()
 _WEIGHT = 100.0
 _SAMPLES_EVERY = 0.1
-_BEGINS_WITHIN = 0.002
-"""All that is placed begins within this time [s]: the manager tells all at once."""
+_REFILLED_EVERY = 0.01
+"""An emulated computer gets its share of CPU this often [s], from any moment on."""
 
 
 class PlacedComponents:
@@ -39,8 +41,7 @@ class PlacedComponents:
     work
         What the components do.
     seed
-        How long handlers take is drawn, and the moments when containers begin: nearly
-        together, as on the robot.
+        How long handlers take is drawn, and when emulated computers get their shares.
     """
 
     def __init__(
@@ -52,17 +53,10 @@ class PlacedComponents:
     ) -> None:
         self._engine = Engine(seed)
         self._executors: dict[str, Executor] = {}
-        self._together: list[list[str]] = []
         set_links(self._engine, links_of(robot))
-        self._add_components(robot, placement, work)
-        random = Choices(seed).random("beginnings")
-        begins = sorted(
-            (random.uniform(0.0, _BEGINS_WITHIN), names) for names in self._together
-        )
-        for at, names in begins:
-            self.run(at)
-            for name in names:
-                self._executors[name].activate()
+        self._add_components(robot, placement, work, Choices(seed).random("refills"))
+        for executor in self._executors.values():
+            executor.activate()
 
     @property
     def now(self) -> float:
@@ -83,7 +77,11 @@ class PlacedComponents:
         return self._executors[component].timers(self.now)
 
     def _add_components(
-        self, robot: Robot, placement: Mapping[str, str], work: SimulatedWork
+        self,
+        robot: Robot,
+        placement: Mapping[str, str],
+        work: SimulatedWork,
+        random: Random,
     ) -> None:
         engine, kinds = self._engine, kinds_together(robot)
         incarnations = [
@@ -92,6 +90,7 @@ class PlacedComponents:
         deployments = DeploymentPlan(robot, "").specs(incarnations, 0, {})
         agent = _agent(work.agent)
         for computer in robot.computers:
+            self.run(random.uniform(self.now, self.now + _REFILLED_EVERY))
             cores = computer.capacity.get("cpu", _CORES)
             is_emulated = computer.address is None
             cpu = engine.cpu(cores, computer.speed, is_emulated=is_emulated)
@@ -111,18 +110,17 @@ class PlacedComponents:
                 }
                 container.connect(list(connectors.values()))
                 for each in spec.components:
-                    model = work.models.get(each.name, _USUAL).made_in(engine)
+                    model = work.models.get(each.name, _USUAL)
                     executor = container.add(
                         (each.name, each.epoch),
                         0,
-                        model,
+                        model.made_in(engine, release_offset(each.name)),
                         [(c.name, c.is_first, c.deadline) for c in each.chains],
                     )
                     executor.set_wanted(True)
                     executor.set_leased(False)
                     self._executors[each.name] = executor
-                inside = [each.name for each in spec.components]
-                self._together.append(inside)
+                inside = {each.name for each in spec.components}
                 for connector in spec.connectors:
                     if connector.source in inside:
                         container.add_sender(connectors[connector.key])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from poise.runtime.component.ports import Timer
-from poise.runtime.execution.timers import Releases, Timers
+from poise.runtime.execution.timers import Releases, Timers, release_offset
 from poise.wire.records.status import TimerStatus
 
 START = 10.0
@@ -96,3 +96,32 @@ def test_counts_stay_over_a_pause_and_the_pause_is_not_counted() -> None:
     (told,) = timers.status(START + 5.12)
     assert (told.releases, told.missed, told.duration.count) == (3, 1, 3)
     assert timers.next_due() == pytest.approx(START + 5.2)
+
+
+def test_timers_are_due_at_multiples_of_their_periods_from_a_given_moment() -> None:
+    timers = Timers(
+        {"slow": Timer("slow", 0.5, None), "tick": Timer("tick", 0.2, None)}
+    )
+    timers.start(START, elapsed=7.15)
+    assert [each.due for each in timers] == pytest.approx([START + 0.35, START + 0.05])
+
+
+def test_when_timers_are_due_does_not_depend_on_when_their_component_began() -> None:
+    """Whatever held up a start, the releases are those of the start before."""
+    dues = []
+    for began in (0.0, 0.37, 3.91):
+        timers = Timers({"tick": Timer("tick", 0.2, None)})
+        timers.start(START + began, elapsed=5.05 + began)
+        due = timers.next_due()
+        assert due is not None
+        assert START + began < due <= START + began + 0.2
+        dues.append((due - START) / 0.2 % 1.0)
+    assert dues == pytest.approx([dues[0]] * 3)
+
+
+def test_components_are_due_at_moments_of_their_own() -> None:
+    names = ("camera", "localiser", "planner", "wheels")
+    offsets = [release_offset(each) for each in names]
+    assert offsets == [release_offset(each) for each in names]
+    assert len(set(offsets)) == len(names)
+    assert all(0.0 <= each < 1.0 for each in offsets)

@@ -216,8 +216,8 @@ def test_two_that_work_at_one_time_are_a_violation(engine: Engine) -> None:
     assert engine.ledger.violations[0] == (
         "nothing-active-twice",
         (
-            "'source' (0) on 'a' began a handler at 0.300 s, but 'source' (1) on 'b' "
-            "has worked since 0.250 s"
+            "'source' (0) on 'a' published at 0.201 s, but 'source' (1) on 'b' "
+            "has worked since 0.200 s"
         ),
     )
 

@@ -28,7 +28,7 @@ def real(timer: Timer, factors: list[float], pauses: Pauses, end: float) -> Time
                 releases.end(release, began, free)
         if pause < end:
             timers.stop(pause)
-            timers.start(resume)
+            timers.start(resume, resume)
     (status,) = timers.status(end)
     return status
 

@@ -3,10 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from zlib import crc32
 
 from poise.runtime._calls import Histogram
 from poise.runtime.component.ports import Timer
 from poise.wire.records.status import TimerStatus
+
+
+def release_offset(component: str) -> float:
+    """Return when the timers of a component are released [s].
+
+    That is at this moment of a day's seconds, and any number of periods from it. Only
+    the name decides: how timers stand to each other is the same at each start, and they
+    are not all due at once.
+    """
+    return crc32(component.encode()) / 2**32
 
 
 class Releases:
@@ -17,7 +28,7 @@ class Releases:
     timer
         Period and deadline.
     start
-        The moment of activation [s].
+        The release before the first one [s].
     """
 
     def __init__(self, timer: Timer, start: float) -> None:
@@ -100,11 +111,18 @@ class Timers:
         """Let timers be due first at these moments [s]: a move keeps their phases."""
         self._first = first
 
-    def start(self, now: float) -> list[tuple[float, float]]:
-        """Start or go on at `now` [s]; return the start and the period of each [s]."""
+    def start(self, now: float, elapsed: float = 0.0) -> list[tuple[float, float]]:
+        """Start or go on at `now` [s]; return the start and the period of each [s].
+
+        Parameters
+        ----------
+        elapsed
+            How long ago a moment was at which all timers are due [s].
+        """
         stopped, self._stopped_at = self._until(now), None
         for name, timer in self._declared.items():
-            start = self._first.get(name, now + timer.period) - timer.period
+            due = now + timer.period - elapsed % timer.period
+            start = self._first.get(name, due) - timer.period
             if name in self._releases:
                 self._releases[name].restart(start, stopped)
             else:

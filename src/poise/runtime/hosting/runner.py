@@ -14,7 +14,7 @@ from functools import partial
 from typing import Any
 
 from poise import threads
-from poise.clock import ComponentClock
+from poise.clock import ComponentClock, wall_time
 from poise.errors import Timeout
 from poise.priority import ahead
 from poise.runtime._calls import ComponentCounters, Histogram
@@ -27,7 +27,7 @@ from poise.runtime.execution.data_age import DataAges, Stamped
 from poise.runtime.execution.exclusion import Exclusion, Redirected, new_chain
 from poise.runtime.execution.lease import LeaseEnd, LeaseEnded
 from poise.runtime.execution.mailbox import Inbox
-from poise.runtime.execution.timers import Releases, Timers
+from poise.runtime.execution.timers import Releases, Timers, release_offset
 from poise.runtime.hosting.checkpoints import Checkpoints
 from poise.runtime.hosting.execution_gate import ExecutionGate
 from poise.runtime.hosting.life_cycle import ENDED, LifeCycle, TaskNews
@@ -280,7 +280,8 @@ class Runner:
         if state == "active":
             if self.checkpoints is not None:
                 self.checkpoints.begin()
-            self.counters.plan(self.timers.start(self.clock.now()))
+            elapsed = wall_time() - release_offset(self.spec.name)
+            self.counters.plan(self.timers.start(self.clock.now(), elapsed))
         elif hook == "configure":
             self._start = self.clock.now() - self.asked_at
         self.life_cycle.enter(state)

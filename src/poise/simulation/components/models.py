@@ -90,8 +90,8 @@ class ComponentModel(Struct, frozen=True, kw_only=True):
     state_size: float = 10_000
     memory: float = 10e6
 
-    def made_in(self, engine: Engine) -> Model:
-        """Return it as the engine has it."""
+    def made_in(self, engine: Engine, release_offset: float = 0.0) -> Model:
+        """Return it as the engine has it; timers are due at the offset [s]."""
         return engine.model(
             timers=[
                 (
@@ -108,6 +108,7 @@ class ComponentModel(Struct, frozen=True, kw_only=True):
             factors=self.factors,
             keep=self.keep,
             keep_other=MOST_KEPT,
+            release_offset=release_offset,
         )
 
 

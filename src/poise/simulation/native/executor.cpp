@@ -40,7 +40,7 @@ bool Executor::is_working() const {
 void Executor::activate() {
   is_active_ = true;
   if (is_paused_) return;
-  timers_.start(now());
+  timers_.start(now(), now() - model_.release_offset);
   plan();
 }
 

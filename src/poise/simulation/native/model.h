@@ -42,6 +42,7 @@ struct Model {
   std::vector<double> factors;  // how much dearer handlers are in each second
   std::unordered_map<Slot*, std::size_t> keep;  // messages that wait over a slot at most
   std::size_t keep_other;
+  double release_offset;  // when its timers are due [s], or periods before or after
 };
 
 // An incarnation of a component: the number of its name, and its epoch.

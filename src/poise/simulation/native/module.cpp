@@ -111,9 +111,9 @@ Handler make_handler(Engine& engine, double work, double spread,
 const Model& make_model(Engine& engine, const std::vector<TimerRecord>& timers,
                         const Handlers& takes, const Handlers& serves, const Handler& other,
                         std::vector<double> factors, const std::map<std::string, std::size_t>& keep,
-                        std::size_t keep_other) {
+                        std::size_t keep_other, double release_offset) {
   Model model{{}, by_slot(engine, takes), by_slot(engine, serves), other, std::move(factors), {},
-              keep_other};
+              keep_other, release_offset};
   for (const auto& [name, period, deadline, handler] : timers)
     model.timers.push_back({name, period, deadline, handler});
   for (const auto& [slot, most] : keep) model.keep[&engine.ledger.slot(slot)] = most;
@@ -304,7 +304,7 @@ void bind_engine(nb::module_& module) {
       .def("handler", &make_handler, "work"_a, "spread"_a = 0.0,
            "publishes"_a.none() = nb::tuple(), "calls"_a = nb::tuple())
       .def("model", &make_model, "timers"_a, "takes"_a, "serves"_a, "other"_a, "factors"_a,
-           "keep"_a, "keep_other"_a, inside)
+           "keep"_a, "keep_other"_a, "release_offset"_a = 0.0, inside)
       .def("connector", &make_connector, nb::kw_only(), "name"_a, "key"_a, "slot"_a, "source"_a,
            "target"_a, "computer"_a, "is_direct"_a, "limit"_a, "size"_a, "costs"_a, "carries"_a,
            "answers"_a, inside)

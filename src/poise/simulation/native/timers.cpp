@@ -1,6 +1,7 @@
 #include "timers.h"
 
 #include <algorithm>
+#include <cmath>
 #include <limits>
 
 namespace poise::simulation {
@@ -34,13 +35,15 @@ void Timer::restart(double start, double stopped) {
   next_ = 1;
 }
 
-void Timers::start(double now) {
+void Timers::start(double now, double elapsed) {
   const double stopped = until(now);
   stopped_.reset();
   for (Timer& timer : timers_) {
     const auto first = first_.find(timer.name());
-    const double due = first == first_.end() ? now + timer.period() : first->second;
-    const double start = due - timer.period();
+    const double period = timer.period();
+    const double passed = elapsed - std::floor(elapsed / period) * period;
+    const double due = first == first_.end() ? now + period - passed : first->second;
+    const double start = due - period;
     if (has_started_)
       timer.restart(start, stopped);
     else

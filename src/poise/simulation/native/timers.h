@@ -62,8 +62,8 @@ class Timers {
 
   // Let timers be due first at these moments: a move keeps their phases.
   void begin_at(std::map<std::string, double> first) { first_ = std::move(first); }
-  // Start or go on at `now`.
-  void start(double now);
+  // Start or go on at `now`; `elapsed` ago was a moment at which all are due.
+  void start(double now, double elapsed);
   // Count no release after `now`.
   void stop(double now) { stopped_ = now; }
   // When a timer is due next; infinite: none is.

@@ -7,6 +7,7 @@ from contextlib import AbstractContextManager
 
 from poise.estimate.overhead import kinds_together
 from poise.manage.journal import JournalEntry
+from poise.runtime.execution.timers import release_offset
 from poise.simulation._engine import Connector, Model
 from poise.simulation.components.component import SimulatedComponent
 from poise.simulation.components.container import SimulatedContainer
@@ -180,8 +181,8 @@ class SimulatedRobot:
     def engine_model_of(self, component: str) -> Model:
         """Return the model of a component as the engine has it."""
         if component not in self._models:
-            model = self.model_of(component).made_in(self.scheduler.engine)
-            self._models[component] = model
+            model, engine = self.model_of(component), self.scheduler.engine
+            self._models[component] = model.made_in(engine, release_offset(component))
         return self._models[component]
 
     def connector_of(self, spec: ConnectorSpec) -> Connector:
