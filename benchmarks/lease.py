@@ -14,7 +14,7 @@ from collections.abc import Callable
 from functools import partial
 from timeit import timeit
 
-from poise.runtime.execution.lease import LeaseEnd, check_lease
+from poise.runtime.execution.container_lease import LeaseEnd, check_lease
 from poise.runtime.hosting.stats_page import new_memory
 
 _ROUNDS = 50

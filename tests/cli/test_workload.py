@@ -13,7 +13,7 @@ from poise.estimate.profile import profile_files as profile_file
 from poise.model import load
 from poise.model.robot import Generated, Robot, Workload
 from poise.session.profiling.rig import OTHERS, PLAYER, played, rig_of
-from poise.session.recordings.tapped_robot import tapped
+from poise.session.recordings.record_run import tapped
 from poise.session.robot_file import check
 from poise.wire.recording_file import Input, Recorded, append
 from poise.wire.recording_file import load as load_recording

@@ -33,8 +33,8 @@ from poise.runtime.agent import fence
 from poise.runtime.agent.fence import Fence, Lease
 from poise.runtime.agent.heartbeat_exchange import HeartbeatExchange
 from poise.simulation.robot.container_host import SimulatedControl
-from poise.simulation.run import simulate
 from poise.simulation.shrink import Shrunk
+from poise.simulation.simulated_run import simulate
 from tests.simulation.conftest import small_scenario
 
 SECONDS = 120.0

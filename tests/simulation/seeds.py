@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterable
 
-from poise.simulation.run import RunOutcome, simulate
+from poise.simulation.simulated_run import RunOutcome, simulate
 from tests.simulation.conftest import small_scenario
 
 SECONDS = 120.0

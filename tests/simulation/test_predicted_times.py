@@ -23,8 +23,8 @@ from poise.simulation.components.models import (
     HandlerModel,
     Models,
     TimerModel,
+    Traffic,
 )
-from poise.simulation.components.traffic import Traffic
 from poise.simulation.predicted_times import PredictedChain, predict_times
 from poise.simulation.workload import SimulatedWork
 

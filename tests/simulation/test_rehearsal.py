@@ -11,7 +11,7 @@ from poise.model.hardware import Link
 from poise.model.robot import Chain, Robot
 from poise.simulation.faults import SimulatedFault
 from poise.simulation.rehearsal import Rehearsal, RehearsalPlan
-from poise.simulation.report import SimulationReport
+from poise.simulation.simulation_report import SimulationReport
 from tests.simulation.conftest import small_scenario
 
 PERIOD = 0.1

@@ -29,11 +29,10 @@ from poise.session.experiment.summary import ExperimentReport
 from poise.session.placing.chosen_architectures import Described, Listed
 from poise.session.profiling.calibrate import Calibration
 from poise.session.reports.run_report import RunReport
-from poise.session.running_robots.local_robots import Robots
-from poise.session.running_robots.rates import Rate
+from poise.session.running_robots.local_robots import Rate, Robots
 from poise.session.scenes import SCENES
 from poise.simulation.predicted_times import PredictedTimes
-from poise.simulation.report import SimulationReport
+from poise.simulation.simulation_report import SimulationReport
 from poise.view.record import RobotRecording
 from poise.wire.records.output import OutputLine
 

@@ -22,8 +22,8 @@ from msgspec import structs
 from poise.errors import PoiseError, RunError, TakenOver
 from poise.manage.adaptation.bad_links import check_links
 from poise.manage.adaptation.loop import Adaptation
+from poise.manage.adaptation.move_forecast import check_move
 from poise.manage.adaptation.situation import Situation
-from poise.manage.adaptation.what_if import check_move
 from poise.manage.control_socket.commands import (
     Command,
     JournalCommand,

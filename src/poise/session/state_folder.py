@@ -44,3 +44,24 @@ def find_journal(robot: str | None = None) -> Path:
             f"{', '.join(known) or 'none'}): `poise up` writes one, or name a file"
         )
     return max(found, key=lambda each: each.stat().st_mtime_ns)
+
+
+def to_write(path: Path | None) -> Path | None:
+    """Return the path of a file that is written at the end, when it can be.
+
+    Raises
+    ------
+    UsageError
+        It cannot; nothing was begun.
+    """
+    if path is None:
+        return None
+    is_new = not path.exists()
+    try:
+        with path.open("ab"):
+            pass
+    except OSError as error:
+        raise UsageError(f"{path} cannot be written: {error.strerror}") from error
+    if is_new:
+        path.unlink()
+    return path

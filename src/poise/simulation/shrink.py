@@ -8,8 +8,8 @@ from typing import TypeVar
 from msgspec import structs
 
 from poise.simulation.faults import SimulatedFault
-from poise.simulation.run import RunOutcome, Scenario, simulate
 from poise.simulation.schedule.scheduler import ENGINE
+from poise.simulation.simulated_run import RunOutcome, Scenario, simulate
 
 MOST_RUNS = 500
 T = TypeVar("T")

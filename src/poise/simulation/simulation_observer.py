@@ -8,7 +8,8 @@ from poise.manage.deploy.desired import Desired
 from poise.manage.journal import JournalEntry
 from poise.manage.migration.migration_report import MigrationReport
 from poise.model.robot import Robot
-from poise.simulation.report import (
+from poise.simulation.robot.simulated_robot import SimulatedRobot
+from poise.simulation.simulation_report import (
     Outage,
     SimulatedChain,
     SimulatedEvent,
@@ -16,7 +17,6 @@ from poise.simulation.report import (
     SimulatedMove,
     TimerMisses,
 )
-from poise.simulation.robot.robot import SimulatedRobot
 from poise.wire.records.status import Summary
 
 LOOK_EVERY = 0.05

@@ -28,8 +28,8 @@ from poise.simulation.components.models import (
     HandlerModel,
     Models,
     TimerModel,
+    Traffic,
 )
-from poise.simulation.components.traffic import Traffic
 
 _SPREAD, _LEAST_SPREAD, _MOST_SPREAD = 0.3, 0.1, 1.0
 _FEW = 0.1

@@ -10,7 +10,7 @@ from msgspec.structs import replace
 from poise.errors import RunError, UsageError
 from poise.manage.adaptation.actions import Actions
 from poise.manage.adaptation.loop import Adaptation
-from poise.manage.adaptation.move_limits import BUDGET, MoveLimits
+from poise.manage.adaptation.responder import BUDGET, MoveLimits
 from poise.manage.migration.migration_report import TransitionStep
 from poise.manage.policy.evaluation import Policies
 from poise.manage.policy.subjects import values_of

@@ -11,7 +11,7 @@ from msgspec.structs import replace
 from poise.errors import UsageError
 from poise.manage.adaptation.bad_links import check_links
 from poise.manage.adaptation.decision import decide
-from poise.manage.adaptation.move_limits import MoveLimits
+from poise.manage.adaptation.responder import MoveLimits
 from poise.manage.adaptation.situation import Situation
 from poise.manage.policy.evaluation import Policies
 from poise.manage.policy.subjects import values_of

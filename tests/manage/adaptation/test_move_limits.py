@@ -7,7 +7,7 @@ import random
 import pytest
 
 from poise.manage.adaptation.decision import decide
-from poise.manage.adaptation.move_limits import BUDGET, REST, MoveLimits
+from poise.manage.adaptation.responder import BUDGET, REST, MoveLimits
 from poise.manage.migration.migration_report import TransitionStep
 from tests.manage.adaptation.conftest import Make
 

@@ -14,7 +14,7 @@ from msgspec import structs
 
 from poise.errors import Unavailable
 from poise.runtime.agent.core import AgentCore
-from poise.runtime.agent.supervised_parts import SHOWN_FOR
+from poise.runtime.agent.inbox import SHOWN_FOR
 from poise.runtime.agent.surroundings import (
     AgentSetup,
     AgentState,

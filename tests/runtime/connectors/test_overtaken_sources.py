@@ -8,8 +8,8 @@ from typing import Any
 from poise import Component, subscribed
 from poise.runtime.component.ports import ports_of
 from poise.runtime.connectors.channel_route import receiving
+from poise.runtime.connectors.endpoints import OvertakenSources
 from poise.runtime.connectors.interface import message_tag
-from poise.runtime.connectors.overtaken_sources import OvertakenSources
 from poise.runtime.execution.clocks import RemoteClock
 from poise.runtime.execution.connector_counters import Counts
 from poise.wire import frame

@@ -13,8 +13,7 @@ import pytest
 from poise import Message
 from poise.errors import RunError, Timeout, Unavailable
 from poise.runtime.component.ports import Port
-from poise.runtime.connectors.interface import Method
-from poise.runtime.connectors.proxy import Proxy
+from poise.runtime.connectors.interface import Method, Proxy
 from poise.runtime.connectors.sender import Sender
 from poise.runtime.execution.exclusion import Exclusion, new_chain
 from poise.wire.codec import WireError

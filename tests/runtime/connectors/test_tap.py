@@ -12,7 +12,7 @@ from poise import Message
 from poise.errors import UsageError
 from poise.runtime.component.ports import Port
 from poise.runtime.connectors import tap
-from poise.runtime.connectors.proxy import Proxy
+from poise.runtime.connectors.interface import Proxy
 from poise.runtime.connectors.sender import Sender
 from poise.runtime.connectors.tap import MOST_PASSED, MOST_TIMES, Observer, Plain
 from poise.runtime.hosting import taps

@@ -17,7 +17,7 @@ from poise import Component, Message, Provided, Published, Required, every, subs
 from poise.clock import SystemClock
 from poise.errors import Unavailable
 from poise.runtime.execution.connector_counters import Counts
-from poise.runtime.execution.lease import LeaseEnd, LeaseEnded
+from poise.runtime.execution.container_lease import LeaseEnd, LeaseEnded
 from poise.runtime.hosting.checkpoints import Checkpoints
 from poise.runtime.hosting.fenced_commands import freeze_fenced
 from poise.runtime.hosting.runner import Runner

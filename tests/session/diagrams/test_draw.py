@@ -20,13 +20,13 @@ from poise.model.robot import (
     Link,
     Robot,
 )
-from poise.session.diagrams.draw import TEXTS, Drawing, draw
-from poise.session.diagrams.records import (
+from poise.session.diagrams.diagram_records import (
     ComponentDiagram,
     DeploymentDiagram,
     Join,
     SequenceDiagram,
 )
+from poise.session.diagrams.draw import TEXTS, Drawing, draw
 
 GIB = 2**30
 

@@ -9,7 +9,7 @@ from msgspec.structs import replace
 
 from poise.session.render.simulation_tables import compared, late, span, verdict
 from poise.session.simulating.simulation_results import Simulation, SimulationComparison
-from poise.simulation.report import SimulationReport
+from poise.simulation.simulation_report import SimulationReport
 from tests.session.simulating.fake_rehearsal import REPORT, timer
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from poise.session.running_robots.rates import Rate
+from poise.session.running_robots.local_robots import Rate
 
 
 def test_a_rate_is_that_of_the_gaps_between() -> None:

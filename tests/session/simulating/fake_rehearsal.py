@@ -9,7 +9,7 @@ from msgspec.structs import replace
 
 from poise.errors import RunError
 from poise.simulation.rehearsal import RehearsalPlan
-from poise.simulation.report import (
+from poise.simulation.simulation_report import (
     Outage,
     SimulatedChain,
     SimulatedEvent,

@@ -9,10 +9,10 @@ import pytest
 import zenoh
 from zenoh.handlers import Callback
 
-from poise.simulation.computers.process import Process, SimulatedComputer
-from poise.simulation.network.addresses import Addresses
+from poise.simulation.network.datagrams import Addresses
 from poise.simulation.network.network import Network
 from poise.simulation.network.zenoh_sessions import Session, ZenohNetwork, matches
+from poise.simulation.robot.simulated_process import Process, SimulatedComputer
 from poise.simulation.schedule.scheduler import Scheduler
 
 LEASE = 2.0

@@ -6,9 +6,17 @@ from collections.abc import Callable
 
 import pytest
 
-from poise.simulation.computers.process import Process, SimulatedComputer, TaskFailed
-from poise.simulation.schedule.choices import Choices
-from poise.simulation.schedule.scheduler import SLACK, Scheduler, SimulationError
+from poise.simulation.robot.simulated_process import (
+    Process,
+    SimulatedComputer,
+    TaskFailed,
+)
+from poise.simulation.schedule.scheduler import (
+    SLACK,
+    Choices,
+    Scheduler,
+    SimulationError,
+)
 
 
 @pytest.fixture

@@ -17,8 +17,7 @@ from poise.errors import UsageError
 from poise.manage.agent_connections.statuses import connectors_of
 from poise.session.render.printable import console_to
 from poise.session.render.robot_list import listing
-from poise.session.running_robots.local_robots import Thing, names_of, robots_here
-from poise.session.running_robots.rates import Rate
+from poise.session.running_robots.local_robots import Rate, Thing, names_of, robots_here
 from poise.session.running_robots.running import Running, connect
 from poise.units import format_bytes
 from poise.wire.records.output import OutputLine

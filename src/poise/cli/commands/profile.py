@@ -28,7 +28,7 @@ from poise.session.profiling.stored_profiles import (
 from poise.session.render.printable import console_to
 from poise.session.render.profile_tables import history_table, show_profile
 from poise.session.robot_file import load_bare
-from poise.session.writable import to_write
+from poise.session.state_folder import to_write
 from poise.units import SECONDS
 
 Write = Annotated[

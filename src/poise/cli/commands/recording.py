@@ -16,7 +16,7 @@ from poise.session.recordings.recorded_run import RecordedRun
 from poise.session.render.printable import console_to
 from poise.session.render.tables import table
 from poise.session.robot_file import load_bare
-from poise.session.writable import to_write
+from poise.session.state_folder import to_write
 
 
 def recording_command(

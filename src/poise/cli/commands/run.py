@@ -18,7 +18,7 @@ from poise.session.render.printable import console_to
 from poise.session.render.run_progress import progress
 from poise.session.robot_file import load, task_of
 from poise.session.run import run
-from poise.session.writable import to_write
+from poise.session.state_folder import to_write
 from poise.units import SECONDS
 
 

@@ -29,7 +29,7 @@ from poise.session.render.run_progress import virtual_progress
 from poise.session.robot_file import task_of, with_code
 from poise.session.simulating.simulate import compare_simulations, simulate
 from poise.session.simulating.simulation_results import Simulation, SimulationComparison
-from poise.session.writable import to_write
+from poise.session.state_folder import to_write
 from poise.units import SECONDS
 
 

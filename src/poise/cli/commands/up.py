@@ -18,7 +18,7 @@ from poise.errors import UsageError
 from poise.model.tasks.steps import Prefetch
 from poise.session.launch.printer import Printer, log_printer
 from poise.session.robot_file import load, task_of
-from poise.session.writable import to_write
+from poise.session.state_folder import to_write
 
 _LOOK_EVERY = 0.2
 

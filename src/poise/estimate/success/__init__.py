@@ -1,6 +1,11 @@
 """How often actions succeed with an architecture, learned from their outcomes."""
 
-from poise.estimate.success.posterior import Posterior
-from poise.estimate.success.store import Conditions, Ending, Outcome, SuccessStore
+from poise.estimate.success.outcome_store import (
+    Conditions,
+    Ending,
+    Outcome,
+    Posterior,
+    SuccessStore,
+)
 
 __all__ = ["Conditions", "Ending", "Outcome", "Posterior", "SuccessStore"]

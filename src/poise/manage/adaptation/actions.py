@@ -12,10 +12,9 @@ from functools import partial
 
 from poise.errors import PoiseError, RunError, UsageError
 from poise.manage.adaptation.bad_links import check_links
-from poise.manage.adaptation.move_limits import MoveLimits
-from poise.manage.adaptation.responder import Change
+from poise.manage.adaptation.move_forecast import check_move
+from poise.manage.adaptation.responder import Change, MoveLimits
 from poise.manage.adaptation.situation import Situation
-from poise.manage.adaptation.what_if import check_move
 from poise.manage.deploy.desired import Desired
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.migration.migration_report import (

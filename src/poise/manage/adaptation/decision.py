@@ -28,9 +28,13 @@ from poise.manage.adaptation.bad_links import (
     wasted,
     with_bad_links,
 )
-from poise.manage.adaptation.late_data import late, nothing_helps
 from poise.manage.adaptation.proposals import Proposal
-from poise.manage.adaptation.replan import propose, with_present_demands
+from poise.manage.adaptation.replan import (
+    late,
+    nothing_helps,
+    propose,
+    with_present_demands,
+)
 from poise.manage.adaptation.situation import Homes, Situation
 from poise.manage.agent_connections.statuses import components_of
 from poise.manage.migration.migration_report import TransitionStep

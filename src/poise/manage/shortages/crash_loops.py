@@ -6,7 +6,7 @@ Each computer is tried once. What is pinned stays, and its agent goes on restart
 from __future__ import annotations
 
 from poise.errors import RunError
-from poise.manage.adaptation.move_limits import MoveLimits
+from poise.manage.adaptation.responder import MoveLimits
 from poise.manage.adaptation.situation import Situation
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.migration.migration_report import TransitionStep

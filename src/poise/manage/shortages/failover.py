@@ -10,9 +10,8 @@ from msgspec import Struct
 
 from poise import plan
 from poise.errors import RobotError
-from poise.manage.adaptation.move_limits import MoveLimits
 from poise.manage.adaptation.replan import explain
-from poise.manage.adaptation.responder import Change
+from poise.manage.adaptation.responder import Change, MoveLimits
 from poise.manage.adaptation.situation import Homes, Situation
 from poise.manage.deploy.desired import Desired
 from poise.manage.deploy.running_components import RunningComponents

@@ -12,9 +12,9 @@ from poise.estimate.success.learning import learned
 from poise.manage.adaptation.situation import Situation
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.tasks.action_placement import PlanOverTime, Room, room_for_functions
+from poise.manage.tasks.component_reports import Serving
 from poise.manage.tasks.concurrent_tasks import Tasks
 from poise.manage.tasks.learned_choice import conditions_of
-from poise.manage.tasks.serving import Serving
 from poise.manage.tasks.task_progress import TaskRecord, Try
 
 

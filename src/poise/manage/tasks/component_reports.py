@@ -1,13 +1,15 @@
-"""What components say of actions and tasks: ends, and wishes."""
+"""What components say of actions, and which architectures serve which functions."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Set as AbstractSet
 
 from msgspec import Struct
 
 from poise.manage.agent_connections.statuses import components_of
 from poise.manage.deploy.running_components import RunningComponents
+from poise.model.robot import Architecture
 from poise.wire.records.status import TaskWish
 
 
@@ -46,3 +48,60 @@ class ComponentReports:
                 if wish.number > self._wishes.get(key, 0):
                     self._wishes[key] = wish.number
                     yield component.name, wish
+
+
+class Serving:
+    """The architectures of a run that are at work."""
+
+    def __init__(self, run: RunningComponents) -> None:
+        self._run = run
+        self._placed: AbstractSet[str] = frozenset()
+        self._whole_then: list[Architecture] = []
+
+    def moving(self) -> list[Architecture]:
+        """Return those of the sequencing layer of which something is placed."""
+        placed = self._run.placed
+        return [
+            a
+            for a in self._run.robot.architectures
+            if a.layer == "sequencing" and any(c.name in placed for c in a.components)
+        ]
+
+    def fixed(self) -> set[str]:
+        """Return the functions of other layers that run: they never stop."""
+        return {a.function for a in self._whole() if a.layer != "sequencing"}
+
+    def functions(self) -> set[str]:
+        """Return the functions that some architecture provides wholly."""
+        return {a.function for a in self._whole()}
+
+    def broken(self, lost: Collection[str]) -> set[str]:
+        """Return the functions of which something is missing, or on a lost computer."""
+        placed = self._run.placed
+        return {
+            a.function
+            for a in self.moving()
+            for c in a.components
+            if c.name not in placed or placed[c.name].computer in lost
+        }
+
+    def architectures(self, functions: Collection[str]) -> list[str]:
+        """Return the names of the architectures that provide functions now."""
+        return [a.name for a in self._whole() if a.function in functions]
+
+    def functions_of(self, components: Iterable[str]) -> set[str]:
+        """Return the functions that components belong to."""
+        names = set(components)
+        return {
+            a.function
+            for a in self._run.robot.architectures
+            if any(c.name in names for c in a.components)
+        }
+
+    def _whole(self) -> list[Architecture]:
+        """Return what is placed wholly; computed when the placed components change."""
+        run, placed = self._run, self._run.placed.keys()
+        if placed != self._placed:
+            self._placed = frozenset(placed)
+            self._whole_then = [a for a in run.robot.whole(placed) if a.components]
+        return self._whole_then

@@ -29,10 +29,9 @@ from poise.manage.tasks.action_placement import (
     likely_next,
 )
 from poise.manage.tasks.admission import Admission
-from poise.manage.tasks.component_reports import ComponentReports, Heard
+from poise.manage.tasks.component_reports import ComponentReports, Heard, Serving
 from poise.manage.tasks.concurrent_tasks import Tasks
 from poise.manage.tasks.learned_choice import choose, conditions_of, note_ending
-from poise.manage.tasks.serving import Serving
 from poise.manage.tasks.task_progress import OVER, ActionEnded, Saved, TaskRecord, Try
 from poise.manage.tasks.task_report import TaskReport, task_reports
 from poise.model.policy.condition import parse_condition

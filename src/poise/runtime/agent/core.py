@@ -15,8 +15,8 @@ from msgspec import structs
 
 from poise.runtime.agent.fence import Fence
 from poise.runtime.agent.heartbeat_exchange import HeartbeatExchange
+from poise.runtime.agent.inbox import SupervisedParts
 from poise.runtime.agent.status_reports import StatusReports
-from poise.runtime.agent.supervised_parts import SupervisedParts
 from poise.runtime.agent.surroundings import (
     AgentSetup,
     AgentState,

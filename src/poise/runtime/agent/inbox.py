@@ -2,17 +2,94 @@
 
 from __future__ import annotations
 
+import logging
+import traceback
 from collections import deque
 from collections.abc import Callable
 from functools import partial
+from threading import Lock
+from typing import TypeVar
 
 import msgspec
 import zenoh
-from msgspec import Struct
+from msgspec import Struct, structs
 
-from poise.runtime.agent.supervised_parts import SupervisedParts
+from poise.back_off import BackOff
+from poise.clock import Clock
 from poise.runtime.agent.surroundings import Reply
 from poise.wire.records.requests import PROTOCOL, Answer, ManagerRequest, Refused
+from poise.wire.records.status import ErrorCount
+
+log = logging.getLogger(__name__)
+
+SHOWN_FOR = 60.0
+"""An error is shown for this time after it came last [s]."""
+_MOST_TROUBLES = 20
+"""The most parts whose errors are shown; all errors are logged."""
+
+T = TypeVar("T")
+
+
+class SupervisedParts:
+    """Runs the parts of an agent's work.
+
+    Parameters
+    ----------
+    wall
+        Returns the time [s since 1970], for people.
+    """
+
+    def __init__(self, clock: Clock, wall: Callable[[], float]) -> None:
+        self._clock = clock
+        self._wall = wall
+        self._rests: dict[str, BackOff] = {}
+        self._errors: dict[str, tuple[float, ErrorCount]] = {}
+        self._lock = Lock()  # threads report, too
+
+    def run(self, part: str, work: Callable[..., T], *args: object) -> T | None:
+        """Do a part of the work, unless it rests after an error."""
+        return None if self.is_resting(part) else self.attempt(part, work, *args)
+
+    def attempt(self, part: str, work: Callable[..., T], *args: object) -> T | None:
+        """Do what comes once; return None if it fails."""
+        try:
+            return work(*args)
+        except Exception as error:  # noqa: BLE001, it is logged, shown and counted
+            self.report(part, error)
+            return None
+
+    def report(self, part: str, error: BaseException) -> None:
+        """Log and show an error, and let its part rest; from any thread."""
+        text = "".join(traceback.format_exception(error))
+        log.error("%s: an error of Poise, the rest goes on\n%s", part, text.rstrip())
+        now = self._clock.now()
+        with self._lock:
+            self._rests.setdefault(part, BackOff()).note_end(now)
+            _, known = self._errors.pop(part, (0.0, None))
+            known = known or ErrorCount(
+                where=part, text=text, first=self._wall(), count=0
+            )
+            known = structs.replace(known, text=text, count=known.count + 1)
+            self._errors[part] = now, known
+            while len(self._errors) > _MOST_TROUBLES:
+                del self._errors[next(iter(self._errors))]
+
+    def is_resting(self, part: str) -> bool:
+        """Return whether a part waits after an error."""
+        rest = self._rests.get(part)
+        return rest is not None and self._clock.now() < rest.again_at
+
+    def again_at(self, part: str) -> float:
+        """Return when a part may be done again [s]."""
+        rest = self._rests.get(part)
+        return float("-inf") if rest is None else rest.again_at
+
+    def errors(self) -> tuple[ErrorCount, ...]:
+        """Return the errors of the last `SHOWN_FOR`, the latest of each part."""
+        since = self._clock.now() - SHOWN_FOR
+        with self._lock:
+            return tuple(error for at, error in self._errors.values() if at >= since)
+
 
 _MOST = 100
 

@@ -20,9 +20,9 @@ from poise.runtime.connectors.interface import Method, message_tag, methods
 from poise.runtime.connectors.sender import Sender
 from poise.runtime.execution.clocks import RemoteClock
 from poise.runtime.execution.connector_counters import Counts
+from poise.runtime.execution.container_lease import LeaseEnd, LeaseEnded, check_lease
 from poise.runtime.execution.data_age import Stamped
 from poise.runtime.execution.exclusion import Redirected, current_chain
-from poise.runtime.execution.lease import LeaseEnd, LeaseEnded, check_lease
 from poise.runtime.execution.mailbox import Feed
 from poise.wire import frame
 from poise.wire.codec import Codec, WireError, codec

@@ -1,5 +1,8 @@
 """A component's endpoints: senders for what it sends, a mailbox for what comes.
 
+A component that is lost is started elsewhere, and sends from there. What the lost one
+had sent before may still be under way, over a link that was cut: it comes too late.
+
 They stay while routes change: connectors are joined to them, and a move reads them.
 """
 
@@ -16,12 +19,56 @@ from poise.runtime._calls import ComponentCounters
 from poise.runtime.component.component import Component
 from poise.runtime.component.ports import Port, Published, Queue, methods_of
 from poise.runtime.connectors.chain_stamps import SentChains
-from poise.runtime.connectors.overtaken_sources import OvertakenSources
-from poise.runtime.connectors.proxy import Proxy, refusing
+from poise.runtime.connectors.interface import Proxy, refusing
 from poise.runtime.connectors.sender import Sender
 from poise.runtime.execution.data_age import DataAges
 from poise.runtime.execution.exclusion import Exclusion
 from poise.runtime.execution.mailbox import Mailbox
+from poise.wire.codec import WireError
+from poise.wire.records.deployment import ConnectorSpec
+
+
+class OvertakenSources:
+    """The latest incarnations of the sources of one component; any thread may ask.
+
+    In a move all that the source sent has come before the target sends.
+    """
+
+    def __init__(self) -> None:
+        self._latest: dict[str, int] = {}
+
+    def note(self, connector: str, epoch: int) -> bool:
+        """Note that a message came; return whether a later incarnation has sent.
+
+        Parameters
+        ----------
+        epoch
+            Of the source that sent it.
+        """
+        latest = self._latest.setdefault(connector, epoch)
+        if epoch > latest:
+            self._latest[connector] = epoch
+        return epoch < latest
+
+    def check(self, spec: ConnectorSpec) -> None:
+        """Note that a message came over a connector.
+
+        Raises
+        ------
+        WireError
+            A later incarnation of its source has sent.
+        """
+        if self.note(spec.name, spec.source_epoch):
+            raise WireError(
+                f"a message of '{spec.source}' ({spec.source_epoch}) comes after one "
+                "of a later incarnation: it was under way for too long"
+            )
+
+    def forget(self, connector: str, epoch: int) -> None:
+        """Hear earlier incarnations again: this one is not joined any more."""
+        if self._latest.get(connector) == epoch:
+            del self._latest[connector]
+
 
 _ONEWAY = Queue("block", 64)
 """One-way calls that may wait for a component; then their callers wait."""

@@ -6,12 +6,13 @@ import inspect
 import zlib
 from collections.abc import Callable, Mapping
 from functools import cache
-from typing import Any, get_type_hints
+from typing import Any, NoReturn, get_type_hints
 
 from msgspec import Struct
 
-from poise.errors import UsageError
+from poise.errors import Unavailable, UsageError
 from poise.runtime.component.ports import is_oneway, methods_of
+from poise.suggest import did_you_mean, listed
 from poise.wire.codec import Codec, codec
 
 
@@ -103,3 +104,38 @@ def _binder(signature: inspect.Signature) -> Callable[..., tuple[Any, ...]]:
         return tuple(bound.arguments.values())
 
     return bind
+
+
+class Proxy:
+    """What a required port holds: the interface's methods as attributes."""
+
+    def __init__(self, what: str) -> None:
+        self._what = what
+
+    def __getattr__(self, name: str) -> NoReturn:
+        """Name the methods that exist; Python asks only for one that does not."""
+        known = [each for each in vars(self) if not each.startswith("_")]
+        raise AttributeError(
+            f"{self._what} has no method '{name}'{did_you_mean(name, known)}; "
+            f"methods: {listed(known)}"
+        )
+
+
+def refusing(what: str) -> Callable[..., NoReturn]:
+    """Return a function that raises `Unavailable`, however it is called."""
+
+    def call(*_: object, **__: object) -> NoReturn:
+        raise Unavailable(f"'{what}' is not connected")
+
+    return call
+
+
+def oneway_function(
+    method: Method, send: Callable[[object, Method], None]
+) -> Callable[..., None]:
+    """Return a function that sends the arguments of a one-way call."""
+
+    def call(*args: Any, **kwargs: Any) -> None:  # noqa: ANN401, the call's own
+        send(method.bind(*args, **kwargs), method)
+
+    return call

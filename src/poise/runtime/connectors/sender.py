@@ -22,14 +22,19 @@ from poise.errors import CallError, RunError, Timeout, Unavailable
 from poise.runtime.component.error_report import Sparing
 from poise.runtime.component.ports import Port
 from poise.runtime.connectors.chain_stamps import SentChains
-from poise.runtime.connectors.interface import Method, methods
+from poise.runtime.connectors.interface import (
+    Method,
+    Proxy,
+    methods,
+    oneway_function,
+    refusing,
+)
 from poise.runtime.connectors.message_buffer import MessageBuffer
-from poise.runtime.connectors.proxy import Proxy, oneway_function, refusing
 from poise.runtime.connectors.route import Route
 from poise.runtime.connectors.tap import Observers, observed_call, observed_send
 from poise.runtime.execution.connector_counters import Counts
+from poise.runtime.execution.container_lease import LeaseEnded
 from poise.runtime.execution.exclusion import Exclusion, stepping_out
-from poise.runtime.execution.lease import LeaseEnded
 from poise.wire.codec import WireError
 
 log = logging.getLogger(__name__)

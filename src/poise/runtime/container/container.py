@@ -31,7 +31,7 @@ from poise.runtime.container.agent_link import AgentLink
 from poise.runtime.container.component_import import prepare
 from poise.runtime.container.descendants import Orphans
 from poise.runtime.execution.clocks import ComputerClock
-from poise.runtime.execution.lease import LeaseEnd
+from poise.runtime.execution.container_lease import LeaseEnd
 from poise.runtime.hosting.checkpoints import Checkpoints
 from poise.runtime.hosting.fenced_commands import freeze_fenced
 from poise.runtime.hosting.runner import Runner

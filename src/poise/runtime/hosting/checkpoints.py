@@ -15,7 +15,7 @@ from msgspec import Struct
 from poise.clock import Clock
 from poise.errors import RunError
 from poise.runtime.component.component import Component
-from poise.runtime.execution.lease import LeaseEnd, check_lease
+from poise.runtime.execution.container_lease import LeaseEnd, check_lease
 from poise.runtime.migration.state_check import check_fits, describe_type, type_taken_by
 from poise.wire import frame
 from poise.wire.codec import Codec, codec

@@ -23,9 +23,9 @@ from poise.runtime.component.error_report import Errors
 from poise.runtime.component.ports import ports_of, timers_of
 from poise.runtime.connectors.endpoints import Endpoints
 from poise.runtime.connectors.interface import methods
+from poise.runtime.execution.container_lease import LeaseEnd, LeaseEnded
 from poise.runtime.execution.data_age import DataAges, Stamped
 from poise.runtime.execution.exclusion import Exclusion, Redirected, new_chain
-from poise.runtime.execution.lease import LeaseEnd, LeaseEnded
 from poise.runtime.execution.mailbox import Inbox
 from poise.runtime.execution.timers import Releases, Timers, release_offset
 from poise.runtime.hosting.checkpoints import Checkpoints

@@ -19,9 +19,9 @@ from poise.clock import Stamp
 from poise.errors import RunError, Timeout
 from poise.priority import ahead, first
 from poise.runtime.connectors.channel_route import entry_codec
+from poise.runtime.execution.container_lease import check_lease
 from poise.runtime.execution.data_age import Stamped
 from poise.runtime.execution.exclusion import new_chain
-from poise.runtime.execution.lease import check_lease
 from poise.runtime.hosting.runner import Runner
 from poise.runtime.migration.state_check import describe_type
 from poise.wire import frame

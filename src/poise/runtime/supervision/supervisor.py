@@ -17,7 +17,7 @@ from msgspec import structs
 from poise.back_off import BackOff
 from poise.clock import Clock
 from poise.errors import Unavailable
-from poise.runtime.agent.supervised_parts import SupervisedParts
+from poise.runtime.agent.inbox import SupervisedParts
 from poise.runtime.agent.surroundings import ContainerControl, ContainerHost
 from poise.runtime.sampling.watchdog import Silence
 from poise.runtime.supervision.container_processes import ContainerProcess, ProcessEnd

@@ -9,7 +9,7 @@ from poise.manage.migration.migration_report import TransitionStep
 from poise.model.robot import Computer, Connector, ConnectorEnd, Link, Robot
 from poise.runtime.component.implementation import find, search_also
 from poise.runtime.component.ports import ports_of
-from poise.session.diagrams.records import (
+from poise.session.diagrams.diagram_records import (
     Arrow,
     ComponentDiagram,
     DeployedComponent,

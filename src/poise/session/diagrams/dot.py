@@ -7,7 +7,7 @@ from html import escape
 from math import ceil, sqrt
 
 from poise.manage.deploy.topological_order import levels
-from poise.session.diagrams.records import (
+from poise.session.diagrams.diagram_records import (
     ComponentDiagram,
     DeployedComponent,
     DeploymentDiagram,

@@ -18,8 +18,8 @@ from poise.session.diagrams.contents import (
     deployment_diagram,
     sequence_diagram,
 )
+from poise.session.diagrams.diagram_records import Diagram
 from poise.session.diagrams.dot import dot
-from poise.session.diagrams.records import Diagram
 from poise.session.diagrams.text_notations import mermaid, plantuml
 
 What = Literal["components", "deployment", "transition"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 
-from poise.session.diagrams.records import (
+from poise.session.diagrams.diagram_records import (
     ComponentDiagram,
     DeploymentDiagram,
     Diagram,

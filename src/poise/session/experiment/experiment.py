@@ -24,7 +24,7 @@ from poise.session.experiment.results import (
 )
 from poise.session.experiment.summary import ExperimentReport, summarised
 from poise.session.profiling.machine_speed import steady
-from poise.session.writable import to_write
+from poise.session.state_folder import to_write
 from poise.units import counted
 
 RAW = "results.jsonl"

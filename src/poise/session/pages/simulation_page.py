@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from poise.session.pages.picture import bar_row
 from poise.session.pages.report_page import Mark, document, html_table, over_time
 from poise.session.render.simulation_tables import late, share, took, verdict
-from poise.simulation.report import SimulatedEvent, SimulationReport
+from poise.simulation.simulation_report import SimulatedEvent, SimulationReport
 
 if TYPE_CHECKING:
     from poise.session.simulating.simulation_results import (

@@ -29,7 +29,7 @@ from poise.model.robot import (
 from poise.runtime.component.implementation import find, search_also
 from poise.runtime.component.ports import ports_of
 from poise.runtime.workload.replay import PlayedPort
-from poise.session.recordings.tapped_robot import interface_type, message_type
+from poise.session.recordings.record_run import interface_type, message_type
 from poise.wire.recording_file import load
 
 PLAYER = "player-of-workload"

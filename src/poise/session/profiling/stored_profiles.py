@@ -15,7 +15,7 @@ from poise.estimate.profile.profile_files import Store
 from poise.model.load import load_source
 from poise.model.robot import Robot
 from poise.model.yaml.edit import with_values
-from poise.session.writable import to_write
+from poise.session.state_folder import to_write
 
 _MOST_NAMED = 4
 STORE = Path(".poise") / "profiles.sqlite"

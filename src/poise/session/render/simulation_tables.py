@@ -10,7 +10,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from poise.session.render.tables import table
-from poise.simulation.report import (
+from poise.simulation.simulation_report import (
     Outage,
     SimulatedLoad,
     SimulatedMove,

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import pairwise
+from statistics import fmean, pstdev
 from typing import Literal
+
+from msgspec import Struct
 
 from poise.errors import PoiseError
 from poise.manage.agent_connections.statuses import connectors_of
@@ -11,6 +15,7 @@ from poise.manage.control_socket.agents_without_manager import robots_without_ma
 from poise.manage.control_socket.commands import RobotStatus
 from poise.manage.control_socket.location import running_here
 from poise.session.running_robots.running import Running
+from poise.units import format_seconds
 
 Thing = Literal["robots", "tasks", "computers", "components", "connectors"]
 Robots = Mapping[str, RobotStatus | None]
@@ -54,3 +59,53 @@ def _names(status: RobotStatus, what: str) -> Iterable[str]:
     if what == "connectors":
         return [end.name for end in connectors_of(status.computers)]
     return status.computers if what == "computers" else status.placement
+
+
+class Rate(Struct, frozen=True):
+    """How often something came, and how regularly.
+
+    Parameters
+    ----------
+    count
+        How often it came.
+    mean
+        The rate [Hz]; 0 when it came less than twice.
+    shortest, longest
+        Time from one to the next [s].
+    jitter
+        Standard deviation of these times [s].
+    missing
+        How many more came whose moments are not known.
+    """
+
+    count: int = 0
+    mean: float = 0.0
+    shortest: float = 0.0
+    longest: float = 0.0
+    jitter: float = 0.0
+    missing: int = 0
+
+    @classmethod
+    def of(cls, times: Sequence[float], missing: int = 0) -> Rate:
+        """Return the rate of what came at these moments [s]."""
+        gaps = [later - earlier for earlier, later in pairwise(sorted(times))]
+        if not gaps or not sum(gaps):
+            return cls(len(times), missing=missing)
+        return cls(
+            len(times), 1 / fmean(gaps), min(gaps), max(gaps), pstdev(gaps), missing
+        )
+
+    def lines(self) -> Iterator[str]:
+        """Yield it for people."""
+        if not self.mean:
+            yield f"{self.count} in this time: no rate"
+            return
+        shortest, longest, jitter = map(
+            format_seconds, (self.shortest, self.longest, self.jitter)
+        )
+        yield (
+            f"{self.mean:.4g} Hz, {shortest} to {longest} apart, jitter {jitter} "
+            f"({self.count} times)"
+        )
+        if self.missing:
+            yield f"{self.missing} more had no room to be noted: the rate is higher"

@@ -11,7 +11,7 @@ from poise.session.scenes.lost_computer import LostComputerScene, lose_computer
 from poise.session.scenes.manager_killed import ManagerKilledScene, kill_manager
 from poise.session.scenes.overload import OverloadScene, overload
 from poise.session.scenes.relayed import RelayScene, cut_one_link, freeze_agent
-from poise.session.scenes.tasks import TasksScene, tasks
+from poise.session.scenes.task_scene import TasksScene, tasks
 
 Played = (
     OverloadScene

@@ -19,7 +19,7 @@ from poise.session.render.simulation_tables import (
     simulation_parts,
     verdict,
 )
-from poise.simulation.report import SimulationReport
+from poise.simulation.simulation_report import SimulationReport
 
 
 class Simulation(Printable, SimulationReport, frozen=True, kw_only=True):

@@ -66,7 +66,7 @@ class Executor {
   void note_marker(const Connector& connector, std::uint64_t migration);
   std::uint64_t marker(int connector) const;
   // Whether a later incarnation of the source has sent, too: see
-  // poise.runtime.connectors.overtaken_sources.
+  // poise.runtime.connectors.endpoints.
   bool is_overtaken(const Connector& connector);
   void forget_source(const Connector& connector);
 

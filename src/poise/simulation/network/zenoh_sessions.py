@@ -15,10 +15,10 @@ from typing import Any, Self
 import zenoh
 
 from poise.endpoint import Endpoint
-from poise.simulation.computers.process import Process
-from poise.simulation.network.addresses import Addresses
-from poise.simulation.network.connection import Side, SimulatedConnection
+from poise.simulation.network.datagrams import Addresses
 from poise.simulation.network.network import Network
+from poise.simulation.network.session_connection import Side, SimulatedConnection
+from poise.simulation.robot.simulated_process import Process
 
 _FIRST_RETRY, _LONGEST_RETRY = 0.05, 0.5
 """As `poise.wire.control_session` sets them [s]."""

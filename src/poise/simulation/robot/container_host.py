@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING
 from poise.errors import Unavailable
 from poise.runtime.sampling.watchdog import Silence
 from poise.runtime.supervision.container_processes import ProcessEnd
-from poise.simulation.components.container import SimulatedContainer, World
+from poise.simulation.components.modelled_container import SimulatedContainer, World
 from poise.simulation.components.models import drawn
 from poise.wire.records.container import FromContainer, ToContainer
 from poise.wire.records.deployment import ContainerSpec
 
 if TYPE_CHECKING:
-    from poise.simulation.robot.agent import SimulatedAgent
+    from poise.simulation.robot.simulated_agent import SimulatedAgent
 
 _LOCAL = 50e-6
 _FORK = 0.005, 0.03

@@ -25,9 +25,9 @@ from typing import Any
 
 import zenoh
 
-from poise.simulation.computers.process import Process
 from poise.simulation.network.datagrams import SimulatedSocket
 from poise.simulation.network.zenoh_sessions import ZenohNetwork
+from poise.simulation.robot.simulated_process import Process
 from poise.simulation.schedule.locks import (
     SimulatedLock,
     SimulatedRLock,

@@ -18,7 +18,7 @@ from poise.manage.journal import Journal
 from poise.manage.observe.estimates import Load
 from poise.manage.policy.evaluation import Symptom
 from poise.manage.shortages.failover import fail_over
-from poise.manage.shortages.resumption import CALM, TakeBack
+from poise.manage.shortages.missing_functions import CALM, TakeBack
 from poise.manage.shortages.suspension import FIRST, PutAside, not_running
 from poise.model.policy.policy import ComputerValues, Policy, TimerValues
 from poise.model.robot import (

@@ -159,7 +159,7 @@ void ServedCall::refuse_late(Moment until, Moment now) const {
 
 void ServedCall::refuse_fenced() const {
   if (!lease_of_ || !lease_of_->is_past()) return;
-  const nb::object type = nb::module_::import_("poise.runtime.execution.lease").attr("LeaseEnded");
+  const nb::object type = nb::module_::import_("poise.runtime.execution.container_lease").attr("LeaseEnded");
   const nb::object error = type(exclusion_of_.what().c_str());
   PyErr_SetObject(type.ptr(), error.ptr());
   throw nb::python_error();

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from functools import partial
 
 from poise.runtime.agent.surroundings import AgentState, Reply
-from poise.simulation.computers.process import Process, SimulatedComputer
+from poise.simulation.robot.simulated_process import Process, SimulatedComputer
 from poise.wire.records.checkpoints import CheckpointCopy
 from poise.wire.records.deployment import Deployment
 from poise.wire.records.output import OutputLines, ReadOutput

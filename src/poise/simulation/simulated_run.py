@@ -19,22 +19,47 @@ from poise.manage.control_socket.commands import (
 )
 from poise.manage.migration.migration_report import MigrationReport
 from poise.model.robot import Robot
-from poise.simulation.aimed_faults import AimedFaults
 from poise.simulation.faults import (
     KINDS,
     LINK_KINDS,
+    AimedFaults,
     Kind,
     SimulatedFault,
     inject,
     plan_faults,
 )
-from poise.simulation.invariants import Violation
-from poise.simulation.robot.manager import ManagedRobot, SimulatedManager
-from poise.simulation.robot.robot import SimulatedRobot
-from poise.simulation.schedule.choices import Choices
-from poise.simulation.schedule.scheduler import ENGINE, SimulationError
-from poise.simulation.settled import not_well, unsettled
+from poise.simulation.rehearsal import not_well, unsettled
+from poise.simulation.robot.simulated_manager import ManagedRobot, SimulatedManager
+from poise.simulation.robot.simulated_robot import SimulatedRobot
+from poise.simulation.schedule.scheduler import ENGINE, Choices, SimulationError
 from poise.simulation.workload import SimulatedWork
+
+INVARIANTS: Mapping[str, str] = {
+    "nothing-active-twice": "No two incarnations of a component work at one time.",
+    "each-message-once-in-order": "No message is processed twice, or out of order.",
+    "committed-stays": "A committed move is never undone.",
+    "commands-end": "An accepted command ends within its limit.",
+    "desired-is-reached": "What is desired runs soon after the last fault ended.",
+    "failures-are-shown": "A failure is in `status` within a second.",
+    "no-bug-stops-the-robot": "No error ends a manager, an agent or a thread of them.",
+}
+"""Id -> what it says; `docs/design/simulation.md` cites the ids."""
+
+
+class Violation(SimulationError):
+    """An invariant does not hold.
+
+    Parameters
+    ----------
+    invariant
+        Its id.
+    """
+
+    def __init__(self, invariant: str, what: str) -> None:
+        assert invariant in INVARIANTS, invariant  # noqa: S101
+        super().__init__(f"{invariant}: {what}")
+        self.invariant = invariant
+
 
 UP_LIMIT = 30.0
 """A robot without faults is up within this time [s]."""

@@ -9,7 +9,7 @@ from poise.wire.records.deployment import ComponentSpec
 from poise.wire.records.status import ComponentStatus, State
 
 if TYPE_CHECKING:
-    from poise.simulation.components.container import SimulatedContainer
+    from poise.simulation.components.modelled_container import SimulatedContainer
 
 Goal = Literal["inactive", "ready", "active", "finalized"]
 

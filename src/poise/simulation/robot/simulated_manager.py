@@ -21,7 +21,7 @@ from poise.manage.observe.recording import Recording
 from poise.manage.tasks.concurrent_tasks import Tasks
 from poise.manage.tasks.saved import goes_on_with
 from poise.model.robot import Robot
-from poise.simulation.computers.process import Process
+from poise.simulation.robot.simulated_process import Process
 
 SOLVE_STEPS = 20_000
 """The planner searches so much, whatever the machine: a seed gives one run."""

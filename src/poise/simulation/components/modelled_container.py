@@ -8,13 +8,12 @@ from typing import Protocol
 
 from poise.errors import RunError
 from poise.simulation._engine import Connector, Ledger, Model, Sender
-from poise.simulation.components.component import SimulatedComponent
-from poise.simulation.components.migration import MigrationModel
+from poise.simulation.components.modelled_component import SimulatedComponent
+from poise.simulation.components.modelled_migration import MigrationModel
 from poise.simulation.components.models import ComponentModel
-from poise.simulation.computers.process import Process
 from poise.simulation.network.network import Network
-from poise.simulation.schedule.choices import Choices
-from poise.simulation.schedule.scheduler import Scheduler, SimulatedTask
+from poise.simulation.robot.simulated_process import Process
+from poise.simulation.schedule.scheduler import Choices, Scheduler, SimulatedTask
 from poise.wire.records.clocks import Clocks
 from poise.wire.records.container import FromContainer, ToContainer
 from poise.wire.records.deployment import ConnectorSpec, ContainerSpec

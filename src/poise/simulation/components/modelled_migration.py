@@ -21,8 +21,8 @@ from poise.wire.records.migration_records import (
 )
 
 if TYPE_CHECKING:
-    from poise.simulation.components.component import SimulatedComponent
-    from poise.simulation.components.container import SimulatedContainer
+    from poise.simulation.components.modelled_component import SimulatedComponent
+    from poise.simulation.components.modelled_container import SimulatedContainer
 
 _SHARE = 0.75
 """As in the real container: the rest of the limit is for the answer."""

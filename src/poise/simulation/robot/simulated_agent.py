@@ -13,15 +13,15 @@ from poise.endpoint import Endpoint
 from poise.runtime.agent.core import AgentCore
 from poise.runtime.agent.inbox import AgentInbox
 from poise.runtime.agent.surroundings import AgentSetup, Hear, NextBeat, Surroundings
-from poise.simulation.components.container import World
-from poise.simulation.computers.process import Process
+from poise.simulation.components.modelled_container import World
 from poise.simulation.robot.container_host import (
     SimulatedAdoption,
     SimulatedHost,
     SimulatedWatchdog,
 )
-from poise.simulation.robot.disk import SimulatedDisk
-from poise.simulation.robot.sampler import SimulatedSampler
+from poise.simulation.robot.simulated_disk import SimulatedDisk
+from poise.simulation.robot.simulated_process import Process
+from poise.simulation.robot.simulated_sampler import SimulatedSampler
 from poise.simulation.schedule.scheduler import SimulatedTask
 from poise.wire.control_session import identity_key, locator, open_session
 from poise.wire.heartbeats import Heartbeats

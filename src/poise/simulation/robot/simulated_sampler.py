@@ -7,8 +7,8 @@ from collections.abc import Callable
 import msgspec
 
 from poise.runtime.supervision.health import ContainerUse, Usage
-from poise.simulation.components.container import SimulatedContainer, World
-from poise.simulation.computers.process import Process
+from poise.simulation.components.modelled_container import SimulatedContainer, World
+from poise.simulation.robot.simulated_process import Process
 from poise.wire.records.samples import (
     SAMPLE_EVERY,
     AgentSample,

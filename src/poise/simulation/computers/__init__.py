@@ -1,1 +1,0 @@
-"""The computers of a simulated robot: processes, clocks, CPU and disks."""
