@@ -18,7 +18,7 @@ import msgspec
 from msgspec import Struct
 from rich.console import Console
 
-from poise.cli.commands.demo import EXAMPLES
+from poise.cli.commands.demo_command import EXAMPLES
 from poise.session.scenes.home_robot import Scene, move_while_driving, told
 
 

@@ -36,7 +36,7 @@ from poise.estimate.overhead import kinds_together, overhead_of
 from poise.estimate.profile import Profile
 from poise.manage.journal import Journal
 from poise.manage.observe.estimates import Estimates
-from poise.manage.observe.recording import Recording
+from poise.manage.observe.sample_recording import Recording
 from poise.model.robot import Robot
 from poise.runtime._calls import ComponentCounters
 from poise.session.launch.start import Sampling, started
@@ -46,8 +46,8 @@ from poise.session.profiling.measurement import measure_alone
 from poise.session.profiling.rig import rig_of
 from poise.session.profiling.stored_profiles import read_profile
 from poise.session.robot_file import load
-from poise.wire.records.samples import SAMPLE_EVERY, AgentSample
-from poise.wire.records.status import AgentStatus
+from poise.wire.records.sample_records import SAMPLE_EVERY, AgentSample
+from poise.wire.records.status_records import AgentStatus
 
 TROT = Path(__file__).parents[1] / "examples" / "trot" / "robot.yaml"
 GOALS = {

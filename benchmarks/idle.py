@@ -28,7 +28,7 @@ from poise.manage.journal import Journal
 from poise.model.robot import Robot
 from poise.runtime.sampling.kernel_counters import proportional_memory
 from poise.session.launch.computers import computers_of
-from poise.wire.records.status import AgentStatus
+from poise.wire.records.status_records import AgentStatus
 
 CONTAINERS = 4
 SETTLE = 1.0

@@ -41,7 +41,7 @@ from poise.manage.journal import Journal
 from poise.manage.migration.move import move
 from poise.model import load
 from poise.session.launch.computers import computers_of
-from poise.wire.records.deployment import Deployment
+from poise.wire.records.deployment_records import Deployment
 from poise.wire.records.migration_records import MigrationSteps, StepsOutcome
 
 PLACEMENT = dict.fromkeys((*COMPONENTS, "conductor"), "a")

@@ -29,7 +29,7 @@ from poise.model.robot import (
     Robot,
     Task,
 )
-from poise.wire.records.status import AgentStatus
+from poise.wire.records.status_records import AgentStatus
 
 SETTLE = 5.0
 COMPONENTS, COMPUTERS, TOGETHER = 100, 4, 5

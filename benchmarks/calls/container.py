@@ -32,7 +32,11 @@ from poise.runtime.hosting.wiring import Wiring
 from poise.wire.connections.blocks import loan
 from poise.wire.connections.connection_server import ConnectionServer
 from poise.wire.connections.gateway import Gateway
-from poise.wire.records.deployment import ComponentSpec, ConnectorKind, ConnectorSpec
+from poise.wire.records.deployment_records import (
+    ComponentSpec,
+    ConnectorKind,
+    ConnectorSpec,
+)
 
 HOST, PORT = "127.0.0.1", 17448
 LIMIT = 30.0

@@ -24,11 +24,11 @@ from poise.manage.control_socket.commands import (
     RobotStatus,
     StatusCommand,
 )
-from poise.manage.control_socket.server import ControlServer
+from poise.manage.control_socket.control_server import ControlServer
 from poise.manage.journal import JournalEntry
 from poise.manage.observe.estimates import DemandEstimate, Load
-from poise.wire.records.requests import ManagerId
-from poise.wire.records.status import (
+from poise.wire.records.request_records import ManagerId
+from poise.wire.records.status_records import (
     AgentStatus,
     ComponentStatus,
     ConnectorStatus,

@@ -72,8 +72,8 @@ if TYPE_CHECKING:
     )
     from poise.session.up import up as up
     from poise.simulation.faults import SimulatedFault as SimulatedFault
-    from poise.view.record import RobotRecording as RobotRecording
-    from poise.view.record import record as record
+    from poise.view.robot_recording import RobotRecording as RobotRecording
+    from poise.view.robot_recording import record as record
     from poise.wire.connections.blocks import loan as loan
 else:
     _HOMES = {
@@ -97,7 +97,7 @@ else:
         "Required": "runtime.component.ports",
         "Robot": "model.robot",
         "RobotError": "errors",
-        "RobotRecording": "view.record",
+        "RobotRecording": "view.robot_recording",
         "RolledBack": "session.running_robots.running",
         "RunError": "errors",
         "RunReport": "session.reports.run_report",
@@ -126,7 +126,7 @@ else:
         "place": "session.placing.placement",
         "profile": "session.profiling.profile_robot",
         "read_journal": "manage.journal",
-        "record": "view.record",
+        "record": "view.robot_recording",
         "run": "session.run",
         "simulate": "session.simulating.simulate",
         "status_without_manager": "session.running_robots.without_manager",

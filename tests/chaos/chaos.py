@@ -23,7 +23,7 @@ import poise
 from poise.errors import PoiseError
 from poise.session.running_robots.running import Running, Status
 from poise.session.scenes.handler_log import overlaps, read_handler_log
-from poise.wire.records.status import ComponentStatus
+from poise.wire.records.status_records import ComponentStatus
 from tests.chaos.faults import COMPONENTS, Faults, containers
 from tests.chaos.managers import Managers
 from tests.chaos.report import MESSAGES, ChaosReport

@@ -16,7 +16,7 @@ from msgspec import Struct
 from poise.emulate import EmulatedSet
 from poise.errors import RunError, UsageError
 from poise.session.running_robots.running import Status
-from poise.wire.records.status import ContainerStatus
+from poise.wire.records.status_records import ContainerStatus
 from tests.chaos.managers import Managers
 
 COMPONENTS = ("caller", "counter", "relay", "sensor", "sink", "source", "worker")

@@ -7,7 +7,7 @@ import json
 import pytest
 import typer
 
-from poise.cli.commands.running_robot import balance_command, move_command
+from poise.cli.commands.running_robot_command import balance_command, move_command
 from poise.manage.adaptation.proposals import Proposal
 from poise.manage.control_socket.commands import Rebalanced
 from poise.manage.migration.migration_report import (
@@ -32,7 +32,7 @@ def test_why_it_was_called_off_is_told_as_it_is(
     report = TransitionReport(steps=steps, committed=False, reason=WHY)
     answer = Rebalanced(proposal, report)
     monkeypatch.setattr(
-        "poise.manage.control_socket.client.send_command", lambda *_: answer
+        "poise.manage.control_socket.control_client.send_command", lambda *_: answer
     )
     with pytest.raises(typer.Exit):
         balance_command()
@@ -51,7 +51,7 @@ def test_an_outcome_that_was_rolled_back_is_json_too(
         downtime=0.0,
     )
     monkeypatch.setattr(
-        "poise.manage.control_socket.client.send_command", lambda *_: report
+        "poise.manage.control_socket.control_client.send_command", lambda *_: report
     )
     with pytest.raises(typer.Exit):
         move_command("eye", "b", as_json=True)

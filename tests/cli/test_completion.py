@@ -15,7 +15,7 @@ from poise.errors import RunError
 from poise.manage.control_socket.commands import RobotStatus
 from poise.manage.tasks.task_report import TaskReport
 from poise.session.running_robots import local_robots as robots_here
-from poise.wire.records.requests import ManagerId
+from poise.wire.records.request_records import ManagerId
 
 HELLO = Path(__file__).parents[2] / "examples" / "hello" / "robot.yaml"
 MANAGER = ManagerId(key="k", user="ann", host="desk", pid=7, since=0.0)

@@ -12,7 +12,7 @@ from msgspec.structs import replace
 
 from poise.session.reports.run_report import ComponentReport, RunReport
 from poise.session.scenes.home_robot import find_trouble
-from poise.wire.records.status import Summary, TimerStatus
+from poise.wire.records.status_records import Summary, TimerStatus
 from tests.waiting import LONG
 
 SHORT = """

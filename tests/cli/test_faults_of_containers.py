@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from poise.emulate import look
-from poise.manage.control_socket.client import send_command
 from poise.manage.control_socket.commands import RobotStatus, StatusCommand
+from poise.manage.control_socket.control_client import send_command
 from poise.manage.journal import JournalEntry, read_journal
 from tests.command import robot_up, run_poise
 from tests.waiting import wait_long

@@ -14,8 +14,8 @@ from pathlib import Path
 import pytest
 
 from poise.errors import PoiseError
-from poise.manage.control_socket.client import send_command
 from poise.manage.control_socket.commands import RobotStatus, StatusCommand
+from poise.manage.control_socket.control_client import send_command
 from tests.command import POISE, run_poise
 from tests.processes import children_of, words_of
 from tests.waiting import LIMIT, LONG, wait_long

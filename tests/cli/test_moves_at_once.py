@@ -16,8 +16,8 @@ from pathlib import Path
 import pytest
 
 from poise.errors import PoiseError
-from poise.manage.control_socket.client import send_command
 from poise.manage.control_socket.commands import MoveCommand, RobotStatus, StatusCommand
+from poise.manage.control_socket.control_client import send_command
 from poise.manage.migration.migration_report import MigrationReport
 from tests.command import POISE, robot_up
 from tests.manage.agents import TELLING

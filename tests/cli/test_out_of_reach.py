@@ -14,11 +14,11 @@ import pytest
 
 from poise.emulate import Emulation, look
 from poise.manage.agent_connections.statuses import connectors_of
-from poise.manage.control_socket.client import send_command
 from poise.manage.control_socket.commands import MoveCommand, RobotStatus, StatusCommand
+from poise.manage.control_socket.control_client import send_command
 from poise.manage.migration.migration_report import MigrationReport
 from poise.model.robot import Computer, Robot
-from poise.wire.records.status import ConnectorStatus
+from poise.wire.records.status_records import ConnectorStatus
 from tests.busy import needs_quiet_machine
 from tests.command import POISE, run_poise
 from tests.waiting import LONG, wait_long

@@ -79,7 +79,7 @@ def test_records_what_runs_until_it_ends(tmp_path: Path) -> None:
                 path_of(NAME).unlink()  # the next manager would
 
         with pytest.MonkeyPatch.context() as patched:
-            patched.setattr("poise.view.record._PATIENCE", 0.5)
+            patched.setattr("poise.view.robot_recording._PATIENCE", 0.5)
             names = ["counter.count"]
             with pytest.raises(RunError, match=f"robot '{NAME}' has ended"):
                 poise.record(other, names, robot=NAME, say=sentences.append, tell=kill)

@@ -9,7 +9,11 @@ from pathlib import Path
 import pytest
 
 from poise.wire.recording_file import Recorded, append
-from poise.wire.records.samples import AgentSample, ComponentSample, ContainerSample
+from poise.wire.records.sample_records import (
+    AgentSample,
+    ComponentSample,
+    ContainerSample,
+)
 from tests.command import Poise
 
 ROBOT = """\

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from poise.manage.control_socket.client import send_command
 from poise.manage.control_socket.commands import RobotStatus, StatusCommand
+from poise.manage.control_socket.control_client import send_command
 from tests.command import robot_up, run_poise
 from tests.manage.agents import Told
 from tests.manage.migration.test_replacement import CODE

@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 
 from poise.errors import PoiseError
-from poise.manage.control_socket.client import send_command
 from poise.manage.control_socket.commands import RobotStatus, StatusCommand
+from poise.manage.control_socket.control_client import send_command
 from poise.manage.journal import Journal, read_journal
 from poise.manage.migration.transition_plan import plan_transition
 from poise.manage.migration.transition_run import transit

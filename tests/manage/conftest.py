@@ -19,9 +19,9 @@ from poise.model.robot import (
     Device,
     Robot,
 )
-from poise.wire.records.deployment import Deployment
-from poise.wire.records.requests import Accepted, Claimed, ManagerId, Refused
-from poise.wire.records.status import (
+from poise.wire.records.deployment_records import Deployment
+from poise.wire.records.request_records import Accepted, Claimed, ManagerId, Refused
+from poise.wire.records.status_records import (
     AgentStatus,
     ComponentStatus,
     ConnectorStatus,

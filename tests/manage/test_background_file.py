@@ -13,7 +13,7 @@ import pytest
 from poise.manage import background_file
 from poise.manage.background_file import BackgroundFile
 from poise.manage.journal import Journal, read_journal
-from poise.manage.observe.recording import RecordingFile
+from poise.manage.observe.sample_recording import RecordingFile
 from poise.wire.recording_file import load
 from tests.manage.observe.test_recording import sample
 from tests.waiting import wait_until

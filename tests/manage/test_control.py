@@ -14,7 +14,6 @@ from queue import SimpleQueue
 import pytest
 
 from poise.errors import RobotError, RunError, UsageError
-from poise.manage.control_socket.client import send_command
 from poise.manage.control_socket.commands import (
     Command,
     MoveCommand,
@@ -25,7 +24,8 @@ from poise.manage.control_socket.commands import (
     StopCommand,
     StopReport,
 )
-from poise.manage.control_socket.server import ControlServer, Submit
+from poise.manage.control_socket.control_client import send_command
+from poise.manage.control_socket.control_server import ControlServer, Submit
 from poise.wire import record_channel
 from tests.waiting import wait_until
 

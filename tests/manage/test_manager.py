@@ -21,11 +21,15 @@ from poise.manage.journal import Journal
 from poise.manage.manager import Manager
 from poise.manage.migration.migration_report import MigrationReport
 from poise.manage.observe.estimates import Estimates
-from poise.manage.observe.recording import Recording
+from poise.manage.observe.sample_recording import Recording
 from poise.manage.tasks.concurrent_tasks import Tasks
 from poise.model.robot import Action, Robot, Task
-from poise.wire.records.samples import AgentSample, ComponentSample, ContainerSample
-from poise.wire.records.status import ComponentStatus, Fault
+from poise.wire.records.sample_records import (
+    AgentSample,
+    ComponentSample,
+    ContainerSample,
+)
+from poise.wire.records.status_records import ComponentStatus, Fault
 from tests.manage.conftest import FakeAgents
 
 PLACEMENT = {"grabber": "left", "thinker": "right"}

@@ -12,7 +12,7 @@ from poise.manage.journal import Journal
 from poise.manage.observe import watch
 from poise.manage.observe.watch import Watch
 from poise.model.robot import Robot
-from poise.wire.records.status import ConnectorStatus
+from poise.wire.records.status_records import ConnectorStatus
 from tests.manage.conftest import FakeAgents
 
 if TYPE_CHECKING:

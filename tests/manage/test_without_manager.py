@@ -6,8 +6,8 @@ from msgspec.structs import replace
 
 from poise.manage.control_socket.agents_without_manager import status_by_agents
 from poise.manage.control_socket.location import AgentAddresses
-from poise.wire.records.requests import ManagerId
-from poise.wire.records.status import (
+from poise.wire.records.request_records import ManagerId
+from poise.wire.records.status_records import (
     AgentStatus,
     ComponentStatus,
     ContainerHealth,

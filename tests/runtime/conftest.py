@@ -21,7 +21,7 @@ from poise.runtime.hosting.runner import Runner
 from poise.runtime.hosting.wiring import Wiring
 from poise.wire.connections.connection_server import ConnectionServer
 from poise.wire.connections.gateway import Gateway
-from poise.wire.records.deployment import (
+from poise.wire.records.deployment_records import (
     ChainPart,
     ComponentSpec,
     ConnectorKind,

@@ -27,9 +27,9 @@ from poise.session.launch.start import Sampling, started
 from poise.wire import record_channel
 from poise.wire.control_session import locator
 from poise.wire.heartbeats import Contacts, Heartbeats
-from poise.wire.records.clocks import Clocks, ClockStatus
-from poise.wire.records.container import ToContainer
-from poise.wire.records.deployment import ContainerSpec
+from poise.wire.records.clock_records import Clocks, ClockStatus
+from poise.wire.records.container_records import ToContainer
+from poise.wire.records.deployment_records import ContainerSpec
 from tests.waiting import LIMIT, wait_until
 
 from .conftest import free_port

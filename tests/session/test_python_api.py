@@ -12,7 +12,7 @@ import poise
 from poise.model import Architecture, ComponentEntry, Computer, Robot
 from poise.model.robot import Action, Task
 from poise.session.reports.run_report import ComponentReport, RunReport
-from poise.wire.records.status import Summary, TimerStatus
+from poise.wire.records.status_records import Summary, TimerStatus
 from tests.waiting import LONG
 
 
@@ -65,7 +65,7 @@ def test_the_names_are_listed_before_they_are_imported() -> None:
         ),
         # containers are forked from it
         (
-            "import poise.cli.commands.agent",
+            "import poise.cli.commands.agent_command",
             ["rich", "yaml", "poise.model", "poise.plan"],
         ),
     ],

@@ -21,8 +21,8 @@ from poise.session.render.status_tables import (
     status_parts,
 )
 from poise.session.render.tables import table
-from poise.wire.records.requests import ManagerId
-from poise.wire.records.status import (
+from poise.wire.records.request_records import ManagerId
+from poise.wire.records.status_records import (
     AgentStatus,
     ComponentStatus,
     ContainerHealth,

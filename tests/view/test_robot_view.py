@@ -9,8 +9,8 @@ import pytest
 
 from poise.session.running_robots.running import Status
 from poise.view.robot_view import SPAN, ComponentRow, ConnectorRow, Reader, TimerRow
-from poise.wire.records.requests import ManagerId
-from poise.wire.records.status import (
+from poise.wire.records.request_records import ManagerId
+from poise.wire.records.status_records import (
     AgentStatus,
     ComponentStatus,
     ConnectorStatus,

@@ -59,8 +59,9 @@ COMMANDS = {
     "stop": ("running_robot", "Stop a running robot."),
     "agent": ("agent", "Run what the manager wants on this computer."),
 }
-"""Command -> its file in `commands/`, and what it does. A second word makes a
-sub-command. Its function is named after its last word: `stop_command`."""
+"""Command -> its file in `commands/` (`check`: `check_command.py`), and what it does. A
+second word makes a sub-command. Its function is named after its last word:
+`stop_command`."""
 
 _EXIT_CODES = (
     "Exit codes: 0 done; 1 the robot file has problems, nothing can be placed, or "
@@ -84,7 +85,7 @@ def build(arguments: Sequence[str]) -> typer.Typer:
     asked = both if both in COMMANDS else "".join(words[:1])
     for name, (where, help_) in COMMANDS.items():
         if name == asked:
-            loaded = importlib.import_module(f"poise.cli.commands.{where}")
+            loaded = importlib.import_module(f"poise.cli.commands.{where}_command")
             group, last = _group_of(app, name)
             command = getattr(loaded, f"{last}_command")
             help_text = _flowing(inspect.getdoc(command) or "")

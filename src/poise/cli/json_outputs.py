@@ -12,8 +12,8 @@ from typing import Any, TypedDict, get_type_hints
 
 import msgspec
 
-from poise.cli.commands.demo import DemoReport
-from poise.cli.commands.emulate import ListedSet
+from poise.cli.commands.demo_command import DemoReport
+from poise.cli.commands.emulate_command import ListedSet
 from poise.errors import FileProblem
 from poise.estimate.profile import Profile
 from poise.manage.adaptation.proposals import WhatIf
@@ -33,8 +33,8 @@ from poise.session.running_robots.local_robots import Rate, Robots
 from poise.session.scenes import SCENES
 from poise.simulation.predicted_times import PredictedTimes
 from poise.simulation.simulation_report import SimulationReport
-from poise.view.record import RobotRecording
-from poise.wire.records.output import OutputLine
+from poise.view.robot_recording import RobotRecording
+from poise.wire.records.output_records import OutputLine
 
 
 class Failed(TypedDict):

@@ -51,7 +51,7 @@ from poise.manage.observe.chains import ChainAges, ChainReader
 from poise.manage.observe.deadline_misses import DeadlineMisses
 from poise.manage.observe.deviations import Deviation
 from poise.manage.observe.estimates import Estimates
-from poise.manage.observe.recording import Recording, RecordingFile
+from poise.manage.observe.sample_recording import Recording, RecordingFile
 from poise.manage.observe.troubles import ManagerTroubles, ThreadFailures
 from poise.manage.observe.watch import Watch
 from poise.manage.prefetch.prefetch import Prefetcher

@@ -22,7 +22,7 @@ from poise.model.check.connectors import (
     check_required,
 )
 from poise.model.check.names import components
-from poise.model.check.tasks import check_ends, check_generated
+from poise.model.check.task_checks import check_ends, check_generated
 from poise.model.robot import ComponentEntry, PortKind, Robot
 from poise.model.software import CodeTimer, ComponentCode
 from poise.model.yaml.tree import Finding, Path

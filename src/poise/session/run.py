@@ -10,14 +10,14 @@ from pathlib import Path
 from poise import threads
 from poise.clock import wall_time
 from poise.errors import PoiseError, RunError
-from poise.manage.control_socket.server import ControlServer
+from poise.manage.control_socket.control_server import ControlServer
 from poise.manage.deploy.deactivation import drain
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.journal import Journal, JournalEntry, check_journal
 from poise.manage.manager import Manager
 from poise.manage.observe.chains import chain_reports
 from poise.manage.observe.estimates import Estimates
-from poise.manage.observe.recording import Recording
+from poise.manage.observe.sample_recording import Recording
 from poise.model.robot import Robot
 from poise.session.callbacks import Check, Say, log, nothing
 from poise.session.launch.start import Sampling, Started, started

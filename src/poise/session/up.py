@@ -14,12 +14,12 @@ from poise.emulate import EmulatedComputer, set_for
 from poise.errors import RunError, UsageError
 from poise.estimate.success.learning import actions_in, learned
 from poise.manage.control_socket.commands import StopCommand
-from poise.manage.control_socket.server import ControlServer
+from poise.manage.control_socket.control_server import ControlServer
 from poise.manage.deploy.takeover import start_or_take_over
 from poise.manage.journal import Journal, check_journal
 from poise.manage.manager import LOOK_EVERY, Manager
 from poise.manage.observe.estimates import Estimates
-from poise.manage.observe.recording import Recording, RecordingFile
+from poise.manage.observe.sample_recording import Recording, RecordingFile
 from poise.manage.tasks.saved import goes_on_with
 from poise.model.robot import Robot
 from poise.session.callbacks import Check, Say, log, nothing

@@ -27,7 +27,7 @@ from poise.simulation.components.models import ComponentModel, HandlerModel, Tim
 from poise.simulation.network.network import links_of, set_links
 from poise.simulation.schedule.scheduler import Choices
 from poise.simulation.workload import SimulatedWork
-from poise.wire.records.status import ChainStatus, Summary, TimerStatus
+from poise.wire.records.status_records import ChainStatus, Summary, TimerStatus
 
 _CORES = 4.0
 _USUAL = ComponentModel()

@@ -17,7 +17,7 @@ from poise.simulation.simulation_report import (
     SimulatedMove,
     TimerMisses,
 )
-from poise.wire.records.status import Summary
+from poise.wire.records.status_records import Summary
 
 LOOK_EVERY = 0.05
 """What works is looked at so often [s]; outages are known to that."""

@@ -16,7 +16,7 @@ from poise.errors import UsageError
 from poise.runtime.component.component import Component, Context, create
 from poise.runtime.component.ports import Published, ports_of, timers_of
 from poise.runtime.execution.timers import Releases
-from poise.testing.clock import VirtualClock
+from poise.testing.virtual_clock import VirtualClock
 
 C = TypeVar("C", bound=Component)
 

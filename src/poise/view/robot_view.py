@@ -17,7 +17,11 @@ from msgspec.structs import replace
 from poise.clock import wall_time
 from poise.errors import PoiseError
 from poise.session.running_robots.running import JournalEntry, Running, Status
-from poise.wire.records.status import ComponentStatus, ConnectorStatus, ContainerStatus
+from poise.wire.records.status_records import (
+    ComponentStatus,
+    ConnectorStatus,
+    ContainerStatus,
+)
 
 SPAN = 3.0
 """Rates are means over this time [s]."""

@@ -14,7 +14,7 @@ import msgspec
 from msgspec import Struct
 
 from poise.errors import RunError, UsageError
-from poise.wire.records.samples import AgentSample
+from poise.wire.records.sample_records import AgentSample
 
 
 class Input(Struct, frozen=True, array_like=True):

@@ -19,7 +19,7 @@ from poise.model.policy.policy import LinkValues
 from poise.model.policy.shipped import policies_of
 from poise.model.robot import Computer, Connector, ConnectorEnd, Link, Robot
 from poise.wire.records.heartbeat_records import LinkQuality
-from poise.wire.records.status import AgentStatus
+from poise.wire.records.status_records import AgentStatus
 from tests.manage.adaptation.conftest import Make
 
 

@@ -22,7 +22,11 @@ from poise.model.robot import (
     Robot,
     Task,
 )
-from poise.wire.records.status import AgentStatus, ComponentStatus, ContainerStatus
+from poise.wire.records.status_records import (
+    AgentStatus,
+    ComponentStatus,
+    ContainerStatus,
+)
 from tests.manage.adaptation.conftest import Make
 
 

@@ -8,7 +8,7 @@ from poise.manage.adaptation.loop import Adaptation
 from poise.manage.adaptation.responder import Change, Responder
 from poise.manage.adaptation.situation import Situation
 from poise.manage.deploy.desired import Desired
-from poise.testing.clock import VirtualClock
+from poise.testing.virtual_clock import VirtualClock
 from tests.manage.adaptation.shortages.test_put_aside import Robbed, robot_with
 
 PURPOSES = [

@@ -9,7 +9,7 @@ import pytest
 
 from poise.clock import SystemClock
 from poise.manage.agent_connections.reports import MOST_REFUSED, AgentReports, reading
-from poise.wire.records.status import AgentStatus
+from poise.wire.records.status_records import AgentStatus
 
 
 class Payload:

@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from poise.manage.agent_connections.identity import gives_way_to
-from poise.wire.records.requests import ManagerId
-from poise.wire.records.status import AgentStatus
+from poise.wire.records.request_records import ManagerId
+from poise.wire.records.status_records import AgentStatus
 
 EARLIER = ManagerId(key="e", user="ann", host="desk", pid=7, since=9.0, term=1)
 LATER = ManagerId(key="l", user="bob", host="robot", pid=7, since=0.0, term=2)

@@ -8,7 +8,7 @@ from poise.manage.deploy.adoption import Adoption, adopt, found_in, is_half_done
 from poise.manage.deploy.deployment_plan import DeploymentPlan
 from poise.manage.deploy.incarnation import Incarnation
 from poise.model.robot import Architecture, ComponentEntry, Robot
-from poise.wire.records.deployment import Deployment, Goal
+from poise.wire.records.deployment_records import Deployment, Goal
 
 GATEWAYS = {"left": "left:7000", "right": "right:7000"}
 PLANNED = {"grabber": "left", "thinker": "right"}

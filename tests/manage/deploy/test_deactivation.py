@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from poise.manage.deploy.deactivation import _left, maybe_active
 from poise.manage.deploy.incarnation import Incarnation
-from poise.wire.records.status import (
+from poise.wire.records.status_records import (
     AgentStatus,
     ComponentStatus,
     ConnectorStatus,

@@ -8,7 +8,7 @@ from msgspec.structs import replace
 from poise.manage.deploy.deployment_plan import DeploymentPlan
 from poise.manage.deploy.incarnation import Incarnation
 from poise.model.robot import Architecture, Chain, ComponentEntry, Computer, Robot
-from poise.wire.records.deployment import ChainPart, ComponentSpec, Deployment
+from poise.wire.records.deployment_records import ChainPart, ComponentSpec, Deployment
 from tests.manage.conftest import connector_names
 
 GATEWAYS = {"left": "10.0.0.1:4001", "right": "10.0.0.2:4002"}

@@ -18,8 +18,8 @@ from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.deploy.takeover import start_or_take_over
 from poise.manage.journal import Journal
 from poise.model.robot import Robot
-from poise.wire.records.deployment import Deployment, Goal
-from poise.wire.records.status import ComponentStatus
+from poise.wire.records.deployment_records import Deployment, Goal
+from poise.wire.records.status_records import ComponentStatus
 from tests.manage.conftest import FakeAgents
 
 PLACEMENT = {"grabber": "left", "thinker": "right"}

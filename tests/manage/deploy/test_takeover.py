@@ -17,10 +17,10 @@ from poise.manage.deploy.takeover import start_or_take_over
 from poise.manage.journal import Journal
 from poise.manage.manager import Manager
 from poise.manage.observe.estimates import Estimates
-from poise.manage.observe.recording import Recording
+from poise.manage.observe.sample_recording import Recording
 from poise.manage.tasks.task_progress import Saved
 from poise.model.robot import Robot
-from poise.wire.records.requests import ManagerId
+from poise.wire.records.request_records import ManagerId
 from tests.manage.conftest import FakeAgents
 
 PLACEMENT = {"grabber": "left", "thinker": "right"}

@@ -37,10 +37,10 @@ from poise.model.robot import (
     ConnectorEnd,
     Robot,
 )
-from poise.wire.records.deployment import Deployment
+from poise.wire.records.deployment_records import Deployment
 from poise.wire.records.migration_records import MigrationSteps, StepName, StepsOutcome
-from poise.wire.records.requests import Refused
-from poise.wire.records.status import Fault
+from poise.wire.records.request_records import Refused
+from poise.wire.records.status_records import Fault
 from tests.manage.agents import TELLING, TwoAgents, two_agents
 from tests.model_of_moves.replay import replay
 from tests.waiting import wait_until

@@ -11,7 +11,7 @@ from poise.errors import RunError
 from poise.manage.deploy.incarnation import Incarnation
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.migration.progress_limits import STALL_LIMIT, Stall
-from poise.wire.records.status import (
+from poise.wire.records.status_records import (
     AgentStatus,
     ComponentStatus,
     ContainerHealth,

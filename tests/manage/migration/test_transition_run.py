@@ -13,8 +13,8 @@ from poise.manage.journal import Journal
 from poise.manage.migration.migration_report import TransitionStep
 from poise.manage.migration.transition_run import transit
 from poise.model.robot import Robot
-from poise.wire.records.deployment import Deployment
-from poise.wire.records.status import ComponentStatus
+from poise.wire.records.deployment_records import Deployment
+from poise.wire.records.status_records import ComponentStatus
 from tests.manage.conftest import FakeAgents
 
 PLACEMENT = {"grabber": "left", "filter": "left"}

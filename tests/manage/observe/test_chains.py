@@ -8,7 +8,7 @@ import pytest
 
 from poise.manage.observe.chains import ChainAges, ChainReport, chain_reports
 from poise.model.robot import Chain, Connector, ConnectorEnd, Robot
-from poise.wire.records.status import (
+from poise.wire.records.status_records import (
     AgentStatus,
     ChainStatus,
     ComponentStatus,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from poise.manage.observe.troubles import QUIET, CodeErrors
-from poise.wire.records.status import (
+from poise.wire.records.status_records import (
     AgentStatus,
     ComponentStatus,
     ConnectorStatus,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from poise.manage.observe.deadline_misses import DeadlineMisses, is_late
-from poise.wire.records.status import (
+from poise.wire.records.status_records import (
     AgentStatus,
     ComponentStatus,
     ContainerStatus,

@@ -11,11 +11,11 @@ from poise.estimate.profile import ComponentProfile, Profile
 from poise.estimate.profile.profile_records import Distribution
 from poise.manage.observe.estimates import Estimates
 from poise.manage.observe.metrics import MetricsServer, to_prometheus
-from poise.manage.observe.recording import Recording
+from poise.manage.observe.sample_recording import Recording
 from poise.model.robot import Robot
 from poise.wire.recording_file import Recorded, append, load
-from poise.wire.records.samples import AgentSample
-from poise.wire.records.status import (
+from poise.wire.records.sample_records import AgentSample
+from poise.wire.records.status_records import (
     AgentStatus,
     ConnectorStatus,
     ContainerStatus,

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import time
 
-from poise.manage.observe.faults import (
+from poise.manage.observe.reported_faults import (
     FaultFilter,
     combined,
     fault_sentence,
     faults_after,
     last_numbers,
 )
-from poise.wire.records.status import AgentStatus, Fault
+from poise.wire.records.status_records import AgentStatus, Fault
 
 
 def status(*numbers: int) -> dict[str, AgentStatus]:

@@ -6,7 +6,11 @@ import pytest
 
 from poise.manage.observe.estimates import Loads
 from poise.model.robot import Robot
-from poise.wire.records.samples import AgentSample, ComponentSample, ContainerSample
+from poise.wire.records.sample_records import (
+    AgentSample,
+    ComponentSample,
+    ContainerSample,
+)
 
 
 def test_another_program_is_known_0_6_s_after_it_began(robot: Robot) -> None:

@@ -13,10 +13,14 @@ from pathlib import Path
 import pytest
 
 from poise.errors import RunError
-from poise.manage.observe import recording
-from poise.manage.observe.recording import Recording, RecordingFile
+from poise.manage.observe import sample_recording
+from poise.manage.observe.sample_recording import Recording, RecordingFile
 from poise.wire.recording_file import Recorded, append, load
-from poise.wire.records.samples import AgentSample, ComponentSample, ContainerSample
+from poise.wire.records.sample_records import (
+    AgentSample,
+    ComponentSample,
+    ContainerSample,
+)
 from tests.waiting import wait_until
 
 
@@ -61,7 +65,7 @@ def test_200_000_samples_take_no_memory_and_each_is_written_or_counted(
 _KILLED = """
 import sys
 from pathlib import Path
-from poise.manage.observe.recording import RecordingFile
+from poise.manage.observe.sample_recording import RecordingFile
 from tests.manage.observe.test_recording import sample
 recorder = RecordingFile(Path(sys.argv[1]), "r")
 number = 0
@@ -108,7 +112,7 @@ def test_where_none_can_be_written_is_an_error_before_the_robot_starts(
 def test_of_too_many_samples_the_last_wait_and_it_is_said(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(recording, "MOST", 2)
+    monkeypatch.setattr(sample_recording, "MOST", 2)
     waiting = Recording()
     for number in range(5):
         waiting.add(sample(number))

@@ -18,7 +18,7 @@ from poise.manage.prefetch.switch import switch
 from poise.manage.tasks.action_placement import Likely
 from poise.model.robot import Robot
 from poise.model.tasks.steps import Prefetch
-from poise.wire.records.status import ComponentStatus, ContainerHealth, Fault
+from poise.wire.records.status_records import ComponentStatus, ContainerHealth, Fault
 from tests.manage.conftest import FakeAgents
 
 NEXT = Likely(

@@ -31,7 +31,12 @@ from poise.model.robot import (
     Task,
 )
 from poise.model.tasks.steps import Choice, Step
-from poise.wire.records.status import ActionEnd, AgentStatus, ComponentStatus, TaskWish
+from poise.wire.records.status_records import (
+    ActionEnd,
+    AgentStatus,
+    ComponentStatus,
+    TaskWish,
+)
 from tests.manage.conftest import FakeAgents
 
 FUNCTIONS = ("see", "go", "say")

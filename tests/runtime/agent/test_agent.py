@@ -26,7 +26,7 @@ from poise.runtime.agent.surroundings import BROKEN
 from poise.runtime.waker import wait_readable
 from poise.wire.connections.sockets import agent_path
 from poise.wire.control_session import open_session
-from poise.wire.records.deployment import (
+from poise.wire.records.deployment_records import (
     ComponentSpec,
     ConnectorSpec,
     ContainerSpec,
@@ -34,7 +34,7 @@ from poise.wire.records.deployment import (
     Goal,
 )
 from poise.wire.records.migration_records import MigrationSteps, Step, StepsFailed
-from poise.wire.records.requests import (
+from poise.wire.records.request_records import (
     PROTOCOL,
     Accepted,
     Answer,
@@ -45,7 +45,7 @@ from poise.wire.records.requests import (
     Refused,
     Request,
 )
-from poise.wire.records.status import (
+from poise.wire.records.status_records import (
     AgentStatus,
     ComponentStatus,
     ContainerHealth,

@@ -27,10 +27,14 @@ from poise.runtime.supervision.container_processes import ProcessEnd
 from poise.runtime.supervision.supervisor import FENCE_GRACE
 from poise.testing import VirtualClock
 from poise.wire.heartbeats import UNCUT_LEASE, Address
-from poise.wire.records.container import ContainerFailure, ToContainer
-from poise.wire.records.deployment import ComponentSpec, ContainerSpec, Deployment
+from poise.wire.records.container_records import ContainerFailure, ToContainer
+from poise.wire.records.deployment_records import (
+    ComponentSpec,
+    ContainerSpec,
+    Deployment,
+)
 from poise.wire.records.migration_records import MigrationSteps, StepsFailed
-from poise.wire.records.requests import (
+from poise.wire.records.request_records import (
     Accepted,
     Claim,
     Claimed,
@@ -38,7 +42,11 @@ from poise.wire.records.requests import (
     ManagerRequest,
     Refused,
 )
-from poise.wire.records.status import AgentStatus, ComponentStatus, ContainerStatus
+from poise.wire.records.status_records import (
+    AgentStatus,
+    ComponentStatus,
+    ContainerStatus,
+)
 
 MANAGER = ManagerId(key="first", user="ann", host="desk", pid=7, since=0.0)
 EXIT_1 = ProcessEnd(1 << 8)

@@ -10,11 +10,11 @@ import pytest
 from poise.runtime.agent.fence import Fence
 from poise.runtime.agent.heartbeat_exchange import HeartbeatExchange
 from poise.runtime.agent.surroundings import Hear, NextBeat
-from poise.testing.clock import VirtualClock
+from poise.testing.virtual_clock import VirtualClock
 from poise.wire.heartbeats import LEASE, UNCUT_LEASE, Address, Contacts
 from poise.wire.records.heartbeat_records import MANAGER as THE_MANAGER
 from poise.wire.records.heartbeat_records import Echo, Heartbeat
-from poise.wire.records.requests import Claim, ManagerId
+from poise.wire.records.request_records import Claim, ManagerId
 
 AGENTS = {"left": "tcp/127.0.0.1:1", "right": "tcp/127.0.0.1:2"}
 MANAGER = ManagerId(key="k", user="ann", host="desk", pid=7, since=0.0)

@@ -24,7 +24,7 @@ from poise.wire.address import Address
 from poise.wire.connections.connection import Connection
 from poise.wire.connections.opening import CALLS, Opening
 from poise.wire.frame import Kind
-from poise.wire.records.deployment import ConnectorSpec
+from poise.wire.records.deployment_records import ConnectorSpec
 from tests.runtime.conftest import Pair, every_kind
 from tests.waiting import LIMIT, wait_until
 

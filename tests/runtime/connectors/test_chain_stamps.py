@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from poise import Component, Message, Provided, Published, Required, oneway, subscribed
 from poise.clock import Elapsed
 from poise.runtime.connectors.chain_stamps import SentChains
-from poise.wire.records.deployment import ChainPart
-from poise.wire.records.status import ChainStatus
+from poise.wire.records.deployment_records import ChainPart
+from poise.wire.records.status_records import ChainStatus
 from tests.runtime.conftest import Pair, every_kind
 from tests.waiting import LIMIT, wait_until
 

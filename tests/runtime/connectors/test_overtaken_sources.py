@@ -15,7 +15,7 @@ from poise.runtime.execution.connector_counters import Counts
 from poise.wire import frame
 from poise.wire.codec import codec
 from poise.wire.frame import Kind
-from poise.wire.records.deployment import ConnectorSpec
+from poise.wire.records.deployment_records import ConnectorSpec
 
 
 class Arm(Component):

@@ -18,7 +18,7 @@ from poise.runtime.connectors.tap import MOST_PASSED, MOST_TIMES, Observer, Plai
 from poise.runtime.hosting import taps
 from poise.runtime.hosting.taps import MOST_VIEWERS, Taps
 from poise.wire.records.migration_records import StepsFailed
-from poise.wire.records.taps import Tap, TapReading
+from poise.wire.records.tap_records import Tap, TapReading
 from tests.runtime.connectors.test_sender import FakeRoute, Note, Sums
 
 NOTES = Port("notes", "publishes", Note)

@@ -14,8 +14,8 @@ from poise.runtime.container.container import Container
 from poise.runtime.hosting.stats_page import new_memory
 from poise.runtime.waker import wait_readable
 from poise.wire import record_channel
-from poise.wire.records.container import ContainerFailure, FromContainer
-from poise.wire.records.deployment import ContainerSpec
+from poise.wire.records.container_records import ContainerFailure, FromContainer
+from poise.wire.records.deployment_records import ContainerSpec
 from tests.waiting import LIMIT
 
 pytestmark = pytest.mark.slow

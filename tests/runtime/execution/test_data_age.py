@@ -8,7 +8,7 @@ import pytest
 
 from poise.runtime.execution.data_age import DataAges, Stamped
 from poise.testing import VirtualClock
-from poise.wire.records.deployment import ChainPart
+from poise.wire.records.deployment_records import ChainPart
 
 FIRST = ChainPart(name="c", is_first=True)
 WITHIN = ChainPart(name="c")

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from poise.runtime._calls import Histogram
-from poise.wire.records.status import Summary
+from poise.wire.records.status_records import Summary
 from tests.runtime import reference
 
 VALUES = st.lists(st.floats(min_value=-1.0, max_value=1e30, allow_nan=False))

@@ -25,7 +25,7 @@ from poise.runtime.hosting.stats_page import new_memory
 from poise.runtime.migration.state_sender import REQUEST, Request, StateSender
 from poise.wire import frame
 from poise.wire.frame import Kind
-from poise.wire.records.deployment import ComponentSpec
+from poise.wire.records.deployment_records import ComponentSpec
 from tests.runtime.conftest import Pair
 from tests.runtime.hosting.test_command_line import reach, runner_of
 from tests.waiting import LIMIT, wait_until

@@ -6,7 +6,7 @@ import pytest
 
 from poise.runtime.component.ports import Timer
 from poise.runtime.execution.timers import Releases, Timers, release_offset
-from poise.wire.records.status import TimerStatus
+from poise.wire.records.status_records import TimerStatus
 
 START = 10.0
 

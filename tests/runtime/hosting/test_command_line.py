@@ -17,8 +17,8 @@ from poise.runtime.container.component_import import implementation_of
 from poise.runtime.hosting.command_line import CommandLine, program
 from poise.runtime.hosting.runner import Runner
 from poise.runtime.waker import wait_readable
-from poise.wire.records.deployment import ComponentSpec
-from poise.wire.records.status import State
+from poise.wire.records.deployment_records import ComponentSpec
+from poise.wire.records.status_records import State
 from tests.waiting import wait_until
 
 pytestmark = pytest.mark.slow
@@ -236,7 +236,7 @@ def test_it_does_not_survive_a_container_that_is_killed(running: Running) -> Non
 KEEPER = """
 import signal
 from pathlib import Path
-from poise.wire.records.deployment import (ComponentSpec)
+from poise.wire.records.deployment_records import (ComponentSpec)
 from tests.runtime.hosting.test_command_line import runner_of
 
 command = ("sh", "-c", "echo; exec sleep 9")

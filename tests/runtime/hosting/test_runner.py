@@ -16,8 +16,8 @@ from poise.errors import RunError, Timeout
 from poise.runtime.execution.connector_counters import Counts
 from poise.runtime.execution.exclusion import Redirected
 from poise.runtime.hosting.runner import Runner
-from poise.wire.records.deployment import ComponentSpec
-from poise.wire.records.status import State
+from poise.wire.records.deployment_records import ComponentSpec
+from poise.wire.records.status_records import State
 from tests.waiting import wait_until
 
 LIMIT = 20.0

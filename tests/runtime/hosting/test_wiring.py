@@ -19,7 +19,7 @@ from poise.wire.address import Address
 from poise.wire.codec import WireError
 from poise.wire.connections.channel import Channel
 from poise.wire.frame import FAILURE, Frame, Kind, segments
-from poise.wire.records.status import ConnectorStatus
+from poise.wire.records.status_records import ConnectorStatus
 from tests.runtime.conftest import Pair, every_kind
 from tests.waiting import LIMIT, wait_until
 

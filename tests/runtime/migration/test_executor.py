@@ -11,7 +11,7 @@ from poise import Component
 from poise.clock import SystemClock
 from poise.runtime.hosting.runner import Runner
 from poise.runtime.migration.executor import MigrationExecutor
-from poise.wire.records.deployment import ComponentSpec, ContainerSpec
+from poise.wire.records.deployment_records import ComponentSpec, ContainerSpec
 from poise.wire.records.migration_records import (
     MigrationSteps,
     Step,

@@ -21,7 +21,7 @@ from poise.runtime.migration.state_sender import Request, StateSender
 from poise.wire import frame
 from poise.wire.connections.channel import Channel
 from poise.wire.frame import Frame, Pieces
-from poise.wire.records.deployment import ComponentSpec
+from poise.wire.records.deployment_records import ComponentSpec
 from tests.waiting import wait_until
 
 LIMIT = 20.0

@@ -20,7 +20,7 @@ from poise.session.experiment.results import (
     schedule,
 )
 from poise.session.experiment.summary import ExperimentReport, summarised
-from poise.session.render.experiment import experiment_parts
+from poise.session.render.experiment_tables import experiment_parts
 
 
 def found(

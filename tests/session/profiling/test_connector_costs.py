@@ -9,7 +9,11 @@ from poise.session.profiling.connector_costs import (
     Pair,
     costs_of,
 )
-from poise.wire.records.samples import AgentSample, ConnectorSample, ContainerSample
+from poise.wire.records.sample_records import (
+    AgentSample,
+    ConnectorSample,
+    ContainerSample,
+)
 
 PER_BYTE = {"direct": 0.0, "local": 1e-9, "remote": 1e-8}
 FIXED = {"direct": 20e-6, "local": 100e-6, "remote": 200e-6}

@@ -16,7 +16,11 @@ from poise.model.robot import (
 from poise.session.profiling.figures import MeasuredUsage, Observed, disagreeing
 from poise.session.profiling.figures import figures as measured_figures
 from poise.session.profiling.rig import EMPTY, ProfilingRig
-from poise.wire.records.status import AgentStatus, ComponentStatus, ContainerStatus
+from poise.wire.records.status_records import (
+    AgentStatus,
+    ComponentStatus,
+    ContainerStatus,
+)
 
 NAMES = ("eye", "mind")
 ROBOT = Robot(

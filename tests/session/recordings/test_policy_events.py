@@ -8,9 +8,9 @@ import msgspec
 import pytest
 
 import poise
-from poise.cli.commands.policy import policy_command
+from poise.cli.commands.policy_command import policy_command
 from poise.errors import UsageError
-from poise.manage.observe.recording import RecordingFile
+from poise.manage.observe.sample_recording import RecordingFile
 from poise.model.policy.policy import SUBJECTS, ComputerValues, LinkValues, Policy, Seen
 from poise.model.robot import Computer, Robot
 from poise.wire.recording_file import Recorded, append

@@ -12,7 +12,11 @@ from poise.model.robot import Robot
 from poise.session.recordings.recorded_run import RecordedRun
 from poise.simulation.workload import workload_of
 from poise.wire.recording_file import Recorded, append
-from poise.wire.records.samples import AgentSample, ComponentSample, ContainerSample
+from poise.wire.records.sample_records import (
+    AgentSample,
+    ComponentSample,
+    ContainerSample,
+)
 from tests.simulation.conftest import small_scenario
 from tests.simulation.test_rehearsal import profile_of
 

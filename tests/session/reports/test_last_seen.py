@@ -8,7 +8,7 @@ from msgspec.structs import replace
 
 from poise.manage.agent_connections.statuses import Statuses, connectors_of, located
 from poise.session.reports.last_seen import LastSeen
-from poise.wire.records.status import (
+from poise.wire.records.status_records import (
     AgentStatus,
     ChainStatus,
     ComponentStatus,

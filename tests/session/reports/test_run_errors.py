@@ -16,7 +16,7 @@ from poise.session.reports.run_errors import (
     refused_messages,
     silent_ports,
 )
-from poise.wire.records.status import (
+from poise.wire.records.status_records import (
     AgentStatus,
     ComponentStatus,
     ConnectorStatus,

@@ -10,7 +10,7 @@ from poise.model.robot import Computer, Robot
 from poise.session.reports.history import cpu_shares
 from poise.session.reports.run_errors import ComponentError, HungHandler
 from poise.session.reports.run_report import RunReport, component_reports
-from poise.wire.records.status import (
+from poise.wire.records.status_records import (
     AgentStatus,
     ComponentStatus,
     ConnectorStatus,

@@ -9,7 +9,7 @@ import pytest
 from poise.runtime.component.ports import Timer
 from poise.runtime.execution.timers import Timers
 from poise.simulation._engine import Engine
-from poise.wire.records.status import TimerStatus
+from poise.wire.records.status_records import TimerStatus
 from tests.simulation.native.parts import advance, container, model, worker
 
 Pauses = list[tuple[float, float]]

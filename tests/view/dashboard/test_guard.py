@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from poise.view.dashboard.server import (
+from poise.view.dashboard.dashboard_server import (
     Guard,
     Message,
     Receive,

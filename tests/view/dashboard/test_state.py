@@ -9,8 +9,8 @@ from poise.manage.journal import JournalEntry
 from poise.session.running_robots.running import Status
 from poise.view.dashboard.state import PageState, Updates, changes, why
 from poise.view.robot_view import Look
-from poise.wire.records.requests import ManagerId
-from poise.wire.records.status import (
+from poise.wire.records.request_records import ManagerId
+from poise.wire.records.status_records import (
     AgentStatus,
     ComponentStatus,
     ConnectorStatus,

@@ -13,7 +13,7 @@ from poise.manage.observe.estimates import DemandEstimate, Load
 from poise.manage.policy.evaluation import Symptom
 from poise.model.policy.policy import Do, TimerValues
 from poise.model.robot import Computer, Robot
-from poise.wire.records.status import AgentStatus
+from poise.wire.records.status_records import AgentStatus
 
 Homes = Mapping[str, tuple[str, ...]]
 """Component -> the computers where it may be; one: it stays there."""

@@ -27,15 +27,15 @@ from poise.manage.agent_connections.requests import (
 from poise.priority import ahead
 from poise.wire.control_session import LEASE, open_session
 from poise.wire.heartbeats import SURELY_ENDED, UNCUT_SURELY_ENDED
-from poise.wire.records.checkpoints import CheckpointCopy
-from poise.wire.records.deployment import Deployment
+from poise.wire.records.checkpoint_records import CheckpointCopy
+from poise.wire.records.deployment_records import Deployment
 from poise.wire.records.migration_records import (
     MigrationSteps,
     StepsDone,
     StepsFailed,
     StepsOutcome,
 )
-from poise.wire.records.requests import (
+from poise.wire.records.request_records import (
     Accepted,
     Answer,
     Claim,
@@ -44,7 +44,7 @@ from poise.wire.records.requests import (
     Refused,
     Request,
 )
-from poise.wire.records.samples import AgentSample
+from poise.wire.records.sample_records import AgentSample
 
 
 class CheckpointCopies:

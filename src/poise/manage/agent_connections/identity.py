@@ -10,8 +10,8 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from poise.clock import wall_time
-from poise.wire.records.requests import ManagerId
-from poise.wire.records.status import AgentStatus
+from poise.wire.records.request_records import ManagerId
+from poise.wire.records.status_records import AgentStatus
 
 
 def manager_id() -> ManagerId:

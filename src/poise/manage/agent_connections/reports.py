@@ -16,7 +16,7 @@ import zenoh
 from poise.clock import Clock, wall_time
 from poise.errors import RunError
 from poise.wire.control_session import IDENTITIES, parse_identity
-from poise.wire.records.status import AgentStatus
+from poise.wire.records.status_records import AgentStatus
 
 S = TypeVar("S")
 

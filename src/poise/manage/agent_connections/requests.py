@@ -14,7 +14,7 @@ from zenoh.handlers import Callback
 
 from poise.clock import Clock
 from poise.manage.agent_connections.reports import AgentReports
-from poise.wire.records.requests import (
+from poise.wire.records.request_records import (
     Accepted,
     Answer,
     Claimed,

@@ -6,7 +6,11 @@ import time
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING
 
-from poise.wire.records.status import AgentStatus, ComponentStatus, ConnectorStatus
+from poise.wire.records.status_records import (
+    AgentStatus,
+    ComponentStatus,
+    ConnectorStatus,
+)
 
 if TYPE_CHECKING:
     from poise.manage.deploy.incarnation import Incarnation

@@ -17,10 +17,10 @@ from poise.manage.observe.deviations import Deviation
 from poise.manage.observe.estimates import DemandEstimate, Load
 from poise.manage.prefetch.prefetch_report import PrefetchReport
 from poise.manage.tasks.task_report import TaskReport
-from poise.wire.records.output import OutputLine
-from poise.wire.records.requests import ManagerId
-from poise.wire.records.status import AgentStatus
-from poise.wire.records.taps import SHOWN_ITEMS, TapReading
+from poise.wire.records.output_records import OutputLine
+from poise.wire.records.request_records import ManagerId
+from poise.wire.records.status_records import AgentStatus
+from poise.wire.records.tap_records import SHOWN_ITEMS, TapReading
 
 
 class StatusCommand(Struct, frozen=True, tag=True):

@@ -22,7 +22,7 @@ from poise.manage.deploy.desired import Desired
 from poise.manage.deploy.incarnation import Incarnation
 from poise.model.check.allowed_computers import allowed_computers, leased_components
 from poise.model.robot import Robot
-from poise.wire.records.deployment import ComponentSpec, Deployment, Goal
+from poise.wire.records.deployment_records import ComponentSpec, Deployment, Goal
 
 
 class Found(Struct, frozen=True, kw_only=True):

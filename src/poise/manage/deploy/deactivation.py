@@ -16,7 +16,7 @@ from poise.manage.agent_connections.statuses import (
 from poise.manage.deploy.incarnation import Incarnation
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.deploy.topological_order import levels
-from poise.wire.records.status import ConnectorStatus
+from poise.wire.records.status_records import ConnectorStatus
 
 Leads = list[tuple[str, str]]
 """Pairs of components of which the first calls the second, or publishes to it."""

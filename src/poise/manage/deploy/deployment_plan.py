@@ -21,7 +21,7 @@ from poise.model.robot import (
     Robot,
 )
 from poise.model.tasks.steps import walk
-from poise.wire.records.deployment import (
+from poise.wire.records.deployment_records import (
     ChainPart,
     ComponentSpec,
     ConnectorKind,

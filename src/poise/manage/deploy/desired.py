@@ -12,7 +12,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from poise.manage.deploy.incarnation import Incarnation
-from poise.wire.records.deployment import Goal
+from poise.wire.records.deployment_records import Goal
 
 
 class Desired(Struct, frozen=True, kw_only=True):

@@ -25,8 +25,8 @@ from poise.manage.journal import Journal
 from poise.manage.supervised import SupervisedTick
 from poise.model.check.allowed_computers import allowed_computers
 from poise.model.robot import Robot
-from poise.wire.records.deployment import Deployment
-from poise.wire.records.requests import Claimed
+from poise.wire.records.deployment_records import Deployment
+from poise.wire.records.request_records import Claimed
 
 
 class DesiredState:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from msgspec import Struct, structs
 
-from poise.wire.records.deployment import Goal
+from poise.wire.records.deployment_records import Goal
 
 
 class Incarnation(Struct, frozen=True, kw_only=True):

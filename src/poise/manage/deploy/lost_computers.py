@@ -13,7 +13,7 @@ from poise.errors import RunError
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.observe.deviations import Deviation
 from poise.units import counted
-from poise.wire.records.status import AgentStatus
+from poise.wire.records.status_records import AgentStatus
 
 _MOMENT = 1.0
 """A command waits so long for a computer that has just been cut off [s]."""

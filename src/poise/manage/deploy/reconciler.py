@@ -16,9 +16,9 @@ from msgspec import structs
 from poise.clock import Clock
 from poise.manage.agent_connections.requests import ANSWER_LIMIT, Reply
 from poise.manage.agent_connections.statuses import Statuses
-from poise.wire.records.deployment import Deployment
-from poise.wire.records.requests import Accepted, Claimed, Refused
-from poise.wire.records.status import AgentStatus
+from poise.wire.records.deployment_records import Deployment
+from poise.wire.records.request_records import Accepted, Claimed, Refused
+from poise.wire.records.status_records import AgentStatus
 
 APPLY_LIMIT = 1.0
 """It reports within this time that it works towards what it accepted [s]; else it is

@@ -27,12 +27,16 @@ from poise.manage.deploy.desired import Desired
 from poise.manage.deploy.desired_state import DesiredState
 from poise.manage.deploy.incarnation import Incarnation
 from poise.manage.journal import Journal
-from poise.manage.observe.faults import fault_sentence, faults_after, last_numbers
+from poise.manage.observe.reported_faults import (
+    fault_sentence,
+    faults_after,
+    last_numbers,
+)
 from poise.manage.prefetch.prefetch_report import Switches
 from poise.model.robot import Robot
 from poise.units import counted
-from poise.wire.records.deployment import Goal
-from poise.wire.records.status import AgentStatus
+from poise.wire.records.deployment_records import Goal
+from poise.wire.records.status_records import AgentStatus
 
 READY_LIMIT = 20.0
 """All components are configured and all connectors joined within this time [s]."""

@@ -33,7 +33,7 @@ from poise.manage.migration.transition_run import transit
 from poise.manage.shortages.free_room import placed_beside
 from poise.model.check.allowed_computers import allowed_computers
 from poise.units import counted
-from poise.wire.records.deployment import Deployment
+from poise.wire.records.deployment_records import Deployment
 from poise.wire.records.migration_records import (
     MigrationSteps,
     Step,

@@ -37,7 +37,7 @@ from poise.wire.records.migration_records import (
     StepsOutcome,
     StepTaken,
 )
-from poise.wire.records.status import ComponentStatus
+from poise.wire.records.status_records import ComponentStatus
 
 PREPARE_LIMIT = 30.0
 """The targets are configured, and have a large state, within this time [s]."""

@@ -12,7 +12,7 @@ from poise.manage.agent_connections.statuses import Statuses, connectors_of, loc
 from poise.manage.observe.deadline_misses import OVER, is_late
 from poise.model.robot import Chain, Robot
 from poise.units import format_seconds
-from poise.wire.records.status import (
+from poise.wire.records.status_records import (
     ChainStatus,
     ComponentStatus,
     ConnectorStatus,

@@ -6,7 +6,7 @@ from collections import deque
 
 from poise.manage.agent_connections.statuses import Statuses, located
 from poise.model.policy.policy import TimerValues
-from poise.wire.records.status import TimerStatus
+from poise.wire.records.status_records import TimerStatus
 
 _SEVERAL, _MISSED = 2, 0.2
 """A timer is late that misses as many deadlines, and this share of them."""

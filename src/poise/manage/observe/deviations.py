@@ -13,7 +13,11 @@ from poise.manage.agent_connections.statuses import (
     components_of,
     connectors_of,
 )
-from poise.wire.records.status import AgentStatus, ComponentStatus, ContainerHealth
+from poise.wire.records.status_records import (
+    AgentStatus,
+    ComponentStatus,
+    ContainerHealth,
+)
 
 if TYPE_CHECKING:
     from poise.manage.deploy.deployment_plan import DeploymentPlan

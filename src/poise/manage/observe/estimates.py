@@ -13,7 +13,7 @@ from poise.estimate.online import Drift, Estimate, RunningEstimate
 from poise.estimate.profile import ConnectorProfile, Profile
 from poise.model.robot import Robot
 from poise.units import format_cores
-from poise.wire.records.samples import (
+from poise.wire.records.sample_records import (
     AgentSample,
     ComponentSample,
     ConnectorSample,

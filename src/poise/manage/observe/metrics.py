@@ -10,7 +10,7 @@ from poise import threads
 from poise.errors import RunError
 from poise.manage.agent_connections.statuses import Statuses, located
 from poise.manage.observe.estimates import Estimates
-from poise.wire.records.status import ComponentStatus, ConnectorStatus, Summary
+from poise.wire.records.status_records import ComponentStatus, ConnectorStatus, Summary
 
 Sample = tuple[str, Mapping[str, str], float]
 """A metric's name, its labels and its value."""

@@ -16,7 +16,7 @@ from poise.manage.journal import Journal, Kind
 from poise.manage.observe.deviations import Deviation
 from poise.threads import SHOWN_FOR
 from poise.units import counted
-from poise.wire.records.status import ComponentStatus, ContainerStatus
+from poise.wire.records.status_records import ComponentStatus, ContainerStatus
 
 _LEAST_JUMP = 1.0
 """A clock that jumps by less is not worth a word [s]."""

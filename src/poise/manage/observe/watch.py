@@ -10,7 +10,7 @@ from poise.manage.agent_connections.statuses import Statuses
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.journal import Kind
 from poise.manage.observe.deviations import Deviation, find_deviations, find_unjoined
-from poise.manage.observe.faults import FaultFilter
+from poise.manage.observe.reported_faults import FaultFilter
 from poise.manage.observe.troubles import CodeErrors
 
 _JOIN_WITHIN = 2.0

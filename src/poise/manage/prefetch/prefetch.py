@@ -19,7 +19,7 @@ from poise.manage.tasks.action_placement import Likely
 from poise.model.hardware import fits
 from poise.model.robot import ComponentEntry, Robot
 from poise.units import format_amount
-from poise.wire.records.status import AgentStatus
+from poise.wire.records.status_records import AgentStatus
 
 LEAST_CPU = 0.01
 """Nothing begins to be prepared where less CPU is left for it [cores]."""

@@ -9,7 +9,7 @@ from statistics import median
 from msgspec import Struct
 
 from poise.units import format_bytes
-from poise.wire.records.status import Summary
+from poise.wire.records.status_records import Summary
 
 _MOST = 1000
 """The times of so many switches are kept."""

@@ -24,7 +24,7 @@ from poise.manage.deploy.running_components import (
     RunningComponents,
 )
 from poise.model.robot import Architecture
-from poise.wire.records.status import State
+from poise.wire.records.status_records import State
 
 
 def prepare(

@@ -10,7 +10,7 @@ from msgspec import Struct
 from poise.manage.agent_connections.statuses import components_of
 from poise.manage.deploy.running_components import RunningComponents
 from poise.model.robot import Architecture
-from poise.wire.records.status import TaskWish
+from poise.wire.records.status_records import TaskWish
 
 
 class Heard(Struct, frozen=True):

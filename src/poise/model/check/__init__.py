@@ -17,7 +17,7 @@ from poise.model.check.connectors import (
     declared_ports,
 )
 from poise.model.check.names import check_addresses, check_names
-from poise.model.check.tasks import (
+from poise.model.check.task_checks import (
     check_ends,
     check_policies,
     check_tasks,

@@ -54,7 +54,7 @@ from poise.wire.connections.gateway import Gateway
 from poise.wire.connections.sockets import socket_path
 from poise.wire.control_session import identity_key, locator, open_session
 from poise.wire.heartbeats import Heartbeats
-from poise.wire.records.requests import PROTOCOL
+from poise.wire.records.request_records import PROTOCOL
 
 log = logging.getLogger(__name__)
 

@@ -17,7 +17,7 @@ from math import inf
 from poise.clock import wall_time
 from poise.wire.heartbeats import ASK_AFTER, LEASE, Contacts
 from poise.wire.records.heartbeat_records import MANAGER
-from poise.wire.records.requests import Claim, ManagerId, Refused
+from poise.wire.records.request_records import Claim, ManagerId, Refused
 
 
 class Fence:

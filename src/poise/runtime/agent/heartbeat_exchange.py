@@ -30,7 +30,7 @@ from poise.wire.heartbeats import (
     Address,
     Contacts,
 )
-from poise.wire.records.clocks import ClockStatus
+from poise.wire.records.clock_records import ClockStatus
 from poise.wire.records.heartbeat_records import MANAGER, Heartbeat, LinkQuality
 
 _KEPT = 64

@@ -17,8 +17,8 @@ from msgspec import Struct, structs
 from poise.back_off import BackOff
 from poise.clock import Clock
 from poise.runtime.agent.surroundings import Reply
-from poise.wire.records.requests import PROTOCOL, Answer, ManagerRequest, Refused
-from poise.wire.records.status import ErrorCount
+from poise.wire.records.request_records import PROTOCOL, Answer, ManagerRequest, Refused
+from poise.wire.records.status_records import ErrorCount
 
 log = logging.getLogger(__name__)
 

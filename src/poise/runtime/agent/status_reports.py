@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from poise.clock import Clock
-from poise.wire.records.status import AgentStatus
+from poise.wire.records.status_records import AgentStatus
 
 REPORT_EVERY = 0.5
 """A status goes out at least this often [s]."""

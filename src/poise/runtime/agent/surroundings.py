@@ -19,14 +19,14 @@ from poise.clock import Clock
 from poise.runtime.supervision.health import Usage
 from poise.wire.control_session import LEASE
 from poise.wire.heartbeats import Address
-from poise.wire.records.checkpoints import CheckpointCopy
-from poise.wire.records.container import ToContainer
-from poise.wire.records.deployment import ContainerSpec, Deployment
+from poise.wire.records.checkpoint_records import CheckpointCopy
+from poise.wire.records.container_records import ToContainer
+from poise.wire.records.deployment_records import ContainerSpec, Deployment
 from poise.wire.records.heartbeat_records import Heartbeat
-from poise.wire.records.output import ReadOutput
-from poise.wire.records.requests import PROTOCOL, Answer, ManagerId
-from poise.wire.records.samples import SAMPLE_EVERY
-from poise.wire.records.status import AgentStatus
+from poise.wire.records.output_records import ReadOutput
+from poise.wire.records.request_records import PROTOCOL, Answer, ManagerId
+from poise.wire.records.sample_records import SAMPLE_EVERY
+from poise.wire.records.status_records import AgentStatus
 
 BROKEN = os.EX_SOFTWARE
 """The exit code of an agent that an error of Poise ended: start it again."""

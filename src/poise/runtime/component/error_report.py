@@ -19,7 +19,7 @@ from msgspec.structs import replace
 import poise
 from poise.clock import wall_time
 from poise.errors import PoiseError
-from poise.wire.records.status import ErrorCount
+from poise.wire.records.status_records import ErrorCount
 
 _OURS = (
     *(

@@ -14,7 +14,7 @@ from poise.runtime.execution.clocks import RemoteClock
 from poise.runtime.execution.data_age import DataAges, Stamped
 from poise.wire.codec import Codec, codec
 from poise.wire.frame import Frame
-from poise.wire.records.deployment import ConnectorSpec
+from poise.wire.records.deployment_records import ConnectorSpec
 
 Stamps = tuple[float, ...]
 

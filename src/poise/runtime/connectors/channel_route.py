@@ -30,7 +30,7 @@ from poise.wire.connections import connection
 from poise.wire.connections.channel import Channel, Closed
 from poise.wire.connections.connection_server import Handler
 from poise.wire.frame import Frame, Kind, Pieces, segments, size_of
-from poise.wire.records.deployment import ConnectorSpec
+from poise.wire.records.deployment_records import ConnectorSpec
 
 log = logging.getLogger(__name__)
 

@@ -25,7 +25,7 @@ from poise.runtime.execution.data_age import DataAges
 from poise.runtime.execution.exclusion import Exclusion
 from poise.runtime.execution.mailbox import Mailbox
 from poise.wire.codec import WireError
-from poise.wire.records.deployment import ConnectorSpec
+from poise.wire.records.deployment_records import ConnectorSpec
 
 
 class OvertakenSources:

@@ -18,7 +18,7 @@ from typing import Any
 import msgspec
 
 from poise.clock import wall_time
-from poise.wire.records.taps import SHOWN_ITEMS, Passed, TapReading
+from poise.wire.records.tap_records import SHOWN_ITEMS, Passed, TapReading
 
 MOST_TIMES = 10_000
 MOST_PASSED = 100

@@ -21,7 +21,7 @@ from poise.errors import Unavailable
 from poise.runtime.waker import is_writable
 from poise.wire import record_channel
 from poise.wire.connections.sockets import agent_path, keep_private
-from poise.wire.records.container import FromContainer, ToContainer
+from poise.wire.records.container_records import FromContainer, ToContainer
 
 ORPHAN_LIMIT = 60.0
 """A container that has had no agent for this time ends [s]."""

@@ -17,7 +17,7 @@ from poise.runtime.component.implementation import find
 from poise.runtime.hosting.command_line import CommandLine
 from poise.runtime.hosting.output import write_as
 from poise.runtime.hosting.runner import Runner
-from poise.wire.records.deployment import ComponentSpec
+from poise.wire.records.deployment_records import ComponentSpec
 
 
 def implementation_of(spec: ComponentSpec, folder: str) -> type[Component]:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from poise.runtime import _calls
 from poise.wire.codec import WireError
-from poise.wire.records.deployment import ConnectorKind
-from poise.wire.records.status import ConnectorStatus, Side
+from poise.wire.records.deployment_records import ConnectorKind
+from poise.wire.records.status_records import ConnectorStatus, Side
 
 
 class Counts(_calls.Counts):

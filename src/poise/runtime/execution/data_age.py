@@ -26,8 +26,8 @@ from typing import Any, NamedTuple
 
 from poise.clock import ComponentClock, Stamp
 from poise.runtime._calls import Histogram
-from poise.wire.records.deployment import ChainPart
-from poise.wire.records.status import ChainStatus
+from poise.wire.records.deployment_records import ChainPart
+from poise.wire.records.status_records import ChainStatus
 
 
 class Stamped(NamedTuple):

@@ -7,7 +7,7 @@ from zlib import crc32
 
 from poise.runtime._calls import Histogram
 from poise.runtime.component.ports import Timer
-from poise.wire.records.status import TimerStatus
+from poise.wire.records.status_records import TimerStatus
 
 
 def release_offset(component: str) -> float:

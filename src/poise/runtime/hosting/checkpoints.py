@@ -20,7 +20,12 @@ from poise.runtime.migration.state_check import check_fits, describe_type, type_
 from poise.wire import frame
 from poise.wire.codec import Codec, codec
 from poise.wire.frame import Kind
-from poise.wire.records.checkpoints import LARGEST, age_of, checkpoint_path, set_age
+from poise.wire.records.checkpoint_records import (
+    LARGEST,
+    age_of,
+    checkpoint_path,
+    set_age,
+)
 
 
 class _Checkpoint(Struct, frozen=True):

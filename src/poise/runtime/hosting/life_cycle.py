@@ -8,8 +8,8 @@ from collections.abc import Callable
 from collections.abc import Set as AbstractSet
 
 from poise.runtime.component.component import Verb
-from poise.wire.records.deployment import Aim
-from poise.wire.records.status import ActionEnd, State, TaskWish
+from poise.wire.records.deployment_records import Aim
+from poise.wire.records.status_records import ActionEnd, State, TaskWish
 
 ENDED: AbstractSet[State] = {"finalized", "failed"}
 

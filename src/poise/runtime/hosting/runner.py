@@ -33,8 +33,8 @@ from poise.runtime.hosting.execution_gate import ExecutionGate
 from poise.runtime.hosting.life_cycle import ENDED, LifeCycle, TaskNews
 from poise.runtime.hosting.output import write_as
 from poise.wire.codec import codec
-from poise.wire.records.deployment import Aim, ComponentSpec
-from poise.wire.records.status import ComponentStatus, State
+from poise.wire.records.deployment_records import Aim, ComponentSpec
+from poise.wire.records.status_records import ComponentStatus, State
 
 log = logging.getLogger(__name__)
 

@@ -9,7 +9,7 @@ from poise.runtime.connectors.sender import Sender
 from poise.runtime.connectors.tap import Observer
 from poise.runtime.hosting.wiring import Wiring
 from poise.wire.records.migration_records import StepsFailed
-from poise.wire.records.taps import Tap, TapReading
+from poise.wire.records.tap_records import Tap, TapReading
 
 KEPT_FOR = 3.0
 """A viewer that has not asked for so long does not look any more [s]."""

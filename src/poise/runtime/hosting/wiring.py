@@ -27,8 +27,8 @@ from poise.wire.address import Address
 from poise.wire.connections.channel import Channel
 from poise.wire.connections.connection_server import ConnectionServer
 from poise.wire.connections.opening import CALLS, MESSAGES
-from poise.wire.records.deployment import ConnectorSpec
-from poise.wire.records.status import ConnectorStatus, Side
+from poise.wire.records.deployment_records import ConnectorSpec
+from poise.wire.records.status_records import ConnectorStatus, Side
 
 SENDING: AbstractSet[Kind] = {"publishes", "requires"}
 TAKING: AbstractSet[Kind] = {"subscribes", "provides"}

@@ -24,7 +24,7 @@ from poise.runtime.waker import poll_until
 from poise.wire.address import Address
 from poise.wire.connections.channel import Channel
 from poise.wire.connections.connection_server import ConnectionServer
-from poise.wire.records.deployment import ContainerSpec
+from poise.wire.records.deployment_records import ContainerSpec
 from poise.wire.records.migration_records import (
     MigrationPhases,
     MigrationSteps,

@@ -88,10 +88,10 @@ NB_MODULE(_calls, module) {
       .def(nb::init<>())
       .def("add", &Histogram::add, nb::arg("value"))
       .def("summary", [](const Histogram& histogram) {
-        return nb::module_::import_("poise.wire.records.status")
+        return nb::module_::import_("poise.wire.records.status_records")
             .attr("Summary")(histogram.count(), histogram.mean(), histogram.quantile(0.5),
                              histogram.quantile(0.99), histogram.maximum());
-      }, nb::sig("def summary(self) -> poise.wire.records.status.Summary"));
+      }, nb::sig("def summary(self) -> poise.wire.records.status_records.Summary"));
 
   nb::class_<StatsPage>(module, "StatsPage", "The container's end of its stats page (stats_page.h).")
       .def(nb::init<int>(), nb::arg("descriptor"))

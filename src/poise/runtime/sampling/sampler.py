@@ -57,7 +57,7 @@ class Sampler:
         Returns name, process number and stats page of the containers that run; called
         on the thread.
     publish
-        Takes an encoded `poise.wire.records.samples.AgentSample`; called on the thread.
+        Takes an encoded `AgentSample`; called on the thread.
     on_silence
         Called on the thread when a container does not respond, or does so again.
     """

@@ -20,7 +20,7 @@ from pathlib import Path
 
 from poise.cgroup_mounts import mounts
 from poise.priority import REAL_TIME
-from poise.wire.records.deployment import ContainerSpec
+from poise.wire.records.deployment_records import ContainerSpec
 
 log = logging.getLogger(__name__)
 

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from msgspec import Struct, structs
 
 from poise.clock import wall_time
-from poise.wire.records.status import ContainerHealth, ContainerState, Fault
+from poise.wire.records.status_records import ContainerHealth, ContainerState, Fault
 
 _MOST_FAULTS = 100
 _MOST_RESTARTS = 100

@@ -20,8 +20,8 @@ from poise.runtime.hosting.stats_page import new_memory
 from poise.runtime.supervision.container_weights import CpuWeights, own_group
 from poise.units import format_bytes
 from poise.wire import record_channel
-from poise.wire.records.container import FromContainer, ToContainer
-from poise.wire.records.deployment import ContainerSpec
+from poise.wire.records.container_records import FromContainer, ToContainer
+from poise.wire.records.deployment_records import ContainerSpec
 
 
 class ControlLink:

@@ -22,10 +22,10 @@ from poise.runtime.agent.surroundings import ContainerControl, ContainerHost
 from poise.runtime.sampling.watchdog import Silence
 from poise.runtime.supervision.container_processes import ContainerProcess, ProcessEnd
 from poise.runtime.supervision.health import HealthRecords, Usage
-from poise.wire.records.clocks import ClockStatus
-from poise.wire.records.container import FromContainer, Outcome
-from poise.wire.records.deployment import ContainerSpec, Deployment
-from poise.wire.records.status import ContainerHealth, ContainerStatus
+from poise.wire.records.clock_records import ClockStatus
+from poise.wire.records.container_records import FromContainer, Outcome
+from poise.wire.records.deployment_records import ContainerSpec, Deployment
+from poise.wire.records.status_records import ContainerHealth, ContainerStatus
 
 log = logging.getLogger(__name__)
 

@@ -13,7 +13,7 @@ from poise.estimate.profile import KindCosts
 from poise.estimate.profile import profile_files as profile_file
 from poise.manage.agent_connections.statuses import Statuses, located
 from poise.manage.journal import Journal
-from poise.manage.observe.recording import Recording
+from poise.manage.observe.sample_recording import Recording
 from poise.model.robot import Robot
 from poise.runtime.workload.calibration import SCORES
 from poise.session.callbacks import Check, nothing

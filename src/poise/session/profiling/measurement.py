@@ -8,7 +8,7 @@ from poise.errors import RunError
 from poise.estimate.profile.profile_records import WINDOW
 from poise.manage.deploy.running_components import ACTIVE_LIMIT
 from poise.manage.journal import Journal
-from poise.manage.observe.recording import Recording
+from poise.manage.observe.sample_recording import Recording
 from poise.session.callbacks import Check, nothing
 from poise.session.launch.start import Sampling, Started, started
 from poise.session.profiling.figures import Observed, measure

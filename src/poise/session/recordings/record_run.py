@@ -9,7 +9,7 @@ from pathlib import Path
 import msgspec
 from msgspec import Struct
 
-from poise.manage.observe.recording import RecordingFile
+from poise.manage.observe.sample_recording import RecordingFile
 from poise.model.robot import ConnectorEnd, Robot
 from poise.runtime.component.implementation import find, search_also
 from poise.runtime.component.ports import ports_of

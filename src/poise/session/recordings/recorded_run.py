@@ -16,7 +16,7 @@ from poise.model.robot import Robot
 from poise.session.callbacks import Say, log
 from poise.session.profiling.stored_profiles import read_profile
 from poise.wire.recording_file import parts_of
-from poise.wire.records.samples import (
+from poise.wire.records.sample_records import (
     AgentSample,
     ComponentSample,
     ConnectorSample,

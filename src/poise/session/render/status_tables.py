@@ -21,7 +21,7 @@ from poise.session.render.tables import (
     task_lines,
 )
 from poise.units import counted, format_bytes, format_seconds
-from poise.wire.records.status import ComponentStatus, ContainerHealth
+from poise.wire.records.status_records import ComponentStatus, ContainerHealth
 
 
 def status_parts(status: RobotStatus) -> Iterator[RenderableType]:

@@ -15,8 +15,8 @@ from rich.table import Table
 from poise.manage.observe.chains import ChainReport
 from poise.manage.tasks.task_report import ActionReport, TaskReport
 from poise.units import format_bytes, format_seconds
-from poise.wire.records.clocks import ClockStatus
-from poise.wire.records.status import ConnectorStatus, Summary
+from poise.wire.records.clock_records import ClockStatus
+from poise.wire.records.status_records import ConnectorStatus, Summary
 
 
 def table(*columns: str, folds: int = 0) -> Table:

@@ -11,7 +11,7 @@ from typing import TypeVar
 from msgspec.structs import replace
 
 from poise.manage.agent_connections.statuses import Statuses
-from poise.wire.records.status import (
+from poise.wire.records.status_records import (
     AgentStatus,
     ChainStatus,
     ComponentStatus,

@@ -15,7 +15,7 @@ from poise.manage.agent_connections.statuses import (
 )
 from poise.manage.observe.troubles import refused
 from poise.model.robot import Connector, Robot
-from poise.wire.records.status import ComponentStatus, ErrorCount
+from poise.wire.records.status_records import ComponentStatus, ErrorCount
 
 
 class ComponentError(ErrorCount, frozen=True, kw_only=True):

@@ -20,7 +20,7 @@ from poise.manage.agent_connections.statuses import (
 from poise.manage.deploy.deactivation import unprocessed
 from poise.manage.journal import JournalEntry
 from poise.manage.observe.chains import ChainReport
-from poise.manage.observe.faults import faults_after
+from poise.manage.observe.reported_faults import faults_after
 from poise.manage.tasks.task_report import TaskReport
 from poise.session.launch.start import Started
 from poise.session.pages.picture import Hosted, picture
@@ -39,8 +39,8 @@ from poise.session.reports.run_errors import (
     refused_messages,
     silent_ports,
 )
-from poise.wire.records.clocks import ClockStatus
-from poise.wire.records.status import (
+from poise.wire.records.clock_records import ClockStatus
+from poise.wire.records.status_records import (
     AgentStatus,
     ConnectorStatus,
     Fault,

@@ -13,7 +13,6 @@ from rich.console import RenderableType
 from poise.errors import RunError, Timeout, UsageError
 from poise.manage.adaptation.proposals import WhatIf
 from poise.manage.control_socket.agents_without_manager import NoManager
-from poise.manage.control_socket.client import ask
 from poise.manage.control_socket.commands import (
     JournalCommand,
     JournalEntries,
@@ -31,6 +30,7 @@ from poise.manage.control_socket.commands import (
     TaskCommand,
     TaskDone,
 )
+from poise.manage.control_socket.control_client import ask
 from poise.manage.journal import JournalEntry
 from poise.manage.migration.migration_report import MigrationReport
 from poise.manage.observe.chains import ChainReport
@@ -40,7 +40,7 @@ from poise.session.render.move_tables import Outcome, outcome_sentence
 from poise.session.render.printable import Printable
 from poise.session.render.status_tables import status_parts
 from poise.session.running_robots.without_manager import stop_agents
-from poise.wire.records.taps import SHOWN_ITEMS, TapReading
+from poise.wire.records.tap_records import SHOWN_ITEMS, TapReading
 
 _TASK_POLLED_EVERY = 0.05
 

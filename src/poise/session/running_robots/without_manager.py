@@ -15,7 +15,7 @@ from poise.manage.deploy.running_components import STOP_LIMIT
 from poise.model.robot import Robot
 from poise.session.launch.computers import agent_locators
 from poise.wire.control_session import locator
-from poise.wire.records.deployment import Deployment
+from poise.wire.records.deployment_records import Deployment
 
 REACH_LIMIT = 5.0
 """Agents are reached within this time [s], or count as out of reach."""

@@ -25,7 +25,7 @@ from poise.session.reports.run_report import RunReport
 from poise.session.robot_file import load
 from poise.session.run import Meanwhile, run
 from poise.units import format_seconds
-from poise.wire.records.status import Summary, TimerStatus
+from poise.wire.records.status_records import Summary, TimerStatus
 
 NAVIGATOR = "motion_controller"
 """The component whose deadlines tell whether the robot drives well."""

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Literal
 
 from poise.simulation.components.models import drawn
-from poise.wire.records.deployment import ComponentSpec
-from poise.wire.records.status import ComponentStatus, State
+from poise.wire.records.deployment_records import ComponentSpec
+from poise.wire.records.status_records import ComponentStatus, State
 
 if TYPE_CHECKING:
     from poise.simulation.components.modelled_container import SimulatedContainer

@@ -14,12 +14,12 @@ from poise.simulation.components.models import ComponentModel
 from poise.simulation.network.network import Network
 from poise.simulation.robot.simulated_process import Process
 from poise.simulation.schedule.scheduler import Choices, Scheduler, SimulatedTask
-from poise.wire.records.clocks import Clocks
-from poise.wire.records.container import FromContainer, ToContainer
-from poise.wire.records.deployment import ConnectorSpec, ContainerSpec
+from poise.wire.records.clock_records import Clocks
+from poise.wire.records.container_records import FromContainer, ToContainer
+from poise.wire.records.deployment_records import ConnectorSpec, ContainerSpec
 from poise.wire.records.migration_records import MigrationSteps
-from poise.wire.records.status import ConnectorStatus, ContainerStatus, Side
-from poise.wire.records.taps import TapReading
+from poise.wire.records.status_records import ConnectorStatus, ContainerStatus, Side
+from poise.wire.records.tap_records import TapReading
 
 _MISSED_WITHIN = 0.1
 """A missed deadline is reported within this time [s]."""

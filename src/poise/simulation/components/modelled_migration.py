@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from poise.errors import PoiseError, RunError
 from poise.simulation._engine import ExecutorState, Sender
 from poise.simulation.components.models import drawn
-from poise.wire.records.deployment import ContainerSpec
+from poise.wire.records.deployment_records import ContainerSpec
 from poise.wire.records.migration_records import (
     MigrationPhases,
     MigrationSteps,

@@ -11,7 +11,7 @@ from poise.estimate.profile import ConnectorProfile, KindCosts
 from poise.runtime.component.ports import Timer
 from poise.simulation._engine import Connector, Engine, Handler, Model
 from poise.simulation.schedule.scheduler import Choices
-from poise.wire.records.deployment import ConnectorSpec
+from poise.wire.records.deployment_records import ConnectorSpec
 
 
 class HandlerModel(Struct, frozen=True, kw_only=True):

@@ -38,7 +38,7 @@ Action event(Events& events, nb::object callable) {
 }
 
 nb::object status_record(const char* name) {
-  return nb::module_::import_("poise.wire.records.status").attr(name);
+  return nb::module_::import_("poise.wire.records.status_records").attr(name);
 }
 
 nb::object summary(const poise::Histogram& values) {
@@ -231,9 +231,9 @@ void bind_components(nb::module_& module) {
         return executor.marker(executor.container().engine().number(connector));
       }, "connector"_a)
       .def("timers", &timers_status, "now"_a,
-           nb::sig("def timers(self, now: float) -> tuple[poise.wire.records.status.TimerStatus, ...]"))
+           nb::sig("def timers(self, now: float) -> tuple[poise.wire.records.status_records.TimerStatus, ...]"))
       .def("chains", &chains_status,
-           nb::sig("def chains(self) -> tuple[poise.wire.records.status.ChainStatus, ...]"));
+           nb::sig("def chains(self) -> tuple[poise.wire.records.status_records.ChainStatus, ...]"));
 
   nb::class_<Container>(module, "Container", "A process that runs components (container.h).")
       .def_prop_ro("cpu", &Container::group, inside)

@@ -13,8 +13,8 @@ from poise.runtime.sampling.watchdog import Silence
 from poise.runtime.supervision.container_processes import ProcessEnd
 from poise.simulation.components.modelled_container import SimulatedContainer, World
 from poise.simulation.components.models import drawn
-from poise.wire.records.container import FromContainer, ToContainer
-from poise.wire.records.deployment import ContainerSpec
+from poise.wire.records.container_records import FromContainer, ToContainer
+from poise.wire.records.deployment_records import ContainerSpec
 
 if TYPE_CHECKING:
     from poise.simulation.robot.simulated_agent import SimulatedAgent

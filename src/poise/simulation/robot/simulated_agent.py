@@ -25,7 +25,7 @@ from poise.simulation.robot.simulated_sampler import SimulatedSampler
 from poise.simulation.schedule.scheduler import SimulatedTask
 from poise.wire.control_session import identity_key, locator, open_session
 from poise.wire.heartbeats import Heartbeats
-from poise.wire.records.status import AgentStatus
+from poise.wire.records.status_records import AgentStatus
 
 PORT = 7447
 LEASE = 2.0

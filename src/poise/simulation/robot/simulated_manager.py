@@ -17,7 +17,7 @@ from poise.manage.deploy.takeover import start_or_take_over
 from poise.manage.journal import Journal, JournalEntry
 from poise.manage.manager import LOOK_EVERY, Manager
 from poise.manage.observe.estimates import Estimates
-from poise.manage.observe.recording import Recording
+from poise.manage.observe.sample_recording import Recording
 from poise.manage.tasks.concurrent_tasks import Tasks
 from poise.manage.tasks.saved import goes_on_with
 from poise.model.robot import Robot

@@ -22,7 +22,7 @@ from poise.simulation.robot.simulated_process import SimulatedComputer
 from poise.simulation.schedule.scheduler import Choices, Scheduler
 from poise.simulation.schedule.simulated_library import SimulatedLibrary
 from poise.simulation.workload import SimulatedWork
-from poise.wire.records.deployment import ConnectorSpec
+from poise.wire.records.deployment_records import ConnectorSpec
 
 _LONGEST_UPTIME = 1e5
 _DRIFT = 25e-6

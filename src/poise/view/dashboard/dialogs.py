@@ -17,7 +17,7 @@ from poise.session.pages.report_page import html_table
 from poise.session.render.move_tables import outcome_sentence, what_if_lines
 from poise.session.running_robots.running import JournalEntry, Running, WhatIf
 from poise.view.dashboard.state import Page, proposal_in, why
-from poise.wire.records.output import OutputLine
+from poise.wire.records.output_records import OutputLine
 
 _LOG_EVERY = 0.5
 _TAKEN_WITHIN = 10.0

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 from msgspec import Struct
 
-from poise.wire.records.requests import PROTOCOL
+from poise.wire.records.request_records import PROTOCOL
 
 
 class Echo(Struct, frozen=True, array_like=True, gc=False):

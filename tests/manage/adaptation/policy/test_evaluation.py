@@ -14,7 +14,7 @@ from poise.manage.policy.evaluation import Policies, Symptom
 from poise.manage.policy.subjects import values_of
 from poise.model.policy.policy import SUBJECTS, Policy, Subject
 from poise.model.policy.shipped import shipped
-from poise.wire.records.status import (
+from poise.wire.records.status_records import (
     AgentStatus,
     ComponentStatus,
     ContainerHealth,

@@ -11,7 +11,7 @@ from poise.manage.adaptation.loop import Adaptation
 from poise.manage.adaptation.situation import Situation
 from poise.manage.shortages.missing_functions import CALM
 from poise.model.robot import Architecture, ComponentEntry, Computer, Robot
-from poise.wire.records.status import AgentStatus, ContainerHealth, Fault
+from poise.wire.records.status_records import AgentStatus, ContainerHealth, Fault
 from tests.manage.adaptation.shortages.test_put_aside import HIGH, Robbed, robot_with
 
 SPECS = {"cpu": 1.0, "memory": 1e9}

@@ -12,7 +12,7 @@ import pytest
 
 from poise.manage.observe.estimates import Estimates
 from poise.model.robot import Robot
-from poise.wire.records.status import (
+from poise.wire.records.status_records import (
     AgentStatus,
     ConnectorStatus,
     ContainerStatus,

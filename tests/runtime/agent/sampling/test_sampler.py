@@ -14,7 +14,7 @@ from poise.runtime._calls import ComponentCounters, PageSampler
 from poise.runtime.hosting.stats_page import new_memory
 from poise.runtime.sampling.kernel_counters import proportional_memory, resident_memory
 from poise.runtime.sampling.sampler import Sampler
-from poise.wire.records.samples import AgentSample
+from poise.wire.records.sample_records import AgentSample
 
 
 def decoded(body: bytes) -> AgentSample:

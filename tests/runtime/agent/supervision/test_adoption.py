@@ -13,8 +13,8 @@ import pytest
 
 from poise.runtime.agent.agent_files import AgentFolder
 from poise.runtime.agent.surroundings import AgentState
-from poise.wire.records.deployment import Deployment
-from poise.wire.records.requests import Claim, Refused
+from poise.wire.records.deployment_records import Deployment
+from poise.wire.records.request_records import Claim, Refused
 from tests.processes import children_of
 from tests.runtime.agent.test_agent import Manager, manager_id, wait_gone
 

@@ -10,7 +10,7 @@ from msgspec import structs
 
 from poise.priority import REAL_TIME
 from poise.runtime.supervision.container_weights import CPU_GROUP, CpuWeights, own_group
-from poise.wire.records.deployment import ContainerSpec
+from poise.wire.records.deployment_records import ContainerSpec
 
 HIGH = ContainerSpec(
     name="nav", folder="", components=(), connectors=(), weight=1000, nice=0

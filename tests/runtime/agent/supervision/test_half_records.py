@@ -10,7 +10,7 @@ import pytest
 from poise.runtime.hosting.stats_page import new_memory
 from poise.runtime.supervision.process_host import ControlLink
 from poise.wire import record_channel
-from poise.wire.records.status import ContainerStatus
+from poise.wire.records.status_records import ContainerStatus
 
 pytestmark = pytest.mark.slow
 

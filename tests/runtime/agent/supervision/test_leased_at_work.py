@@ -5,8 +5,8 @@ from __future__ import annotations
 from unittest.mock import Mock
 
 from poise.runtime.supervision.container_processes import ContainerProcess
-from poise.wire.records.deployment import ComponentSpec, ContainerSpec
-from poise.wire.records.status import ComponentStatus, ContainerStatus
+from poise.wire.records.deployment_records import ComponentSpec, ContainerSpec
+from poise.wire.records.status_records import ComponentStatus, ContainerStatus
 
 LEASED = ComponentSpec(name="arm", epoch=2, goal="inactive", leased=True)
 PINNED = ComponentSpec(name="eye", goal="active")

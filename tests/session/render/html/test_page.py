@@ -16,7 +16,7 @@ from poise.model import load
 from poise.model.robot import Computer, Robot
 from poise.session.reports.history import MOST, History, Moment
 from poise.session.reports.run_report import ComponentReport, RunReport
-from poise.wire.records.status import (
+from poise.wire.records.status_records import (
     AgentStatus,
     ComponentStatus,
     ContainerStatus,

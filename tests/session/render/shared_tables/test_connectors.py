@@ -7,7 +7,7 @@ from io import StringIO
 from rich.console import Console
 
 from poise.session.render.tables import connector_tables
-from poise.wire.records.status import ConnectorStatus, Side, Summary
+from poise.wire.records.status_records import ConnectorStatus, Side, Summary
 
 NAME = "laser-of-the-robot.distances-navigator.distances"
 

@@ -24,7 +24,7 @@ from poise.session.experiment.experiment import experiment as run_experiment
 from poise.session.experiment.results import FULL, SHORT, USUAL, Extent
 from poise.session.launch.printer import STDERR, Printer
 from poise.session.launch.temporary_folders import scratch_folder
-from poise.session.render.experiment import experiment_parts
+from poise.session.render.experiment_tables import experiment_parts
 from poise.session.render.tables import table
 from poise.session.reports.run_report import RunReport
 from poise.session.robot_file import load
@@ -43,7 +43,7 @@ from poise.session.scenes.home_robot import (
 )
 from poise.units import format_seconds
 from poise.view.drives_picture import DrivePicture, drives_picture
-from poise.wire.records.status import Summary
+from poise.wire.records.status_records import Summary
 
 EXAMPLES = Path(__file__).parents[5] / "examples"
 _TITLES = {"static": "static (by hand)", "auto": "Poise"}

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from msgspec import Struct
 
-from poise.wire.records.clocks import Clocks
-from poise.wire.records.deployment import ContainerSpec
+from poise.wire.records.clock_records import Clocks
+from poise.wire.records.deployment_records import ContainerSpec
 from poise.wire.records.migration_records import MigrationSteps, StepsDone, StepsFailed
-from poise.wire.records.status import ContainerStatus
-from poise.wire.records.taps import Tap, TapReading
+from poise.wire.records.status_records import ContainerStatus
+from poise.wire.records.tap_records import Tap, TapReading
 
 
 class ContainerFailure(Struct, frozen=True, tag=True):

@@ -26,7 +26,7 @@ from poise.view.robot_view import (
     Reader,
     TimerRow,
 )
-from poise.wire.records.taps import TapReading
+from poise.wire.records.tap_records import TapReading
 
 _LOOK_EVERY = 0.25
 """Messages are fetched, and the robot is read, after these times [s]."""

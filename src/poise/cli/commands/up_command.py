@@ -11,7 +11,7 @@ from typing import Annotated
 import typer
 from msgspec.structs import replace
 
-from poise.cli.commands.dashboard import check_dashboard, dashboard_beside
+from poise.cli.commands.dashboard_command import check_dashboard, dashboard_beside
 from poise.cli.interrupts import Interrupts
 from poise.cli.options import AnyMethod, RobotFile
 from poise.errors import UsageError

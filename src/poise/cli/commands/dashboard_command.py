@@ -39,7 +39,7 @@ def dashboard_command(
     Example: poise dashboard
     """
     check_dashboard()
-    from poise.view.dashboard.server import serve
+    from poise.view.dashboard.dashboard_server import serve
 
     def say(text: str) -> None:
         sys.stdout.write(f"{text}\n")

@@ -11,7 +11,7 @@ from collections import deque
 from collections.abc import Iterable, Iterator, Mapping
 
 from poise.manage.agent_connections.statuses import Statuses
-from poise.wire.records.status import Fault
+from poise.wire.records.status_records import Fault
 
 Numbers = Mapping[str, int]
 """Computer -> the number of its agent's last fault."""

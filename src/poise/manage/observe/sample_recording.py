@@ -14,7 +14,7 @@ from poise.manage.background_file import BackgroundFile
 from poise.model.policy.policy import Seen
 from poise.units import counted
 from poise.wire.recording_file import Recorded, append, packed
-from poise.wire.records.samples import AgentSample
+from poise.wire.records.sample_records import AgentSample
 
 MOST = 10_000
 """The most samples that wait to be taken: 33 minutes of one computer at 5 Hz."""

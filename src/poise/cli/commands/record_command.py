@@ -10,14 +10,14 @@ from typing import Annotated
 import typer
 from rich.markup import escape
 
-from poise.cli.commands.running_robot import Robot
+from poise.cli.commands.running_robot_command import Robot
 from poise.cli.interrupts import Interrupts
 from poise.cli.options import AsJson, print_json, running
 from poise.errors import UsageError
 from poise.manage.agent_connections.statuses import connectors_of
 from poise.session.render.printable import console_to
 from poise.session.running_robots.running import connect
-from poise.view.record import record
+from poise.view.robot_recording import record
 
 
 def record_command(

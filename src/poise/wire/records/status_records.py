@@ -8,10 +8,10 @@ from typing import Literal
 
 from msgspec import Struct
 
-from poise.wire.records.clocks import ClockStatus
-from poise.wire.records.deployment import ConnectorKind
+from poise.wire.records.clock_records import ClockStatus
+from poise.wire.records.deployment_records import ConnectorKind
 from poise.wire.records.heartbeat_records import LinkQuality
-from poise.wire.records.requests import PROTOCOL, ManagerId
+from poise.wire.records.request_records import PROTOCOL, ManagerId
 
 State = Literal[
     "unconfigured", "inactive", "active", "finalized", "failed", "unresponsive"

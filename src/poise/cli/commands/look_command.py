@@ -11,7 +11,7 @@ import msgspec
 import typer
 import yaml
 
-from poise.cli.commands.running_robot import Robot
+from poise.cli.commands.running_robot_command import Robot
 from poise.cli.options import AsJson, print_json, running
 from poise.errors import UsageError
 from poise.manage.agent_connections.statuses import connectors_of
@@ -20,7 +20,7 @@ from poise.session.render.robot_list import listing
 from poise.session.running_robots.local_robots import Rate, Thing, names_of, robots_here
 from poise.session.running_robots.running import Running, connect
 from poise.units import format_bytes
-from poise.wire.records.output import OutputLine
+from poise.wire.records.output_records import OutputLine
 
 Connector = Annotated[
     str,

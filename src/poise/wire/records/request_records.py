@@ -10,11 +10,11 @@ from collections.abc import Mapping
 
 from msgspec import Struct
 
-from poise.wire.records.checkpoints import CheckpointCopy
-from poise.wire.records.deployment import Deployment
+from poise.wire.records.checkpoint_records import CheckpointCopy
+from poise.wire.records.deployment_records import Deployment
 from poise.wire.records.migration_records import MigrationSteps, StepsDone, StepsFailed
-from poise.wire.records.output import OutputLines, ReadOutput
-from poise.wire.records.taps import Tap, TapReading
+from poise.wire.records.output_records import OutputLines, ReadOutput
+from poise.wire.records.tap_records import Tap, TapReading
 
 PROTOCOL = 10
 """Manager, agents and containers of different protocol versions refuse each other."""

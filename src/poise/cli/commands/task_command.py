@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from poise.cli.commands.running_robot import Robot
+from poise.cli.commands.running_robot_command import Robot
 from poise.cli.options import AsJson, print_json, running
 from poise.manage.tasks.task_report import TaskReport
 from poise.session.render.printable import console_to
