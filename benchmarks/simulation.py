@@ -43,7 +43,7 @@ from poise.session.profiling.stored_profiles import read_profile
 from poise.session.running_robots.running import Running
 from poise.simulation.faults import SimulatedFault, plan_faults
 from poise.simulation.rehearsal import Rehearsal, RehearsalPlan
-from poise.simulation.schedule.scheduler import Choices
+from poise.simulation.schedule.choices import Choices
 from poise.simulation.simulation_report import SimulationReport
 from poise.units import SECONDS, parse
 

@@ -14,7 +14,8 @@ from poise.model.robot import (
     Robot,
     Task,
 )
-from poise.simulation.schedule.scheduler import Choices, Scheduler
+from poise.simulation.schedule.choices import Choices
+from poise.simulation.schedule.scheduler import Scheduler
 from poise.simulation.simulated_run import Scenario
 
 

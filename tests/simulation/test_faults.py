@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from poise.simulation.faults import KINDS, plan_faults
-from poise.simulation.schedule.scheduler import Choices
+from poise.simulation.schedule.choices import Choices
 
 
 def kinds(seed: int) -> set[str]:

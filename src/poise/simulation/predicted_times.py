@@ -24,8 +24,8 @@ from poise.runtime.component.ports import Timer
 from poise.runtime.execution.timers import release_offset
 from poise.simulation._engine import Engine, Executor
 from poise.simulation.components.models import ComponentModel, HandlerModel, TimerModel
-from poise.simulation.network.network import links_of, set_links
-from poise.simulation.schedule.scheduler import Choices
+from poise.simulation.network.links import links_of, set_links
+from poise.simulation.schedule.choices import Choices
 from poise.simulation.workload import SimulatedWork
 from poise.wire.records.status_records import ChainStatus, Summary, TimerStatus
 

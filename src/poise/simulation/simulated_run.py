@@ -19,10 +19,10 @@ from poise.manage.control_socket.commands import (
 )
 from poise.manage.migration.migration_report import MigrationReport
 from poise.model.robot import Robot
+from poise.simulation.aimed_faults import AimedFaults
 from poise.simulation.faults import (
     KINDS,
     LINK_KINDS,
-    AimedFaults,
     Kind,
     SimulatedFault,
     inject,
@@ -31,7 +31,8 @@ from poise.simulation.faults import (
 from poise.simulation.rehearsal import not_well, unsettled
 from poise.simulation.robot.simulated_manager import ManagedRobot, SimulatedManager
 from poise.simulation.robot.simulated_robot import SimulatedRobot
-from poise.simulation.schedule.scheduler import ENGINE, Choices, SimulationError
+from poise.simulation.schedule.choices import Choices
+from poise.simulation.schedule.scheduler import ENGINE, SimulationError
 from poise.simulation.workload import SimulatedWork
 
 INVARIANTS: Mapping[str, str] = {

@@ -6,7 +6,8 @@ from functools import partial
 
 import pytest
 
-from poise.simulation.network.network import LinkModel, Network
+from poise.simulation.network.links import LinkModel
+from poise.simulation.network.network import Network
 from poise.simulation.schedule.scheduler import Scheduler
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from poise.simulation.schedule.scheduler import Choices
+from poise.simulation.schedule.choices import Choices
 
 
 def test_one_more_draw_in_a_stream_changes_no_other_stream() -> None:

@@ -11,12 +11,8 @@ from poise.simulation.robot.simulated_process import (
     SimulatedComputer,
     TaskFailed,
 )
-from poise.simulation.schedule.scheduler import (
-    SLACK,
-    Choices,
-    Scheduler,
-    SimulationError,
-)
+from poise.simulation.schedule.choices import Choices
+from poise.simulation.schedule.scheduler import SLACK, Scheduler, SimulationError
 
 
 @pytest.fixture

@@ -18,7 +18,8 @@ from poise.simulation.network.datagrams import Addresses
 from poise.simulation.network.network import Network
 from poise.simulation.network.zenoh_sessions import ZenohNetwork
 from poise.simulation.robot.simulated_process import SimulatedComputer
-from poise.simulation.schedule.scheduler import Choices, Scheduler, SimulationError
+from poise.simulation.schedule.choices import Choices
+from poise.simulation.schedule.scheduler import Scheduler, SimulationError
 from poise.simulation.schedule.simulated_library import SimulatedLibrary
 
 Run = Callable[[Callable[[], Any]], Any]

@@ -13,7 +13,8 @@ from poise.simulation.components.modelled_migration import MigrationModel
 from poise.simulation.components.models import ComponentModel
 from poise.simulation.network.network import Network
 from poise.simulation.robot.simulated_process import Process
-from poise.simulation.schedule.scheduler import Choices, Scheduler, SimulatedTask
+from poise.simulation.schedule.choices import Choices
+from poise.simulation.schedule.scheduler import Scheduler, SimulatedTask
 from poise.wire.records.clock_records import Clocks
 from poise.wire.records.container_records import FromContainer, ToContainer
 from poise.wire.records.deployment_records import ConnectorSpec, ContainerSpec

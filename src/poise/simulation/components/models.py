@@ -10,7 +10,7 @@ from msgspec import Struct
 from poise.estimate.profile import ConnectorProfile, KindCosts
 from poise.runtime.component.ports import Timer
 from poise.simulation._engine import Connector, Engine, Handler, Model
-from poise.simulation.schedule.scheduler import Choices
+from poise.simulation.schedule.choices import Choices
 from poise.wire.records.deployment_records import ConnectorSpec
 
 

@@ -13,13 +13,15 @@ from poise.simulation.components.modelled_component import SimulatedComponent
 from poise.simulation.components.modelled_container import SimulatedContainer
 from poise.simulation.components.models import ComponentModel
 from poise.simulation.network.datagrams import Addresses
-from poise.simulation.network.network import Network, links_of
+from poise.simulation.network.links import links_of
+from poise.simulation.network.network import Network
 from poise.simulation.network.zenoh_sessions import ZenohNetwork
 from poise.simulation.robot.simulated_agent import PORT, SimulatedAgent
 from poise.simulation.robot.simulated_disk import SimulatedDisk
 from poise.simulation.robot.simulated_manager import ManagedRobot, SimulatedManager
 from poise.simulation.robot.simulated_process import SimulatedComputer
-from poise.simulation.schedule.scheduler import Choices, Scheduler
+from poise.simulation.schedule.choices import Choices
+from poise.simulation.schedule.scheduler import Scheduler
 from poise.simulation.schedule.simulated_library import SimulatedLibrary
 from poise.simulation.workload import SimulatedWork
 from poise.wire.records.deployment_records import ConnectorSpec
