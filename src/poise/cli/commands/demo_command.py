@@ -45,7 +45,7 @@ from poise.units import format_seconds
 from poise.view.drives_picture import DrivePicture, drives_picture
 from poise.wire.records.status_records import Summary
 
-EXAMPLES = Path(__file__).parents[5] / "examples"
+EXAMPLES = Path(__file__).parents[4] / "examples"
 _TITLES = {"static": "static (by hand)", "auto": "Poise"}
 _PICTURE = Path("poise-demo.svg")
 
