@@ -28,23 +28,11 @@ class BackgroundFile:
     A record is in the file whole or not at all, unless the process is killed while the
     kernel takes it. So a reader finds all but the last few milliseconds.
 
-    Parameters
-    ----------
-    path
-        Created when it does not exist. It may be removed or renamed meanwhile: another
-        one of its name is begun.
-    name, unit
-        Of the file and of a record, for sentences: "the journal", "entry".
-    most
-        So much waits for the disk at most; further records are dropped [bytes].
-    largest, files
-        A file that would grow beyond `largest` [bytes] is renamed to ``path.1``, that
-        one to ``path.2``, and so on; the oldest of `files` is removed. 0: it may grow.
-
-    Attributes
-    ----------
-    missing
-        How many records were dropped.
+    `most`: so much waits for the disk at most; further records are dropped [bytes];
+    `largest`: a file that would grow beyond `largest` [bytes] is renamed to ``path.1``,
+    that one to ``path.2``, and so on; the oldest of `files` is removed. 0: it may grow;
+    `files`: a file that would grow beyond `largest` [bytes] is renamed to ``path.1``,
+    that one to ``path.2``, and so on; the oldest of `files` is removed. 0: it may grow.
     """
 
     def __init__(

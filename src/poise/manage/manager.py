@@ -70,27 +70,7 @@ T = TypeVar("T")
 class Manager:
     """Looks after a robot that is up.
 
-    Parameters
-    ----------
-    run
-        The running robot.
-    tasks
-        Its tasks that were started.
-    estimates
-        What its components need.
-    samples
-        Where agents' samples wait until the thread that calls `work` takes them.
-    adapts
-        Whether it changes the placement by itself.
-    aside
-        Why not all that the task needs runs; empty: it does.
-    recording
-        Keeps the samples, and what policies see; None: nothing does.
-
-    Attributes
-    ----------
-    failures
-        Is to hear of threads of this process that fail.
+    `recording`: keeps the samples, and what policies see; None: nothing does.
     """
 
     def __init__(
@@ -101,7 +81,7 @@ class Manager:
         samples: Recording,
         *,
         adapts: bool = False,
-        aside: str = "",
+        aside: str = "",  # why not all that the task needs runs; empty: it does
         recording: RecordingFile | None = None,
     ) -> None:
         self._run = run
@@ -182,13 +162,7 @@ class Manager:
         return self._lost.computers()
 
     def work(self, limit: float) -> None:
-        """Carry out a command if one comes within `limit` [s]; look at the robot.
-
-        Raises
-        ------
-        TakenOver
-            The agents obey another manager.
-        """
+        """Carry out a command if one comes within `limit` [s]; look at the robot."""
         if self._tick.run("wait for news", partial(self._wait_news, limit)) is None:
             self._run.clock.sleep(limit)
         try:
@@ -207,13 +181,7 @@ class Manager:
             self._tick.run("adapt the placement", self._adaptation.look)
 
     def stop(self) -> None:
-        """Stop the robot, and answer the clients that still wait.
-
-        Raises
-        ------
-        RunError
-            Something still runs.
-        """
+        """Stop the robot, and answer the clients that still wait."""
         remaining: tuple[str, ...] = ()
         self._stopping.set()
         try:
@@ -225,13 +193,7 @@ class Manager:
             self.end(remaining)
 
     def end(self, remaining: tuple[str, ...] = ()) -> None:
-        """Answer the clients that still wait: the robot has stopped.
-
-        Parameters
-        ----------
-        remaining
-            What still runs, in words.
-        """
+        """Answer the clients that still wait: the robot has stopped."""
         self._stopping.set()
         self._adaptation.close()
         text = f"robot '{self._run.robot.name}' has stopped"

@@ -30,16 +30,7 @@ class _Failure:
 
 
 class SupervisedTick:
-    """Runs the parts of one loop; for the thread of that loop.
-
-    Parameters
-    ----------
-    on_bug
-        Called with a sentence when a part that changes what should run ended by an
-        exception that is no `PoiseError`.
-    is_ending
-        Whether the loop is to end: what a `PoiseError` interrupts then is no failure.
-    """
+    """Runs the parts of one loop; for the thread of that loop."""
 
     def __init__(
         self,
@@ -57,20 +48,7 @@ class SupervisedTick:
     def run(
         self, part: str, work: Callable[[], object], *, changes: bool = False
     ) -> object:
-        """Run a part, unless it backs off; return what it returns, or None.
-
-        Parameters
-        ----------
-        part
-            Its name for people: "look after tasks".
-        changes
-            Whether it may change what should run, so that a bug leaves that half done.
-
-        Raises
-        ------
-        TakenOver
-            The robot is another manager's: that is no failure.
-        """
+        """Run a part, unless it backs off; return what it returns, or None."""
         if self.backs_off(part):
             return None
         try:

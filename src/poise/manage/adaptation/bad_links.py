@@ -27,19 +27,11 @@ _LOST = 1e-5
 
 
 class LinkState(Struct, frozen=True, kw_only=True):
-    """A link as it is now, by the heartbeats in both directions.
-
-    Parameters
-    ----------
-    delay
-        One way [s].
-    loss
-        The share of heartbeats that did not come.
-    """
+    """A link as it is now, by the heartbeats in both directions."""
 
     link: Link
-    delay: float = 0.0
-    loss: float = 0.0
+    delay: float = 0.0  # one way [s]
+    loss: float = 0.0  # the share of heartbeats that did not come
     cut: bool = False
 
     def __str__(self) -> str:
@@ -122,13 +114,7 @@ def wasted(
     placement: Mapping[str, str],
     bad: Sequence[LinkState],
 ) -> float:
-    """Return what components compute in vain because of bad links [cores].
-
-    Parameters
-    ----------
-    robot
-        With the present demands.
-    """
+    """Return what components compute in vain because of bad links [cores]."""
     shares: dict[str, float] = {}
     for connector, state in crossing(situation, placement, bad):
         now = situation.traffic.get(str(connector))

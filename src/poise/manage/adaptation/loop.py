@@ -40,23 +40,8 @@ from poise.units import counted
 class Adaptation:
     """Watches a running robot, and changes its placement when that helps.
 
-    Parameters
-    ----------
-    read
-        Returns what is known now.
-    put_aside
-        What does not run because not all fits.
-    acts
-        Whether it changes anything; else it only reports what is wrong.
-    keep
-        Takes what policies see, to record it; None: that is not computed.
-    clock
-        A time that never goes back [s].
-
-    Attributes
-    ----------
-    deviations
-        What is wrong now, and has lasted.
+    `acts`: whether it changes anything; else it only reports what is wrong; `keep`:
+    takes what policies see, to record it; None: that is not computed.
     """
 
     def __init__(
@@ -67,7 +52,7 @@ class Adaptation:
         *,
         acts: bool = True,
         keep: Callable[[Seen], object] | None = None,
-        clock: Callable[[], float] = time.monotonic,
+        clock: Callable[[], float] = time.monotonic,  # a time that never goes back [s]
     ) -> None:
         self._run = run
         self._read = read
@@ -129,20 +114,7 @@ class Adaptation:
     def balance(
         self, move: float, *, dry: bool
     ) -> tuple[Proposal, TransitionReport | None]:
-        """Change the placement for a person who asks, whatever it gains.
-
-        Parameters
-        ----------
-        move
-            What F grows by for each move, plus as much for each MB of state.
-        dry
-            Whether to propose only.
-
-        Raises
-        ------
-        RobotError
-            Nothing fits, or there is no way to what does.
-        """
+        """Change the placement for a person who asks, whatever it gains."""
         situation = self._situation().of_what_runs()
         if not dry:
             self._put_aside.forgive()
@@ -160,13 +132,7 @@ class Adaptation:
         return proposal, self._transitions.carry_out(proposal.steps, situation.now)
 
     def what_if(self, component: str, computer: str) -> WhatIf:
-        """Return what a move would change, for a person who asks.
-
-        Raises
-        ------
-        UsageError
-            There is no such component or computer.
-        """
+        """Return what a move would change, for a person who asks."""
         return what_if(self._situation(), component, computer)
 
     def note_asked(self, component: str, computer: str) -> None:

@@ -36,13 +36,7 @@ _MOST_KEPT = 5
 
 
 def what_if(situation: Situation, component: str, computer: str) -> WhatIf:
-    """Return what a move would change.
-
-    Raises
-    ------
-    UsageError
-        There is no such component or computer, or it runs there.
-    """
+    """Return what a move would change."""
     before = situation.placement
     computers = {c.name: c for c in situation.robot.computers}
     if component not in before:
@@ -80,26 +74,13 @@ def what_if(situation: Situation, component: str, computer: str) -> WhatIf:
 
 
 class Alternative(Struct, frozen=True, kw_only=True):
-    """What else could have been done: a single move, or nothing.
+    """What else could have been done: a single move, or nothing."""
 
-    Parameters
-    ----------
-    what
-        For people.
-    total
-        F, with the cost of the move, and of CPU that is short.
-    short
-        The CPU that components would need and not have [cores].
-    cost
-        Work that the move would cost [core-seconds].
-    breaks
-        The limits but of CPU that would be broken, for people; empty: none.
-    """
-
-    what: str
-    total: float
-    short: float
-    cost: float = 0.0
+    what: str  # for people
+    total: float  # f, with the cost of the move, and of CPU that is short
+    short: float  # the CPU that components would need and not have [cores]
+    cost: float = 0.0  # work that the move would cost [core-seconds]
+    # the limits but of CPU that would be broken, for people; empty: none
     breaks: str = ""
 
 

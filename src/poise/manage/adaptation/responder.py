@@ -20,31 +20,15 @@ from poise.manage.migration.migration_report import TransitionStep
 
 
 class Change(Struct, frozen=True, kw_only=True):
-    """What a responder wants done; nothing of it has happened yet.
-
-    Parameters
-    ----------
-    why
-        The decision, for the journal; empty: what carries it out says it.
-    facts
-        What led to it, for the journal.
-    carry_out
-        Does it, by commits. It may wait, and raises `PoiseError` when it fails.
-    """
+    """What a responder wants done; nothing of it has happened yet."""
 
     carry_out: Callable[[], object]
-    why: str = ""
-    facts: Mapping[str, object] = {}
+    why: str = ""  # the decision, for the journal; empty: what carries it out says it
+    facts: Mapping[str, object] = {}  # what led to it, for the journal
 
 
 class Responder(Protocol):
-    """Reacts to one kind of trouble. Changes nothing by itself, and never waits.
-
-    Attributes
-    ----------
-    purpose
-        What it is there for, as in "the manager cannot ...".
-    """
+    """Reacts to one kind of trouble. Changes nothing by itself, and never waits."""
 
     @property
     def purpose(self) -> str:
@@ -106,11 +90,8 @@ class MoveLimits:
     def rests(self, now: float, amounts: Amounts | None = None) -> bool:
         """Return whether nothing is done yet, after a transition or in vain.
 
-        Parameters
-        ----------
-        amounts
-            What is thought about; when it is another than that in which nothing could
-            be done, that is thought about soon.
+        `amounts`: what is thought about; when it is another than that in which nothing
+        could be done, that is thought about soon.
         """
         if self._in_vain is not None and amounts is not None:
             at, before = self._in_vain

@@ -24,57 +24,25 @@ _CAUTIOUS = 1.5
 
 
 class Situation(Struct, frozen=True, kw_only=True):
-    """One moment of a running robot.
+    """One moment of a running robot."""
 
-    Parameters
-    ----------
-    robot
-        With the demands that it was placed by.
-    placement
-        Component -> computer.
-    lost
-        The computers that are out of reach.
-    loads
-        Computer -> its CPU use lately, where it is known.
-    misses
-        The timers that were due within the last seconds.
-    chains
-        The chains whose data was used within the last seconds.
-    demand_estimates
-        What the components need.
-    statuses
-        Computer -> what its agent reported last.
-    traffic
-        Connector -> what goes over it now.
-    downtimes
-        Component -> the downtime of its last move [s].
-    bad_links
-        The links about which policies want a new plan, by name.
-    now
-        The moment, by a clock that never goes back [s].
-    symptoms
-        What policies have seen for long enough.
-    missing
-        Functions that the task needs, and that nothing provides.
-    solve_steps
-        How much the planner searches; None: as its time allows.
-    """
-
-    robot: Robot
+    robot: Robot  # with the demands that it was placed by
     task: str
-    placement: Mapping[str, str]
-    lost: frozenset[str] = frozenset()
-    loads: Mapping[str, Load] = {}
+    placement: Mapping[str, str]  # component -> computer
+    lost: frozenset[str] = frozenset()  # the computers that are out of reach
+    loads: Mapping[str, Load] = {}  # computer -> its CPU use lately, where it is known
     misses: tuple[TimerValues, ...] = ()
     chains: tuple[ChainAge, ...] = ()
-    demand_estimates: tuple[DemandEstimate, ...] = ()
-    statuses: Mapping[str, AgentStatus] = {}
-    traffic: Mapping[str, ConnectorProfile] = {}
+    demand_estimates: tuple[DemandEstimate, ...] = ()  # what the components need
+    statuses: Mapping[str, AgentStatus] = {}  # computer -> what its agent reported last
+    traffic: Mapping[str, ConnectorProfile] = {}  # connector -> what goes over it now
+    # component -> the downtime of its last move [s]
     downtimes: Mapping[str, float] = {}
     bad_links: frozenset[str] = frozenset()
-    now: float = 0.0
-    symptoms: tuple[Symptom, ...] = ()
+    now: float = 0.0  # the moment, by a clock that never goes back [s]
+    symptoms: tuple[Symptom, ...] = ()  # what policies have seen for long enough
     missing: frozenset[str] = frozenset()
+    # how much the planner searches; None: as its time allows
     solve_steps: int | None = None
 
     def about(self, do: Do) -> tuple[Symptom, ...]:
@@ -106,13 +74,7 @@ class Situation(Struct, frozen=True, kw_only=True):
         return replace(here, robot=robot)
 
     def computers_left(self, *, is_cautious: bool = False) -> tuple[Computer, ...]:
-        """Return the computers with what other programs leave of their CPU.
-
-        Parameters
-        ----------
-        is_cautious
-            Whether other programs are reckoned to want more on every computer.
-        """
+        """Return the computers with what other programs leave of their CPU."""
         return tuple(
             _less_background(
                 computer, self.loads.get(computer.name), is_cautious=is_cautious

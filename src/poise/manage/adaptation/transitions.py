@@ -46,12 +46,8 @@ class LossSuffered:
 
     Times are of one clock [s].
 
-    Attributes
-    ----------
-    lost
-        Since the last change [core-seconds].
-    doubt
-        How many times a cost counts, >= 1: twice more after each change in vain.
+    `lost`: since the last change [core-seconds]; `doubt`: how many times a cost counts,
+    >= 1: twice more after each change in vain.
     """
 
     def __init__(self) -> None:
@@ -65,10 +61,7 @@ class LossSuffered:
     def note(self, gain: float, since: float, now: float) -> None:
         """Take note of what the best change would gain now [cores].
 
-        Parameters
-        ----------
-        since
-            When it began that something is wrong [s].
+        `since`: when it began that something is wrong [s].
         """
         if self._at is None:
             if now - self._ended > FORGET_AFTER:
@@ -98,13 +91,8 @@ class LossSuffered:
     def note_change(self, undone: float, gain: float, now: float) -> None:
         """Count from zero again, as the placement changes.
 
-        Parameters
-        ----------
-        undone
-            Work that is not done before [cores].
-        gain
-            By how much that should fall [cores]; 0: nothing moves, so there is nothing
-            to be judged.
+        `undone`: work that is not done before [cores]; `gain`: by how much that should
+        fall [cores]; 0: nothing moves, so there is nothing to be judged.
         """
         self.lost = self._gain = 0.0
         self._at, self._begins = None, now
@@ -134,12 +122,7 @@ _THINK_EVERY = 0.5
 class Transitions:
     """The transitions that the loop made, and what limits the next one.
 
-    Attributes
-    ----------
-    downtimes
-        Component -> the downtime of its last move [s].
-    loss
-        What was lost because a better placement was not taken yet.
+    `downtimes`: component -> the downtime of its last move [s].
     """
 
     def __init__(

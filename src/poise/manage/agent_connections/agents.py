@@ -50,10 +50,7 @@ from poise.wire.records.sample_records import AgentSample
 class CheckpointCopies:
     """The last checkpoint of each component, as its agent sent it. Any thread may ask.
 
-    Parameters
-    ----------
-    clock
-        Returns the time [s].
+    `clock`: returns the time [s].
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
@@ -96,17 +93,9 @@ _LEAST_BANDWIDTH = 1e6
 class Agents(AgentReports):
     """The agents of one robot. Use it as a context manager.
 
-    Parameters
-    ----------
-    robot
-        The robot's name.
-    endpoints
-        Computer -> zenoh endpoint of its agent.
-    on_sample
-        Called with every sample, on zenoh's thread; must not block.
-    lease
-        An agent that is cut off is out of reach after this time [s]; one that ends,
-        at once.
+    `on_sample`: called with every sample, on zenoh's thread; must not block; `lease`:
+    an agent that is cut off is out of reach after this time [s]; one that ends, at
+    once.
     """
 
     def __init__(
@@ -194,16 +183,7 @@ class Agents(AgentReports):
     ) -> None:
         """Wait until the agents of all `computers` are there and reported.
 
-        Parameters
-        ----------
-        check
-            Called now and then; may raise to end the waiting.
-
-        Raises
-        ------
-        RunError
-            One was not there within `limit` [s], or at its address there is the agent
-            of another computer or robot.
+        `check`: called now and then; may raise to end the waiting.
         """
         wanted, deadline = set(computers), self._clock.now() + limit
         while not self.wait_news(lambda: wanted <= self.reached(), LOOK_EVERY):
@@ -225,20 +205,6 @@ class Agents(AgentReports):
 
         One after the other in the order of their names: of two managers that start at
         the same time, one gets the first agent, and the other none.
-
-        Parameters
-        ----------
-        take_over
-            Whether they are to obey it even if they obey another that is alive.
-
-        Returns
-        -------
-        Computer -> what its agent works towards.
-
-        Raises
-        ------
-        RunError
-            One obeys another manager that is alive, or does not answer.
         """
         deployments = {}
         if not self._claimed:
@@ -332,12 +298,7 @@ class Agents(AgentReports):
         return dict(self._requests.answers(asked))
 
     def keep_checkpoint(self, computer: str, copy: CheckpointCopy) -> str:
-        """Let an agent keep a state for a component that is to start there.
-
-        Returns
-        -------
-        Why it did not; empty: it did.
-        """
+        """Let an agent keep a state for a component that is to start there."""
         limit = ANSWER_LIMIT + len(copy.data or b"") / _LEAST_BANDWIDTH
         answer = self.ask(computer, copy, limit)
         if isinstance(answer, Accepted):
@@ -352,13 +313,7 @@ class Agents(AgentReports):
     ) -> Iterator[StepsOutcome]:
         """Let containers take steps, all at once; yield each outcome as it is known.
 
-        Parameters
-        ----------
-        batches
-            Computers, and the steps for a container on each. No answer of an agent
-            counts as failed.
-        check
-            Called now and then; may raise to end the waiting.
+        `check`: called now and then; may raise to end the waiting.
         """
         began = self._clock.now()
         asked = {

@@ -42,13 +42,6 @@ def gives_way_to(
 
     It is a later one that an agent obeys, or one that all agents obey which this one
     has claimed. So of two managers one gives way, whatever each of them sees.
-
-    Parameters
-    ----------
-    claimed
-        Computer -> fencing token with which this manager has claimed its agent.
-    statuses
-        What the agents report that are reached.
     """
     others = {
         status.computer: status.manager

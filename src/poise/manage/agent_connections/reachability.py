@@ -62,10 +62,8 @@ class Reachability:
     An agent of which no heartbeat answered one of the manager is not judged: datagrams
     may not get through. What it runs stops some time after it has ended.
 
-    Parameters
-    ----------
-    surely_ended
-        An agent's lease has ended when it was silent, or gone, for this time [s].
+    `surely_ended`: an agent's lease has ended when it was silent, or gone, for this
+    time [s].
     """
 
     def __init__(self, contacts: Contacts, surely_ended: float) -> None:
@@ -141,17 +139,8 @@ class Reachability:
 class AgentHeartbeats:
     """Exchanges heartbeats with agents; any thread may ask.
 
-    Parameters
-    ----------
-    key
-        Of this start of the manager.
-    endpoints
-        Computer -> zenoh endpoint of its agent.
-    on_silent
-        Called on the thread of the heartbeats, when that has changed, with the
-        computers that do not hear the manager, or are not heard.
-    surely_ended
-        The lease of an agent that ended has ended, too, after this time [s].
+    `surely_ended`: the lease of an agent that ended has ended, too, after this time
+    [s].
     """
 
     def __init__(
@@ -220,12 +209,7 @@ class AgentHeartbeats:
             return contact is not None and contact.last.is_cut_off
 
     def revoke(self, tokens: Mapping[str, int]) -> bool:
-        """Revoke fencing tokens of computers whose leases have surely ended.
-
-        Returns
-        -------
-        Whether all have; else nothing is revoked.
-        """
+        """Revoke fencing tokens of computers whose leases have surely ended."""
         with self._lock:
             now = self._clock.now()
             have_ended = self._reachability.have_leases_ended(tokens.keys(), now)

@@ -25,20 +25,7 @@ MOST_REFUSED = 100
 
 
 class AgentReports:
-    """What the agents of one robot reported last. Any thread may ask.
-
-    Parameters
-    ----------
-    robot
-        The robot's name.
-    endpoints
-        Computer -> zenoh endpoint of its agent.
-
-    Attributes
-    ----------
-    on_status
-        Called with every status on zenoh's threads, and must not block.
-    """
+    """What the agents of one robot reported last. Any thread may ask."""
 
     def __init__(self, robot: str, endpoints: Mapping[str, str], clock: Clock) -> None:
         self._robot = robot

@@ -44,12 +44,7 @@ def nothing() -> None:
 class Reply:
     """The answer of an agent to one request, once it is there; any thread may look.
 
-    Attributes
-    ----------
-    answer
-        What the agent answered; None: nothing yet, or nothing at all.
-    is_done
-        Whether nothing more comes.
+    `answer`: what the agent answered; None: nothing yet, or nothing at all.
     """
 
     def __init__(self, token: int = 0) -> None:
@@ -64,17 +59,7 @@ class Reply:
 
 
 class AgentRequests:
-    """Asks the agents of one robot, all at once.
-
-    Parameters
-    ----------
-    prefix
-        What all keys of the robot begin with.
-    reports
-        What is known of the agents.
-    tokens
-        Computer -> the token that its agent obeys.
-    """
+    """Asks the agents of one robot, all at once."""
 
     def __init__(
         self,
@@ -107,10 +92,6 @@ class AgentRequests:
         """Send agents requests until they answer.
 
         An agent that is cut off for a moment gets its request again.
-
-        Returns
-        -------
-        Their answers; and why others did not accept them.
         """
         answers: dict[str, Answer] = {}
         refusals = {}
@@ -146,10 +127,7 @@ class AgentRequests:
 
         None: the agent gave none.
 
-        Parameters
-        ----------
-        asked
-            By any key: the computer, what its agent is asked, and the limit [s].
+        `asked`: by any key: the computer, what its agent is asked, and the limit [s].
         """
         replies: queue.SimpleQueue[tuple[K, zenoh.Reply | None]] = queue.SimpleQueue()
         pending, deadline = set(asked), self._clock.now() + _LAST_REPLY

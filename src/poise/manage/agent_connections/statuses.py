@@ -82,15 +82,7 @@ def missing(
     silent: Iterable[str],
     joins: Collection[str],
 ) -> list[str]:
-    """Return what is not yet as it is wanted, in words; nothing when all is.
-
-    Parameters
-    ----------
-    silent
-        Computers that have not reported since they were told what should run.
-    joins
-        The keys of the connectors that have to be joined.
-    """
+    """Return what is not yet as it is wanted, in words; nothing when all is."""
     states = {(c.name, c.epoch): c.state for c in components_of(statuses)}
     found = [f"computer '{name}' is silent" for name in sorted(silent)]
     found += [
@@ -126,12 +118,7 @@ def unreached(
 ) -> dict[str, str]:
     """Return what is known of each computer that is out of reach, in words.
 
-    Parameters
-    ----------
-    heard_by
-        Computer -> another one that still hears it; empty: none does.
-    leased
-        The components that stop when the lease of their computer ends.
+    `heard_by`: computer -> another one that still hears it; empty: none does.
     """
     sentences = {}
     for computer, since in sorted(out_of_reach.items()):

@@ -31,13 +31,8 @@ _MOST_AT_ONCE = 8
 class NoManager(RunError):
     """A robot is there, but no manager of it answers on this computer.
 
-    Parameters
-    ----------
-    status
-        What its agents say; None: they are not known.
-    left
-        Where they are, if they know that the manager is gone; None: it is only silent,
-        or elsewhere.
+    `left`: where they are, if they know that the manager is gone; None: it is only
+    silent, or elsewhere.
     """
 
     exit_code = 4
@@ -45,7 +40,7 @@ class NoManager(RunError):
     def __init__(
         self,
         message: str,
-        status: RobotStatus | None,
+        status: RobotStatus | None,  # what its agents say; None: they are not known
         left: AgentAddresses | None = None,
     ) -> None:
         super().__init__(message)
@@ -54,13 +49,7 @@ class NoManager(RunError):
 
 
 def robots_without_manager(but: Collection[str] = ()) -> dict[str, RobotStatus]:
-    """Return the robots that go on without a manager that this computer had.
-
-    Parameters
-    ----------
-    but
-        Robots that are not looked for.
-    """
+    """Return the robots that go on without a manager that this computer had."""
     left = [each for each in noted() if each.robot not in but]
     with ThreadPoolExecutor(_MOST_AT_ONCE) as pool:
         found = dict(
@@ -77,10 +66,7 @@ def agents_of(robot: str) -> AgentAddresses | None:
 def ask_agents(addresses: AgentAddresses, why: str = "") -> RobotStatus | None:
     """Return what the agents of a robot say; None: none says that something runs.
 
-    Parameters
-    ----------
-    why
-        Why the manager does not answer, and the way out; empty: it is gone.
+    `why`: why the manager does not answer, and the way out; empty: it is gone.
     """
     with ThreadPoolExecutor(_MOST_AT_ONCE) as pool:
         if not any(pool.map(_listens, addresses.endpoints.values())):
@@ -103,12 +89,7 @@ def status_by_agents(
 ) -> RobotStatus | None:
     """Return what is known of a robot by its agents alone; see `ask_agents`. Pure.
 
-    Parameters
-    ----------
-    statuses
-        Of those that reported.
-    now
-        When they were asked [s since 1970].
+    `now`: when they were asked [s since 1970].
     """
     managers = [each.manager for each in statuses.values() if each.manager is not None]
     if not managers or not any(each.containers for each in statuses.values()):

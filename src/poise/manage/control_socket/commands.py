@@ -120,69 +120,34 @@ second."""
 
 
 class RobotStatus(Struct, frozen=True, tag=True, kw_only=True):
-    """The last known state of a running robot.
-
-    Parameters
-    ----------
-    placement
-        Component -> computer, as the manager wants it.
-    computers
-        Computer -> what its agent reported last.
-    ages
-        Computer -> how long ago its agent reported that [s].
-    out_of_reach
-        Computer -> since when its agent has not been reached [s since 1970].
-    deviations
-        Everything that is not as the robot file says.
-    under_way
-        The migrations that are being prepared, and what each waits for.
-    faults
-        How many faults there were since the start; they may be over.
-    demand_estimates
-        What components need now, against what their profile says.
-    chains
-        How old the data of the robot's chains was.
-    capacities
-        Computer -> what it has: ``cpu`` [its own cores], ``memory`` [bytes], ...
-    memory_demands
-        Component -> the memory that it was placed by [bytes].
-    recent
-        The last entries of the journal, without their facts.
-    task
-        The names of the tasks that are at work.
-    tasks
-        All tasks that were started, the last ones that are over, too.
-    prefetch
-        What prefetch was good for.
-    loads
-        Computer -> its CPU use over the last second, where it was seen.
-    traffic
-        Connector -> what goes over it now.
-    by_agents
-        Whether agents said this, since no manager answers; the first deviation says
-        why. Then `manager` is the last one, `placement` where components are, and what
-        only a manager knows is empty: tasks, demands, capacities, decisions.
-    """
+    """The last known state of a running robot."""
 
     robot: str
-    task: str
+    task: str  # the names of the tasks that are at work
     manager: ManagerId
-    placement: Mapping[str, str]
-    computers: Mapping[str, AgentStatus]
+    placement: Mapping[str, str]  # component -> computer, as the manager wants it
+    computers: Mapping[str, AgentStatus]  # computer -> what its agent reported last
+    # computer -> how long ago its agent reported that [s]
     ages: Mapping[str, float] = {}
+    # computer -> since when its agent has not been reached [s since 1970]
     out_of_reach: Mapping[str, float] = {}
     deviations: tuple[Deviation, ...] = ()
     under_way: tuple[str, ...] = ()
-    faults: int = 0
+    faults: int = 0  # how many faults there were since the start; they may be over
     demand_estimates: tuple[DemandEstimate, ...] = ()
-    chains: tuple[ChainReport, ...] = ()
+    chains: tuple[ChainReport, ...] = ()  # how old the data of the robot's chains was
+    # computer -> what it has: ``cpu`` [its own cores], ``memory`` [bytes],
     capacities: Mapping[str, Mapping[str, float]] = {}
+    # component -> the memory that it was placed by [bytes]
     memory_demands: Mapping[str, float] = {}
     recent: tuple[JournalEntry, ...] = ()
     tasks: tuple[TaskReport, ...] = ()
-    prefetch: PrefetchReport = PrefetchReport()
+    prefetch: PrefetchReport = PrefetchReport()  # what prefetch was good for
     loads: Mapping[str, Load] = {}
-    traffic: Mapping[str, ConnectorProfile] = {}
+    traffic: Mapping[str, ConnectorProfile] = {}  # connector -> what goes over it now
+    # whether agents said this, since no manager answers; the first deviation says why.
+    # Then `manager` is the last one, `placement` where components are, and what only a
+    # manager knows is empty: tasks, demands, capacities, decisions
     by_agents: bool = False
 
     def not_known(self) -> set[str]:
@@ -213,22 +178,12 @@ class Rebalanced(Struct, frozen=True, tag=True):
 
 
 class LogReading(Struct, frozen=True, tag=True):
-    """What components wrote, oldest first.
-
-    Parameters
-    ----------
-    after
-        Computer -> the moment of its last line, for the next time.
-    omitted
-        How many lines there were before, on the computers together.
-    silent
-        The computers that gave no answer.
-    """
+    """What components wrote, oldest first."""
 
     lines: tuple[OutputLine, ...]
     after: Mapping[str, int]
-    omitted: int = 0
-    silent: tuple[str, ...] = ()
+    omitted: int = 0  # how many lines there were before, on the computers together
+    silent: tuple[str, ...] = ()  # the computers that gave no answer
 
 
 class TaskDone(Struct, frozen=True, tag=True):

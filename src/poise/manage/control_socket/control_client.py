@@ -43,22 +43,7 @@ _PEER = struct.Struct("iii")
 def send_command(robot: str | None, command: Command) -> Result:
     """Send a command to the manager of a running robot, and return its result.
 
-    Parameters
-    ----------
-    robot
-        Its name; None when only one runs.
-
-    Raises
-    ------
-    UsageError
-        No such robot runs, or several do and none is named; or the manager refuses.
-    RobotError
-        The manager refuses because of the robot file.
-    NoManager
-        The robot goes on without a manager, or with one that gives not even a status
-        within `STATUS_LIMIT`.
-    RunError
-        The manager is busy for longer than `ANSWER_LIMIT`, or could not do it.
+    `robot`: its name; None when only one runs.
     """
     path = _find(robot)
     try:
@@ -144,12 +129,8 @@ def _gives_status(path: Path) -> bool:
 def _no_answer(robot: str, manager: int | None = None, waited: float = 0) -> NoManager:
     """Return what is known of a manager that is there, and silent.
 
-    Parameters
-    ----------
-    manager
-        Its process; None: it takes no more connections.
-    waited
-        For how long [s].
+    `manager`: its process; None: it takes no more connections; `waited`: for how long
+    [s].
     """
     why = f"the manager of robot '{robot}' takes no more connections"
     if manager is not None:

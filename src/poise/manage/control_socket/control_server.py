@@ -36,20 +36,7 @@ _CLOSE_LIMIT = 2.0
 
 
 class ControlServer:
-    """The control socket of a robot. Use it as a context manager.
-
-    Parameters
-    ----------
-    takes_over
-        Whether it takes the place of another manager's.
-
-    Raises
-    ------
-    UsageError
-        A robot of this name runs already.
-    RunError
-        The socket cannot be opened, or its folder is another user's.
-    """
+    """The control socket of a robot. Use it as a context manager."""
 
     def __init__(self, robot: str, *, takes_over: bool = False) -> None:
         self._robot = robot

@@ -27,13 +27,7 @@ def folder() -> Path:
 
 
 def make_folder() -> Path:
-    """Return that folder, which is there from now on.
-
-    Raises
-    ------
-    OSError, RunError
-        It cannot be made, or is another user's.
-    """
+    """Return that folder, which is there from now on."""
     made = folder()
     made.mkdir(mode=0o700, parents=True, exist_ok=True)
     if made.stat().st_uid != os.getuid():
@@ -74,13 +68,7 @@ class AgentAddresses(Struct, frozen=True):
 
 
 def note(addresses: AgentAddresses) -> None:
-    """Keep the addresses of a robot's agents, in place of earlier ones.
-
-    Raises
-    ------
-    RunError
-        They cannot be written.
-    """
+    """Keep the addresses of a robot's agents, in place of earlier ones."""
     path = _path(addresses.robot)
     try:
         make_folder()
@@ -105,13 +93,7 @@ def forget(robot: str) -> None:
 
 
 def noted() -> Iterator[AgentAddresses]:
-    """Yield what managers of this user noted on this computer.
-
-    Raises
-    ------
-    RunError
-        Another version of Poise wrote a note.
-    """
+    """Yield what managers of this user noted on this computer."""
     for path in sorted(folder().glob("*.agents")):
         try:
             yield msgspec.json.decode(path.read_bytes(), type=AgentAddresses)

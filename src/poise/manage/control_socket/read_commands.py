@@ -135,15 +135,7 @@ def _read_log(agents: Agents, command: LogCommand) -> LogReading:
 
 
 def _read_tap(agents: Agents, command: TapCommand) -> TapReading:
-    """Return what has gone out since the viewer asked last; from any thread.
-
-    Raises
-    ------
-    UsageError
-        There is no such connector, or several.
-    RunError
-        Its container or agent gives no answer.
-    """
+    """Return what has gone out since the viewer asked last; from any thread."""
     connector, computer, container = begin_of(agents.statuses(), command.connector)
     asked = Tap(
         number=secrets.randbits(_BITS),
@@ -164,19 +156,7 @@ def _read_tap(agents: Agents, command: TapCommand) -> TapReading:
 
 
 def begin_of(statuses: Statuses, asked: str) -> tuple[str, str, str]:
-    """Return a connector's name, and the computer and container where it begins.
-
-    Parameters
-    ----------
-    asked
-        Its name, or ``component.port`` of an end that has one connector only, or whose
-        connectors all carry the same messages.
-
-    Raises
-    ------
-    UsageError
-        There is no such connector, or several that differ.
-    """
+    """Return a connector's name, and the computer and container where it begins."""
     found = dict(_begins(statuses))
     sources = [name for name in found if name.startswith(f"{asked}-")]
     targets = [name for name in found if name.endswith(f"-{asked}")]

@@ -26,18 +26,12 @@ from poise.wire.records.deployment_records import ComponentSpec, Deployment, Goa
 
 
 class Found(Struct, frozen=True, kw_only=True):
-    """An incarnation that an agent works towards, as it was told.
-
-    Parameters
-    ----------
-    folder
-        Where its implementation is imported from.
-    """
+    """An incarnation that an agent works towards, as it was told."""
 
     spec: ComponentSpec
     computer: str
     container: str
-    folder: str
+    folder: str  # where its implementation is imported from
 
     @property
     def name(self) -> str:
@@ -67,25 +61,11 @@ class Found(Struct, frozen=True, kw_only=True):
 
 
 class Adoption(Struct, frozen=True, kw_only=True):
-    """What becomes of what was found.
+    """What becomes of what was found."""
 
-    Parameters
-    ----------
-    kept
-        Component -> its incarnation, which goes on.
-    restarts
-        Component -> what differs from the robot file.
-    ends
-        Components that the task does not need.
-    starts
-        Component -> computer, of all that does not go on as it is.
-    half_done
-        What was done about a migration that was half done, in words.
-    """
-
-    kept: Mapping[str, Incarnation]
-    restarts: Mapping[str, str]
-    ends: tuple[str, ...]
+    kept: Mapping[str, Incarnation]  # component -> its incarnation, which goes on
+    restarts: Mapping[str, str]  # component -> what differs from the robot file
+    ends: tuple[str, ...]  # components that the task does not need
     starts: Mapping[str, str]
     half_done: tuple[str, ...] = ()
 
@@ -147,17 +127,7 @@ def adopt(
     is_committed: bool = False,
     keeps: bool = True,
 ) -> Adoption:
-    """Return what of it goes on, and what starts.
-
-    Parameters
-    ----------
-    planned
-        Component -> computer, where nothing runs yet.
-    is_committed
-        Whether the migration that was half done had been committed.
-    keeps
-        Whether an architecture that runs stays, though another one is planned.
-    """
+    """Return what of it goes on, and what starts."""
     counts = counting(found, robot, is_committed=is_committed)
     if keeps:
         planned = _with_providers(robot, planned, counts)
@@ -304,16 +274,7 @@ def components_to_hold(
     claimed: Collection[str],
     fenced: Collection[str],
 ) -> frozenset[str]:
-    """Return the components that may be at work on a computer that is not claimed.
-
-    Parameters
-    ----------
-    found
-        What the claimed agents work towards.
-    fenced
-        Computers whose lease had ended when they were claimed: what may move is
-        inactive there, and may have been started elsewhere.
-    """
+    """Return the components that may be at work on a computer that is not claimed."""
     missing = {computer.name for computer in robot.computers} - set(claimed)
     goals: dict[str, set[str]] = {}
     for each in found:
@@ -358,17 +319,6 @@ def joined_by(
     architecture of its function. It is held there when a missing computer may run it,
     as in `components_to_hold`. When none is missing that may run it, what is held is
     active again where it is.
-
-    Parameters
-    ----------
-    found
-        What the agents of these computers work towards.
-    claimed
-        Computers that were claimed before.
-    missing
-        Those that are not claimed now, either.
-    fenced
-        As for `components_to_hold`.
     """
     placed, held = dict(desired.placed), set(desired.held)
     provided = {

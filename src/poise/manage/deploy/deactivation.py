@@ -46,11 +46,6 @@ def drain(run: RunningComponents) -> None:
 
     Afterwards the agents' statuses hold the final counts. A component whose handler
     does not end, and a message that does not arrive, are not waited for any longer.
-
-    Raises
-    ------
-    RunError
-        A computer was lost.
     """
     ends = [connector.between for connector in run.layout.connectors(run.placed)]
     leads = [(source.component, target.component) for source, target in ends]
@@ -84,12 +79,7 @@ def maybe_active(
 ) -> list[str]:
     """Return the components that are active, or may be: nothing newer is known.
 
-    Parameters
-    ----------
-    reached
-        Computers; what is on others is not waited for.
-    current
-        The statuses that speak of what the agents were told last.
+    `reached`: computers; what is on others is not waited for.
     """
     active = {c.name for c in components_of(current) if c.state == "active"}
     return [
@@ -112,10 +102,7 @@ def unprocessed(
 ) -> dict[str, int]:
     """Return connector -> messages sent to `targets` that they have not processed.
 
-    Parameters
-    ----------
-    ended
-        The last counts of containers that ended; what they did after is not known.
+    `ended`: the last counts of containers that ended; what they did after is not known.
     """
     ends: dict[str, list[ConnectorStatus]] = {}
     for end in connectors_of(run.agents.statuses()):
@@ -161,11 +148,6 @@ def stop(run: RunningComponents) -> None:
 
     Computers that come back within `RETURN_LIMIT` are stopped, too. Harmless when
     repeated, and where another manager has the robot.
-
-    Raises
-    ------
-    RunError
-        Something still runs: after `STOP_LIMIT`, or out of reach.
     """
     if run.is_left or run.desired.is_stopped:
         return

@@ -42,17 +42,7 @@ _NOT_KNOWN = "0.0.0.0:1"
 
 
 class DeploymentPlan:
-    """Which containers and connectors a robot's components have.
-
-    Parameters
-    ----------
-    folder
-        The run's folder, to which devices' paths are relative.
-    weigh
-        Whether the sizes of snapshots are taken as components are deactivated.
-    code_version
-        Returns a fingerprint of a component's code, in the robot's folder.
-    """
+    """Which containers and connectors a robot's components have."""
 
     def __init__(
         self,
@@ -100,13 +90,7 @@ class DeploymentPlan:
     def address(
         self, target: Incarnation, computer: str, gateways: Mapping[str, str]
     ) -> str:
-        """Return where a component's container is reached from a computer.
-
-        Parameters
-        ----------
-        gateways
-            Computer -> IP address and port of its gateway.
-        """
+        """Return where a component's container is reached from a computer."""
         container = self._containers[target.component]
         if target.computer == computer:
             return container
@@ -121,12 +105,7 @@ class DeploymentPlan:
     ) -> dict[str, Deployment]:
         """Return what should run on each computer, by its name.
 
-        Parameters
-        ----------
-        gateways
-            Computer -> IP address and port of its gateway.
-        spare
-            Computer -> CPU for what is being prepared there [cores].
+        `spare`: computer -> CPU for what is being prepared there [cores].
         """
         placed = tuple(incarnations)
         containers: dict[str, list[ContainerSpec]] = {

@@ -16,41 +16,19 @@ from poise.wire.records.deployment_records import Goal
 
 
 class Desired(Struct, frozen=True, kw_only=True):
-    """What should run on all computers of a robot.
+    """What should run on all computers of a robot."""
 
-    Parameters
-    ----------
-    placed
-        Component -> its authoritative incarnation.
-    coming
-        Incarnations of a change under way: targets of a migration, or what starts.
-        They become authoritative when the change is committed.
-    configured_ahead
-        Targets of migrations to come: being configured, and joined to nothing.
-    prepared
-        Component -> its idle incarnation: configured, inactive and joined to nothing,
-        to be active soon.
-    held
-        Components that stay inactive, whatever their goal: another manager may run
-        them on a computer that this one has not claimed.
-    spare
-        Computer -> CPU for what is being prepared there [cores].
-    tasks
-        What the next manager needs to go on with the tasks; agents keep it.
-    generation
-        The number of this record: higher than any that an agent has seen.
-    is_stopped
-        Whether nothing is to run; the rest of the record then says what ran last.
-    """
-
-    placed: Mapping[str, Incarnation] = {}
+    placed: Mapping[str, Incarnation] = {}  # component -> its authoritative incarnation
     coming: tuple[Incarnation, ...] = ()
     configured_ahead: tuple[Incarnation, ...] = ()
     prepared: Mapping[str, Incarnation] = {}
     held: frozenset[str] = frozenset()
+    # computer -> CPU for what is being prepared there [cores]
     spare: Mapping[str, float] = {}
+    # what the next manager needs to go on with the tasks; agents keep it
     tasks: bytes = b""
     generation: int = 0
+    # whether nothing is to run; the rest of the record then says what ran last
     is_stopped: bool = False
 
     def incarnations(self) -> tuple[Incarnation, ...]:

@@ -30,22 +30,7 @@ from poise.wire.records.request_records import Claimed
 
 
 class DesiredState:
-    """Holds what should run, and lets agents know.
-
-    Parameters
-    ----------
-    placement
-        Component -> computer.
-    folder
-        The run's folder, to which devices' paths are relative.
-    weigh
-        Whether the sizes of snapshots are taken as components are deactivated.
-
-    Attributes
-    ----------
-    is_over
-        Set when the robot is to be stopped: what waits for agents ends.
-    """
+    """Holds what should run, and lets agents know."""
 
     def __init__(
         self,
@@ -111,14 +96,7 @@ class DesiredState:
         It is journalled, and agents are told; nothing is waited for. For the manager's
         thread.
 
-        Parameters
-        ----------
-        desired
-            Made from `desired` as it is; its generation is set here.
-        why
-            For people, in the journal.
-        tell_later
-            Whether agents are told at the next `reconcile` only.
+        `desired`: made from `desired` as it is; its generation is set here.
         """
         before = self.desired
         statuses = self.agents.statuses()

@@ -8,39 +8,21 @@ from poise.wire.records.deployment_records import Goal
 
 
 class Incarnation(Struct, frozen=True, kw_only=True):
-    """A component on a computer. While it moves or is replaced there are two.
-
-    Parameters
-    ----------
-    epoch
-        Tells the incarnations of a component apart; the later one has the higher.
-    implementation
-        Instead of the robot file's; empty: that one.
-    adapt
-        ``package.module:function`` that turns the state of the implementation before
-        into one for this; empty: it is the same.
-    fresh
-        Whether it begins without state.
-    gently
-        Whether it is prepared with the CPU time that others leave.
-    unjoined
-        Whether no connector ends at it: it waits, and others do not reach it.
-    held
-        Whether it is inactive only because `Desired.held` names it.
-    turn, action
-        The number of the action that it is to end, which grows, and its name.
-    """
+    """A component on a computer. While it moves or is replaced there are two."""
 
     component: str
     computer: str
+    # tells the incarnations of a component apart; the later one has the higher
     epoch: int = 0
     goal: Goal = "active"
-    implementation: str = ""
+    implementation: str = ""  # instead of the robot file's; empty: that one
+    # ``package.module:function`` that turns the state of the implementation before into
+    # one for this; empty: it is the same
     adapt: str = ""
-    fresh: bool = False
-    gently: bool = False
+    fresh: bool = False  # whether it begins without state
+    gently: bool = False  # whether it is prepared with the CPU time that others leave
     unjoined: bool = False
-    held: bool = False
+    held: bool = False  # whether it is inactive only because `Desired.held` names it
     turn: int = 0
     action: str = ""
 

@@ -19,17 +19,10 @@ _NICEST = 19
 
 
 class CpuWeight(Struct, frozen=True):
-    """The share of the CPU of a container, when that is not enough for all.
+    """The share of the CPU of a container, when that is not enough for all."""
 
-    Parameters
-    ----------
-    weight
-        As cgroups have it, in [1, 10000]; 0: all containers are alike.
-    nice
-        Of its threads, where there are no cgroups; 0 for the highest priority.
-    """
-
-    weight: int = 0
+    weight: int = 0  # as cgroups have it, in [1, 10000]; 0: all containers are alike
+    # of its threads, where there are no cgroups; 0 for the highest priority
     nice: int = 0
 
 

@@ -69,13 +69,7 @@ class _AskedAgent:
 
 
 class Reconciler:
-    """Compares and tells; for the manager's thread.
-
-    Parameters
-    ----------
-    on_claimed
-        Called with a computer and its agent's answer, when it was claimed.
-    """
+    """Compares and tells; for the manager's thread."""
 
     def __init__(
         self,

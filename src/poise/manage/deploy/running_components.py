@@ -82,14 +82,7 @@ class RunningComponents(DesiredState):
         super().commit(desired, why, tell_later=tell_later)
 
     def start(self) -> None:
-        """End what an earlier manager left, and start everything.
-
-        Raises
-        ------
-        RunError
-            Another manager is at work, a component failed, a computer is out of reach,
-            or a limit passed; its message names the component and holds its traceback.
-        """
+        """End what an earlier manager left, and start everything."""
         self.agents.claim(self.computers())
         self.claimed |= self.computers()
         if left := containers_left(self.agents.statuses(), self.computers()):
@@ -124,13 +117,7 @@ class RunningComponents(DesiredState):
         self.agents.notify()
 
     def end_all(self, why: str) -> None:
-        """End all containers of the computers that are reached, of any manager.
-
-        Raises
-        ------
-        RunError
-            An agent refused, or something still ran after `STOP_LIMIT`.
-        """
+        """End all containers of the computers that are reached, of any manager."""
         self.commit(structs.replace(self.desired, is_stopped=True), why)
 
         def has_ended() -> bool:
@@ -152,13 +139,7 @@ class RunningComponents(DesiredState):
         self.journal.note("done", f"all components are {goal}")
 
     def bring(self, coming: Collection[Incarnation], limit: float, why: str) -> None:
-        """Let something run beside all else, and wait for it.
-
-        Raises
-        ------
-        RunError
-            As `wait` does.
-        """
+        """Let something run beside all else, and wait for it."""
         self.commit(self.desired.starting(coming), why)
         self.wait(coming, limit)
 
@@ -172,15 +153,8 @@ class RunningComponents(DesiredState):
 
         Those whose ends do not reach each other are joined later.
 
-        Parameters
-        ----------
-        trouble
-            Called at every news; raises to end the waiting. None: any trouble does.
-
-        Raises
-        ------
-        RunError
-            They were not within `limit` [s], or there was trouble.
+        `trouble`: called at every news; raises to end the waiting. None: any trouble
+        does.
         """
         wanted = tuple(wanted)
         look = trouble or self._raise_on_trouble
@@ -219,13 +193,7 @@ class RunningComponents(DesiredState):
         )
 
     def wait_ended(self, gone: Incarnation) -> None:
-        """Wait until an incarnation that is not wanted any more has ended.
-
-        Raises
-        ------
-        RunError
-            It still ran after `STOP_LIMIT`, or its computer is out of reach.
-        """
+        """Wait until an incarnation that is not wanted any more has ended."""
 
         def has_ended() -> bool:
             self.reconcile()
@@ -275,13 +243,7 @@ class RunningComponents(DesiredState):
         return found + [fault_sentence(computer, fault) for computer, fault in faults]
 
     def unreached_connectors(self, placed: Mapping[str, Incarnation]) -> dict[str, str]:
-        """Return the connectors whose ends do not reach each other, and why.
-
-        Parameters
-        ----------
-        placed
-            By component.
-        """
+        """Return the connectors whose ends do not reach each other, and why."""
         cut = cut_links(self.agents.statuses())
         away = set(self.agents.out_of_reach())
         found = {}

@@ -52,18 +52,8 @@ def start_or_take_over(
 ) -> None:
     """Bring a robot up: what runs as it should goes on, and the rest is started.
 
-    Parameters
-    ----------
-    is_rule
-        Whether the user asked for the placement; else what runs stays where it is.
-    by_force
-        Whether agents are to obey though another manager is alive.
-
-    Raises
-    ------
-    RunError
-        Another manager is at work; or nothing ran, and it cannot start. A robot that
-        is at work goes on.
+    `is_rule`: whether the user asked for the placement; else what runs stays where it
+    is.
     """
     statuses = run.agents.statuses()
     before = [status.manager for status in statuses.values()]
@@ -232,13 +222,7 @@ def _end_containers(
     gone: Collection[tuple[str, str]],
     deployments: Mapping[str, Deployment],
 ) -> None:
-    """End containers that do not answer, before others go on in their place.
-
-    Raises
-    ------
-    RunError
-        One still runs after a while.
-    """
+    """End containers that do not answer, before others go on in their place."""
     for computer in sorted({computer for computer, _ in gone}):
         before = deployments[computer]
         left = tuple(c for c in before.containers if (computer, c.name) not in gone)

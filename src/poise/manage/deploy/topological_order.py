@@ -10,11 +10,8 @@ def levels(names: Collection[str], leads: Iterable[tuple[str, str]]) -> list[lis
 
     Those that lead to each other are in one level.
 
-    Parameters
-    ----------
-    leads
-        Pairs of which the first leads to the second, such as caller and callee; also
-        over others than `names`.
+    `leads`: pairs of which the first leads to the second, such as caller and callee;
+    also over others than `names`.
     """
     following: dict[str, set[str]] = {}
     for source, target in leads:

@@ -57,18 +57,12 @@ REMOVE_LIMIT = 2.0
 
 
 class Migration:
-    """Targets take the place of sources, or do not. Use it once.
-
-    Parameters
-    ----------
-    report
-        What it is about; where all was and is to be.
-    """
+    """Targets take the place of sources, or do not. Use it once."""
 
     def __init__(
         self,
         run: RunningComponents,
-        report: MigrationReport,
+        report: MigrationReport,  # what it is about; where all was and is to be
         sources: Sequence[Incarnation],
         targets: Sequence[Incarnation],
     ) -> None:
@@ -203,19 +197,7 @@ class Migration:
     ) -> float:
         """Let containers take steps, all at once.
 
-        Parameters
-        ----------
-        check
-            Called now and then while containers have not answered; may raise.
-
-        Returns
-        -------
-        How long the container that took longest to quiesce needed for that [s].
-
-        Raises
-        ------
-        RunError
-            One failed; others may still be under way.
+        `check`: called now and then while containers have not answered; may raise.
         """
         quiesce = 0.0
         for _, outcome in self._outcomes(steps, limit, check):

@@ -25,24 +25,7 @@ Round = list[PlacedStep]
 
 
 class MigrationPlan:
-    """The steps by which targets take the place of sources.
-
-    Parameters
-    ----------
-    sources, targets
-        Incarnations that go, and those that come instead.
-    others
-        All other incarnations that run, by component.
-    calls
-        Ends over which a component calls another: component and port.
-    gateways
-        Computer -> IP address and port of its gateway.
-    late
-        Connectors at the sources whose ends do not reach each other, and how many
-        messages their subscribers keep: what is under way over them is dropped.
-    away
-        Computers whose containers can take no step.
-    """
+    """The steps by which targets take the place of sources."""
 
     def __init__(  # noqa: PLR0913, all that runs
         self,

@@ -14,42 +14,21 @@ if TYPE_CHECKING:
 
 
 class MigrationReport(Struct, frozen=True, tag=True, kw_only=True):
-    """How a move went, or the replacement of a component's code or an architecture.
+    """How a move went, or the replacement of a component's code or an architecture."""
 
-    Parameters
-    ----------
-    what
-        The component or the architecture.
-    by
-        What was to replace it: ``package.module:Class`` or an architecture; empty: it
-        was to move.
-    before, after
-        Component -> computer: where they ran, and where they, or others, were to run.
-    committed
-        Whether `after` holds now; else `before` does, as if nothing had been asked.
-    reason
-        Why not.
-    cold
-        Whether it was stopped and started, as command-line components are.
-    downtime
-        How long the components were paused, or a cold one was away [s].
-    phases
-        How long each phase took [s].
-    steps
-        What containers did, by container in the order of their answers.
-    late
-        Connectors over which messages under way were dropped, and why.
-    """
-
-    what: str
+    what: str  # the component or the architecture
+    # what was to replace it: ``package.module:Class`` or an architecture; empty: it was
+    # to move
     by: str = ""
     before: Mapping[str, str]
     after: Mapping[str, str]
+    # whether `after` holds now; else `before` does, as if nothing had been asked
     committed: bool = False
-    reason: str = ""
+    reason: str = ""  # why not
     cold: bool = False
+    # how long the components were paused, or a cold one was away [s]
     downtime: float = 0.0
-    phases: Mapping[str, float] = {}
+    phases: Mapping[str, float] = {}  # how long each phase took [s]
     steps: tuple[StepTaken, ...] = ()
     late: Mapping[str, str] = {}
 
@@ -98,19 +77,14 @@ class MigrationReport(Struct, frozen=True, tag=True, kw_only=True):
 
 
 class TransitionStep(Struct, frozen=True):
-    """One step of a transition.
-
-    Parameters
-    ----------
-    source, target
-        Computers; a start has no source, a stop no target, and a move has both.
-    why
-        Why it is no direct live move: an intermediate or a cold one; else empty.
-    """
+    """One step of a transition."""
 
     component: str
+    # computers; a start has no source, a stop no target, and a move has both
     source: str = ""
+    # computers; a start has no source, a stop no target, and a move has both
     target: str = ""
+    # why it is no direct live move: an intermediate or a cold one; else empty
     why: str = ""
 
     def inverse(self) -> TransitionStep:
@@ -127,21 +101,9 @@ class TransitionStep(Struct, frozen=True):
 
 
 class TransitionReport(Struct, frozen=True, kw_only=True):
-    """How a transition went.
+    """How a transition went."""
 
-    Parameters
-    ----------
-    steps
-        What was planned.
-    committed
-        Whether the new placement holds; else the old one does again.
-    reason
-        Why not; also when the roll back failed.
-    moves
-        The moves that were made, in order, those back included.
-    """
-
-    steps: tuple[TransitionStep, ...]
-    committed: bool
-    reason: str = ""
+    steps: tuple[TransitionStep, ...]  # what was planned
+    committed: bool  # whether the new placement holds; else the old one does again
+    reason: str = ""  # why not; also when the roll back failed
     moves: tuple[MigrationReport, ...] = ()

@@ -38,16 +38,8 @@ def plan_move(
 ) -> Planned:
     """Return the move of a running component to a computer; nothing is begun.
 
-    Parameters
-    ----------
-    force
-        Whether it goes even when it is in the reactive or the deliberative layer; only
-        people may ask so.
-
-    Raises
-    ------
-    UsageError
-        There is no such component or computer, or it may not run there.
+    `force`: whether it goes even when it is in the reactive or the deliberative layer;
+    only people may ask so.
     """
     old = _placed(run, component)
     _check_target(run, component, computer, force=force)
@@ -89,20 +81,8 @@ def plan_replacement(
 ) -> Planned:
     """Return the swap of an implementation for another; nothing is begun.
 
-    Parameters
-    ----------
-    implementation
-        ``package.module:Class``.
-    adapt
-        ``package.module:function`` that turns the old state into the new one; empty:
-        the new implementation restores the old one's state as it is.
-    fresh
-        Whether the state is dropped.
-
-    Raises
-    ------
-    UsageError
-        There is no such component, or its layer stays as it is.
+    `adapt`: ``package.module:function`` that turns the old state into the new one;
+    empty: the new implementation restores the old one's state as it is.
     """
     old = _placed(run, component)
     if (layer := run.robot.architecture_of(component).layer) != "sequencing":

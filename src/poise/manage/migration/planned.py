@@ -24,14 +24,7 @@ class Planned:
 
     All but `under_way` is for the manager's thread.
 
-    Parameters
-    ----------
-    report
-        What it is about.
-    targets
-        What it can have configured before; none of a cold move.
-    migrate
-        Makes it; returns how it went.
+    `targets`: what it can have configured before; none of a cold move.
     """
 
     def __init__(
@@ -39,7 +32,7 @@ class Planned:
         run: RunningComponents,
         report: MigrationReport,
         targets: tuple[Incarnation, ...],
-        migrate: Callable[[], MigrationReport],
+        migrate: Callable[[], MigrationReport],  # makes it; returns how it went
     ) -> None:
         self._run = run
         self._report = report

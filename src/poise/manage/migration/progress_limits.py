@@ -21,19 +21,13 @@ STALL_LIMIT = 2.0
 
 
 class Stall:
-    """Notices when nothing goes on any more. Use it for one preparation.
-
-    Parameters
-    ----------
-    clock
-        A time that never goes back [s].
-    """
+    """Notices when nothing goes on any more. Use it for one preparation."""
 
     def __init__(
         self,
         run: RunningComponents,
         targets: Collection[Incarnation],
-        clock: Callable[[], float] = time.monotonic,
+        clock: Callable[[], float] = time.monotonic,  # a time that never goes back [s]
     ) -> None:
         self._run = run
         self._targets = targets
@@ -67,18 +61,10 @@ class Stall:
 
 
 class LateConnector(Struct, frozen=True):
-    """A connector whose ends do not reach each other.
+    """A connector whose ends do not reach each other."""
 
-    Parameters
-    ----------
-    why
-        In words.
-    keep
-        How many messages its subscriber keeps.
-    """
-
-    why: str
-    keep: int
+    why: str  # in words
+    keep: int  # how many messages its subscriber keeps
 
 
 def late_connectors(
@@ -86,18 +72,7 @@ def late_connectors(
     sources: Iterable[Incarnation],
     others: Mapping[str, Incarnation],
 ) -> dict[str, LateConnector]:
-    """Return the connectors of components that migrate over which data is late.
-
-    Parameters
-    ----------
-    others
-        All other incarnations that run, by component.
-
-    Raises
-    ------
-    RunError
-        One has an end that does not respond, or nothing sent over it may be lost.
-    """
+    """Return the connectors of components that migrate over which data is late."""
     moving = {each.component: each for each in sources}
     placed = {**others, **moving}
     unreached = run.unreached_connectors(placed)

@@ -50,20 +50,8 @@ def plan_architecture_replacement(
     What waits at its ports goes to the alternative where the same source is joined to
     both; messages that are under way within it end with it.
 
-    Parameters
-    ----------
-    adapt
-        ``package.module:function`` that makes states for the components of `by` from
-        those of `architecture` (`state_receiver`).
-    fresh
-        Whether they begin without state; else `adapt` is needed where there is any.
-
-    Raises
-    ------
-    UsageError
-        It does not run, the other is no alternative, one of them is not in the
-        sequencing layer, a caller needs what the other does not offer, or state would
-        be lost; nothing was touched.
+    `fresh`: whether they begin without state; else `adapt` is needed where there is
+    any.
     """
     old, new = _checked(run, architecture, by)
     if not adapt and not fresh:

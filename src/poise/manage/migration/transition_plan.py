@@ -31,17 +31,6 @@ def plan_transition(
     """Return the steps from placement `now` to `then`.
 
     Stops come first, then moves, then starts; taking all steps yields `then`.
-
-    Parameters
-    ----------
-    shares_cpu
-        Whether `then` may need more CPU than a computer has.
-
-    Raises
-    ------
-    RobotError
-        `then` is too much for a computer, or moves what may not be moved; the message
-        names it.
     """
     return _Planner(robot, now, then, shares_cpu=shares_cpu).plan()
 

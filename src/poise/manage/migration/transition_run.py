@@ -34,11 +34,6 @@ def start_together(
 
     Without a checkpoint they start without state. What is left of them where they ran
     is ended before; on a computer that is out of reach, once that is back.
-
-    Parameters
-    ----------
-    lost
-        The computers that are out of reach.
     """
     new = [
         structs.replace(
@@ -82,13 +77,7 @@ def start_together(
 
 
 def _revoke_leases(run: RunningComponents, lost: Collection[str]) -> None:
-    """Wait until nothing of lost computers can be active there any more.
-
-    Raises
-    ------
-    RunError
-        One is reached again, or another computer still hears it.
-    """
+    """Wait until nothing of lost computers can be active there any more."""
 
     def is_back() -> bool:
         run.look()

@@ -27,75 +27,43 @@ _LONGEST = 10.0
 
 
 class ChainHop(Struct, frozen=True, kw_only=True):
-    """A component of a chain: how old the data was when it used it.
-
-    Parameters
-    ----------
-    age
-        At each use, from the stamp on; nothing at the first component [s].
-    wire
-        How long what came from the component before was under way [s].
-    """
+    """A component of a chain: how old the data was when it used it."""
 
     component: str
     computer: str
     epoch: int = 0
+    # at each use, from the stamp on; nothing at the first component [s]
     age: Summary = Summary()
+    # how long what came from the component before was under way [s]
     wire: Summary = Summary()
 
 
 class ChainReport(Struct, frozen=True, kw_only=True):
-    """How old the data of a chain was, since its last component began to run there.
-
-    Parameters
-    ----------
-    deadline
-        How old it may be at the last component [s].
-    missed
-        How often it was older.
-    age
-        When the last component used it [s].
-    error
-        How far ages are off at most, in the mean [s]: nobody knows better how far the
-        clocks of the chain's computers are apart. 0 on one computer.
-    hops
-        The chain's components, first to last.
-    """
+    """How old the data of a chain was, since its last component began to run there."""
 
     name: str
-    deadline: float
-    missed: int
-    age: Summary
+    deadline: float  # how old it may be at the last component [s]
+    missed: int  # how often it was older
+    age: Summary  # when the last component used it [s]
+    # how far ages are off at most, in the mean [s]: nobody knows better how far the
+    # clocks of the chain's computers are apart. 0 on one computer
     error: float
-    hops: tuple[ChainHop, ...]
+    hops: tuple[ChainHop, ...]  # the chain's components, first to last
 
 
 class ChainAge(Struct, frozen=True, kw_only=True):
-    """How old the data of a chain was lately.
-
-    Parameters
-    ----------
-    used, missed
-        Uses by the last component in the last seconds, and how many of these came after
-        the deadline.
-    seconds
-        How many seconds these are.
-    ages
-        Component -> the mean age when it used data [s], first to last.
-    wires
-        Component -> how long data was under way to it on a wire, in the mean [s].
-    computers
-        Component -> computer.
-    """
+    """How old the data of a chain was lately."""
 
     chain: str
     deadline: float
     used: int
     missed: int
-    seconds: float
+    seconds: float  # how many seconds these are
+    # component -> the mean age when it used data [s], first to last
     ages: Mapping[str, float]
+    # component -> how long data was under way to it on a wire, in the mean [s]
     wires: Mapping[str, float]
-    computers: Mapping[str, str]
+    computers: Mapping[str, str]  # component -> computer
 
     @property
     def is_late(self) -> bool:
@@ -212,10 +180,7 @@ class ChainAges:
     def look(self, reports: Iterable[ChainReport], now: float) -> tuple[ChainAge, ...]:
         """Return the chains whose data was used lately.
 
-        Parameters
-        ----------
-        now
-            A time that never goes back [s].
+        `now`: a time that never goes back [s].
         """
         found, before = [], self._totals
         self._totals = {}

@@ -29,10 +29,7 @@ class DeadlineMisses:
     def look(self, statuses: Statuses, now: float) -> tuple[TimerValues, ...]:
         """Return the timers with a deadline that were due lately.
 
-        Parameters
-        ----------
-        now
-            A time that never goes back [s].
+        `now`: a time that never goes back [s].
         """
         found, before = [], self._totals
         self._totals = {}

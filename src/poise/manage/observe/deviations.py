@@ -28,25 +28,14 @@ _CRASH_LOOP = 3
 
 
 class Deviation(Struct, frozen=True, kw_only=True):
-    """One thing that is not as it should be.
+    """One thing that is not as it should be."""
 
-    Parameters
-    ----------
-    what
-        A sentence for people; the same for as long as it lasts.
-    computer, component
-        Where; `component` is empty when it concerns the computer.
-    container
-        The container whose last fault is the cause, and says more; empty: none.
-    since
-        When the manager noticed it [s since 1970].
-    """
-
-    what: str
-    computer: str
-    component: str = ""
+    what: str  # a sentence for people; the same for as long as it lasts
+    computer: str  # where; `component` is empty when it concerns the computer
+    component: str = ""  # where; `component` is empty when it concerns the computer
+    # the container whose last fault is the cause, and says more; empty: none
     container: str = ""
-    since: float
+    since: float  # when the manager noticed it [s since 1970]
 
     @property
     def key(self) -> str:
@@ -65,21 +54,9 @@ def find_deviations(
     wanted: Collection[Incarnation],
     layout: DeploymentPlan,
     statuses: Statuses,
-    now: float,
+    now: float,  # the time [s since 1970]
 ) -> Iterator[Deviation]:
-    """Yield what differs between the placement and what the agents reported.
-
-    Parameters
-    ----------
-    settled
-        What should be as its goal says.
-    wanted
-        All that agents were told to run: also what is being moved.
-    statuses
-        Computer -> what its agent reported last, if it is reached.
-    now
-        The time [s since 1970].
-    """
+    """Yield what differs between the placement and what the agents reported."""
     for computer, status in sorted(statuses.items()):
         here = [each for each in settled if each.computer == computer]
         yield from _of_components(here, layout, status, now)
@@ -96,15 +73,7 @@ def find_unjoined(
     statuses: Statuses,
     now: float,
 ) -> Iterator[tuple[str, Deviation]]:
-    """Yield the connectors whose source does not reach its target, by name.
-
-    Parameters
-    ----------
-    settled
-        Components that are as they should be.
-    statuses, now
-        As for `find_deviations`.
-    """
+    """Yield the connectors whose source does not reach its target, by name."""
     computers = {each.component: each.computer for each in settled}
     unready = {
         connector.name

@@ -29,23 +29,12 @@ _NOTICEABLE = 0.02
 
 
 class Load(Struct, frozen=True, kw_only=True):
-    """The CPU use of one computer lately [cores of the reference].
+    """The CPU use of one computer lately [cores of the reference]."""
 
-    Parameters
-    ----------
-    capacity
-        What the computer has.
-    used
-        By all programs.
-    background
-        By programs that are not the robot's; it counts in `used`.
-    components
-        By each component there; they count in `used`.
-    """
-
-    capacity: float
-    used: float
-    background: float = 0.0
+    capacity: float  # what the computer has
+    used: float  # by all programs
+    background: float = 0.0  # by programs that are not the robot's; it counts in `used`
+    # by each component there; they count in `used`
     components: Mapping[str, float] = {}
 
     @property
@@ -70,15 +59,7 @@ class _Total(Struct, frozen=True):
 
 
 class Loads:
-    """Takes samples, on any one thread at a time.
-
-    Parameters
-    ----------
-    robot
-        Its computers' speeds turn their CPU time into the reference computer's.
-    emulated
-        Whether their CPU time is the reference computer's already.
-    """
+    """Takes samples, on any one thread at a time."""
 
     def __init__(self, robot: Robot, *, emulated: bool) -> None:
         self._speeds = {c.name: 1.0 if emulated else c.speed for c in robot.computers}
@@ -147,23 +128,13 @@ _COUNT_OVER = 2.0
 
 
 class DemandEstimate(Struct, frozen=True, kw_only=True):
-    """What one component needs now against what its profile says.
-
-    Parameters
-    ----------
-    expected
-        Mean CPU by the profile [cores]; None: it has none.
-    demand
-        What it was placed by [cores]; 0: it has none.
-    estimate
-        In cores of the reference computer.
-    """
+    """What one component needs now against what its profile says."""
 
     component: str
     computer: str
-    expected: float | None
-    demand: float = 0.0
-    estimate: Estimate
+    expected: float | None  # mean CPU by the profile [cores]; None: it has none
+    demand: float = 0.0  # what it was placed by [cores]; 0: it has none
+    estimate: Estimate  # in cores of the reference computer
 
     @property
     def usual(self) -> float:
@@ -183,20 +154,7 @@ class _Followed(Struct):
 class Estimates:
     """Takes samples, on any one thread at a time, and estimates.
 
-    Parameters
-    ----------
-    robot
-        Its computers' speeds turn their CPU time into the reference computer's.
-    profile
-        What drift is measured against; None: against what was needed at first.
-    emulated
-        Whether the computers are emulated: a slow one is then one that runs for a
-        part of the time, and its CPU time is the reference computer's already.
-
-    Attributes
-    ----------
-    loads
-        The CPU use of whole computers.
+    `profile`: what drift is measured against; None: against what was needed at first.
     """
 
     def __init__(
@@ -327,16 +285,7 @@ def culprit_on(
 ) -> str:
     """Return what takes most beyond what was expected on a computer, for people.
 
-    Parameters
-    ----------
-    load
-        The computer's; None: it is not known.
-    victim
-        A component that lacks CPU, and is not the culprit itself.
-
-    Returns
-    -------
-    Empty: nothing takes more than was expected of it.
+    `load`: the computer's; None: it is not known.
     """
     if load is None:
         return ""

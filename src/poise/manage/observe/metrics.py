@@ -143,24 +143,14 @@ def _text(labels: Mapping[str, str]) -> str:
 class MetricsServer:
     """Serves ``/metrics`` to Prometheus until it is closed.
 
-    Parameters
-    ----------
-    statuses
-        Returns what every agent said last; any thread may call it.
-    address
-        IP address and TCP port; port 0: any that is free.
-
-    Raises
-    ------
-    RunError
-        The address cannot be had.
+    `statuses`: returns what every agent said last; any thread may call it.
     """
 
     def __init__(
         self,
         estimates: Estimates,
         statuses: Callable[[], Statuses],
-        address: tuple[str, int],
+        address: tuple[str, int],  # IP address and TCP port; port 0: any that is free
     ) -> None:
         class Handler(BaseHTTPRequestHandler):
             timeout = 5.0

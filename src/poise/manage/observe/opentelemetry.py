@@ -27,16 +27,7 @@ class Telemetry:
 
     Names and labels are those that Prometheus gets.
 
-    Parameters
-    ----------
-    robot
-        Its name, which becomes ``service.instance.id``.
-    statuses
-        Returns what every agent said last; any thread may call it.
-    endpoint
-        URL of the collector, such as ``http://localhost:4318``.
-    every
-        [s]; > 0.
+    `statuses`: returns what every agent said last; any thread may call it.
     """
 
     def __init__(
@@ -45,7 +36,7 @@ class Telemetry:
         estimates: Estimates,
         statuses: Callable[[], Statuses],
         endpoint: str,
-        every: float = EVERY,
+        every: float = EVERY,  # [s]; > 0
     ) -> None:
         url = endpoint.rstrip("/").removesuffix(_PATH) + _PATH
         self._provider = MeterProvider(

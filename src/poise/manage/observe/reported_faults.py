@@ -49,11 +49,6 @@ class FaultFilter:
     """Selects the faults to report: of a container with very many, one a minute.
 
     The first `_FIRST` faults of a container within `_WINDOW` are reported one by one.
-
-    Parameters
-    ----------
-    before
-        The numbers of the last faults that do not count.
     """
 
     def __init__(self, before: Numbers) -> None:

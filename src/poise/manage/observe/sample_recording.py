@@ -59,21 +59,6 @@ class RecordingFile:
 
     They neither raise nor wait for the disk: what it does not take is dropped and
     counted, `file.trouble` says so, and the robot goes on.
-
-    Parameters
-    ----------
-    path
-        What is there is replaced.
-
-    Attributes
-    ----------
-    count
-        How many samples came.
-
-    Raises
-    ------
-    RunError
-        It cannot be written.
     """
 
     def __init__(self, path: Path, robot: str) -> None:
@@ -110,13 +95,7 @@ class RecordingFile:
 
 
 def unpacked(compressed: bytes) -> Seen:
-    """Return what policies saw at one moment.
-
-    Raises
-    ------
-    UsageError
-        It is something else.
-    """
+    """Return what policies saw at one moment."""
     try:
         return msgspec.msgpack.decode(zlib.decompress(compressed), type=Seen)
     except (zlib.error, msgspec.DecodeError) as error:

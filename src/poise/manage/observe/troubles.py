@@ -36,12 +36,8 @@ class Troubled(Protocol):
 class ManagerTroubles:
     """Looks at the manager itself. The robot goes on, and nothing moves for it.
 
-    Parameters
-    ----------
-    wall, now
-        The time [s], by the clock that people set, and by one that never jumps.
-    others
-        What else the manager keeps, beside the journal.
+    `wall`: the time [s], by the clock that people set, and by one that never jumps;
+    `now`: the time [s], by the clock that people set, and by one that never jumps.
     """
 
     def __init__(
@@ -115,11 +111,6 @@ class CodeErrors:
     """Tells what goes wrong now from what did before: errors, and messages refused.
 
     A component that failed is a deviation, and not told of here.
-
-    Parameters
-    ----------
-    note
-        Takes entries of the journal.
     """
 
     def __init__(self, note: Callable[[Kind, str], object]) -> None:
@@ -212,10 +203,7 @@ _MOST_THREADS = 20
 class ThreadFailures:
     """Journals each failure, and shows it for `SHOWN_FOR`.
 
-    Parameters
-    ----------
-    now
-        Returns the time [s] by a clock that never jumps.
+    `now`: returns the time [s] by a clock that never jumps.
     """
 
     def __init__(

@@ -40,17 +40,7 @@ _MARGIN = 0.5
 class OwnFunction:
     """Asks a function what to do. All times are of one clock [s].
 
-    Parameters
-    ----------
-    reference
-        ``package.module:function``.
-    folder
-        Where that is imported from.
-
-    Attributes
-    ----------
-    trouble
-        What is wrong with it, for people; empty: nothing.
+    `trouble`: what is wrong with it, for people; empty: nothing.
     """
 
     def __init__(self, reference: str, folder: str) -> None:
@@ -152,19 +142,11 @@ Read = Callable[[Subject], tuple[Values, ...]]
 
 
 class Symptom(Struct, frozen=True, kw_only=True):
-    """A subject for which the condition of a policy holds.
-
-    Parameters
-    ----------
-    what
-        A sentence for people.
-    values
-        What was seen.
-    """
+    """A subject for which the condition of a policy holds."""
 
     policy: Policy
-    what: str
-    values: Values
+    what: str  # a sentence for people
+    values: Values  # what was seen
 
     @property
     def key(self) -> Key:
@@ -185,11 +167,6 @@ class Policies:
     """The policies of one robot, and since when their conditions hold.
 
     All times are of one clock that never goes back [s].
-
-    Attributes
-    ----------
-    since
-        The symptoms that are there now -> when each was seen first.
     """
 
     def __init__(self, policies: Iterable[Policy], folder: str = "") -> None:
@@ -215,10 +192,7 @@ class Policies:
     def look(self, read: Read, now: float, *, waits: bool = False) -> Symptoms:
         """Return the symptoms that have been there at every look for long enough.
 
-        Parameters
-        ----------
-        waits
-            Whether to wait for functions; else what they said last counts.
+        `waits`: whether to wait for functions; else what they said last counts.
         """
         found = {
             _key(policy, each): (policy, each)

@@ -26,16 +26,9 @@ LEAST_CPU = 0.01
 
 
 class PrefetchPlan(Struct, frozen=True, kw_only=True):
-    """What is to be prepared.
+    """What is to be prepared."""
 
-    Parameters
-    ----------
-    placement
-        Component -> computer; what the likeliest action needs comes first.
-    why_not
-        Action and task -> why nothing is prepared for it.
-    """
-
+    # component -> computer; what the likeliest action needs comes first
     placement: Mapping[str, str]
     why_not: Mapping[tuple[str, str], str]
 
@@ -54,16 +47,8 @@ def choose(
     not. What runs already, or uses an exclusive device that is in use, is prepared for
     none.
 
-    Parameters
-    ----------
-    running
-        Component -> computer, of what is at work.
-    cpu
-        Computer -> CPU that may be used to prepare [cores]; one that is not named is
-        out of reach.
-    held
-        Component -> computer, of what is prepared already: it needs no CPU. What of it
-        no action needs stays while there is room.
+    `cpu`: computer -> CPU that may be used to prepare [cores]; one that is not named is
+    out of reach.
     """
     components = {component.name: component for component in robot.components()}
     left = residue(robot, running)
@@ -154,10 +139,7 @@ _Key = tuple[str, int]
 class Prefetcher:
     """What waits, prepared, for actions that have not begun.
 
-    Parameters
-    ----------
-    clock
-        A time that never goes back [s].
+    `clock`: a time that never goes back [s].
     """
 
     def __init__(
@@ -187,13 +169,7 @@ class Prefetcher:
         )
 
     def look(self, likely: Collection[Likely], loads: Mapping[str, Load]) -> None:
-        """Note how preparations go, and prepare what is likely next.
-
-        Parameters
-        ----------
-        loads
-            Computer -> its CPU use, where it is known.
-        """
+        """Note how preparations go, and prepare what is likely next."""
         self._note_failures()
         self._note_ready()
         if self._run.robot.prefetch.off:
@@ -359,13 +335,7 @@ class Prefetcher:
 def _failure(
     status: AgentStatus, each: Incarnation, container: str, restarts: int
 ) -> str:
-    """Return why something that is prepared fails; empty: it does not.
-
-    Parameters
-    ----------
-    restarts
-        How often its container had been restarted before.
-    """
+    """Return why something that is prepared fails; empty: it does not."""
     health = next((h for h in status.health if h.name == container), None)
     if health is not None and (
         health.state == "restarting" or health.restarts > restarts

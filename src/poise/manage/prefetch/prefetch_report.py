@@ -16,27 +16,13 @@ _MOST = 1000
 
 
 class PrefetchReport(Struct, frozen=True, kw_only=True):
-    """What prefetch was good for since the start.
+    """What prefetch was good for since the start."""
 
-    Parameters
-    ----------
-    hit
-        Switches to actions of which all was prepared [s].
-    miss
-        Switches to others [s].
-    prepared
-        Component -> computer, of what waits now.
-    memory
-        What that uses [bytes].
-    wasted
-        What was used by what was dropped, and never worked [bytes].
-    """
-
-    hit: Summary = Summary()
-    miss: Summary = Summary()
-    prepared: Mapping[str, str] = {}
-    memory: int = 0
-    wasted: int = 0
+    hit: Summary = Summary()  # switches to actions of which all was prepared [s]
+    miss: Summary = Summary()  # switches to others [s]
+    prepared: Mapping[str, str] = {}  # component -> computer, of what waits now
+    memory: int = 0  # what that uses [bytes]
+    wasted: int = 0  # what was used by what was dropped, and never worked [bytes]
 
     def __str__(self) -> str:
         said = []

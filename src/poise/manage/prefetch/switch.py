@@ -34,12 +34,7 @@ def prepare(
 
     What is prepared elsewhere is dropped there; what is at work stays as it is.
 
-    Parameters
-    ----------
-    placement
-        Component -> computer.
-    cpu
-        Computer -> the CPU time that others leave for it [cores].
+    `cpu`: computer -> the CPU time that others leave for it [cores].
     """
     new = [
         _prepared(run, name, computer, gently=True)
@@ -63,19 +58,6 @@ def switch(
     """Let components rest, prepared, and others begin to work.
 
     Returns whether all of these were prepared.
-
-    Parameters
-    ----------
-    ends
-        Components at work.
-    begins
-        Component -> computer. What is prepared there already only becomes active.
-
-    Raises
-    ------
-    RunError
-        Something did not begin within the limits: then nothing of `begins` works, and
-        all of `ends` rests.
     """
     are_ready = _are_ready(run, begins)
     idle = [
@@ -168,13 +150,7 @@ class Resting:
         self._since: dict[str, float] = {}
 
     def look(self, kept: Collection[str]) -> None:
-        """End what has rested for too long.
-
-        Parameters
-        ----------
-        kept
-            What rests for tasks that wait: it keeps its state.
-        """
+        """End what has rested for too long."""
         run, now = self._run, time.monotonic()
         rests = {n for n, e in run.prepared.items() if not e.gently}
         self._since = {n: self._since.get(n, now) for n in sorted(rests)}

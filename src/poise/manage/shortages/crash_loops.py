@@ -37,14 +37,7 @@ class CrashLoops:
     def restart_elsewhere(
         self, symptom: Symptom, situation: Situation, now: float
     ) -> None:
-        """Restart a container where it has not crashed; else put it aside.
-
-        Raises
-        ------
-        RunError
-            A component of it is pinned; or a computer was lost, or all of its
-            components have gone meanwhile.
-        """
+        """Restart a container where it has not crashed; else put it aside."""
         run, container = self._run, symptom.values.name
         names = components_in(run, symptom)
         pinned = _pinned(run.robot)

@@ -28,27 +28,13 @@ _ROOM_EVERY = 5.0
 
 
 class Failover(Struct, frozen=True, kw_only=True):
-    """What becomes of the components of lost computers.
+    """What becomes of the components of lost computers."""
 
-    Parameters
-    ----------
-    placement
-        Component -> the computer where it restarts.
-    missing
-        Component -> why it runs nowhere until its computer is back.
-    waits_for_room
-        Whether some would run elsewhere if there were room: those of low priority.
-    aside
-        Architectures that are put aside before, to make room for higher ones.
-    steps
-        Moves of what works that make room before.
-    """
-
-    placement: Mapping[str, str]
+    placement: Mapping[str, str]  # component -> the computer where it restarts
     missing: Mapping[str, str]
     waits_for_room: bool = False
     aside: tuple[str, ...] = ()
-    steps: tuple[TransitionStep, ...] = ()
+    steps: tuple[TransitionStep, ...] = ()  # moves of what works that make room before
 
 
 class FailOver:
@@ -112,11 +98,6 @@ def fail_over(situation: Situation, lost: Collection[str]) -> Failover:
 
     All run that memory and devices allow: CPU that is short is shared by priority. What
     works moves when only that makes room; else it is moved later, if that is worth it.
-
-    Parameters
-    ----------
-    lost
-        Computers that are out of reach.
     """
     allowed = allowed_computers(situation.robot)
     pinned = pinned_components(situation.robot)
@@ -161,13 +142,6 @@ def _by_priority(
     """Return what fits of the stranded, the highest priority first.
 
     Architectures that run are put aside for higher ones only.
-
-    Parameters
-    ----------
-    kept
-        Where each component works.
-    stranded
-        The computers where each of the others may run.
     """
     placement: dict[str, str] = {}
     aside: tuple[str, ...] = ()

@@ -34,11 +34,6 @@ def placed_beside(situation: Situation, homes: Homes) -> PlacedBeside:
 
     Those without homes do not count. To move one that works on one of its homes costs
     what it would have done meanwhile. Why nothing fits is not looked for.
-
-    Raises
-    ------
-    RobotError
-        A component can run nowhere.
     """
     robot = _what_is_left(situation, homes, situation.robot.computers)
     problem = _problem_of(situation, robot)
@@ -56,13 +51,7 @@ def placed_beside(situation: Situation, homes: Homes) -> PlacedBeside:
 def room_for_components(
     situation: Situation, components: Collection[str], not_on: Collection[str] = ()
 ) -> Mapping[str, str]:
-    """Return where components fit beside all others; empty: they do not.
-
-    Parameters
-    ----------
-    not_on
-        Computers where they must not be.
-    """
+    """Return where components fit beside all others; empty: they do not."""
     allowed = allowed_computers(situation.robot)
     homes: dict[str, tuple[str, ...]] = {
         n: (at,) for n, at in situation.placement.items() if at not in situation.lost

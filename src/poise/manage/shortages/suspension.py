@@ -30,28 +30,14 @@ _LOOK_AT_CODE = 2.0
 
 
 class _Aside(Struct):
-    """Why an architecture does not run.
-
-    Parameters
-    ----------
-    since
-        [s since 1970].
-    """
+    """Why an architecture does not run."""
 
     why: str
-    since: float
+    since: float  # [s since 1970]
 
 
 class PutAside:
-    """What a robot's task needs, but does not run. Times are those of one clock [s].
-
-    Parameters
-    ----------
-    task
-        Returns what should run now, as a task.
-    why
-        Why architectures do not run from the start on.
-    """
+    """What a robot's task needs, but does not run. Times are those of one clock [s]."""
 
     def __init__(
         self, run: RunningComponents, task: Callable[[], Task], why: str = ""
@@ -71,16 +57,6 @@ class PutAside:
         """Stop architectures; return whether that went well.
 
         Their state is lost.
-
-        Parameters
-        ----------
-        why
-            A clause for people: "container 'camera' crashes again and again".
-
-        Raises
-        ------
-        UsageError
-            One does not run, or its layer stays as it is.
         """
         run, names = self._run, tuple(names)
         components: dict[str, str] = {}

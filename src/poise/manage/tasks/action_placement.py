@@ -22,21 +22,11 @@ MOVE = 0.01
 
 
 class Room(Struct, frozen=True, kw_only=True):
-    """Where functions go, or why they do not fit.
+    """Where functions go, or why they do not fit."""
 
-    Parameters
-    ----------
-    begins
-        Component -> computer, of what does not run yet.
-    moves
-        What moves before, to make room.
-    why
-        Why there is no room; empty: there is.
-    """
-
-    begins: Mapping[str, str] = {}
-    moves: tuple[TransitionStep, ...] = ()
-    why: str = ""
+    begins: Mapping[str, str] = {}  # component -> computer, of what does not run yet
+    moves: tuple[TransitionStep, ...] = ()  # what moves before, to make room
+    why: str = ""  # why there is no room; empty: there is
 
 
 def room_for_functions(
@@ -46,12 +36,8 @@ def room_for_functions(
 
     What runs stays where it is, if all fits so; else it moves where it may.
 
-    Parameters
-    ----------
-    functions
-        All that are to run, also what does.
-    planned
-        Component -> computer, as the plan over time has it; it counts where it fits.
+    `planned`: component -> computer, as the plan over time has it; it counts where it
+    fits.
     """
     here = situation.within_reach()
     robot = _with_chosen(
@@ -86,17 +72,7 @@ def beyond_memory(
     prepared: Mapping[str, str],
     order: Iterable[str],
 ) -> list[str]:
-    """Return what of the prepared components must go, so that memory is enough.
-
-    Parameters
-    ----------
-    placement
-        Component -> computer, of all that works or is to.
-    prepared
-        Component -> computer.
-    order
-        Names of prepared components, those that go first come first.
-    """
+    """Return what of the prepared components must go, so that memory is enough."""
     needs = {c.name: c.demand.get("memory", 0.0) for c in robot.components()}
     left = residue(robot, {**placement, **prepared})
     gone = []
@@ -145,31 +121,18 @@ PLAN_FOR = 0.3
 
 
 class Likely(Struct, frozen=True, kw_only=True):
-    """Components that may be needed soon.
-
-    Parameters
-    ----------
-    action
-        Which action needs them, as in phases.
-    placement
-        Component -> computer, without what runs already.
-    probability
-        That this action comes next in its task.
-    """
+    """Components that may be needed soon."""
 
     task: str
-    action: str
-    placement: Mapping[str, str]
-    probability: float
+    action: str  # which action needs them, as in phases
+    placement: Mapping[str, str]  # component -> computer, without what runs already
+    probability: float  # that this action comes next in its task
 
 
 class PlanOverTime:
     """The placements of the phases of a robot's tasks, made when first asked for.
 
-    Parameters
-    ----------
-    solve_steps
-        How much the planner searches; None: as its time allows.
+    `solve_steps`: how much the planner searches; None: as its time allows.
     """
 
     def __init__(self, robot: Robot, solve_steps: int | None = None) -> None:
@@ -184,11 +147,6 @@ class PlanOverTime:
 
         Empty when the plan does not know. Of several phases with these actions the
         first counts.
-
-        Parameters
-        ----------
-        actions
-            Their names, as in phases.
         """
         result = self._of(task)
         wanted = self._robot.components_for(functions)
@@ -217,17 +175,7 @@ def likely_next(
     running: Mapping[str, str],
     resting: Mapping[str, str],
 ) -> list[Likely]:
-    """Return what may be needed next and does not run, the most probable first.
-
-    Parameters
-    ----------
-    ahead
-        The actions that may come next, with their probabilities.
-    running
-        Component -> computer, of what is at work.
-    resting
-        The same of what is prepared: there it stays.
-    """
+    """Return what may be needed next and does not run, the most probable first."""
     found = []
     for record, each, probability in ahead:
         placement = plans.placement(record.name, (each.name,), each.action.functions)

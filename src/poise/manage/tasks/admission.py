@@ -41,13 +41,6 @@ class Admission:
 
         When it does not fit, tasks of low priority wait for the room of others; when
         one does not even fit alone, its actions fail. The room then says why.
-
-        Parameters
-        ----------
-        new
-            The actions that are to begin.
-        aside
-            Functions that do not run because they were put aside.
         """
         new = tuple(new)
         robot = learned(

@@ -41,20 +41,8 @@ MOST_OVER = 20
 class Tasks:
     """The tasks of a robot that were started.
 
-    Parameters
-    ----------
-    choose
-        Decides between the steps of a choice.
-    say
-        Takes each change, for people.
-    wall
-        Returns the time of day [s since 1970] of a `now` of the methods, for people.
-        `now` itself is a time [s] that never steps.
-
-    Attributes
-    ----------
-    saved
-        What the next manager needs.
+    `wall`: returns the time of day [s since 1970] of a `now` of the methods, for
+    people. `now` itself is a time [s] that never steps.
     """
 
     def __init__(
@@ -88,13 +76,7 @@ class Tasks:
         return self.saved.records
 
     def start(self, name: str, now: float, priority: int | None = None) -> TaskRecord:
-        """Begin a task.
-
-        Raises
-        ------
-        UsageError
-            There is no such task, or it runs already.
-        """
+        """Begin a task."""
         if name not in self._tasks:
             raise self._no_such(name)
         if any(r.name == name and r.state not in OVER for r in self.records):
@@ -206,13 +188,7 @@ class Tasks:
                 self._settle(record, now)
 
     def look(self, now: float, holds: Callable[[Until], bool]) -> None:
-        """End actions whose time is over, and what conditions end.
-
-        Parameters
-        ----------
-        holds
-            Whether a condition holds now.
-        """
+        """End actions whose time is over, and what conditions end."""
         for record in self.going():
             for until, progress in list(
                 self._steps[record.name].conditions(record.progress)

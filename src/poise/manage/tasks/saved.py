@@ -17,10 +17,7 @@ from poise.manage.tasks.task_progress import OVER, Saved
 def goes_on_with(run: RunningComponents, asked: Tasks, journal: Journal) -> Saved:
     """Return the tasks that go on: those of the manager before, and those asked for.
 
-    Parameters
-    ----------
-    asked
-        What this manager was to start; what runs already goes on where it was.
+    `asked`: what this manager was to start; what runs already goes on where it was.
     """
     if not run.desired.tasks:
         return asked.saved

@@ -52,23 +52,13 @@ Turn = tuple[TaskRecord, Try]
 class TaskManager:
     """The tasks of a running robot.
 
-    Parameters
-    ----------
-    saved
-        What was started already; it is changed.
-    situation
-        Returns what is known now.
-
-    Attributes
-    ----------
-    reports
-        How all tasks are; any thread may read it.
+    `reports`: how all tasks are; any thread may read it.
     """
 
     def __init__(
         self,
         run: RunningComponents,
-        saved: Saved,
+        saved: Saved,  # what was started already; it is changed
         situation: Callable[[], Situation],
     ) -> None:
         self._run = run
@@ -113,13 +103,7 @@ class TaskManager:
         return all(record.state in OVER for record in self.tasks.records)
 
     def look(self, aside: Iterable[str] = ()) -> None:
-        """Look at the tasks once: end, begin and rest what is due.
-
-        Parameters
-        ----------
-        aside
-            Functions that are put aside: they are not started here.
-        """
+        """Look at the tasks once: end, begin and rest what is due."""
         self._aside = frozenset(aside)
         self._hear()
         self.tasks.look(boot_time(), self._holds)
@@ -137,13 +121,7 @@ class TaskManager:
         return bool(self._said_to_end())
 
     def command(self, verb: str, name: str, priority: int | None = None) -> None:
-        """Start, pause, resume or cancel a task, and do what follows.
-
-        Raises
-        ------
-        UsageError
-            There is no such task, or it is not in a state for that.
-        """
+        """Start, pause, resume or cancel a task, and do what follows."""
         self._since = now = boot_time()
         if verb == "start":
             self.tasks.start(name, now, priority)
@@ -236,13 +214,7 @@ class TaskManager:
     def _make_room(
         self, room: Room, begins: Mapping[str, str], stops: list[str]
     ) -> list[str]:
-        """Move what is in the way, and end what may not rest; return what may.
-
-        Raises
-        ------
-        RunError
-            A move failed; all is where it was.
-        """
+        """Move what is in the way, and end what may not rest; return what may."""
         run = self._run
         if room.moves:
             report = transit(run, room.moves)

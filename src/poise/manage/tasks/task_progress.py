@@ -33,49 +33,25 @@ OVER = {"done", "failed", "cancelled"}
 
 
 class Progress(Struct, kw_only=True, omit_defaults=True):
-    """How far one step is.
-
-    Parameters
-    ----------
-    state
-        `ended` is an action that done or failed is yet to be dealt with.
-    index
-        Which step of a sequence or choice is inside.
-    rounds
-        How often a repetition has been done, or an action begun again.
-    number
-        Tells the tries of actions of all tasks apart; 0: it is no action.
-    since
-        When the action's functions began to work [s, `poise.clock.boot_time` of the
-        manager's computer]; None: they do not.
-    spent
-        How long they worked before that [s].
-    heard
-        The epoch of the component of `ends` when the action began, and how often that
-        had said that an action has ended.
-    """
+    """How far one step is."""
 
     state: str = "going"
-    index: int = 0
-    rounds: int = 0
-    number: int = 0
+    index: int = 0  # which step of a sequence or choice is inside
+    rounds: int = 0  # how often a repetition has been done, or an action begun again
+    number: int = 0  # tells the tries of actions of all tasks apart; 0: it is no action
+    # when the action's functions began to work [s, `poise.clock.boot_time` of the
+    # manager's computer]; None: they do not
     since: float | None = None
-    spent: float = 0.0
+    spent: float = 0.0  # how long they worked before that [s]
     heard: tuple[int, int] = (0, 0)
     why: str = ""
     inside: list[Progress] = []
 
 
 class Try(Struct, frozen=True, kw_only=True):
-    """An action that is to run now.
+    """An action that is to run now."""
 
-    Parameters
-    ----------
-    name
-        As in phases: with the name of the other task whose step it is.
-    """
-
-    name: str
+    name: str  # as in phases: with the name of the other task whose step it is
     action: Action
     progress: Progress
 
@@ -90,40 +66,24 @@ class Try(Struct, frozen=True, kw_only=True):
 
 
 class TaskRecord(Struct, kw_only=True):
-    """One task since it was started.
-
-    Parameters
-    ----------
-    order
-        Later tasks have a higher one.
-    why
-        What it waits for, or why it ended so; else empty.
-    since
-        When its state began [s since 1970], for people; so is `began`.
-    """
+    """One task since it was started."""
 
     name: str
     priority: int
-    order: int
+    order: int  # later tasks have a higher one
     state: TaskState = "going"
-    why: str = ""
+    why: str = ""  # what it waits for, or why it ended so; else empty
     began: float
-    since: float
+    since: float  # when its state began [s since 1970], for people; so is `began`
     progress: Progress
 
 
 class Saved(Struct, kw_only=True):
-    """All that the next manager needs to go on with the tasks.
-
-    Parameters
-    ----------
-    boot
-        The `poise.clock.boot_id` by whose clock times in `Progress` are.
-    """
+    """All that the next manager needs to go on with the tasks."""
 
     records: list[TaskRecord] = []
     number: int = 0
-    boot: str = ""
+    boot: str = ""  # the `poise.clock.boot_id` by whose clock times in `Progress` are
 
 
 class ActionEnded(Struct, frozen=True):
@@ -134,17 +94,7 @@ class ActionEnded(Struct, frozen=True):
 
 
 class Steps:
-    """Goes through the steps of a task.
-
-    Parameters
-    ----------
-    tasks
-        All tasks of the robot, by name.
-    number
-        Returns a number that no try has had.
-    say
-        Takes what happened, for people.
-    """
+    """Goes through the steps of a task."""
 
     def __init__(
         self,

@@ -14,71 +14,35 @@ if TYPE_CHECKING:
 
 
 class ActionReport(Struct, frozen=True, kw_only=True):
-    """An action whose turn it is.
-
-    Parameters
-    ----------
-    functions
-        What it uses.
-    architectures
-        What provides that now.
-    worked
-        For how long it has worked [s].
-    is_at_work
-        Whether it works now.
-    """
+    """An action whose turn it is."""
 
     name: str
-    functions: tuple[str, ...]
-    architectures: tuple[str, ...]
-    worked: float
-    is_at_work: bool
+    functions: tuple[str, ...]  # what it uses
+    architectures: tuple[str, ...]  # what provides that now
+    worked: float  # for how long it has worked [s]
+    is_at_work: bool  # whether it works now
 
 
 class TaskReport(Struct, frozen=True, kw_only=True):
-    """A task since it was started.
-
-    Parameters
-    ----------
-    state
-        ``going``, ``waiting``, ``paused``, ``done``, ``failed`` or ``cancelled``.
-    why
-        What it waits for, or why it ended so; else empty.
-    began, since
-        When it was started, and when its state began [s since 1970].
-    actions
-        Those whose turn it is.
-    next
-        The names of those that may come then.
-    """
+    """A task since it was started."""
 
     name: str
     state: TaskState
     priority: int
-    why: str
-    began: float
-    since: float
-    actions: tuple[ActionReport, ...] = ()
-    next: tuple[str, ...] = ()
+    why: str  # what it waits for, or why it ended so; else empty
+    began: float  # when it was started, and when its state began [s since 1970]
+    since: float  # when it was started, and when its state began [s since 1970]
+    actions: tuple[ActionReport, ...] = ()  # those whose turn it is
+    next: tuple[str, ...] = ()  # the names of those that may come then
 
 
 def task_reports(
     tasks: Tasks,
     ahead: Collection[tuple[TaskRecord, Try, float]],
     serving: Callable[[Try], tuple[str, ...]],
-    now: float,
+    now: float,  # [s], by the clock of `Progress.since`
 ) -> tuple[TaskReport, ...]:
-    """Return how all tasks are, the first started first.
-
-    Parameters
-    ----------
-    ahead
-        The actions that may come next.
-    serving
-        Returns the architectures that serve an action now.
-    now
-        [s], by the clock of `Progress.since`.
-    """
+    """Return how all tasks are, the first started first."""
     return tuple(
         TaskReport(
             name=record.name,
