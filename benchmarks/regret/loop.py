@@ -29,8 +29,7 @@ from benchmarks.regret.traces import STEP, Cores, Placement, Trace
 from poise.estimate.online import LEAST_SHARE, Drift, Estimate
 from poise.manage.adaptation.loop import Adaptation
 from poise.manage.adaptation.situation import Situation
-from poise.manage.deploy.desired import Desired
-from poise.manage.deploy.incarnation import Incarnation
+from poise.manage.deploy.desired import Desired, Incarnation
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.migration import transition_run
 from poise.manage.migration.migration_report import TransitionReport, TransitionStep

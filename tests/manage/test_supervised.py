@@ -6,7 +6,7 @@ import pytest
 
 from poise.errors import RunError, TakenOver
 from poise.manage.journal import Journal
-from poise.manage.supervised import FIRST_PAUSE, LONGEST_PAUSE, SupervisedTick
+from poise.manage.observe.troubles import FIRST_PAUSE, LONGEST_PAUSE, SupervisedTick
 from poise.testing.virtual_clock import VirtualClock
 
 

@@ -25,9 +25,9 @@ from poise.manage.deploy.reconciler import Reconciler
 from poise.manage.migration import transition_run
 from poise.manage.migration.coordinator import Migration
 from poise.manage.migration.migration_plan import MigrationPlan
-from poise.manage.prefetch.prefetch import Prefetcher
+from poise.manage.observe.troubles import SupervisedTick
 from poise.manage.shortages import failover
-from poise.manage.supervised import SupervisedTick
+from poise.manage.tasks.prefetch import Prefetcher
 from poise.manage.tasks.task_manager import TaskManager
 from poise.runtime.agent import fence
 from poise.runtime.agent.fence import Fence, Lease

@@ -21,7 +21,7 @@ from poise.manage.control_socket.commands import Rebalanced, RobotStatus
 from poise.manage.journal import JournalEntry
 from poise.manage.migration.migration_report import MigrationReport
 from poise.manage.observe.estimates import DemandEstimate
-from poise.manage.tasks.task_report import TaskReport
+from poise.manage.tasks.concurrent_tasks import TaskReport
 from poise.model.policy.policy import Policy
 from poise.plan.phases.phase_result import PlainPhases
 from poise.plan.result import PlainResult

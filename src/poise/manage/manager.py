@@ -44,18 +44,20 @@ from poise.manage.control_socket.read_commands import look, status_of
 from poise.manage.deploy.deactivation import stop
 from poise.manage.deploy.lost_computers import LostComputers
 from poise.manage.deploy.running_components import RunningComponents
-from poise.manage.migration.move import plan_move, plan_replacement
+from poise.manage.migration.move import (
+    plan_architecture_replacement,
+    plan_move,
+    plan_replacement,
+)
 from poise.manage.migration.planned import Planned
-from poise.manage.migration.replacement import plan_architecture_replacement
-from poise.manage.observe.chains import ChainAges, ChainReader
-from poise.manage.observe.deadline_misses import DeadlineMisses
+from poise.manage.observe.chains import ChainAges, ChainReader, DeadlineMisses
 from poise.manage.observe.deviations import Deviation
 from poise.manage.observe.estimates import Estimates
 from poise.manage.observe.sample_recording import Recording, RecordingFile
 from poise.manage.observe.troubles import ManagerTroubles, ThreadFailures
 from poise.manage.observe.watch import Watch
-from poise.manage.prefetch.prefetch import Prefetcher
 from poise.manage.shortages.suspension import PutAside
+from poise.manage.tasks.prefetch import Prefetcher
 from poise.manage.tasks.task_manager import TaskManager
 from poise.manage.tasks.task_progress import Saved
 

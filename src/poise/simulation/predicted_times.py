@@ -18,7 +18,7 @@ from msgspec import Struct
 
 from poise.estimate.overhead import kinds_together
 from poise.manage.deploy.deployment_plan import DeploymentPlan
-from poise.manage.deploy.incarnation import Incarnation
+from poise.manage.deploy.desired import Incarnation
 from poise.model.robot import Chain, Robot
 from poise.runtime.component.ports import Timer
 from poise.runtime.execution.timers import release_offset

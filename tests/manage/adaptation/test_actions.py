@@ -10,10 +10,10 @@ from msgspec.structs import replace
 from poise.errors import RunError, UsageError
 from poise.manage.adaptation.actions import Actions
 from poise.manage.adaptation.loop import Adaptation
+from poise.manage.adaptation.policies import Policies
+from poise.manage.adaptation.policy_values import values_of
 from poise.manage.adaptation.responder import BUDGET, MoveLimits
 from poise.manage.migration.migration_report import TransitionStep
-from poise.manage.policy.evaluation import Policies
-from poise.manage.policy.subjects import values_of
 from poise.model.policy.policy import Policy
 from poise.model.robot import Computer
 from tests.manage.adaptation.shortages.test_put_aside import (

@@ -10,7 +10,7 @@ from msgspec.structs import replace
 
 from poise.manage.adaptation.decision import decide
 from poise.manage.adaptation.situation import Situation
-from poise.manage.migration.residue import missing_cpu
+from poise.manage.migration.transition_plan import missing_cpu
 from poise.manage.observe.chains import ChainAge
 from poise.model.robot import (
     Action,

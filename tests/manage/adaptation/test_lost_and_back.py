@@ -6,7 +6,7 @@ from msgspec.structs import replace
 
 from poise.manage.adaptation.loop import Adaptation
 from poise.manage.migration.transition_run import start_together
-from poise.manage.shortages.missing_functions import CALM
+from poise.manage.shortages.suspension import CALM
 from poise.model.robot import Computer
 from tests.manage.adaptation.shortages.test_put_aside import BOTH, Robbed, robot_with
 

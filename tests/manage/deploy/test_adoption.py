@@ -6,7 +6,7 @@ from msgspec.structs import replace
 
 from poise.manage.deploy.adoption import Adoption, adopt, found_in, is_half_done
 from poise.manage.deploy.deployment_plan import DeploymentPlan
-from poise.manage.deploy.incarnation import Incarnation
+from poise.manage.deploy.desired import Incarnation
 from poise.model.robot import Architecture, ComponentEntry, Robot
 from poise.wire.records.deployment_records import Deployment, Goal
 

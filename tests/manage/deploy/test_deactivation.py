@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from poise.manage.deploy.deactivation import _left, maybe_active
-from poise.manage.deploy.incarnation import Incarnation
+from poise.manage.deploy.desired import Incarnation
 from poise.wire.records.status_records import (
     AgentStatus,
     ComponentStatus,

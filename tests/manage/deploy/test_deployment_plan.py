@@ -6,7 +6,7 @@ import pytest
 from msgspec.structs import replace
 
 from poise.manage.deploy.deployment_plan import DeploymentPlan
-from poise.manage.deploy.incarnation import Incarnation
+from poise.manage.deploy.desired import Incarnation
 from poise.model.robot import Architecture, Chain, ComponentEntry, Computer, Robot
 from poise.wire.records.deployment_records import ChainPart, ComponentSpec, Deployment
 from tests.manage.conftest import connector_names

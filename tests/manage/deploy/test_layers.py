@@ -13,9 +13,8 @@ from poise import plan
 from poise.errors import UsageError
 from poise.manage.adaptation.decision import decide
 from poise.manage.adaptation.situation import Situation
-from poise.manage.migration.move import move
+from poise.manage.migration.move import move, replace_architecture
 from poise.manage.migration.move import replace as replace_implementation
-from poise.manage.migration.replacement import replace_architecture
 from poise.manage.shortages.failover import fail_over
 from poise.model.policy.policy import Policy
 from poise.model.robot import Computer, Robot

@@ -11,8 +11,7 @@ from poise.estimate.profile.code_version import version_of
 from poise.manage.agent_connections.agents import Agents
 from poise.manage.deploy.adoption import counting, found_in, joined_by
 from poise.manage.deploy.deployment_plan import DeploymentPlan
-from poise.manage.deploy.desired import Desired
-from poise.manage.deploy.incarnation import Incarnation
+from poise.manage.deploy.desired import Desired, Incarnation
 from poise.manage.deploy.lost_computers import LostComputers
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.deploy.takeover import start_or_take_over

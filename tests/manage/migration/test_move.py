@@ -22,13 +22,10 @@ from poise.manage.agent_connections.statuses import components_of, connectors_of
 from poise.manage.deploy.deactivation import stop
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.journal import Journal
-from poise.manage.migration.coordinator import (
-    DOWNTIME_LIMIT,
-    PREPARE_LIMIT,
-    RESUME_LIMIT,
-)
+from poise.manage.migration.coordinator import DOWNTIME_LIMIT, RESUME_LIMIT
 from poise.manage.migration.migration_report import MigrationReport
 from poise.manage.migration.move import move, replace
+from poise.manage.migration.planned import PREPARE_LIMIT
 from poise.model.robot import (
     Architecture,
     ComponentEntry,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 
 from poise.manage.deploy.deployment_plan import DeploymentPlan
-from poise.manage.deploy.incarnation import Incarnation
+from poise.manage.deploy.desired import Incarnation
 from poise.manage.migration.migration_plan import MigrationPlan
 from poise.model.robot import (
     Architecture,

@@ -14,8 +14,7 @@ from poise.manage.agent_connections.statuses import components_of
 from poise.manage.deploy.deactivation import stop
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.journal import Journal
-from poise.manage.migration.move import replace
-from poise.manage.migration.replacement import replace_architecture
+from poise.manage.migration.move import replace, replace_architecture
 from poise.model.robot import (
     Architecture,
     ComponentEntry,

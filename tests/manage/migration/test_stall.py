@@ -8,9 +8,9 @@ from unittest.mock import Mock
 import pytest
 
 from poise.errors import RunError
-from poise.manage.deploy.incarnation import Incarnation
+from poise.manage.deploy.desired import Incarnation
 from poise.manage.deploy.running_components import RunningComponents
-from poise.manage.migration.progress_limits import STALL_LIMIT, Stall
+from poise.manage.migration.planned import STALL_LIMIT, Stall
 from poise.wire.records.status_records import (
     AgentStatus,
     ComponentStatus,

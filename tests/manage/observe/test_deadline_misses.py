@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from poise.manage.observe.deadline_misses import DeadlineMisses, is_late
+from poise.manage.observe.chains import DeadlineMisses, is_late
 from poise.wire.records.status_records import (
     AgentStatus,
     ComponentStatus,

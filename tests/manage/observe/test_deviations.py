@@ -6,7 +6,7 @@ import pytest
 from msgspec.structs import replace
 
 from poise.manage.deploy.deployment_plan import DeploymentPlan
-from poise.manage.deploy.incarnation import Incarnation
+from poise.manage.deploy.desired import Incarnation
 from poise.manage.observe.deviations import Deviation, find_deviations, find_unjoined
 from poise.model.robot import Connector, ConnectorEnd, Robot
 from poise.wire.records.status_records import (

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 
-from poise.manage.observe.reported_faults import (
+from poise.manage.observe.deviations import (
     FaultFilter,
     combined,
     fault_sentence,

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from poise.manage.tasks.action_placement import PlanOverTime, likely_next
-from poise.manage.tasks.concurrent_tasks import Tasks
-from poise.manage.tasks.task_report import task_reports
+from poise.manage.tasks.concurrent_tasks import Tasks, task_reports
 from poise.model.robot import Architecture, ComponentEntry, Computer, Robot
 from poise.model.tasks.steps import Action, Task
 

@@ -8,7 +8,7 @@ import typer
 
 from poise.cli.commands.running_robot_command import Robot
 from poise.cli.options import AsJson, print_json, running
-from poise.manage.tasks.task_report import TaskReport
+from poise.manage.tasks.concurrent_tasks import TaskReport
 from poise.session.render.printable import console_to
 from poise.session.render.tables import action_lines, task_lines, task_table
 from poise.session.running_robots.running import Running

@@ -19,6 +19,8 @@ from poise.clock import wall_time
 from poise.errors import PoiseError
 from poise.manage.adaptation.actions import Actions, saw
 from poise.manage.adaptation.move_forecast import alternatives, what_if
+from poise.manage.adaptation.policies import Key, Policies, Symptom
+from poise.manage.adaptation.policy_values import values_of
 from poise.manage.adaptation.proposals import Proposal, WhatIf
 from poise.manage.adaptation.replan import propose
 from poise.manage.adaptation.responder import Responder
@@ -27,11 +29,13 @@ from poise.manage.adaptation.transitions import Replan, Transitions, UseAgain
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.migration.migration_report import TransitionReport
 from poise.manage.observe.deviations import Deviation
-from poise.manage.policy.evaluation import Key, Policies, Symptom
-from poise.manage.policy.subjects import values_of
 from poise.manage.shortages.failover import FailOver
-from poise.manage.shortages.missing_functions import Needs, StopWithoutNeeded, TakeBack
-from poise.manage.shortages.suspension import PutAside
+from poise.manage.shortages.suspension import (
+    Needs,
+    PutAside,
+    StopWithoutNeeded,
+    TakeBack,
+)
 from poise.model.policy.policy import Seen
 from poise.model.policy.shipped import policies_of
 from poise.units import counted

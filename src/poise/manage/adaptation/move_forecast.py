@@ -25,7 +25,7 @@ from poise.manage.adaptation.replan import (
 from poise.manage.adaptation.situation import Situation
 from poise.manage.agent_connections.statuses import components_of
 from poise.manage.migration.migration_report import TransitionStep
-from poise.manage.migration.residue import residue
+from poise.manage.migration.transition_plan import residue
 from poise.model.check.allowed_computers import allowed_computers
 from poise.model.robot import Robot
 

@@ -8,9 +8,9 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from poise.estimate.profile import ConnectorProfile
+from poise.manage.adaptation.policies import Symptom
 from poise.manage.observe.chains import ChainAge
 from poise.manage.observe.estimates import DemandEstimate, Load
-from poise.manage.policy.evaluation import Symptom
 from poise.model.policy.policy import Do, TimerValues
 from poise.model.robot import Computer, Robot
 from poise.wire.records.status_records import AgentStatus

@@ -23,15 +23,14 @@ from msgspec.structs import replace
 from poise.manage.adaptation.actions import saw
 from poise.manage.adaptation.decision import HORIZON, Decision, decide
 from poise.manage.adaptation.move_forecast import alternatives
+from poise.manage.adaptation.policies import Key, Policies, Symptom
 from poise.manage.adaptation.responder import Change, MoveLimits
 from poise.manage.adaptation.situation import Situation
 from poise.manage.deploy.desired import Desired
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.migration.migration_report import TransitionReport, TransitionStep
 from poise.manage.migration.transition_run import transit
-from poise.manage.policy.evaluation import Key, Policies, Symptom
-from poise.manage.shortages.missing_functions import CALM
-from poise.manage.shortages.suspension import PutAside
+from poise.manage.shortages.suspension import CALM, PutAside
 
 FORGET_AFTER = 600.0
 """After so long without a symptom [s] what was lost before counts no more."""

@@ -13,7 +13,7 @@ from poise.wire.records.status_records import (
 )
 
 if TYPE_CHECKING:
-    from poise.manage.deploy.incarnation import Incarnation
+    from poise.manage.deploy.desired import Incarnation
 
 Statuses = Mapping[str, AgentStatus]
 """Computer -> what its agent reported last."""

@@ -15,8 +15,8 @@ from poise.manage.migration.migration_report import MigrationReport, TransitionR
 from poise.manage.observe.chains import ChainReport
 from poise.manage.observe.deviations import Deviation
 from poise.manage.observe.estimates import DemandEstimate, Load
-from poise.manage.prefetch.prefetch_report import PrefetchReport
-from poise.manage.tasks.task_report import TaskReport
+from poise.manage.tasks.concurrent_tasks import TaskReport
+from poise.manage.tasks.prefetch_report import PrefetchReport
 from poise.wire.records.output_records import OutputLine
 from poise.wire.records.request_records import ManagerId
 from poise.wire.records.status_records import AgentStatus

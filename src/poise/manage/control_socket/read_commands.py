@@ -28,7 +28,7 @@ from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.observe.chains import chain_reports
 from poise.manage.observe.deviations import Deviation
 from poise.manage.observe.estimates import Estimates
-from poise.manage.tasks.task_report import TaskReport
+from poise.manage.tasks.concurrent_tasks import TaskReport
 from poise.model.robot import Computer
 from poise.wire.records.migration_records import StepsFailed
 from poise.wire.records.output_records import OutputLines, ReadOutput

@@ -18,8 +18,7 @@ from msgspec.structs import replace
 
 from poise.manage.agent_connections.statuses import Statuses
 from poise.manage.deploy.deployment_plan import DeploymentPlan
-from poise.manage.deploy.desired import Desired
-from poise.manage.deploy.incarnation import Incarnation
+from poise.manage.deploy.desired import Desired, Incarnation
 from poise.model.check.allowed_computers import allowed_computers, leased_components
 from poise.model.robot import Robot
 from poise.wire.records.deployment_records import ComponentSpec, Deployment, Goal

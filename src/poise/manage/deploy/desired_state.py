@@ -18,11 +18,10 @@ from poise.manage.agent_connections.agents import Agents
 from poise.manage.agent_connections.statuses import gateways
 from poise.manage.deploy.adoption import as_committed, found_in, joined_by
 from poise.manage.deploy.deployment_plan import DeploymentPlan
-from poise.manage.deploy.desired import Desired, difference
-from poise.manage.deploy.incarnation import Incarnation
+from poise.manage.deploy.desired import Desired, Incarnation, difference
 from poise.manage.deploy.reconciler import Reconciler
 from poise.manage.journal import Journal
-from poise.manage.supervised import SupervisedTick
+from poise.manage.observe.troubles import SupervisedTick
 from poise.model.check.allowed_computers import allowed_computers
 from poise.model.robot import Robot
 from poise.wire.records.deployment_records import Deployment

@@ -23,16 +23,11 @@ from poise.manage.agent_connections.statuses import (
     missing,
     unreached,
 )
-from poise.manage.deploy.desired import Desired
+from poise.manage.deploy.desired import Desired, Incarnation
 from poise.manage.deploy.desired_state import DesiredState
-from poise.manage.deploy.incarnation import Incarnation
 from poise.manage.journal import Journal
-from poise.manage.observe.reported_faults import (
-    fault_sentence,
-    faults_after,
-    last_numbers,
-)
-from poise.manage.prefetch.prefetch_report import Switches
+from poise.manage.observe.deviations import fault_sentence, faults_after, last_numbers
+from poise.manage.tasks.prefetch_report import Switches
 from poise.model.robot import Robot
 from poise.units import counted
 from poise.wire.records.deployment_records import Goal

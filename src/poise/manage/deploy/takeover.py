@@ -21,7 +21,7 @@ from poise.manage.deploy.adoption import (
     is_half_done,
     where_held,
 )
-from poise.manage.deploy.incarnation import Incarnation
+from poise.manage.deploy.desired import Incarnation
 from poise.manage.deploy.running_components import (
     ACTIVE_LIMIT,
     READY_LIMIT,

@@ -17,11 +17,12 @@ from msgspec import structs
 
 from poise.errors import RunError
 from poise.manage.agent_connections.statuses import calling_ports, components_of
-from poise.manage.deploy.incarnation import Incarnation
+from poise.manage.deploy.desired import Incarnation
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.migration.migration_plan import MigrationPlan, PlacedStep
 from poise.manage.migration.migration_report import MigrationReport
-from poise.manage.migration.progress_limits import (
+from poise.manage.migration.planned import (
+    PREPARE_LIMIT,
     STALL_LIMIT,
     Stall,
     late_connectors,
@@ -39,8 +40,6 @@ from poise.wire.records.migration_records import (
 )
 from poise.wire.records.status_records import ComponentStatus
 
-PREPARE_LIMIT = 30.0
-"""The targets are configured, and have a large state, within this time [s]."""
 DOWNTIME_LIMIT = 1.4
 """The migration is committed within this time after the pause [s], or rolls back."""
 RESUME_LIMIT = 0.4

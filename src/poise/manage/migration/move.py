@@ -1,17 +1,21 @@
-"""Moves one component to another computer, or replaces its implementation.
+"""Moves a component, replaces its implementation, or replaces a whole architecture.
 
 A component in Python takes its state along, and loses no call or message. A
-command-line component makes a cold move: it is stopped, and started at the target.
+command-line component makes a cold move: it is stopped, and started at the target. The
+components of an architecture take over at once, or none does: it is one migration.
 """
 
 from __future__ import annotations
 
+import contextlib
 import time
 
 from msgspec import structs
 
+from poise import plan
 from poise.errors import RunError, UsageError
-from poise.manage.deploy.incarnation import Incarnation
+from poise.manage.agent_connections.statuses import calling_ports, components_of
+from poise.manage.deploy.desired import Incarnation
 from poise.manage.deploy.running_components import (
     ACTIVE_LIMIT,
     READY_LIMIT,
@@ -21,6 +25,7 @@ from poise.manage.migration.coordinator import Migration
 from poise.manage.migration.migration_report import MigrationReport
 from poise.manage.migration.planned import Planned
 from poise.model.check.allowed_computers import allowed_computers
+from poise.model.robot import Architecture, Robot
 
 
 def move(
@@ -197,3 +202,175 @@ def _check_target(
         )
     if not run.robot.component(component).movable:
         raise UsageError(f"component '{component}' is not movable (robot file)")
+
+
+def replace_architecture(
+    run: RunningComponents,
+    architecture: str,
+    by: str,
+    adapt: str = "",
+    *,
+    fresh: bool = False,
+) -> MigrationReport:
+    """Replace a running architecture by another that provides the same function.
+
+    Parameters and errors are those of `plan_architecture_replacement`.
+    """
+    return plan_architecture_replacement(
+        run, architecture, by, adapt, fresh=fresh
+    ).run()
+
+
+def plan_architecture_replacement(
+    run: RunningComponents,
+    architecture: str,
+    by: str,
+    adapt: str = "",
+    *,
+    fresh: bool = False,
+) -> Planned:
+    """Return the replacement of an architecture by another; nothing is begun.
+
+    What waits at its ports goes to the alternative where the same source is joined to
+    both; messages that are under way within it end with it.
+
+    `fresh`: whether they begin without state; else `adapt` is needed where there is
+    any.
+    """
+    old, new = _checked(run, architecture, by)
+    if not adapt and not fresh:
+        _check_stateless(run, old)
+    where = _placement(run, old, new)
+    sources = [run.placed[component.name] for component in old.components]
+    targets = tuple(
+        Incarnation(
+            component=component.name,
+            computer=where[component.name],
+            epoch=run.next_epoch(component.name),
+            goal="inactive",
+            adapt=adapt,
+            fresh=fresh,
+            gently=True,
+        )
+        for component in new.components
+    )
+    report = MigrationReport(
+        what=architecture,
+        by=by,
+        before={each.component: each.computer for each in sources},
+        after=where,
+    )
+    return Planned(
+        run, report, targets, lambda: Migration(run, report, sources, targets).run()
+    )
+
+
+def _checked(
+    run: RunningComponents, name: str, by: str
+) -> tuple[Architecture, Architecture]:
+    old, new = _architecture(run.robot, name), _architecture(run.robot, by)
+    missing = [c.name for c in old.components if c.name not in run.placed]
+    if missing or not old.components:
+        raise UsageError(
+            f"architecture '{name}' does not run (not running: {', '.join(missing)})"
+        )
+    if new.function != old.function:
+        raise UsageError(
+            f"architecture '{by}' provides '{new.function}', not '{old.function}': "
+            f"it is no alternative to '{name}'"
+        )
+    for each in (old, new):
+        if each.layer != "sequencing":
+            raise UsageError(
+                f"architecture '{each.name}' is in the {each.layer} layer, which stays "
+                "as it is: stop the robot to change it"
+            )
+    if any(c.name in run.placed for c in new.components):
+        raise UsageError(f"architecture '{by}' runs already")
+    commands = [c.name for c in (*old.components, *new.components) if c.command]
+    if commands:
+        raise UsageError(
+            f"'{', '.join(commands)}' are command lines, which take nothing over: stop "
+            "the robot, and start it with the other architecture"
+        )
+    _check_callers(run, old, new)
+    return old, new
+
+
+def _check_stateless(run: RunningComponents, old: Architecture) -> None:
+    """Raise UsageError when a component's state would be lost."""
+    placed = {run.placed[c.name].computer for c in old.components}
+    names = {c.name for c in old.components}
+    statuses = run.agents.statuses()
+    found = components_of({c: s for c, s in statuses.items() if c in placed})
+    lost = sorted({c.name for c in found if c.has_state} & names)
+    if lost:
+        raise UsageError(
+            f"the state of '{', '.join(lost)}' would be lost: map it with --adapt, or "
+            "drop it with --fresh"
+        )
+
+
+def _check_callers(
+    run: RunningComponents, old: Architecture, new: Architecture
+) -> None:
+    """Raise UsageError when a caller of `old` could not call `new`."""
+    layout = run.layout
+    olds, news = ({c.name for c in each.components} for each in (old, new))
+    others = run.placed.keys() - olds
+    offered = {
+        layout.slot_of(connector)
+        for connector in layout.connectors({*others, *news})
+        if connector.between[1].component in news
+    }
+    calls = calling_ports(run.agents.statuses())
+    for connector in layout.connectors(run.placed):
+        source, target = connector.between
+        is_call = (source.component, source.port) in calls
+        if source.component in olds or target.component not in olds or not is_call:
+            continue
+        if layout.slot_of(connector) not in offered:
+            raise UsageError(
+                f"'{source}' calls '{target}', and is joined to nothing in "
+                f"architecture '{new.name}': add a connector to the robot file"
+            )
+
+
+def _placement(
+    run: RunningComponents, old: Architecture, new: Architecture
+) -> dict[str, str]:
+    """Return where the new components go, beside all that runs.
+
+    The old ones are still there meanwhile, but compute nothing any more when the new
+    ones begin: they need all they have but the CPU.
+    """
+    goes = {c.name for c in old.components}
+    comes = [c.name for c in new.components]
+    problem = plan.keep_components(plan.problem_of(run.robot), {*run.placed, *comes})
+    components = []
+    for component in problem.components:
+        pinned = component
+        if component.name in run.placed:
+            here = run.placed[component.name].computer
+            pinned = structs.replace(component, only=(here,))
+        if component.name in goes:
+            demand = {r: n for r, n in component.demand.items() if r != "cpu"}
+            pinned = structs.replace(pinned, demand=demand)
+        components.append(pinned)
+    problem = structs.replace(problem, components=tuple(components), architectures=())
+    result = plan.solve(problem, steps=run.solve_steps)
+    if not result.feasible:
+        raise UsageError(
+            f"architecture '{new.name}' does not fit beside what runs: {result.reason}"
+        )
+    return {name: result.placement[name] for name in comes}
+
+
+def _architecture(robot: Robot, name: str) -> Architecture:
+    with contextlib.suppress(KeyError):
+        return robot.architecture(name)
+    known = ", ".join(each.name for each in robot.architectures)
+    text = f"robot '{robot.name}' has no architecture '{name}' ({known})"
+    if name in {component.name for component in robot.components()}:
+        text += "; to swap this component, name its new class, as package.module:Class"
+    raise UsageError(text)

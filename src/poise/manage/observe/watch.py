@@ -9,8 +9,12 @@ from poise.clock import wall_time
 from poise.manage.agent_connections.statuses import Statuses
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.journal import Kind
-from poise.manage.observe.deviations import Deviation, find_deviations, find_unjoined
-from poise.manage.observe.reported_faults import FaultFilter
+from poise.manage.observe.deviations import (
+    Deviation,
+    FaultFilter,
+    find_deviations,
+    find_unjoined,
+)
 from poise.manage.observe.troubles import CodeErrors
 
 _JOIN_WITHIN = 2.0

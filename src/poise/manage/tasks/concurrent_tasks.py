@@ -1,12 +1,13 @@
-"""Several tasks at once: which of them may run now, and what runs for them. Pure.
+"""Several tasks at once: which of them may run now, and how they are. Pure.
 
 Times are given, in [s since 1970].
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 
+from msgspec import Struct
 from msgspec.structs import replace
 
 from poise.clock import wall_time_at
@@ -341,3 +342,57 @@ class Tasks:
     def _next(self) -> int:
         self.saved.number += 1
         return self.saved.number
+
+
+class ActionReport(Struct, frozen=True, kw_only=True):
+    """An action whose turn it is."""
+
+    name: str
+    functions: tuple[str, ...]  # what it uses
+    architectures: tuple[str, ...]  # what provides that now
+    worked: float  # for how long it has worked [s]
+    is_at_work: bool  # whether it works now
+
+
+class TaskReport(Struct, frozen=True, kw_only=True):
+    """A task since it was started."""
+
+    name: str
+    state: TaskState
+    priority: int
+    why: str  # what it waits for, or why it ended so; else empty
+    began: float  # when it was started, and when its state began [s since 1970]
+    since: float  # when it was started, and when its state began [s since 1970]
+    actions: tuple[ActionReport, ...] = ()  # those whose turn it is
+    next: tuple[str, ...] = ()  # the names of those that may come then
+
+
+def task_reports(
+    tasks: Tasks,
+    ahead: Collection[tuple[TaskRecord, Try, float]],
+    serving: Callable[[Try], tuple[str, ...]],
+    now: float,  # [s], by the clock of `Progress.since`
+) -> tuple[TaskReport, ...]:
+    """Return how all tasks are, the first started first."""
+    return tuple(
+        TaskReport(
+            name=record.name,
+            state=record.state,
+            priority=record.priority,
+            why=record.why,
+            began=record.began,
+            since=record.since,
+            actions=tuple(
+                ActionReport(
+                    name=each.name,
+                    functions=each.action.functions,
+                    architectures=serving(each),
+                    worked=tasks.worked(each, now),
+                    is_at_work=each.progress.since is not None,
+                )
+                for each in tasks.tries(record)
+            ),
+            next=tuple(each.name for of, each, _ in ahead if of is record),
+        )
+        for record in list(tasks.records)
+    )

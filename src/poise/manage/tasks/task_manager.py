@@ -1,11 +1,12 @@
-"""Carries out the tasks of a running robot: starts what actions need, and ends it.
+"""Carries out the tasks of a running robot: starts what actions need, and stops it.
 
-It is called by the manager's one thread. What it decides, and why, is in the journal;
-what the next manager needs to go on is with the agents.
+It is called by the manager's one thread. Decisions and their reasons are in the
+journal; agents keep the state that the next manager needs to go on.
 """
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Iterable, Mapping
 from collections.abc import Set as AbstractSet
 
@@ -14,26 +15,25 @@ from msgspec.structs import replace
 
 from poise.clock import boot_id, boot_time
 from poise.errors import PoiseError, RunError, UsageError
+from poise.manage.adaptation.policy_values import values_of
 from poise.manage.adaptation.situation import Situation
-from poise.manage.deploy.desired import Desired
-from poise.manage.deploy.incarnation import Incarnation
+from poise.manage.deploy.desired import Desired, Incarnation
 from poise.manage.deploy.running_components import RunningComponents
+from poise.manage.journal import Journal
 from poise.manage.migration.transition_run import transit
-from poise.manage.policy.subjects import values_of
-from poise.manage.prefetch.switch import Resting, switch
 from poise.manage.tasks.action_placement import (
+    Admission,
     Likely,
     PlanOverTime,
     Room,
     beyond_memory,
     likely_next,
 )
-from poise.manage.tasks.admission import Admission
 from poise.manage.tasks.component_reports import ComponentReports, Heard, Serving
-from poise.manage.tasks.concurrent_tasks import Tasks
+from poise.manage.tasks.concurrent_tasks import TaskReport, Tasks, task_reports
 from poise.manage.tasks.learned_choice import choose, conditions_of, note_ending
+from poise.manage.tasks.switch import Resting, switch
 from poise.manage.tasks.task_progress import OVER, ActionEnded, Saved, TaskRecord, Try
-from poise.manage.tasks.task_report import TaskReport, task_reports
 from poise.model.policy.condition import parse_condition
 from poise.model.policy.policy import SUBJECTS
 from poise.model.robot import Architecture
@@ -346,3 +346,46 @@ class TaskManager:
 
     def _say(self, text: str) -> None:
         self._run.journal.note("decided", text)
+
+
+def goes_on_with(run: RunningComponents, asked: Tasks, journal: Journal) -> Saved:
+    """Return the tasks that go on: those of the manager before, and those asked for.
+
+    `asked`: what this manager was to start; what runs already goes on where it was.
+    """
+    if not run.desired.tasks:
+        return asked.saved
+    note = journal.note
+    try:
+        saved = msgspec.msgpack.decode(run.desired.tasks, type=Saved)
+    except msgspec.DecodeError as error:
+        note("failed", f"the tasks of the manager before are given up: {error}")
+        return asked.saved
+    tasks = Tasks(run.robot, lambda text: note("decided", text), saved=saved)
+    for record in list(tasks.records):
+        if record.state not in OVER:
+            names = ", ".join(f"'{each.name}'" for each in tasks.tries(record))
+            note("decided", f"task '{record.name}' goes on with {names}")
+    if saved.boot != boot_id():
+        _begin_clocks(tasks, journal)
+    for record in asked.records:
+        with contextlib.suppress(UsageError):  # it goes on already
+            tasks.start(record.name, boot_time(), record.priority)
+    return tasks.saved
+
+
+def _begin_clocks(tasks: Tasks, journal: Journal) -> None:
+    """Let actions at work begin now, for another computer's clock says nothing here."""
+    now = boot_time()
+    for record in tasks.records:
+        for each in tasks.tries(record):
+            if each.progress.since is not None:
+                each.progress.since = now
+                if each.action.limit is not None:
+                    journal.note(
+                        "decided",
+                        f"action '{each.name}' of task '{record.name}' has its limit "
+                        f"of {each.action.limit:g} s from now on, less "
+                        f"{each.progress.spent:g} s: its manager ran on another "
+                        "computer, or before this one was started again",
+                    )

@@ -8,8 +8,8 @@ from pathlib import Path
 from msgspec import Struct
 
 from poise.errors import UsageError
+from poise.manage.adaptation.policies import Policies
 from poise.manage.observe.sample_recording import unpacked
-from poise.manage.policy.evaluation import Policies
 from poise.model.policy.policy import Do, Values
 from poise.model.policy.shipped import policies_of
 from poise.model.robot import Robot

@@ -13,7 +13,7 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
-from poise.manage.observe.reported_faults import combined
+from poise.manage.observe.deviations import combined
 from poise.session.render.tables import (
     chain_tables,
     clock_tables,

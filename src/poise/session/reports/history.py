@@ -7,8 +7,7 @@ from collections.abc import Mapping
 from msgspec import Struct, structs
 
 from poise.manage.agent_connections.statuses import Statuses
-from poise.manage.observe.chains import ChainAges, chain_reports
-from poise.manage.observe.deadline_misses import DeadlineMisses
+from poise.manage.observe.chains import ChainAges, DeadlineMisses, chain_reports
 from poise.model.robot import Robot
 
 MOST = 2_000

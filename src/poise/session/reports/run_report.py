@@ -20,8 +20,8 @@ from poise.manage.agent_connections.statuses import (
 from poise.manage.deploy.deactivation import unprocessed
 from poise.manage.journal import JournalEntry
 from poise.manage.observe.chains import ChainReport
-from poise.manage.observe.reported_faults import faults_after
-from poise.manage.tasks.task_report import TaskReport
+from poise.manage.observe.deviations import faults_after
+from poise.manage.tasks.concurrent_tasks import TaskReport
 from poise.session.launch.start import Started
 from poise.session.pages.picture import Hosted, picture
 from poise.session.pages.report_page import page

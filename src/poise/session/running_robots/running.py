@@ -34,8 +34,8 @@ from poise.manage.control_socket.control_client import ask
 from poise.manage.journal import JournalEntry
 from poise.manage.migration.migration_report import MigrationReport
 from poise.manage.observe.chains import ChainReport
+from poise.manage.tasks.concurrent_tasks import TaskReport
 from poise.manage.tasks.task_progress import OVER
-from poise.manage.tasks.task_report import TaskReport
 from poise.session.render.move_tables import Outcome, outcome_sentence
 from poise.session.render.printable import Printable
 from poise.session.render.status_tables import status_parts

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from msgspec import Struct
 from msgspec.structs import replace
 
-from poise.manage.prefetch.prefetch_report import PrefetchReport
+from poise.manage.tasks.prefetch_report import PrefetchReport
 from poise.model.robot import Robot
 from poise.model.tasks.steps import Prefetch
 from poise.session.callbacks import Check, Say

@@ -8,10 +8,10 @@ import msgspec
 import pytest
 
 from poise.estimate.online import Drift, Estimate
+from poise.manage.adaptation.policies import Policies, Symptom
+from poise.manage.adaptation.policy_values import values_of
 from poise.manage.adaptation.situation import Situation
 from poise.manage.observe.chains import ChainAge
-from poise.manage.policy.evaluation import Policies, Symptom
-from poise.manage.policy.subjects import values_of
 from poise.model.policy.policy import SUBJECTS, Policy, Subject
 from poise.model.policy.shipped import shipped
 from poise.wire.records.status_records import (

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from poise.manage.policy.evaluation import OwnFunction, Policies
+from poise.manage.adaptation.policies import OwnFunction, Policies
 from poise.model.policy.policy import ComputerValues, Policy, PolicyAction, Seen
 
 pytestmark = pytest.mark.slow

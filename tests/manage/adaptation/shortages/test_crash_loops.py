@@ -9,7 +9,7 @@ from msgspec.structs import replace
 
 from poise.manage.adaptation.loop import Adaptation
 from poise.manage.adaptation.situation import Situation
-from poise.manage.shortages.missing_functions import CALM
+from poise.manage.shortages.suspension import CALM
 from poise.model.robot import Architecture, ComponentEntry, Computer, Robot
 from poise.wire.records.status_records import AgentStatus, ContainerHealth, Fault
 from tests.manage.adaptation.shortages.test_put_aside import HIGH, Robbed, robot_with

@@ -8,8 +8,7 @@ import pytest
 from msgspec.structs import replace
 
 from poise.manage.adaptation.loop import Adaptation
-from poise.manage.shortages.missing_functions import Needs, missing_functions
-from poise.manage.shortages.suspension import FIRST
+from poise.manage.shortages.suspension import FIRST, Needs, missing_functions
 from poise.model.robot import Computer, Robot
 from tests.manage.adaptation.shortages.test_put_aside import (
     BOTH,

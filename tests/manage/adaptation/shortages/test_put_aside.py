@@ -10,16 +10,21 @@ from msgspec.structs import replace
 
 from poise.errors import UsageError
 from poise.manage.adaptation.decision import decide
+from poise.manage.adaptation.policies import Symptom
 from poise.manage.adaptation.responder import Responder
 from poise.manage.adaptation.situation import Situation
 from poise.manage.agent_connections.agents import Agents
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.journal import Journal
 from poise.manage.observe.estimates import Load
-from poise.manage.policy.evaluation import Symptom
 from poise.manage.shortages.failover import fail_over
-from poise.manage.shortages.missing_functions import CALM, TakeBack
-from poise.manage.shortages.suspension import FIRST, PutAside, not_running
+from poise.manage.shortages.suspension import (
+    CALM,
+    FIRST,
+    PutAside,
+    TakeBack,
+    not_running,
+)
 from poise.model.policy.policy import ComputerValues, Policy, TimerValues
 from poise.model.robot import (
     Action,

@@ -9,13 +9,13 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from poise.manage.agent_connections.statuses import components_of
-from poise.manage.deploy.incarnation import Incarnation
+from poise.manage.deploy.desired import Incarnation
 from poise.manage.deploy.running_components import RunningComponents
-from poise.manage.migration.residue import residue
+from poise.manage.migration.transition_plan import residue
 from poise.manage.observe.estimates import Load
-from poise.manage.prefetch.prefetch_report import PrefetchReport
-from poise.manage.prefetch.switch import drop, prepare
 from poise.manage.tasks.action_placement import Likely
+from poise.manage.tasks.prefetch_report import PrefetchReport
+from poise.manage.tasks.switch import drop, prepare
 from poise.model.hardware import fits
 from poise.model.robot import ComponentEntry, Robot
 from poise.units import format_amount

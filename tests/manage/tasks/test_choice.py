@@ -7,8 +7,8 @@ from collections.abc import Mapping
 import pytest
 from msgspec.structs import replace
 
-from poise.manage.prefetch.prefetch import PrefetchPlan, choose
 from poise.manage.tasks.action_placement import Likely
+from poise.manage.tasks.prefetch import PrefetchPlan, choose
 from poise.model.robot import Architecture, ComponentEntry, Computer, Device, Robot
 from poise.model.tasks.steps import Prefetch
 

@@ -17,7 +17,7 @@ from msgspec.structs import replace
 
 from poise.errors import RunError
 from poise.manage.agent_connections.statuses import components_of
-from poise.manage.deploy.incarnation import Incarnation
+from poise.manage.deploy.desired import Incarnation
 from poise.manage.deploy.running_components import (
     ACTIVE_LIMIT,
     READY_LIMIT,

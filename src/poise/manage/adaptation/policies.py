@@ -15,8 +15,8 @@ from collections.abc import Callable, Iterable, Mapping
 from msgspec import Struct, structs
 
 from poise.errors import PoiseError
-from poise.manage.policy import function_process
-from poise.manage.policy.function_process import IMPORT_LIMIT, LIMIT, FunctionAnswer
+from poise.manage.adaptation import policy_process
+from poise.manage.adaptation.policy_process import IMPORT_LIMIT, LIMIT, FunctionAnswer
 from poise.model.policy.condition import Condition, parse_condition, sentence
 from poise.model.policy.policy import (
     ACTIONS,
@@ -111,7 +111,7 @@ class OwnFunction:
         with theirs:
             words = (self._reference, self._folder, str(theirs.fileno()))
             self._process = subprocess.Popen(  # noqa: S603, our own code and Python
-                [sys.executable, "-m", function_process.__name__, *words],
+                [sys.executable, "-m", policy_process.__name__, *words],
                 stdin=subprocess.DEVNULL,
                 pass_fds=[theirs.fileno()],
                 start_new_session=True,  # Ctrl-C is for the manager

@@ -13,9 +13,9 @@ from poise.manage.deploy.deactivation import stop
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.journal import Journal
 from poise.manage.observe.estimates import Load
-from poise.manage.prefetch.prefetch import TRY_AGAIN, Prefetcher
-from poise.manage.prefetch.switch import switch
 from poise.manage.tasks.action_placement import Likely
+from poise.manage.tasks.prefetch import TRY_AGAIN, Prefetcher
+from poise.manage.tasks.switch import switch
 from poise.model.robot import Robot
 from poise.model.tasks.steps import Prefetch
 from poise.wire.records.status_records import ComponentStatus, ContainerHealth, Fault

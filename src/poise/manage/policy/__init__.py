@@ -1,1 +1,0 @@
-"""What policies see of a running robot, and which of them apply."""
