@@ -9,13 +9,7 @@ _CALM = 10.0
 
 
 class BackOff:
-    """The ends of one process.
-
-    Attributes
-    ----------
-    again_at
-        When it may be started again [s].
-    """
+    """The ends of one process, and when it may start again [s]."""
 
     def __init__(self) -> None:
         self.again_at = float("-inf")
@@ -23,14 +17,7 @@ class BackOff:
         self._ended_at = float("-inf")
 
     def note_end(self, now: float, jitter: float = 1.0) -> None:
-        """Count an end at `now` [s].
-
-        Parameters
-        ----------
-        jitter
-            A factor in [0.5, 1], so that many that broke for one reason do not come
-            back at one moment.
-        """
+        """Count an end at `now` [s]; `jitter` in [0.5, 1] spreads many over time."""
         if now - self._ended_at > _CALM:
             self._delay = 0.0
         self._ended_at = now

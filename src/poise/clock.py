@@ -1,8 +1,7 @@
 """The one seam to time: everything that waits or stamps takes a `Clock`.
 
-Two computers' clocks have nothing to do with each other. What leaves a computer with a
-time in it therefore carries a `Stamp`, which says on whose clock that was read; how
-long ago it was comes with an error.
+Two computers' clocks have nothing to do with each other: a time that leaves a computer
+is a `Stamp`, which says whose clock it is.
 """
 
 from __future__ import annotations
@@ -18,20 +17,12 @@ DRIFT = 50e-6
 
 
 def wall_time() -> float:
-    """Return the time of day [s since 1970], for records that people read.
-
-    It steps, by years on a computer whose clock has no battery. So no limit, age or
-    order may depend on it; the phase of a timer may, where any would do.
-    """
+    """Return the time of day [s since 1970], for people only: it steps, by years."""
     return time.time()  # noqa: TID251, the one place
 
 
 def boot_time() -> float:
-    """Return the time [s] since this computer was started, suspended or not.
-
-    It never steps back, and all processes of the computer read the same. So it may
-    outlive a process; the next process compares `boot_id`, too.
-    """
+    """Return the time [s] since this computer started, suspended or not."""
     return time.clock_gettime(time.CLOCK_BOOTTIME)
 
 
@@ -68,10 +59,7 @@ class Elapsed(Struct, frozen=True):
 
 
 def time_asleep() -> float:
-    """Return for how long the computer has been suspended since it started [s].
-
-    The monotonic clock stands still meanwhile, CLOCK_BOOTTIME does not.
-    """
+    """Return for how long the computer has been suspended since it started [s]."""
     # a pause between two readings makes it seem less, never more
     return max(
         time.clock_gettime(time.CLOCK_BOOTTIME) - time.monotonic() for _ in range(2)
@@ -113,16 +101,7 @@ class ComponentClock(Clock, Protocol):
 
 
 class SystemClock:
-    """The computer's monotonic clock.
-
-    On Linux all processes of one computer read the same clock, unless they are in
-    another time namespace.
-
-    Parameters
-    ----------
-    computer
-        The name that goes into stamps.
-    """
+    """The computer's monotonic clock, the same for all processes; stamps name it."""
 
     def __init__(self, computer: str = "") -> None:
         self._computer = computer

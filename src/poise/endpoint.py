@@ -1,8 +1,4 @@
-"""Hosts and TCP ports as text: `10.0.0.1`, `robot.local:7500`, `[fd00::2]:7447`.
-
-This is the only parser of such texts. An IPv6 address with a port needs brackets,
-because its own colons would hide where the port begins.
-"""
+"""Hosts and TCP ports as text: `10.0.0.1`, `robot.local:7500`, `[fd00::2]:7447`."""
 
 from __future__ import annotations
 
@@ -32,13 +28,7 @@ class Endpoint(Struct, frozen=True):
 
     @classmethod
     def parse(cls, text: str, port: int = AGENT_PORT) -> Self:
-        """Return the endpoint in `text`; `port` is used when it gives none.
-
-        Raises
-        ------
-        ValueError
-            It gives none. The message names the fault and the accepted forms.
-        """
+        """Return the endpoint in `text`, by default at `port`."""
         if bracketed := _BRACKETED.fullmatch(text):
             host, given = bracketed["host"], bracketed["port"]
             fault = "" if ":" in host else "only IPv6 addresses take brackets"

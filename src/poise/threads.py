@@ -1,9 +1,4 @@
-"""Threads whose failures are known.
-
-Python prints the exception that ends a thread, and goes on without the thread. Here the
-program that owns the threads hears of it, and a thread whose work must go on is started
-again.
-"""
+"""Threads whose failures are reported, and whose work goes on after a failure."""
 
 from __future__ import annotations
 
@@ -25,24 +20,13 @@ Hook = Callable[[threading.ExceptHookArgs], object]
 
 
 def hear_failures(report: Callable[[str, BaseException], object]) -> None:
-    """Let a program hear of the exceptions that end threads of its process.
-
-    It hears of all threads, also those that libraries started. The last call counts.
-
-    Parameters
-    ----------
-    report
-        Called on the thread, with its name and the exception; must not block.
-    """
+    """Report exceptions that end any thread of this process; the last call counts."""
     threading.excepthook = _hook(report)
 
 
 @contextlib.contextmanager
 def failures_heard(report: Callable[[str, BaseException], object]) -> Iterator[None]:
-    """Hear of them inside the ``with`` block, as `hear_failures` does.
-
-    The process is another's: what it has installed itself hears of them, too.
-    """
+    """Report them inside the ``with`` block, beside what the process has installed."""
     before = threading.excepthook
     is_default = before is threading.__excepthook__  # it prints what the log has
     mine = threading.excepthook = _hook(report, None if is_default else before)
@@ -73,13 +57,7 @@ def _hook(
 
 
 class Failures:
-    """The failures of a program's threads, for its status.
-
-    Parameters
-    ----------
-    program
-        Whose threads, for people.
-    """
+    """The failures of a program's threads, for its status."""
 
     def __init__(self, program: str) -> None:
         self._program = program
@@ -99,18 +77,7 @@ class Failures:
 def daemon(
     work: Callable[..., object], name: str, *args: object, again: bool = False
 ) -> threading.Thread:
-    """Return a thread, which is to be started, that ends with the process.
-
-    Parameters
-    ----------
-    name
-        What it does, for reports of its failure.
-    args
-        Of `work`.
-    again
-        Whether to do the work again after an exception, with a delay that grows to
-        some seconds. Each one is reported.
-    """
+    """Return a thread that ends with the process; `again`: its work is repeated."""
     target = keep_at if again else work
     given = (work, *args) if again else args
     return threading.Thread(target=target, name=name, args=given, daemon=True)

@@ -1,7 +1,4 @@
-"""Checks the code that a robot file names, and its fit to the file.
-
-The code is imported, so this is a second step after `poise.model.load`.
-"""
+"""Checks the code that a robot file names, and its fit to the file."""
 
 from __future__ import annotations
 
@@ -55,19 +52,7 @@ def check_code(
     skipped: AbstractSet[str] = frozenset(),
     begin: Callable[[str], None] = lambda _: None,
 ) -> list[Finding]:
-    """Return every problem between `robot` and its code.
-
-    Imports every implementation, in this process (see `check_code_isolated`). Faulty
-    code of a component gives one finding, and its connectors are not checked.
-
-    Parameters
-    ----------
-    skipped
-        Components whose code is not imported.
-    begin
-        Called with the name of each component before its code is imported, and with an
-        empty name after the last.
-    """
+    """Return every problem between `robot` and its code, which is imported here."""
     search_also(robot.repository)
     findings: list[Finding] = []
     known: _Known = {}
@@ -106,13 +91,7 @@ def check_code(
 
 
 def code_of(entry: ComponentEntry, folder: str) -> ComponentCode:
-    """Return what the class of a component declares.
-
-    Raises
-    ------
-    PoiseError
-        Its code cannot be imported, or is none of a component.
-    """
+    """Return what the class of a component declares."""
     code = find(entry.implementation, folder)
     ports, timers = ports_of(code), timers_of(code)
     handlers = {name: [name] for name in timers} | {

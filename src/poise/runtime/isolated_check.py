@@ -1,8 +1,7 @@
 """Checks a robot's code in a child process: importing it may end, crash or hang.
 
-The child gets the robot on stdin and answers on a pipe of its own: the name of each
-component before its code is imported, and all findings at the end. So the parent knows
-which component ended the child, and another child checks the others.
+The child names each component before it imports its code, so the parent knows which one
+ended it, and another child checks the others.
 """
 
 from __future__ import annotations
@@ -58,22 +57,7 @@ def check_code_isolated(
     limit: float = IMPORT_LIMIT,
     meanwhile: Callable[[], object] = lambda: None,
 ) -> CheckedCode:
-    """Return what `check_code` finds, and code that ends, crashes or hangs its process.
-
-    What the code prints goes to stderr.
-
-    Parameters
-    ----------
-    limit
-        How long the code of one component may take to be imported [s].
-    meanwhile
-        Called while the child is at work; again when another one is needed.
-
-    Raises
-    ------
-    RunError
-        The child ended for a reason of its own.
-    """
+    """Return `check_code`'s findings, and code that ends, crashes or hangs."""
     fatal: dict[str, Finding] = {}
     while isinstance(result := _check(robot, fatal, limit, meanwhile), _Death):
         blamed = _blamed(robot, result)

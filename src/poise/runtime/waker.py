@@ -14,10 +14,7 @@ _POLL = 0.001
 
 
 class Waker:
-    """Wakes a thread that waits, from another thread or a signal handler.
-
-    A pipe: wait for it to be readable, then `clear` it.
-    """
+    """Wakes a thread that waits for a pipe to be readable; then `clear` it."""
 
     def __init__(self) -> None:
         self._out, self._in = os.pipe()
@@ -50,10 +47,7 @@ class Waker:
 
 
 def wait_readable(fds: Iterable[int], limit: float | None) -> set[int]:
-    """Wait up to `limit` [s] and return the descriptors that have something to read.
-
-    The end of a file, or an error, counts as something to read. None: no limit.
-    """
+    """Wait up to `limit` [s; None: for ever] and return the readable descriptors."""
     # not select(): it refuses descriptors of 1024 and more
     poll = select.poll()
     for fd in fds:
@@ -71,13 +65,7 @@ def is_writable(fd: int) -> bool:
 
 
 def poll_until(holds: Callable[[], bool], deadline: float, late: str) -> None:
-    """Wait for what nobody tells; raise Timeout, which says `late`, at `deadline`.
-
-    Parameters
-    ----------
-    deadline
-        [s, monotonic]
-    """
+    """Wait for what nobody reports; Timeout, which says `late`, at `deadline` [s]."""
     while not holds():
         if time.monotonic() > deadline:
             raise Timeout(late)

@@ -18,28 +18,15 @@ _CONTAINER = re.compile(r"[\w.-]+")
 
 
 class Address(Struct, frozen=True):
-    """The address of a container.
+    """The address of a container."""
 
-    Parameters
-    ----------
-    container
-        Its name.
-    gateway
-        The gateway of its computer; None: it is on this computer.
-    """
-
-    container: str
+    container: str  # Its name
+    # The gateway of its computer; None: it is on this computer
     gateway: Endpoint | None = None
 
     @classmethod
     def parse(cls, text: str) -> Self:
-        """Return the address that `str` gives as `text`.
-
-        Raises
-        ------
-        WireError
-            It is not an address.
-        """
+        """Return the address that `str` gives as `text`."""
         before, slash, container = text.rpartition("/")
         if _CONTAINER.fullmatch(container):
             if not slash:
@@ -65,13 +52,7 @@ def family_of(host: str) -> socket.AddressFamily:
 
 
 def tune(connection: socket.socket) -> None:
-    """Make a TCP connection send at once, and end when its other end is silent.
-
-    An idle connection ends after `LOST_AFTER`, a second later at most; a busy one is
-    watched by its user (`poise.wire.connections.connection`). TCP's own limit would
-    also end a connection to a process that pauses reading, and lose what was sent. The
-    settings of a listening socket hold for the connections that it accepts.
-    """
+    """Make TCP send at once, and end when silent for `LOST_AFTER`."""
     seconds = int(LOST_AFTER)
     for level, option, value in (
         (socket.IPPROTO_TCP, socket.TCP_NODELAY, 1),

@@ -1,12 +1,8 @@
 """Values to bytes and back: msgpack with declared types, arrays as raw buffers.
 
-A value becomes a *body* (msgpack) and a list of *buffers*, the memory of its arrays,
-which are neither copied nor serialised. In the body an array is an extension that
-holds its dtype, its shape and its offset in the buffers laid end to end, each padded
-to `ALIGNMENT` bytes. Decoding yields read-only views on the received bytes.
-
-Nothing is ever executed: no pickle, no object arrays, and the receiver's declared type
-decides what is accepted.
+In the body an array is an extension with its dtype, its shape and its offset in the
+buffers laid end to end, each padded to `ALIGNMENT` bytes; nothing copies it. Nothing is
+executed: no pickle, no object arrays, and the declared type decides what is accepted.
 """
 
 from __future__ import annotations
@@ -62,15 +58,7 @@ _here = _Here()
 
 
 class Codec(Generic[T]):
-    """Encodes and decodes values of one type.
-
-    Parameters
-    ----------
-    type_
-        Any type that msgspec knows, with NumPy arrays anywhere inside.
-    name
-        What errors call its values; empty: as their type.
-    """
+    """Encodes and decodes values of one type."""
 
     def __init__(self, type_: Any, name: str = "") -> None:  # noqa: ANN401, any type
         self.type = type_
@@ -83,13 +71,7 @@ class Codec(Generic[T]):
         ).decode
 
     def encode(self, value: T) -> tuple[bytes, list[memoryview]]:
-        """Return the body and the buffers of `value`.
-
-        Raises
-        ------
-        WireError
-            When `value` holds something that no wire carries.
-        """
+        """Return the body and the buffers of `value`."""
         try:
             if not self._has_arrays:
                 return self._encode(value), []
@@ -108,13 +90,7 @@ class Codec(Generic[T]):
         return len(body) + sum(buffer.nbytes for buffer in buffers)
 
     def decode(self, body: Bytes, buffers: memoryview) -> T:
-        """Return the value; its arrays are read-only views on `buffers`.
-
-        Raises
-        ------
-        WireError
-            When the bytes are not a value of the declared type.
-        """
+        """Return the value; its arrays are read-only views on `buffers`."""
         try:
             if not self._has_arrays:
                 return self._decode(body)  # type: ignore[no-any-return]
@@ -151,10 +127,7 @@ def _plain(value: Any) -> Any:  # noqa: ANN401, msgspec's hook
 
 @cache
 def _numpy() -> ModuleType:
-    """Return NumPy, which is imported only where users' arrays are.
-
-    An import statement costs more than all else that is done with a small array.
-    """
+    """Return NumPy; an import statement costs more than all else with a small array."""
     import numpy as np  # noqa: PLC0415, see above
 
     return np

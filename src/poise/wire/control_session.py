@@ -27,20 +27,7 @@ def open_session(
     connect: Sequence[str] = (),
     lease: float = 10.0,
 ) -> zenoh.Session:
-    """Open a zenoh session as a peer that connects only to given peers.
-
-    Parameters
-    ----------
-    listen, connect
-        zenoh endpoints, such as ``tcp/10.0.0.2:7447``.
-    lease
-        A link without traffic for this time is lost [s].
-
-    Raises
-    ------
-    RunError
-        It cannot listen on an address: not this computer's, or in use.
-    """
+    """Open a zenoh session as a peer that connects only to given peers."""
     settings = {
         "mode": "peer",
         "listen/endpoints": list(listen),
@@ -76,10 +63,10 @@ def open_session(
 
 
 def _close_without_waiting(event: zenoh.LinkEvent) -> None:
-    """Let the kernel close a link in the background, even when its peer is cut off.
+    """Let the kernel close links in the background.
 
-    zenoh sets SO_LINGER to 10 s and closes links on the threads that receive from all
-    peers. With one peer cut off, nothing came from the others for up to 10 s.
+    zenoh closes them with SO_LINGER of 10 s on the threads that receive from all peers:
+    one peer that is cut off would silence all others.
     """
     if event.kind == zenoh.SampleKind.PUT:
         for link in _sockets(event.link):

@@ -64,18 +64,7 @@ FAILURE: Codec[tuple[str, str, str]] = Codec(tuple[str, str, str])
 
 
 class Frame(Struct, frozen=True):
-    """A received frame; nothing else writes to its body and its buffers.
-
-    Parameters
-    ----------
-    size
-        As `size_of` returned it where it was sent [bytes].
-    age
-        The time when it was parsed, less the time when it was sent [s], each on its own
-        computer's clock.
-    came
-        When it was parsed [s, on this computer's monotonic clock].
-    """
+    """A received frame; nothing else writes to its body and its buffers."""
 
     kind: Kind
     tag: int
@@ -83,9 +72,11 @@ class Frame(Struct, frozen=True):
     chain: int
     body: Bytes
     buffers: memoryview
-    size: int
+    size: int  # As `size_of` returned it where it was sent [bytes]
+    # The time when it was parsed, less the time when it was sent [s], each on its own
+    # computer's clock
     age: float
-    came: float
+    came: float  # When it was parsed [s, on this computer's monotonic clock]
 
     def value(self, codec: Codec[Any]) -> Any:  # noqa: ANN401, what the codec decodes
         """Return the decoded value; WireError when it is not of the codec's type."""

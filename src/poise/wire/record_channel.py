@@ -1,9 +1,4 @@
-"""Records between two programs of one computer, over a socket.
-
-Each record is the body of a frame, and the framing is that of all stream sockets
-(`poise.wire.connections.connection`). The control socket of a container, the zygote's
-and the control server's speak this way.
-"""
+"""Records between two programs of one computer: frames over a stream socket."""
 
 from __future__ import annotations
 
@@ -26,48 +21,19 @@ _PIECE = 1 << 20
 
 
 def send(connection: socket.socket, record: Struct) -> None:
-    """Send a record over a stream socket.
-
-    Raises
-    ------
-    WireError
-        The record is too large; nothing was sent.
-    Timeout
-        The other end did not take it within `LIMIT`. Part of it may have been sent: the
-        connection must be closed.
-    Unavailable
-        The other end is gone.
-    """
+    """Send a record over a stream socket, within `LIMIT`; after Timeout close it."""
     _channel_of(connection).send(_pieces(record), time.monotonic() + LIMIT, LARGEST)
 
 
 def receive(connection: socket.socket, type_: Any) -> Any:  # noqa: ANN401, as `unpack`
-    """Return the next record from a stream socket; it is of `type_`.
-
-    Raises
-    ------
-    Timeout
-        Not all of it came within `LIMIT`; the connection must be closed.
-    Unavailable
-        The other end is gone.
-    WireError
-        It is not a record of `type_`.
-    """
+    """Return the next record of `type_` from a stream socket, within `LIMIT`."""
     return _record(receive_frame(connection, time.monotonic() + LIMIT), type_)
 
 
 def receive_frame(
     connection: socket.socket, deadline: float, largest: int = LARGEST
 ) -> Frame:
-    """Return the next frame, and read nothing behind it; raises as `receive`.
-
-    Parameters
-    ----------
-    deadline
-        [s, monotonic]
-    largest
-        A larger frame is refused [bytes].
-    """
+    """Return the next frame until `deadline` [s], and read nothing behind it."""
     received = _channel_of(connection).receive(deadline, largest, {})
     if not isinstance(received, Frame):
         raise Unreadable("a frame with shared memory, which is not for this socket")
@@ -82,15 +48,7 @@ class RecordReader:
         self._data = bytearray()
 
     def next(self, type_: Any) -> Any:  # noqa: ANN401, as `unpack`
-        """Return the next record, or None when not all of it has come yet.
-
-        Raises
-        ------
-        Unavailable
-            The other end is gone.
-        WireError
-            It is not a record of `type_`.
-        """
+        """Return the next record, or None when not all of it has come yet."""
         while missing := self._missing():
             try:
                 data = self._connection.recv(min(missing, _PIECE), socket.MSG_DONTWAIT)

@@ -1,10 +1,8 @@
 """The agent: on each computer, the program that runs its containers.
 
-It owns sockets, files, signals and the zenoh session, and tells its core what happens;
-the core decides (`AgentCore`). When the manager is gone the containers go on. When the
-agent is killed, or ends by an error of its own, they go on, too, and the next agent in
-the same folder adopts them. They end with it by a signal, or at the end of its
-lifeline. One thread owns all of this; zenoh's threads only queue requests.
+It owns sockets, files, signals and the zenoh session; `AgentCore` decides. Containers
+survive its crash, and the next agent in the same folder adopts them. One thread owns
+all of this; zenoh's threads only queue requests.
 """
 
 from __future__ import annotations
@@ -64,19 +62,7 @@ _ENDING_EVERY = 0.1
 
 
 class Agent:
-    """Runs the containers of one computer.
-
-    Parameters
-    ----------
-    say
-        Called with a sentence when it has begun to listen, and when a manager comes or
-        goes; on the agent's own thread.
-
-    Raises
-    ------
-    UsageError
-        The path of the folder is too long for sockets in it, or another agent uses it.
-    """
+    """Runs the containers of one computer."""
 
     def __init__(self, setup: AgentSetup, say: Callable[[str], object]) -> None:
         self._setup = setup
@@ -105,16 +91,7 @@ class Agent:
         self._inbox: AgentInbox
 
     def run(self) -> None:
-        """Work until asked to end by a signal or by the end of the lifeline.
-
-        Raises
-        ------
-        RunError
-            It cannot listen at its address.
-        Exception
-            An error of Poise that no part of the agent could be blamed for: the
-            containers go on, and wait for the next agent.
-        """
+        """Work until a signal or the end of the lifeline."""
         for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
             if signal.getsignal(number) != signal.SIG_IGN:  # as under `nohup`
                 signal.signal(number, self._on_signal)

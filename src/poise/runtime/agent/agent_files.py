@@ -1,11 +1,7 @@
 """Reads and writes the folder of an agent, on a thread of its own.
 
-A container writes each checkpoint into the agent's folder. A thread of the agent sends
-those that changed to the manager, which keeps the last: so they outlive the container
-and the computer.
-
-A disk may not answer for seconds. The agent and its containers go on meanwhile, and its
-status says so.
+A disk may not answer for seconds; the agent and its containers go on meanwhile. A
+thread sends changed checkpoints to the manager, so that they outlive the computer.
 """
 
 from __future__ import annotations
@@ -39,13 +35,7 @@ log = logging.getLogger(__name__)
 
 
 class AgentFolder:
-    """The folder of an agent, which one process uses at a time.
-
-    Raises
-    ------
-    UsageError
-        Another agent uses it.
-    """
+    """The folder of an agent; UsageError when another process uses it."""
 
     def __init__(self, folder: Path) -> None:
         self._path = folder / "state"
@@ -105,13 +95,7 @@ _JOIN_LIMIT = 1.0
 
 
 class CheckpointFiles:
-    """The checkpoints in the folder of an agent.
-
-    Parameters
-    ----------
-    send
-        Sends a copy to the manager; called on a thread of its own.
-    """
+    """The checkpoints in the folder of an agent."""
 
     def __init__(self, folder: Path, send: Callable[[CheckpointCopy], object]) -> None:
         self._folder = folder
@@ -201,13 +185,7 @@ _NOTHING = Deployment(generation=0, containers=())
 
 
 class DiskThread:
-    """The `AgentDisk` of a real computer.
-
-    Parameters
-    ----------
-    path, folder
-        The folder, and what is kept in it for the next agent.
-    """
+    """The `AgentDisk` of a real computer."""
 
     def __init__(
         self,

@@ -1,8 +1,7 @@
 """What an agent decides. It reaches the world through its `Surroundings` alone.
 
-The agent tells it what happened, on one thread, and calls `tick` after that and at
-`moment`. An error in one part of a tick, in one request or in what concerns one
-container is shown in the status and stops nothing else (`SupervisedParts`).
+An error in one part of a tick, in one request or about one container is shown in the
+status and stops nothing else (`SupervisedParts`).
 """
 
 from __future__ import annotations
@@ -59,18 +58,7 @@ class _Part(NamedTuple):
 
 
 class AgentCore:
-    """The logic of the agent of one computer.
-
-    Parameters
-    ----------
-    left
-        What an agent before it, which was killed, has kept.
-
-    Attributes
-    ----------
-    is_ready
-        Whether managers may see the agent: what an earlier one left is known.
-    """
+    """The logic of the agent of one computer."""
 
     def __init__(
         self, setup: AgentSetup, world: Surroundings, left: AgentState
@@ -150,13 +138,7 @@ class AgentCore:
             self.supervised.attempt("steps", self._relay.end, outcome)
 
     def on_deaf(self, container: str, why: str) -> None:
-        """Kill a container that cannot be understood, or that closed its connection.
-
-        Parameters
-        ----------
-        why
-            What is wrong with what it says; empty: it closed its connection.
-        """
+        """Kill a container that cannot be understood, or that closed its connection."""
         self._about(container, self.supervisor.note_deaf, container, why)
 
     def on_born(self, container: str, pid: int) -> None:
@@ -188,11 +170,7 @@ class AgentCore:
                 self._about(process.name, self._world.adoption.watch, process.pid)
 
     def tick(self) -> None:
-        """Do what is due; harmless when nothing is.
-
-        What containers say every half a second, though nothing has changed, waits for
-        the next status.
-        """
+        """Do what is due; harmless when nothing is."""
         is_idle = self.is_ready and not self._has_news and self._end_limit == inf
         if is_idle and self._clock.now() < self._due:
             return
@@ -330,11 +308,7 @@ class AgentCore:
             self._reports.note(self._last, self.fence.arrivals)
 
     def _knows_containers(self) -> bool:
-        """Return whether all that an earlier agent left have said how they are.
-
-        Before, a manager would take what runs for gone. It waits no longer than
-        `ADOPT_LIMIT`.
-        """
+        """Return whether all that an earlier agent left have reported, or could."""
         processes = self.supervisor.processes.values()
         is_settled = self._world.adoption.is_settled()
         is_known = is_settled and all(process.status for process in processes)

@@ -1,12 +1,10 @@
 """Which manager an agent obeys, and until when its leased components may be active.
 
-While an agent is cut off, its manager may start its components elsewhere. So an agent
-holds a lease, which heartbeats extend: of its manager, or of another agent that hears
-the manager. Without either it goes on only while all other agents hear it: then the
-manager reaches none of them, and can have started nothing there.
-
-What counts is when that was *sent* which the others have heard. An agent that was
-stalled finds old heartbeats when it goes on, and extends nothing by them.
+While an agent is cut off, its manager may start its components elsewhere. So it holds a
+lease, which heartbeats extend: of its manager, or of an agent that hears the manager.
+Without either it goes on only while all other agents hear it: then the manager reaches
+none of them, and can have started nothing there. The lease counts from when a heartbeat
+was *sent*, so an agent that was stalled extends nothing by old ones.
 """
 
 from __future__ import annotations
@@ -23,34 +21,9 @@ from poise.wire.records.request_records import Claim, ManagerId, Refused
 class Fence:
     """The manager that claimed an agent last, while no later one succeeds it.
 
-    A manager is succeeded only once its liveliness token is gone, or by one that is to
-    take over; and only by one with a higher fencing token. What the earlier one still
-    sends is refused from then on.
-
-    Parameters
-    ----------
-    robot, computer
-        The agent's, for messages.
-    wake
-        Called when there is something for `look`, on any thread; must not block.
-    say
-        Called by `look` with a sentence when a manager comes or goes.
-    manager, token
-        What an agent before it obeyed. That manager counts as gone until its
-        liveliness token is seen.
-    wall
-        Returns the time [s since 1970].
-
-    Attributes
-    ----------
-    arrivals
-        How many managers have come.
-    is_cut_off
-        Whether the lease has ended, and no manager has said since what runs elsewhere.
-    cut_off
-        Since when `look` knows that [s since 1970]; 0: it is not so.
-    unmanaged
-        Since when `look` knows of no manager that is there [s since 1970]; 0: one is.
+    A later one has a higher fencing token, and succeeds when the earlier one's
+    liveliness token is gone, or to take over. What the earlier one still sends is
+    refused.
     """
 
     def __init__(
@@ -121,22 +94,12 @@ class Fence:
         self.cut_off = self.cut_off or self._wall()
 
     def succeeds(self, key: str) -> bool:
-        """Return whether no other manager than this one can be at work.
-
-        One that may be only cut off may start elsewhere what runs here.
-        """
+        """Return whether no other manager than this one can be at work."""
         before = self.manager
         return before is None or before.key == key or before.key in self._ended
 
     def note_liveliness(self, key: str, *, is_there: bool, has_ended: bool) -> None:
-        """Note that a manager's liveliness token came or went; from any thread.
-
-        Parameters
-        ----------
-        has_ended
-            Whether that manager has surely ended, when its token went; else it may
-            only be cut off.
-        """
+        """Note that a manager's liveliness token came or went; from any thread."""
         if is_there:
             self._gone.discard(key)
             self._ended.discard(key)
@@ -152,10 +115,7 @@ class Fence:
         self._ended.discard(key)
 
     def claim(self, claim: Claim, token: int) -> Refused | None:
-        """Obey a manager from now on; return why not.
-
-        It must take over from the manager that is obeyed, unless that one is gone.
-        """
+        """Obey a manager from now on, and return ''; else return why not."""
         before = self.manager
         is_same = before is not None and before.key == claim.manager.key
         is_free = before is None or is_same or before.key in self._gone
@@ -182,13 +142,7 @@ class Fence:
 
 
 class Lease:
-    """The lease of one agent.
-
-    Parameters
-    ----------
-    contacts
-        Whom the agent hears.
-    """
+    """The lease of one agent."""
 
     def __init__(self, contacts: Contacts) -> None:
         self._contacts = contacts
@@ -199,16 +153,7 @@ class Lease:
     def begin(
         self, others: Collection[str], manager: str, began: float | None = None
     ) -> None:
-        """Be claimed by a manager that knows these other agents of the robot.
-
-        Parameters
-        ----------
-        manager
-            Its key. Agents that obey another one say nothing of this one's lease.
-        began
-            When it was extended, while the manager has heard nothing [s]; None: when
-            the manager is heard first.
-        """
+        """Be claimed by a manager that knows these other agents, at a moment [s]."""
         self._others, self._manager = others, manager
         self._began = began
 
@@ -239,13 +184,7 @@ class Lease:
         return min([direct, *ages, self._unheard(now)])
 
     def until(self, now: float, age: float | None = None) -> float:
-        """Return when it ends, for all that is known at `now` [s].
-
-        Parameters
-        ----------
-        age
-            What `age` says of that moment [s]; None: it is worked out.
-        """
+        """Return when it ends, for all that is known at `now` [s]."""
         return now - (self.age(now) if age is None else age) + LEASE
 
     def revoked(self) -> Mapping[str, int]:
@@ -254,10 +193,7 @@ class Lease:
         return manager.last.revoked if manager is not None else {}
 
     def is_revoked(self, computer: str, token: int) -> bool:
-        """Return whether the manager or another agent says so of a token.
-
-        A token grows by one when its lease ends.
-        """
+        """Return whether the manager or another agent revoked a token."""
         for name in (MANAGER, *self._others):
             side = self._contacts.get(name)
             revoked = side.last.revoked if side is not None else {}

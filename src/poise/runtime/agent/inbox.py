@@ -31,13 +31,7 @@ T = TypeVar("T")
 
 
 class SupervisedParts:
-    """Runs the parts of an agent's work.
-
-    Parameters
-    ----------
-    wall
-        Returns the time [s since 1970], for people.
-    """
+    """Runs the parts of an agent's work."""
 
     def __init__(self, clock: Clock, wall: Callable[[], float]) -> None:
         self._clock = clock
@@ -95,19 +89,7 @@ _MOST = 100
 
 
 class AgentInbox:
-    """What waits for an agent's thread, which does it in order.
-
-    Parameters
-    ----------
-    computer
-        The agent's.
-    attend
-        Attends to a request, and answers it.
-    wake
-        Called when something waits, on any thread; must not block.
-    supervised
-        Does what waits.
-    """
+    """What waits for an agent's thread, which does it in order."""
 
     def __init__(
         self,

@@ -14,18 +14,7 @@ _MISSES_EVERY = 0.2
 
 
 class StatusReports:
-    """Publishes an agent's status.
-
-    Parameters
-    ----------
-    first
-        What is known already.
-
-    Attributes
-    ----------
-    due
-        When the next one goes out at the latest [s].
-    """
+    """Publishes an agent's status."""
 
     def __init__(
         self, publish: Callable[[AgentStatus], object], clock: Clock, first: AgentStatus
@@ -37,13 +26,7 @@ class StatusReports:
         self.due = 0.0
 
     def note(self, status: AgentStatus, arrivals: int) -> None:
-        """Publish a status if it says something new, or if it is due.
-
-        Parameters
-        ----------
-        arrivals
-            How many managers have come: one that came waits for it.
-        """
+        """Publish a status if it says something new, or if it is due."""
         seen = arrivals, status.states
         if status.missed != self._missed:
             self.due = min(self.due, self._sent + _MISSES_EVERY)

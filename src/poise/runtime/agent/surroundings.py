@@ -1,8 +1,7 @@
 """What an agent's logic needs of the world: time, processes, disk and network.
 
-`AgentCore` decides, and reaches the world through these Protocols alone. The agent
-gives it the real one; a simulator gives it a modelled one in virtual time. All methods
-are called on the agent's own thread and return soon, unless said otherwise.
+The agent gives `AgentCore` the real one; a simulator a modelled one in virtual time.
+All methods are called on the agent's own thread and return soon, unless said otherwise.
 """
 
 from __future__ import annotations
@@ -33,59 +32,34 @@ BROKEN = os.EX_SOFTWARE
 
 
 class AgentSetup(Struct, frozen=True, kw_only=True):
-    """Where an agent is and whom it knows.
-
-    Parameters
-    ----------
-    robot, computer
-        Names.
-    address
-        IP address on which it and its containers listen.
-    port
-        TCP port of the agent.
-    gateway
-        TCP port for connections from other computers to its containers; 0: a free one.
-    folder
-        A folder of its own for sockets; the same one when it is started again.
-    lifeline
-        A file descriptor at whose end of file the agent ends; None: it runs on.
-    lease
-        Who is silent for this time [s] is lost.
-    sample_every
-        How often it tells what its containers count [s]; 0: never.
-    """
+    """Where an agent is and whom it knows."""
 
     robot: str
     computer: str
-    address: str
-    port: int = 7447
+    address: str  # IP address on which it and its containers listen
+    port: int = 7447  # TCP port of the agent
+    # TCP port for connections from other computers to its containers; 0: a free one
     gateway: int = 0
+    # A folder of its own for sockets; the same one when it is started again
     folder: str
+    # A file descriptor at whose end of file the agent ends; None: it runs on
     lifeline: int | None = None
-    lease: float = LEASE
+    lease: float = LEASE  # Who is silent for this time [s] is lost
+    # How often it tells what its containers count [s]; 0: never
     sample_every: float = SAMPLE_EVERY
 
 
 class AgentState(Struct, frozen=True, kw_only=True):
-    """What an agent must know after it was killed.
+    """What an agent must know after it was killed."""
 
-    Parameters
-    ----------
-    gateway
-        Its IP address and TCP port.
-    agents, is_leased
-        With whom it exchanges heartbeats, as in `Claim`.
-    boot
-        When the computer has started since, nothing of it holds.
-    """
-
-    gateway: str = ""
+    gateway: str = ""  # Its IP address and TCP port
     manager: ManagerId | None = None
     token: int = 0
     wanted: Deployment | None = None
+    # With whom it exchanges heartbeats, as in `Claim`
     agents: Mapping[str, str] = {}
     is_leased: bool = False
-    boot: str = ""
+    boot: str = ""  # When the computer has started since, nothing of it holds
     protocol: int = PROTOCOL
 
 
@@ -100,32 +74,16 @@ class ContainerControl(Protocol):
         """Take note of its process; OSError or RuntimeError: no memory is free."""
 
     def send(self, record: ToContainer) -> None:
-        """Tell it something; may wait up to `poise.wire.record_channel.LIMIT`.
-
-        Raises
-        ------
-        Timeout
-            It does not read.
-        Unavailable
-            It is gone.
-        WireError
-            The record is too large.
-        """
+        """Send it a record; may wait up to `poise.wire.record_channel.LIMIT`."""
 
     def signal(self, number: Signals) -> None:
         """Send its process a signal; harmless when that has ended."""
 
     def extend_lease(self, until: float) -> None:
-        """Let its leased components act until then [s, CLOCK_BOOTTIME].
-
-        Called from any thread; without effect before it is born.
-        """
+        """Let its leased components act until then [s, boot time]; any thread."""
 
     def is_lease_past(self) -> bool:
-        """Return whether its leased components may not act any more, or not yet.
-
-        OSError or RuntimeError: no memory is free.
-        """
+        """Return whether its leased components may not act any more, or not yet."""
 
     def heartbeat(self) -> int | None:
         """Return how often its control thread has run; None before it is born."""
@@ -142,15 +100,7 @@ class ContainerHost(Protocol):
         """What gives containers their CPU weights, as in `AgentStatus`."""
 
     def start(self, spec: ContainerSpec) -> ContainerControl:
-        """Begin to start a container; its birth and its end are told to the core.
-
-        Raises
-        ------
-        Unavailable
-            No container can be started any more.
-        OSError
-            It cannot be started now.
-        """
+        """Begin to start a container; its birth and end are reported to the core."""
 
     def settle(self, spec: ContainerSpec, pid: int) -> None:
         """Give a process what its container is to have of the CPU and the memory."""
@@ -162,10 +112,7 @@ class ContainerHost(Protocol):
         """Take note of processes that the kernel killed until `now` [s]."""
 
     def explain_kill(self, now: float) -> str:
-        """Return why the kernel killed a process lately; empty: it killed none.
-
-        A kill explains one end.
-        """
+        """Return why the kernel killed a process lately; each kill explains one end."""
 
 
 class LeftContainers(Protocol):
@@ -236,50 +183,32 @@ NextBeat = Callable[[], tuple[Heartbeat, float]]
 
 
 class Surroundings(Struct, frozen=True, kw_only=True):
-    """All that an agent's logic is given of the world.
-
-    Parameters
-    ----------
-    wall
-        Returns the time [s since 1970]; for records that people read.
-    asleep
-        Returns for how long the computer has been suspended in all [s]: `clock` stands
-        still meanwhile.
-    random
-        Spreads restarts over time.
-    say
-        Called with a sentence when a manager comes or goes.
-    publish
-        Sends a status to all managers.
-    appear
-        Lets managers see the agent, just before the first status.
-    wake
-        Lets `AgentCore.tick` be called soon; from any thread, never blocks.
-    heartbeats
-        Opens the transport of heartbeats; None: there is none.
-    usage, cpu
-        What the agent and the containers use, and the agent's CPU time so far [s].
-    gateway, gateway_trouble
-        Its address, and why it accepts no connection; empty: it does.
-    pid, key
-        The agent's process, and a text that no other start of an agent has.
-    """
+    """All that an agent's logic is given of the world."""
 
     clock: Clock
+    # Returns the time [s since 1970]; for records that people read
     wall: Callable[[], float]
+    # Returns for how long the computer has been suspended in all [s]: `clock` stands
+    # still meanwhile
     asleep: Callable[[], float]
-    random: Random
-    say: Callable[[str], object]
-    publish: Callable[[AgentStatus], object]
+    random: Random  # Spreads restarts over time
+    say: Callable[[str], object]  # Called with a sentence when a manager comes or goes
+    publish: Callable[[AgentStatus], object]  # Sends a status to all managers
+    # Lets managers see the agent, just before the first status
     appear: Callable[[], object]
+    # Lets `AgentCore.tick` be called soon; from any thread, never blocks
     wake: Callable[[], None]
     host: ContainerHost
     adoption: LeftContainers
     disk: AgentDisk
+    # Opens the transport of heartbeats; None: there is none
     heartbeats: Callable[[Hear, NextBeat], HeartbeatTransport | None]
+    # What the agent and the containers use, and the agent's CPU time so far [s]
     usage: Callable[[], Usage]
     cpu: Callable[[], float]
+    # Its address, and why it accepts no connection; empty: it does
     gateway: str
     gateway_trouble: Callable[[], str]
+    # The agent's process, and a text that no other start of an agent has
     pid: int
     key: str

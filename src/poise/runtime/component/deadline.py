@@ -1,9 +1,4 @@
-"""Deadlines: how long a caller still waits, and how to limit the calls of a block.
-
-A call's limit holds for all that is done in it: a call that the callee makes meanwhile
-has what is left of that, in whatever container. The code is native
-(``native/deadline.h``), because every call runs it.
-"""
+"""How long a caller still waits, and how to limit the calls of a block."""
 
 from __future__ import annotations
 

@@ -42,15 +42,7 @@ class Sparing:
         self._logged: dict[Hashable, tuple[float, int]] = {}
 
     def more(self, like: Hashable, now: float) -> str | None:
-        """Return how many came since the last that was logged, in words; None: not now.
-
-        Parameters
-        ----------
-        like
-            What makes it the same; there must be few of these.
-        now
-            [s]
-        """
+        """Return how many came since the last logged one, in words; None: not now."""
         at, since = self._logged.get(like, (-math.inf, 0))
         if now - at < AGAIN:
             self._logged[like] = at, since + 1
@@ -60,10 +52,7 @@ class Sparing:
 
 
 class Errors:
-    """What a component's code raised: how often, and the last.
-
-    An error is logged when a method raises the first of its type, and then sparingly.
-    """
+    """What a component's code raised: how often, and the last; logged sparingly."""
 
     def __init__(self, component: str) -> None:
         self._log = logging.getLogger(f"poise.component.{component}")
@@ -98,12 +87,7 @@ class Errors:
 
 
 def told(error: BaseException) -> str:
-    """Return an error as text, with the lines of its traceback that lie outside Poise.
-
-    Without such lines, what Poise raised on purpose has its message alone: it
-    says what is wrong and where. Any other error is then a fault of Poise, and keeps
-    its whole traceback.
-    """
+    """Return an error as text, with the traceback lines that lie outside Poise."""
     text = TracebackException.from_exception(error)
     if not _keep_outside(text):
         whole = TracebackException.from_exception(error)

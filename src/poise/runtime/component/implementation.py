@@ -19,21 +19,7 @@ from poise.suggest import did_you_mean, listed
 
 
 def find(implementation: str, folder: str) -> type[Component]:
-    """Return the component class ``package.module:Class``.
-
-    Parameters
-    ----------
-    implementation
-        As the robot file names it.
-    folder
-        Where the robot file lies; it is put first on ``sys.path`` for good.
-
-    Raises
-    ------
-    RobotError
-        When the module does not exist or raises as it is imported (then with the
-        traceback), has no such class, or the class is not a `Component`.
-    """
+    """Return the component class ``package.module:Class``."""
     found = find_type(implementation, folder)
     if not issubclass(found, Component):
         raise RobotError(
@@ -119,12 +105,7 @@ Seen = tuple[type, ...]
 
 
 def fingerprint(type_: Any) -> Hashable:  # noqa: ANN401, any type
-    """Return what a message or interface type is made of, by name and by structure.
-
-    Two types with equal fingerprints fit each other: messages with the same fields,
-    interfaces whose methods take and return the same. The modules do not count, so a
-    class that was imported under two names fits itself.
-    """
+    """Return what a type is made of; types with equal fingerprints fit each other."""
     return _fingerprint(type_, ())
 
 

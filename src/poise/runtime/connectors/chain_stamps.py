@@ -1,7 +1,7 @@
 """Carries the stamps of chains over connectors, beside messages, calls and answers.
 
-Over a wire these are the stamps in front of the value, 9 bytes each and 2 in all. Both
-ends know from the deployment which chains pass over a connector; others carry nothing.
+Over a wire they stand before the value, 9 bytes each and 2 in all; both ends know from
+the deployment which chains pass.
 """
 
 from __future__ import annotations
@@ -25,17 +25,7 @@ def with_stamps(coder: Codec[Any]) -> Codec[tuple[Stamps, Any]]:
 
 
 class SentChains:
-    """The source's end of the chains that pass over a connector.
-
-    Parameters
-    ----------
-    ages
-        The source's.
-    carries
-        The chains from source to target: with messages and with calls.
-    answers
-        The chains from target to source: with the answers to calls.
-    """
+    """The source's end of the chains that pass over a connector."""
 
     def __init__(
         self, ages: DataAges, carries: Sequence[str], answers: Sequence[str]

@@ -44,13 +44,7 @@ _LONGEST = 1e9
 
 
 class ChannelRoute:
-    """A way to a component in another container.
-
-    Parameters
-    ----------
-    source, lease
-        The name of the component that sends, and until when it may; None: always.
-    """
+    """A way to a component in another container."""
 
     def __init__(
         self,
@@ -178,10 +172,7 @@ def receiving(
     remote: RemoteClock,
     lease: LeaseEnd | None = None,
 ) -> Handler:
-    """Return the handler of the frames that come to a target.
-
-    No call is run after the end of `lease`; None: it has none.
-    """
+    """Return the handler of the frames that come to a target."""
     connector, counts = spec.name, feed.counts
     known = methods(port.type) if port.kind == "provides" else {}
     answers = {
@@ -247,13 +238,7 @@ def _reporter(connector: str) -> Callable[[WireError], None]:
 
 
 def entry_codec(port: Port, tag: int) -> Codec[Any]:
-    """Return the codec of a waiting message or one-way call, by its tag.
-
-    Raises
-    ------
-    WireError
-        The port takes nothing with that tag.
-    """
+    """Return the codec of a waiting message or one-way call, by its tag."""
     if port.kind == "provides":
         return _known(methods(port.type).get(tag), port).arguments
     return codec(port.type)

@@ -1,8 +1,4 @@
-"""The route between two components of one container: direct invocation.
-
-A call runs on the caller's thread, under the callee's exclusion. It has the same limit
-and raises the same errors as a call over a channel.
-"""
+"""The route between two components of one container: direct invocation."""
 
 from __future__ import annotations
 
@@ -22,13 +18,7 @@ from poise.runtime.execution.exclusion import Exclusion
 
 
 class DirectRoute:
-    """A way to a component in this process.
-
-    Parameters
-    ----------
-    epoch
-        The source's.
-    """
+    """A way to a component in this process."""
 
     def __init__(
         self,
@@ -99,11 +89,7 @@ def direct_call(
     counts: Counts,
     resend: Callable[..., Any] | None = None,
 ) -> Callable[..., Any]:
-    """Return a function that calls a component's method in this process.
-
-    When the result comes later than `limit` [s], the caller gets `Timeout`; the callee
-    is not interrupted. `resend` takes calls to a component that has moved.
-    """
+    """Return a function that calls a method here; a late result is a `Timeout`."""
     return _calls.direct_call(
         method, exclusion, limit, counts, raise_callee_error, resend
     )

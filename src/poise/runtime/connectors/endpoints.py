@@ -1,10 +1,4 @@
-"""A component's endpoints: senders for what it sends, a mailbox for what comes.
-
-A component that is lost is started elsewhere, and sends from there. What the lost one
-had sent before may still be under way, over a link that was cut: it comes too late.
-
-They stay while routes change: connectors are joined to them, and a move reads them.
-"""
+"""A component's endpoints: senders for what it sends, a mailbox for what comes."""
 
 from __future__ import annotations
 
@@ -31,33 +25,22 @@ from poise.wire.records.deployment_records import ConnectorSpec
 class OvertakenSources:
     """The latest incarnations of the sources of one component; any thread may ask.
 
-    In a move all that the source sent has come before the target sends.
+    What a lost incarnation had sent may come over a cut link when another one has
+    begun.
     """
 
     def __init__(self) -> None:
         self._latest: dict[str, int] = {}
 
     def note(self, connector: str, epoch: int) -> bool:
-        """Note that a message came; return whether a later incarnation has sent.
-
-        Parameters
-        ----------
-        epoch
-            Of the source that sent it.
-        """
+        """Note that a message came; return whether a later epoch has sent."""
         latest = self._latest.setdefault(connector, epoch)
         if epoch > latest:
             self._latest[connector] = epoch
         return epoch < latest
 
     def check(self, spec: ConnectorSpec) -> None:
-        """Note that a message came over a connector.
-
-        Raises
-        ------
-        WireError
-            A later incarnation of its source has sent.
-        """
+        """Note that a message came; WireError when a later incarnation has sent."""
         if self.note(spec.name, spec.source_epoch):
             raise WireError(
                 f"a message of '{spec.source}' ({spec.source_epoch}) comes after one "
@@ -75,21 +58,7 @@ _ONEWAY = Queue("block", 64)
 
 
 class Endpoints:
-    """The endpoints at the ports of one incarnation of a component.
-
-    Parameters
-    ----------
-    name
-        The component's.
-    exclusion
-        Callers enter it.
-    counters
-        Where what comes is counted.
-    ages
-        Of the data of the chains that it is part of.
-    listeners
-        Published port -> takes each message before it is sent.
-    """
+    """The endpoints at the ports of one incarnation of a component."""
 
     def __init__(
         self,
@@ -148,16 +117,7 @@ class Endpoints:
             self._marker_came.notify_all()
 
     def wait_markers(self, markers: Mapping[str, int], limit: float) -> None:
-        """Wait until these markers came, by connector.
-
-        Meanwhile no message waits for room: the component may be unable to take it
-        because it waits itself for the one that moves.
-
-        Raises
-        ------
-        Timeout
-            They did not within `limit` [s].
-        """
+        """Wait up to `limit` [s] for markers; no message waits for room meanwhile."""
 
         def missing() -> list[str]:
             return [

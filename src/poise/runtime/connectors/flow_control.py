@@ -1,18 +1,12 @@
 """Back-pressure between containers: a source sends only what its target has room for.
 
 A target whose queue blocks sends *credit*: how many messages the source may have sent
-in all. The number is a total, so credit that is lost, doubled or late does no harm: the
-next one says all. A source without credit *requests* it, again and again, in the stream
-of its messages: what it sent before has arrived by then, or never will. Each connection
-begins with a request: so what got lost with the one before is counted at once, also
-when nothing more is sent. Both numbers count from the first message over one route. The
-route has a random number of its own: a restarted source or target, and one that moves,
-begins with another.
-
-A target sends credit when half of its queue was emptied since the last time: one frame
-for many messages, back over the connection on which they come. Nobody waits for that: a
-source that takes no credit requests it later. A queue that keeps the last messages
-gives credit without bound, once.
+in all, since the route began (its number is random, so a restarted end begins anew). As
+a total it may be lost, doubled or late. A source without credit *requests* it in the
+stream of its messages: what it sent before has arrived by then, or never will. Each
+connection begins with a request, so that lost messages are counted at once. Credit goes
+back once half of the queue is empty: one frame for many messages. A queue that keeps
+the last messages gives credit without bound, once.
 """
 
 from __future__ import annotations
@@ -68,10 +62,7 @@ class Credit:
         )
 
     def take(self, received: Frame) -> bool:
-        """Take a frame with credit; return whether more may come.
-
-        A total that is less than an earlier one came late.
-        """
+        """Take a frame with credit, unless it is late; return whether more may come."""
         is_ours = received.kind is Kind.CREDIT and received.chain == self.route
         if is_ours and received.number > self._total:
             self._total = received.number
@@ -88,17 +79,7 @@ class Back(Protocol):
 
 
 class CreditIssuer:
-    """The target's side of one connector: counts what came, and gives credit.
-
-    Parameters
-    ----------
-    connector
-        Its name.
-    feed
-        The connector's way into the port's queue.
-    counts
-        Where messages that were lost on their way are counted.
-    """
+    """The target's side of one connector: counts what came, and gives credit."""
 
     def __init__(self, connector: str, feed: Feed, counts: Counts) -> None:
         self._connector = connector

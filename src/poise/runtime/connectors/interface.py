@@ -17,10 +17,7 @@ from poise.wire.codec import Codec, codec
 
 
 class Method(Struct, frozen=True):
-    """A method of an interface.
-
-    `bind` turns a call's arguments into the tuple that `arguments` encodes.
-    """
+    """A method of an interface."""
 
     name: str
     tag: int
@@ -32,14 +29,7 @@ class Method(Struct, frozen=True):
 
 @cache
 def methods(interface: type) -> Mapping[int, Method]:
-    """Return the methods of an interface by tag.
-
-    Raises
-    ------
-    UsageError
-        When a parameter has no type, takes a variable number of arguments, or two
-        methods have the same tag.
-    """
+    """Return the methods of an interface by tag."""
     found: dict[int, Method] = {}
     for name in methods_of(interface):
         method = _method(interface, name)

@@ -16,13 +16,7 @@ Waiting = tuple[Method | None, Any, float]
 
 
 class MessageBuffer:
-    """Messages and one-way calls, oldest first. Its sender holds a lock meanwhile.
-
-    Parameters
-    ----------
-    counts
-        Where messages that made room for newer ones are counted.
-    """
+    """Messages and one-way calls, oldest first. Its sender holds a lock meanwhile."""
 
     def __init__(self, counts: Counts) -> None:
         self._counts = counts

@@ -19,10 +19,7 @@ class Route(Protocol):
         ...
 
     def function(self, method: Method, sender: Sender) -> Callable[..., Any]:
-        """Return the function that calls a method of the target.
-
-        It calls `Sender.again` when the target has moved and did not run the call.
-        """
+        """Return the function that calls a method of the target."""
         ...
 
     def is_calling(self) -> bool:
@@ -30,13 +27,7 @@ class Route(Protocol):
         ...
 
     def push(self, method: Method | None, value: object) -> int:
-        """Send a message, or a one-way call of `method`; return its size [bytes].
-
-        Raises
-        ------
-        CallError
-            It did not go out.
-        """
+        """Send a message, or a one-way call of `method`; return its size [bytes]."""
         ...
 
     def has_room(self) -> bool:

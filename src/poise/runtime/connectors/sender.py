@@ -1,12 +1,9 @@
 """The source's end of a connector: one to the component, whatever route it takes.
 
-A route leads to one incarnation of the target, directly or over a channel. While a
-component moves there are two routes; the sender buffers messages meanwhile and then
-switches, so that every message takes exactly one of them, in order.
-
-No lock is held while a route sends: a message claims the sender, and others wait. A
-thread of its own sends what was buffered, so that no step of a move and no control
-thread waits for a receiver.
+While a component moves there are two routes; the sender buffers messages meanwhile and
+then switches, so that every message takes exactly one of them, in order. No lock is
+held while a route sends: a message claims the sender, and others wait. A thread sends
+what was buffered, so that no step of a move waits for a receiver.
 """
 
 from __future__ import annotations
@@ -46,23 +43,7 @@ _ASK_FIRST, _ASK_LAST = 0.005, 0.1
 
 
 class Sender:
-    """The source's end of one connector. Any thread may use it.
-
-    Parameters
-    ----------
-    name
-        The connector's name.
-    port
-        The source's port.
-    proxy
-        For a required port: where its methods are.
-    limit
-        Time limit of a call, and of a message that waits [s].
-    exclusion
-        Of a re-entrant source: released while it waits in a call.
-    chains
-        Those that pass over the connector; None: none does.
-    """
+    """The source's end of one connector. Any thread may use it."""
 
     def __init__(
         self,
@@ -103,11 +84,7 @@ class Sender:
                 self._use(route)
 
     def remove(self, key: str) -> None:
-        """Close a route; when it was used, the other one is, if there is one.
-
-        The move for which there were two is over, and buffered messages are sent: so
-        none of them waits for ever for a lost order to `switch`.
-        """
+        """Close a route; when it was used, use the other one, if there is one."""
         with self._lock:
             route = self._routes.pop(key)
             if route is self._current:
@@ -121,10 +98,7 @@ class Sender:
         return dict(self._routes)
 
     def sending(self) -> Callable[..., None]:
-        """Return what sends a message, or a one-way call: `send`, with stamps if any.
-
-        They are made at once, whatever waits: so the wait counts in the data's age.
-        """
+        """Return `send` with stamps, which are made at once: waiting counts as age."""
         chains, send = self.chains, self.send
         if chains is not None and chains.carries:
             send = chains.stamping(send)
@@ -138,26 +112,14 @@ class Sender:
         self.on_observed()
 
     def send(self, value: object, method: Method | None = None) -> None:
-        """Send or buffer a message or one-way call; what cannot go out is counted.
-
-        Waits while the target has no room, up to the limit; a re-entrant source lets
-        others in meanwhile. Raises LeaseEnded when the source may not send.
-        """
+        """Send or buffer a message or one-way call; what cannot go out is counted."""
         if self._exclusion is None or self._is_free():
             self._send(value, method)
         else:
             stepping_out(self._exclusion, self._send)(value, method)
 
     def buffer_for_move(self, keep: int | None = None) -> None:
-        """Buffer messages from now on: the target moves. Harmless when repeated.
-
-        From a target that is cut off it holds back the `keep` newest only.
-
-        Raises
-        ------
-        RunError
-            There is only one route: no move is going on.
-        """
+        """Buffer messages from now on; from a cut-off target, the `keep` newest."""
         with self._lock:
             if len(self._routes) < _WHILE_MOVING:
                 raise RunError(f"connector {self.name}: its target does not move")
@@ -177,13 +139,7 @@ class Sender:
             self._drain()
 
     def switch(self, key: str) -> None:
-        """Use a route, and send what was buffered; harmless when repeated.
-
-        Raises
-        ------
-        Unavailable
-            There is no such route; nothing has changed.
-        """
+        """Use a route, and send what was buffered; harmless when repeated."""
         with self._lock:
             if key not in self._routes:
                 raise Unavailable(f"connector {self.name} has no route {key}")
@@ -197,13 +153,7 @@ class Sender:
         return not any(route.is_calling() for route in others)
 
     def send_marker(self, number: int) -> None:
-        """Send a marker behind all that went out.
-
-        Raises
-        ------
-        CallError
-            It did not go out: nobody is there, or others sent for all of the limit.
-        """
+        """Send a marker behind all that went out, within `limit` [s]."""
         with self._lock:
             if not self._wait(
                 lambda: not (self._is_claimed or self._is_draining), self._limit
@@ -225,13 +175,7 @@ class Sender:
         kwargs: Mapping[str, object],
         deadline: float,
     ) -> Any:  # noqa: ANN401, the call's own
-        """Repeat a call that `route` did not run, once another route is used.
-
-        Raises
-        ------
-        Timeout
-            None was until `deadline` [s, of the monotonic clock].
-        """
+        """Repeat a call that `route` did not run on another, until `deadline` [s]."""
         with self._lock:
             left = deadline - time.monotonic()
             if not self._wait(lambda: self._current is not route, left):

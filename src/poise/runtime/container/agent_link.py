@@ -1,8 +1,8 @@
 """A container's connection to its agent, made again after the agent was killed.
 
-A container without an agent works on. It tries to reach the agent that is started
-again at a socket in the folder of both, and hands over the other end of a new
-connection, and its stats page. One that finds no agent within `ORPHAN_LIMIT` ends.
+Without an agent it works on and asks, at a socket in the folder of both, to be adopted:
+it hands over an end of a new connection and its stats page. After `ORPHAN_LIMIT` it
+ends.
 """
 
 from __future__ import annotations
@@ -40,17 +40,7 @@ class Orphan(Struct, frozen=True, kw_only=True):
 
 
 class AgentLink:
-    """The connection of one container to its agent; none while that is gone.
-
-    Parameters
-    ----------
-    connection
-        The control socket.
-    stats_page
-        The descriptor of the memory in which the container counts.
-    folder
-        The folder of its agent, for sockets.
-    """
+    """The connection of one container to its agent; none while that is gone."""
 
     def __init__(
         self,
@@ -80,13 +70,7 @@ class AgentLink:
         return float("inf") if self._connection else self._ask_at
 
     def look(self) -> None:
-        """Ask to be adopted when there is no agent, and it is time.
-
-        Raises
-        ------
-        Unavailable
-            There has been none for `ORPHAN_LIMIT`.
-        """
+        """Ask to be adopted when there is no agent, and it is time."""
         now = self._clock.now()
         if self._connection is not None or now < self._ask_at:
             return
@@ -148,10 +132,7 @@ def is_adopting(folder: Path) -> bool:
 
 
 def hand_over(way: socket.socket, record: Struct, stats_page: int) -> socket.socket:
-    """Send a record, an end of a new control socket, and a stats page.
-
-    Return the other end; raise OSError when no descriptor is free, or nobody is there.
-    """
+    """Send a record, an end of a new control socket and a stats page; return ours."""
     ours, theirs = socket.socketpair()
     with theirs:
         try:
@@ -167,15 +148,7 @@ def take_over(
     way: socket.socket,
     type_: Any,  # noqa: ANN401, a record's
 ) -> tuple[Any, socket.socket | None, int]:
-    """Return what `hand_over` has sent; None and -1: no descriptor was free for them.
-
-    Raises
-    ------
-    OSError
-        Nothing has come, or the other end is gone.
-    WireError
-        Something else came, perhaps from another version of Poise.
-    """
+    """Return what `hand_over` has sent; None and -1: no descriptor was free."""
     body, files, _, _ = socket.recv_fds(way, _INBOX, _PASSED)
     with contextlib.ExitStack() as unused:
         for file in files:

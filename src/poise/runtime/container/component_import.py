@@ -1,8 +1,4 @@
-"""Imports and constructs a component on a thread of its own.
-
-Nobody waits for it: neither the control thread nor other components, however long an
-import takes.
-"""
+"""Imports and constructs a component on a thread of its own; nobody waits for it."""
 
 from __future__ import annotations
 
@@ -38,18 +34,7 @@ def prepare(
     *,
     gives_way: bool,
 ) -> Future[Runner]:
-    """Return what becomes the component, not started yet, or why it is not there.
-
-    Parameters
-    ----------
-    folder
-        Where its implementation is imported from.
-    on_change
-        Called when it is done, and by the runner at every change of state; must not
-        block.
-    gives_way
-        Whether it leaves the CPU to all other threads.
-    """
+    """Return what becomes the component, not started yet, or why it is not there."""
     prepared: Future[Runner] = Future()
     prepared.add_done_callback(lambda _: on_change())
 

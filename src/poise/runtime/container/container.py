@@ -1,8 +1,8 @@
 """A container: the process in which components run.
 
-Its agent sends what should run (`ContainerSpec`). The control thread makes it so, and
-reports what runs (`ContainerStatus`) at every change and once a second. It waits for no
-import and for no component. When the agent is killed, it works on (`AgentLink`).
+The control thread brings it to what its agent says should run (`ContainerSpec`), and
+reports what runs at every change and once a second. It waits for no import and no
+component.
 """
 
 from __future__ import annotations
@@ -72,17 +72,7 @@ _PAUSED = (
 
 
 class Container:
-    """The components of one process and their connectors.
-
-    Parameters
-    ----------
-    folder
-        The folder of its agent, for sockets.
-    agent
-        The control socket.
-    stats_page
-        The descriptor of the memory in which it counts.
-    """
+    """The components of one process and their connectors."""
 
     def __init__(
         self,
@@ -117,14 +107,7 @@ class Container:
         self._lease = LeaseEnd(stats_page)
 
     def run(self) -> None:
-        """Work until the agent says to end, or is gone for too long.
-
-        Raises
-        ------
-        RunError, Timeout, WireError
-            The process of a command-line component ended by itself, or the agent
-            cannot be understood; the agent was told.
-        """
+        """Work until the agent says to end, or is gone for too long."""
         sys.setswitchinterval(_SWITCH_EVERY)
         threads.hear_failures(self._thread_failures.note)
         signal.signal(signal.SIGTERM, self._on_signal)
@@ -180,10 +163,7 @@ class Container:
         return sum(each.timers.missed(now) for each in self._runners.values())
 
     def _listen(self, limit: float) -> bool:
-        """Wait up to `limit` [s] for news, and take it in; whether it is to be told.
-
-        Migration steps and clocks are not: what they change is.
-        """
+        """Wait up to `limit` [s] for news, take it in, return whether to report it."""
         waker = self._waker.fileno()
         ready = wait_readable([waker, *self._link.files()], limit)
         if waker in ready:

@@ -1,8 +1,7 @@
 """Ends what a container's process leaves behind: whatever its components forked.
 
-A container leads a session of its own, so its process group can be killed. It also
-adopts the orphans among its descendants (a *subreaper*, prctl(2)), so that none gets
-away: when it has ended, they become children of the zygote, which has no others.
+It leads a session, so its process group can be killed, and adopts the orphans among its
+descendants (a *subreaper*, prctl(2)); when it has ended they are the zygote's children.
 """
 
 from __future__ import annotations
@@ -33,10 +32,7 @@ def children() -> set[int]:
 
 
 def _children_by_thread() -> dict[int, set[int]]:
-    """Return the children of each thread; none while no file descriptor is free.
-
-    The main thread is read last: it gets the children of those that end meanwhile.
-    """
+    """Return each thread's children, the main thread's last, as it inherits others'."""
     found: dict[int, set[int]] = {}
     main, tasks = os.getpid(), Path("/proc/self/task")
     with contextlib.suppress(OSError):
@@ -51,16 +47,10 @@ def _children_by_thread() -> dict[int, set[int]]:
 class Orphans:
     """Reaps the orphans that this process adopted and that have ended.
 
-    An exit code that a component waits for is left alone. The kernel gives orphans to
-    the main thread, which forks nothing here, and gives it the children of threads that
-    end. So no child of another thread is an orphan, nor one that was; and a child in
-    this session may be that of a thread that ended before anybody looked: one of these
-    is reaped when it has been left alone for `UNCLAIMED`.
-
-    Parameters
-    ----------
-    clock
-        Returns the time [s].
+    The kernel gives orphans to the main thread, which forks nothing here, and the
+    children of threads that end. So no child of another thread is an orphan, and a
+    child in this session may be waited for: it is reaped when nobody did for
+    `UNCLAIMED`.
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:

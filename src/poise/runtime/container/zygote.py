@@ -1,13 +1,9 @@
 """The zygote: a process that has imported everything and forks containers from itself.
 
 A fork costs milliseconds and a few MB, a fresh interpreter 40 to 100 ms and its own
-copy of everything. The zygote has one thread and no zenoh session, so that what it
-forks starts clean. It is forked from the agent before the agent opens anything.
-
-An agent that ends in order ends its containers first. When it was killed, they go on,
-and the next agent adopts them; the zygote then stays until the last of them has ended,
-and kills those that do not end though no agent comes. No process that a container
-forked outlives it.
+copy of everything. It is forked from the agent before that opens anything, and has one
+thread, so that what it forks starts clean. When its agent was killed it stays until the
+last container has ended, and kills those that do not end though no agent comes.
 """
 
 from __future__ import annotations
@@ -53,11 +49,7 @@ _LOOK_AT_ENDED = os.WEXITED | os.WNOHANG | os.WNOWAIT
 
 
 class Fork(Struct, frozen=True, kw_only=True):
-    """The agent asks for a container.
-
-    Its control socket and its stats page come with the record. Its threads have the
-    nice value `nice`; `folder` is its agent's.
-    """
+    """The agent asks for a container; control socket and stats page come with it."""
 
     name: str
     computer: str
@@ -90,10 +82,7 @@ Event = Forked | NotForked | ContainerEnded
 
 
 def start(closing: Sequence[int] = ()) -> tuple[socket.socket, int]:
-    """Fork the zygote; return the socket to it and its process id.
-
-    It, and so the containers, close the file descriptors in `closing`.
-    """
+    """Fork the zygote; return the socket to it and its process id."""
     # one record is one packet, so neither end ever waits for the rest of one
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     # the zygote has nothing else to do than to wait for the agent
@@ -109,17 +98,7 @@ def start(closing: Sequence[int] = ()) -> tuple[socket.socket, int]:
 
 
 def ask(zygote: socket.socket, wanted: Fork, stats_page: int) -> socket.socket:
-    """Ask for a container and return the agent's end of its control socket.
-
-    `stats_page` is the descriptor of the memory in which it is to count.
-
-    Raises
-    ------
-    Unavailable
-        The zygote is gone.
-    OSError
-        No descriptor is free, or the zygote does not respond.
-    """
+    """Ask for a container that counts in `stats_page`; return its control socket."""
     try:
         return hand_over(zygote, wanted, stats_page)
     except ConnectionError as error:
@@ -127,13 +106,7 @@ def ask(zygote: socket.socket, wanted: Fork, stats_page: int) -> socket.socket:
 
 
 def hear(zygote: socket.socket) -> Event:
-    """Return what the zygote says next.
-
-    Raises
-    ------
-    Unavailable
-        The zygote is gone.
-    """
+    """Return what the zygote says next."""
     try:
         body = zygote.recv(_LARGEST)
     except OSError as error:
@@ -217,10 +190,7 @@ class _Zygote:
             self._tell(ContainerEnded(pid, status))
 
     def _ended(self) -> list[tuple[int, int]]:
-        """Return the containers that ended since the last look, and how.
-
-        What they left behind is killed: other children than containers are theirs.
-        """
+        """Return the containers that ended since the last poll; kill what they left."""
         ended = []
         with contextlib.suppress(ChildProcessError):
             while info := os.waitid(os.P_ALL, 0, _LOOK_AT_ENDED):

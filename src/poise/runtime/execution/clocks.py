@@ -10,13 +10,7 @@ from poise.wire.records.clock_records import ClockStatus
 
 
 class ComputerClock(SystemClock):
-    """The clock of one computer.
-
-    Attributes
-    ----------
-    others
-        Computer -> its clock, as the agent says once a second.
-    """
+    """The clock of one computer."""
 
     def __init__(self, computer: str) -> None:
         super().__init__(computer)
@@ -41,16 +35,7 @@ class ComputerClock(SystemClock):
 
 
 class RemoteClock:
-    """How far the clock at the other end is ahead, as far as it is known.
-
-    A frame is as old as it says (`poise.wire.frame.Frame.age`), plus `ahead`.
-
-    Parameters
-    ----------
-    ask
-        Returns how far it is ahead, None while it is not known. Not given: it is
-        this computer's clock.
-    """
+    """How far the clock at the other end is ahead, as far as it is known."""
 
     __slots__ = ("_ask", "ahead", "error", "most")
 

@@ -1,10 +1,7 @@
 """The lease of a container's components, which fence themselves when it ends.
 
-While an agent is cut off, stopped or killed, the manager may start its movable
-components elsewhere. So the agent writes into the container's stats page when their
-lease ends (`poise.runtime._calls.LeaseEnd`). A leased component looks before each
-handler, and before each message or call that leaves or enters its container: nobody has
-to tell it.
+The agent writes its end into the stats page (`poise.runtime._calls.LeaseEnd`); a leased
+component reads it before each handler, and before what leaves or enters its container.
 """
 
 from __future__ import annotations

@@ -65,10 +65,7 @@ class _ChainAge:
 
 
 class DataAges:
-    """The chains that one component is part of.
-
-    Used by the thread that runs the component's code, within its exclusion.
-    """
+    """The chains that one component is part of."""
 
     def __init__(self, parts: Iterable[ChainPart], clock: ComponentClock) -> None:
         self._clock = clock
@@ -113,10 +110,7 @@ class DataAges:
                 self._chains[name].take(stamp)
 
     def stamps(self, names: Iterable[str]) -> tuple[float, ...]:
-        """Return the stamps of data that goes out now; what is not known is no number.
-
-        For a component within a chain this is when it uses the data.
-        """
+        """Return the stamps of data that goes out now (its use, within a chain)."""
         now = self._clock.now()
         return tuple(self._stamp(name, now) for name in names)
 

@@ -1,11 +1,9 @@
 """Mutual exclusion of call chains in a component.
 
-It is ROS 2's mutually exclusive callback group, with re-entrance. A *chain* begins with
-a timer or a message, and goes on through every call made in it, in any container. A
-chain that comes back to a component in which it waits may enter again; others wait.
-
-The code is native, because every call runs it: `poise.runtime._calls` describes it, and
-``tests/runtime/reference.py`` is the same in Python, held against it by tests.
+It is ROS 2's mutually exclusive callback group, with re-entrance: a *chain* begins with
+a timer or a message, goes on through every call made in it, and may come back to a
+component in which it waits. The code is native; ``tests/runtime/reference.py`` is the
+same in Python, and tests compare them.
 """
 
 from __future__ import annotations
@@ -28,10 +26,7 @@ __all__ = ["Exclusion", "Redirected", "current_chain", "join_chain", "new_chain"
 
 
 class Redirected(Exception):
-    """The component has moved; its caller sends the call to the new place.
-
-    Never reaches a component's code.
-    """
+    """The component has moved; its caller sends the call to the new place."""
 
 
 def _begin_chains() -> None:

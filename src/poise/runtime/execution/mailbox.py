@@ -1,8 +1,4 @@
-"""The messages that wait for a component's thread, by port, in bounded queues.
-
-Nobody waits here for room: a sender asks its `Feed` first. So a thread that brings
-messages from another container is never blocked.
-"""
+"""The messages that wait for a component's thread, by port, in bounded queues."""
 
 from __future__ import annotations
 
@@ -29,15 +25,7 @@ the component moves, and then send them at once."""
 
 
 class Feed:
-    """One connector's way into the queue of a port.
-
-    A queue that blocks has its room for each of them: none can take another's.
-
-    Parameters
-    ----------
-    counts
-        The connector's: they count what was dropped, and how long the rest waited.
-    """
+    """One connector's way into the queue of a port, with room of its own."""
 
     def __init__(self, inbox: Inbox, counts: Counts) -> None:
         self.counts = counts
@@ -60,15 +48,7 @@ class Feed:
 
 
 class Inbox:
-    """The queue of one port, filled by any thread, emptied by the component's.
-
-    Parameters
-    ----------
-    filled
-        Gets this inbox once for every message that waits in it.
-    counters
-        Where all that comes is counted, also what is dropped.
-    """
+    """The queue of one port, filled by any thread, emptied by the component's."""
 
     def __init__(
         self,
@@ -153,15 +133,7 @@ class Inbox:
 
 
 class Mailbox:
-    """All that waits for a component, which takes it in the order in which it came.
-
-    Parameters
-    ----------
-    queues
-        Of the ports to which something comes.
-    counters
-        As for `Inbox`.
-    """
+    """All that waits for a component, which takes it in the order in which it came."""
 
     def __init__(
         self, queues: Mapping[str, Queue], counters: ComponentCounters

@@ -11,25 +11,12 @@ from poise.wire.records.status_records import TimerStatus
 
 
 def release_offset(component: str) -> float:
-    """Return when the timers of a component are released [s].
-
-    That is at this moment of a day's seconds, and any number of periods from it. Only
-    the name decides: how timers stand to each other is the same at each start, and they
-    are not all due at once.
-    """
+    """Return when a component's timers are released [s], by its name alone."""
     return crc32(component.encode()) / 2**32
 
 
 class Releases:
-    """The releases of a timer, at `start` + k * period for k = 1, 2, ...
-
-    Parameters
-    ----------
-    timer
-        Period and deadline.
-    start
-        The release before the first one [s].
-    """
+    """The releases of a timer, at `start` + k * period for k = 1, 2, ..."""
 
     def __init__(self, timer: Timer, start: float) -> None:
         self.timer = timer
@@ -51,10 +38,7 @@ class Releases:
         return self.start + self._next * self.timer.period
 
     def begin(self, now: float) -> float:
-        """Take the last release that is due at `now` [s] and return it [s].
-
-        Earlier ones that never began are skipped, and missed.
-        """
+        """Take and return the last release that is due at `now` [s]; skip earlier."""
         last = max(self._next, int((now - self.start) / self.timer.period))
         if self.timer.deadline is not None:
             self._missed += last - self._next
@@ -112,13 +96,7 @@ class Timers:
         self._first = first
 
     def start(self, now: float, elapsed: float = 0.0) -> list[tuple[float, float]]:
-        """Start or go on at `now` [s]; return the start and the period of each [s].
-
-        Parameters
-        ----------
-        elapsed
-            How long ago a moment was at which all timers are due [s].
-        """
+        """Start or go on at `now` [s]; return the start and the period of each [s]."""
         stopped, self._stopped_at = self._until(now), None
         for name, timer in self._declared.items():
             due = now + timer.period - elapsed % timer.period

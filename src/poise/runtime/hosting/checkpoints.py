@@ -1,8 +1,7 @@
 """Checkpoints of a component: its state, kept now and then where a crash spares it.
 
-A checkpoint is a file in the agent's folder. The component is asked for its snapshot in
-its turn, between its handlers. When its container crashed, the next one restores what
-was kept last.
+The component is asked for its snapshot between its handlers; after a crash of its
+container the next incarnation restores the file in the agent's folder.
 """
 
 from __future__ import annotations
@@ -39,24 +38,7 @@ _CHECKPOINT: Codec[_Checkpoint] = codec(_Checkpoint)
 
 
 class Checkpoints:
-    """Takes and restores the checkpoints of one component, on its own thread.
-
-    Parameters
-    ----------
-    folder
-        The agent's.
-    lease
-        Nothing is kept after its end; None: always.
-    every
-        How often [s].
-
-    Attributes
-    ----------
-    due
-        When the next one is to be taken [s].
-    cost
-        How long the last one took, in the component's turn [s].
-    """
+    """Takes and restores the checkpoints of one component, on its own thread."""
 
     def __init__(
         self,
@@ -81,15 +63,7 @@ class Checkpoints:
         self.due = self._clock.now() + self._every
 
     def take(self, component: Component) -> None:
-        """Keep the state of a component.
-
-        Raises
-        ------
-        Exception
-            Whatever its `snapshot` raises; or the state is too large, cannot be
-            written, or took longer than the interval; LeaseEnded. The one before is
-            kept.
-        """
+        """Keep the state of a component; when that fails, the one before is kept."""
         began = self._clock.now()
         self.due = began + self._every
         state = component.snapshot()
@@ -121,17 +95,7 @@ class Checkpoints:
             )
 
     def restore(self, component: Component) -> float | None:
-        """Restore the state that was kept, if there is one.
-
-        Returns
-        -------
-        Its age [s]; None: there is none.
-
-        Raises
-        ------
-        Exception
-            Whatever its `restore` raises; or the state does not fit.
-        """
+        """Restore the state that was kept; return its age [s], None: there is none."""
         try:
             data = self._path.read_bytes()
             age = age_of(self._path.stat().st_mtime)

@@ -1,13 +1,8 @@
 """A component that is any executable: one process, which this watches.
 
-It has the environment of the agent and, added to it:
-
-- ``POISE_COMPONENT``: its name;
-- ``POISE_PARAMETERS``: its parameters, a JSON object;
-- ``POISE_DEVICE_<NAME>``: the path of each of its devices; the name is in capitals,
-  with ``_`` for every ``-``.
-
-Poise does not wire it: what it says to others, it says by its own means.
+It has the environment of the agent and ``POISE_COMPONENT`` (its name),
+``POISE_PARAMETERS`` (a JSON object) and, for each device, ``POISE_DEVICE_<NAME>`` (its
+path; the name in capitals, ``_`` for ``-``). Poise does not wire it.
 """
 
 from __future__ import annotations
@@ -146,10 +141,7 @@ def program(name: str, folder: str) -> str:
 
 
 def die_with_parent() -> None:
-    """Let this process be killed when the thread that forked it ends.
-
-    For `preexec_fn`: no process survives its keeper, even one that was killed.
-    """
+    """For `preexec_fn`: let this process be killed when its parent thread ends."""
     _prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
 
 

@@ -18,17 +18,7 @@ BORROW_LIMIT = 5.0
 
 
 class ExecutionGate:
-    """Whether a component's code may run. It starts paused.
-
-    Parameters
-    ----------
-    name
-        The component's, for errors.
-    may_resume
-        Returns whether the component is active, and should be.
-    borrow_limit
-        How long one waits while another has borrowed its code [s].
-    """
+    """Whether a component's code may run. It starts paused."""
 
     def __init__(
         self,
@@ -64,15 +54,7 @@ class ExecutionGate:
         self._migration = None
 
     def pause_for_migration(self, limit: float) -> None:
-        """Pause: no code of the component runs, and messages and calls wait.
-
-        Raises
-        ------
-        Timeout
-            It was busy for `limit` [s]; it goes on as before.
-        RunError
-            Its migration is over; it goes on as before.
-        """
+        """Pause within `limit` [s]; on Timeout or RunError it goes on as before."""
         migration = self._migration
         self.pause(limit)
         with self._changed:
@@ -90,11 +72,7 @@ class ExecutionGate:
                 self._endpoints.mailbox.set_unbounded(unbounded=True)
 
     def pause_or_redirect(self, limit: float) -> None:
-        """Pause for good; after `limit` [s] without its callers.
-
-        The thread inside belongs to a caller; the process is about to end or the
-        component to go, so waiting longer helps nobody.
-        """
+        """Pause for good; after `limit` [s] without its callers: its process ends."""
         try:
             self.pause(limit)
         except Timeout as error:
@@ -103,10 +81,7 @@ class ExecutionGate:
             self._is_paused = True
 
     def resume(self) -> None:
-        """Go on after a pause, if it is active; harmless when repeated.
-
-        While its code is borrowed nobody waits: it goes on after that.
-        """
+        """Go on after a pause, if it is active; harmless when repeated."""
         with self._changed:
             self._resumes_later = self._is_borrowed
             if self._is_paused and not self._is_borrowed and self._may_resume():
@@ -117,18 +92,7 @@ class ExecutionGate:
 
     @contextmanager
     def borrowed(self, *, by_hook: bool = False) -> Iterator[None]:
-        """Run its code on this thread while it is paused, such as `snapshot`.
-
-        When it was to resume meanwhile, it does at the end; not after a hook, whose
-        state is still to be entered.
-
-        Raises
-        ------
-        RunError
-            It is at work.
-        Timeout
-            Another, such as `snapshot`, had it for all of the limit.
-        """
+        """Run its code here while it is paused; resume at the end if asked to."""
         with self._changed:
             if not self._changed.wait_for(
                 lambda: not self._is_borrowed, self._borrow_limit
@@ -152,13 +116,7 @@ class ExecutionGate:
                 self.resume()
 
     def wait_idle(self, limit: float) -> bool:
-        """Wait until it has just finished its work; return whether that was so.
-
-        Parameters
-        ----------
-        limit
-            Wait no longer than this [s]: some are never idle, some have no work.
-        """
+        """Wait up to `limit` [s] until it ends its work; return whether it has."""
         idle = self._awaited_idle = threading.Event()
         try:
             return idle.wait(limit)

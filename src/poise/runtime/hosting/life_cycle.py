@@ -85,13 +85,7 @@ _MOST_WISHES = 16
 
 
 class TaskNews:
-    """What one component wishes to be done with tasks, and which actions have ended.
-
-    Parameters
-    ----------
-    on_change
-        Called after each; must not block.
-    """
+    """What one component wishes to be done with tasks, and which actions have ended."""
 
     def __init__(self, on_change: Callable[[], None]) -> None:
         self._on_change = on_change

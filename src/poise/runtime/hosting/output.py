@@ -1,9 +1,4 @@
-"""Keeps what the components of a container write, beside passing it on.
-
-Each container has a file in the folder of its agent, and the one before when that is
-full. So what was written last is there when a container has crashed, and its agent
-reads it without asking anybody.
-"""
+"""Keeps what components write, in a file and the one before, beside passing it on."""
 
 from __future__ import annotations
 

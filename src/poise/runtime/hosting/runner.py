@@ -1,8 +1,8 @@
 """Runs one component on a thread of its own.
 
-The thread compares the goal with the state and takes the next step, so the container
-only sets the goal (`LifeCycle`). Timers and messages run on this thread; calls from
-others run on theirs, under the component's exclusion. `ExecutionGate` pauses both.
+The thread compares the goal with the state and takes the next step (`LifeCycle`).
+Timers and messages run on it; calls from others run on theirs, under the component's
+exclusion. `ExecutionGate` pauses both.
 """
 
 from __future__ import annotations
@@ -45,26 +45,7 @@ _FENCED = 0.02
 
 
 class Runner:
-    """An incarnation of a component with the thread that runs it.
-
-    Parameters
-    ----------
-    spec
-        Name, epoch, parameters and devices.
-    implementation
-        Its class.
-    on_change
-        Called after every change of state, on any thread; must not block.
-
-    Attributes
-    ----------
-    reason_to_end
-        Why its container is to end; empty: it is not.
-    checkpoints
-        What keeps and restores its state; None: nothing does.
-    lease
-        When it may not act any more; None: it is not leased.
-    """
+    """An incarnation of a component with the thread that runs it."""
 
     def __init__(
         self,
@@ -131,10 +112,7 @@ class Runner:
         self._thread.start()
 
     def aim(self, goal: Aim) -> None:
-        """Set the goal; harmless when repeated, and in vain after the end.
-
-        Once it is `active`, it resumes after a pause.
-        """
+        """Set the goal; harmless when repeated. To be active, a pause ends."""
         self.gate.end_migration()
         self.life_cycle.aim(goal)
         # in a hook it resumes by itself when that ends, which nobody should wait for
@@ -176,13 +154,7 @@ class Runner:
         return self.life_cycle.state == "active" and self.gate.is_paused
 
     def status(self, cpu: float | None = None) -> ComponentStatus:
-        """Return what is known of it now.
-
-        Parameters
-        ----------
-        cpu
-            Its CPU time, calls included [s]; None: that of its thread.
-        """
+        """Return what is known of it now."""
         now = self.clock.now()
         handler, since = self._handler or ("", now)
         return ComponentStatus(

@@ -1,9 +1,7 @@
 """The stats page: shared memory in which a container counts and which its agent reads.
 
-No process is woken and nothing is sent. The container's threads add to numbers in
-place; the agent samples all containers at once and asks the kernel for the CPU time of
-their components' threads. The code is native (``native/stats_page.h``,
-``page_sampler.h``).
+No process is woken: threads add in place, and the agent samples all containers at once
+and asks the kernel for their threads' CPU time, in native code.
 """
 
 from __future__ import annotations
@@ -36,13 +34,7 @@ def new_memory() -> int:
 
 
 class StatsPage:
-    """A container's end of its stats page.
-
-    Parameters
-    ----------
-    memory
-        A descriptor from `new_memory`; it stays the caller's.
-    """
+    """A container's end of its stats page."""
 
     def __init__(self, memory: int) -> None:
         self._native = _calls.StatsPage(memory)

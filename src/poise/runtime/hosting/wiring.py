@@ -39,10 +39,7 @@ Runners = Mapping[tuple[str, int], Runner]
 
 
 class OpenEndpoints:
-    """What one connector has open in this container.
-
-    `route` and `sender` are there when the source's end is.
-    """
+    """What one connector has open in this container."""
 
     def __init__(self, spec: ConnectorSpec) -> None:
         self.spec = spec
@@ -69,15 +66,7 @@ class OpenEndpoints:
 
 
 class Wiring:
-    """The connectors of a container.
-
-    Parameters
-    ----------
-    server
-        Where the connectors of others end in it.
-    ahead
-        Returns how far another computer's clock is ahead, if that is known.
-    """
+    """The connectors of a container."""
 
     def __init__(
         self,
@@ -91,15 +80,7 @@ class Wiring:
     def apply(
         self, specs: tuple[ConnectorSpec, ...], runners: Runners
     ) -> dict[tuple[str, int], str]:
-        """Make the open connectors those of `specs`, touching only what changed.
-
-        Paths are opened before others are closed, so that a source that has both
-        goes over from one to the other.
-
-        Returns
-        -------
-        Component and epoch -> why a connector at one of its ports cannot be opened.
-        """
+        """Open the connectors of `specs`, close others; return faults by epoch."""
         wanted = {spec.key: spec for spec in specs}
         self._close_readdressed(wanted)
         known = {ends.sender for ends in self.endpoints()}
@@ -121,18 +102,7 @@ class Wiring:
         return troubles
 
     def sender(self, connector: str) -> Sender:
-        """Return the source's end of a connector that is open here.
-
-        Parameters
-        ----------
-        connector
-            Its name or, for one of its routes, its key.
-
-        Raises
-        ------
-        UsageError
-            There is none.
-        """
+        """Return the sender of a connector, or of one of its routes by its key."""
         for ends in self.endpoints():
             if ends.sender and connector in {ends.spec.name, ends.spec.key}:
                 return ends.sender
@@ -170,10 +140,7 @@ class Wiring:
                 self.shut(key)
 
     def _buffer_amid_a_move(self, known: AbstractSet[Sender | None]) -> None:
-        """Buffer over new connectors to a component that moves.
-
-        The container was restarted, and its first incarnation was told to buffer.
-        """
+        """Buffer over new connectors to a moving component, after a restart."""
         for ends in self.endpoints():
             sender = ends.sender
             if sender is not None and sender not in known:

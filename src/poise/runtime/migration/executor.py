@@ -1,9 +1,7 @@
 """A container's side of a migration: it takes the steps that the manager sends.
 
-Each step is harmless when repeated, and leaves all as it was when it fails. A step may
-be taken after the manager gave it up. Then the phases of the incarnation refuse it, or
-the next deployment undoes it and refuses what comes later. Phases, and what each step
-is for: `poise.wire.records.migration_records`.
+Each step is harmless when repeated, and leaves all as it was when it fails. A step that
+comes late is refused by the incarnation's phase, or undone by the next deployment.
 """
 
 from __future__ import annotations
@@ -164,12 +162,7 @@ class MigrationExecutor:
         self._told: ContainerSpec | None = None
 
     def note_deployment(self, spec: ContainerSpec) -> None:
-        """Refuse the steps that were received until now: a deployment says what is so.
-
-        The next migration of the same component may follow, and needs none of them.
-        When a lease ends, or an agent starts again, no manager says so: then it stays
-        known how far the steps got.
-        """
+        """Refuse the steps received until now: a manager's deployment counts."""
         with self._beginning:
             self._num_deployments += 1
             if self._told is None or not self._told.is_told_by(spec):

@@ -28,17 +28,7 @@ def describe_type(type_: Any) -> str:  # noqa: ANN401, any type
 
 
 def check_fits(described: str, taken: Any, by: str) -> None:  # noqa: ANN401, any type
-    """Raise UsageError when a state is not what a method takes.
-
-    Parameters
-    ----------
-    described
-        The state's type, by `describe_type`.
-    taken
-        The type that the method's parameter is annotated with.
-    by
-        The method.
-    """
+    """Raise UsageError when a described state is not what method `by` takes."""
     is_union = get_origin(taken) in {Union, UnionType}
     options = get_args(taken) if is_union else (taken,)
     if taken is Any or any(describe_type(each) == described for each in options):
@@ -65,15 +55,7 @@ def check_adapted(
     states: tuple[Mapping[str, Any], Mapping[str, Any]],
     sources: Collection[str],
 ) -> None:
-    """Raise UsageError when `adapt` makes no state for a component, or of other ones.
-
-    Parameters
-    ----------
-    states
-        The states that `adapt` takes, and those that it makes: component -> type.
-    sources
-        The components that are replaced.
-    """
+    """Raise UsageError when `adapt` takes or makes other states than there are."""
     before, after = states
     unknown = ", ".join(sorted(before.keys() - set(sources)))
     if unknown:
@@ -110,13 +92,7 @@ def check_state(component: type[Component]) -> None:
 
 
 def type_taken_by(method: Any) -> Any:  # noqa: ANN401, a user's method
-    """Return the type that a method's parameter is annotated with.
-
-    Raises
-    ------
-    UsageError
-        There is no annotation.
-    """
+    """Return the type that a method's parameter is annotated with."""
     name = next(iter(inspect.signature(method).parameters))
     hints = get_type_hints(method)
     if name not in hints:
@@ -129,13 +105,7 @@ def type_taken_by(method: Any) -> Any:  # noqa: ANN401, a user's method
 def types_of(
     adapt: Callable[[Any], Any],
 ) -> tuple[Mapping[str, Any], Mapping[str, Any]]:
-    """Return which states a function takes, and which it gives: component -> type.
-
-    Raises
-    ------
-    UsageError
-        Its parameter or its result is not annotated with a message class.
-    """
+    """Return which states a function takes, and which it gives: component -> type."""
     hints = get_type_hints(adapt)
     found = []
     for name in (*inspect.signature(adapt).parameters, "return"):

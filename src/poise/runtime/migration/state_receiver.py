@@ -1,14 +1,7 @@
 """The target's side of a state transfer.
 
-From a source of the same component it takes everything. When a whole architecture is
-replaced by its alternative, a function of the user's, `adapt`, makes the states of the
-new components from those of the old ones, by their names::
-
-    class Before(Message):
-        odometry: Odometry      # the state of the component `odometry`
-
-    class After(Message):
-        slam: Map               # what the component `slam` is to restore
+When an architecture is replaced, a function of the user's, `adapt`, makes the states of
+the new components from those of the old ones, which are the fields of two messages::
 
     def adapt(before: Before) -> After: ...
 
@@ -64,18 +57,7 @@ OpenChannel = Callable[[str, str], Channel]
 
 
 class StateReceiver:
-    """Restores the state of one target in one migration.
-
-    Parameters
-    ----------
-    sources
-        Component -> epoch and address of the incarnations that transfer their state.
-
-    Raises
-    ------
-    RobotError, UsageError
-        `adapt` cannot be found, or does not say what it takes and gives.
-    """
+    """Restores the state of one target in one migration."""
 
     def __init__(
         self,
@@ -104,13 +86,7 @@ class StateReceiver:
         self._requested: dict[str, Future[StateTransfer]] = {}
 
     def connect(self, deadline: float) -> None:
-        """Connect to the sources; fetch a large state while they still work.
-
-        Raises
-        ------
-        Timeout
-            A source could not be reached until `deadline` [s, monotonic clock].
-        """
+        """Connect to the sources; fetch a large state while they still work."""
         give_up_at = min(deadline, time.monotonic() + CONNECT_LIMIT)
         for name, channel in self._channels.items():
             late = f"component '{name}' ({self._sources[name][0]}) is not reached"
@@ -123,10 +99,7 @@ class StateReceiver:
             restore(self._runner, fetch(channel, Request.STATE, left), self._adapt)
 
     def request(self) -> None:
-        """Request everything, so that the requests are there when the sources pause.
-
-        On threads of their own, which only wait.
-        """
+        """Request everything, on threads that only wait, before the sources pause."""
         component = self._runner.component
         for method in (component.restore, component.restore_delta):
             codec(type_taken_by(method))  # looked up before the pause
@@ -137,13 +110,7 @@ class StateReceiver:
                 threads.daemon(_fetch_all, "receiver", channel, requested).start()
 
     def restore(self, limit: float) -> None:
-        """Restore the state within `limit` [s], as soon as the sources send it.
-
-        Raises
-        ------
-        Exception
-            A source cannot send, or whatever `adapt` and `restore` raise.
-        """
+        """Restore the state within `limit` [s], as soon as the sources send it."""
         deadline = time.monotonic() + limit
         transfers = {}
         for name, requested in self._requested.items():
@@ -183,15 +150,7 @@ class StateReceiver:
 
 
 def fetch(channel: Channel, request: Request, limit: float) -> StateTransfer:
-    """Request the state of a source.
-
-    Raises
-    ------
-    UsageError
-        Its component could not give its state.
-    CallError
-        It did not answer within `limit` [s].
-    """
+    """Request the state of a source; CallError: no answer within `limit` [s]."""
     pieces = frame.segments(REQUEST, (request, limit), Kind.CALL)
     answer = channel.request(pieces, limit)
     if answer.kind is Kind.ERROR:
@@ -211,19 +170,7 @@ def _fetch_all(channel: Channel, requested: Future[StateTransfer]) -> None:
 def restore(
     runner: Runner, transfer: StateTransfer, adapt: Callable[[Any], Any] | None = None
 ) -> None:
-    """Let an inactive target go on from what the source sent just now.
-
-    Parameters
-    ----------
-    adapt
-        Turns the state of another implementation into one for this; its parameter's
-        annotation says the type that it takes.
-
-    Raises
-    ------
-    Exception
-        Whatever the component's `restore` raises; it must not be activated then.
-    """
+    """Let an inactive target go on from what the source sent just now."""
     component, is_fresh = runner.component, runner.spec.fresh
     now = runner.clock.now()
     runner.timers.begin_at({name: now + left for name, left in transfer.due.items()})

@@ -1,9 +1,8 @@
 """The source's side of a state transfer.
 
-The target requests the state over a channel of their own, as a call: first while the
-source still works (`Request.STATE`, for components that offer `snapshot_delta`), then
-everything (`Request.ALL`), which is answered as soon as the source is paused and
-drained.
+The target requests the state, as a call: first while the source works (`Request.STATE`,
+for components that offer `snapshot_delta`), then everything (`Request.ALL`), which is
+answered once the source is paused and drained.
 """
 
 from __future__ import annotations
@@ -41,28 +40,17 @@ class Request(IntEnum):
 
 
 class StateTransfer(Struct, frozen=True, kw_only=True):
-    """All that lets the target go on where the source stopped.
+    """All that lets the target go on where the source stopped."""
 
-    Parameters
-    ----------
-    state, delta
-        Frames with what `snapshot` or `snapshot_delta` gave; empty: nothing.
-    state_type
-        The type of the state, by `state_check.describe_type`.
-    messages
-        Ports, frames and stamps of the messages and one-way calls that wait, oldest
-        first.
-    due
-        Timer -> time until its next release [s].
-    stamps
-        Chain -> the stamp of the data that the source took last.
-    """
-
+    # Frames with what `snapshot` or `snapshot_delta` gave; empty: nothing
     state: bytes = b""
-    state_type: str = ""
+    state_type: str = ""  # The type of the state, by `state_check.describe_type`
+    # Frames with what `snapshot` or `snapshot_delta` gave; empty: nothing
     delta: bytes = b""
+    # Ports, frames and stamps of the messages and one-way calls that wait, oldest first
     messages: tuple[tuple[str, bytes, Mapping[str, Stamp]], ...] = ()
-    due: Mapping[str, float] = {}
+    due: Mapping[str, float] = {}  # Timer -> time until its next release [s]
+    # Chain -> the stamp of the data that the source took last
     stamps: Mapping[str, Stamp] = {}
 
 
@@ -77,10 +65,7 @@ def key_of(component: str, epoch: int, migration: int) -> str:
 
 
 class StateSender:
-    """Serves the state of one source in one migration, until it is closed.
-
-    A request for everything waits until `send` or `refuse` was called.
-    """
+    """Serves the state of one source in one migration; `ALL` waits for the snapshot."""
 
     def __init__(
         self, runner: Runner, migration: int, server: ConnectionServer

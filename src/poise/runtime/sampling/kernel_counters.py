@@ -1,8 +1,7 @@
 """What the kernel counts: CPU time, memory and waiting.
 
-A leak grows all the time. What a program allocates once, at its start or later, and
-what a garbage collector gives back does not: the memory must grow from each fifth of a
-time to the next, and beyond all that it has been within the minute before.
+A leak grows all the time: memory counts as growing when it grows from each fifth of a
+time to the next, and beyond all that it was within the minute before.
 """
 
 from __future__ import annotations
@@ -39,10 +38,7 @@ class ComputerCpu:
         self._file = Path(path or "/proc/stat") if path != "" else None
 
     def read(self) -> float | None:
-        """Return the CPU time so far [s].
-
-        None when nobody counts it: on an emulated computer without a cgroup.
-        """
+        """Return the CPU time so far [s]; None: nobody counts it."""
         if self._file is None:
             return None
         try:
@@ -65,13 +61,7 @@ def _of_group(usage: str) -> float:
 
 
 class Processes:
-    """What the kernel knows of processes.
-
-    Parameters
-    ----------
-    proc
-        Where its files are.
-    """
+    """What the kernel knows of processes."""
 
     def __init__(self, proc: Path = Path("/proc")) -> None:
         self._proc = proc
@@ -100,10 +90,7 @@ class Processes:
             return 0.0
 
     def delays(self, pid: int) -> dict[int, float]:
-        """Return how long each thread was runnable without a CPU [s], by thread.
-
-        Empty where the kernel does not count that.
-        """
+        """Return each thread's time runnable without a CPU [s]; empty: not counted."""
         found = {}
         for thread in (self._proc / str(pid) / "task").glob("*/schedstat"):
             with contextlib.suppress(OSError):  # it has ended
@@ -113,10 +100,7 @@ class Processes:
 
 
 def private_memory(process: int) -> int:
-    """Return what a process has allocated [bytes]; 0 when it has ended.
-
-    Files that it maps are not in it: the kernel drops these when memory is short.
-    """
+    """Return what a process has allocated [bytes], without files; 0: it has ended."""
     try:
         fields = Path(f"/proc/{process}/statm").read_bytes().split()
     except OSError:
@@ -159,13 +143,7 @@ class MemoryRoom(Struct, frozen=True):
 
 
 class ComputerMemory:
-    """Reads the limits that hold for this process and its children.
-
-    Parameters
-    ----------
-    proc
-        Where the kernel's process files are.
-    """
+    """Reads the limits that hold for this process and its children."""
 
     def __init__(self, proc: Path = Path("/proc")) -> None:
         self._meminfo = proc / "meminfo"
@@ -220,13 +198,7 @@ _LEAST = 64 * 1024.0
 
 
 class MemoryGrowth:
-    """Follows the memory of one container.
-
-    Attributes
-    ----------
-    rate
-        How fast it grows [bytes/s]; 0: not steadily.
-    """
+    """Follows the memory of one container."""
 
     def __init__(self) -> None:
         self.rate = 0.0

@@ -45,22 +45,7 @@ _AGENT = ""
 
 
 class Sampler:
-    """A thread of the agent; it wakes once per interval, however many containers.
-
-    Parameters
-    ----------
-    computer
-        Its name.
-    every
-        How often to publish a sample [s]; 0: never.
-    containers
-        Returns name, process number and stats page of the containers that run; called
-        on the thread.
-    publish
-        Takes an encoded `AgentSample`; called on the thread.
-    on_silence
-        Called on the thread when a container does not respond, or does so again.
-    """
+    """A thread of the agent; it wakes once per interval, however many containers."""
 
     def __init__(
         self,

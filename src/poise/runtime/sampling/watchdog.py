@@ -1,10 +1,8 @@
 """Notices containers that do not respond, and finds out why.
 
-A container's control thread increments a heartbeat in the stats page several times a
-second; it needs the interpreter (GIL) for that. When the heartbeat stands still, the
-kernel's counters tell the reasons apart: the process is stopped; a thread holds the
-interpreter; or the process gets no CPU, which is reported only after a longer time,
-because on a busy machine it passes by itself.
+A control thread increments a heartbeat in the stats page, for which it needs the GIL.
+When that stands still, the kernel's counters tell why: the process is stopped, a thread
+holds the GIL, or it gets no CPU, which is reported only after a longer time.
 """
 
 from __future__ import annotations
@@ -31,24 +29,15 @@ _SHARE = 0.25
 
 
 class Silence(Struct, frozen=True, kw_only=True):
-    """A container does not respond; or it responds again: then `reason` is empty.
-
-    Parameters
-    ----------
-    seconds
-        How long it did not respond [s].
-    heartbeat
-        Where its heartbeat stands still.
-    is_starved
-        Whether it only gets no CPU, which may pass at any moment.
-    """
+    """A container does not respond; or it responds again: then `reason` is empty."""
 
     container: str
     pid: int
-    seconds: float
+    seconds: float  # How long it did not respond [s]
     reason: str = ""
     remedy: str = ""
-    heartbeat: int = 0
+    heartbeat: int = 0  # Where its heartbeat stands still
+    # Whether it only gets no CPU, which may pass at any moment
     is_starved: bool = False
 
 
@@ -70,15 +59,7 @@ class _Watched:
 
 
 class Watchdog:
-    """Compares heartbeats; `look` is called every `LOOK_EVERY`.
-
-    Parameters
-    ----------
-    processes
-        What the kernel knows.
-    clock
-        Returns the time [s].
-    """
+    """Compares heartbeats; `look` is called every `LOOK_EVERY`."""
 
     def __init__(
         self,
@@ -93,13 +74,7 @@ class Watchdog:
     def look(
         self, containers: Iterable[tuple[str, int, WatchedPage]]
     ) -> Iterator[Silence]:
-        """Yield the containers that do not respond any more, or do so again.
-
-        Parameters
-        ----------
-        containers
-            Name, process id and heartbeat.
-        """
+        """Yield the containers that do not respond any more, or do so again."""
         now = self._clock()
         # the watchdog itself got no CPU: nothing is known of that time
         was_away = now - self._looked_at > 2 * LOOK_EVERY

@@ -1,9 +1,4 @@
-"""The containers that an agent which was killed has left, and the next one adopts.
-
-An agent keeps in its folder what must be known after it was killed (`AgentState`). The
-next one waits until the containers that still run ask to be adopted, and kills those
-that do not within `ADOPT_LIMIT`, so that nothing runs twice.
-"""
+"""The containers of an agent that was killed: the next one adopts or kills them."""
 
 from __future__ import annotations
 
@@ -27,11 +22,7 @@ ADOPT_LIMIT = 5.0
 
 
 class AdoptedContainers:
-    """Waits for the containers of an earlier agent, and for the ends of adopted ones.
-
-    A container of this computer listens at a socket in the folder for as long as it
-    lives: so those that were left are known, whatever an agent could keep.
-    """
+    """Waits for the containers of an earlier agent, found by their sockets."""
 
     def __init__(self, folder: Path, clock: Clock) -> None:
         self._folder = folder
@@ -70,11 +61,7 @@ class AdoptedContainers:
         return self._until if self._left else float("inf")
 
     def next_orphan(self) -> tuple[Orphan, socket.socket, int] | None:
-        """Return a container that asks to be adopted, as `take_over` does.
-
-        None: none asks now. WireError: something asks that is no container of this
-        version; others may still wait.
-        """
+        """Return a container that asks to be adopted; None: none asks now."""
         while True:
             try:
                 orphan, connection, stats_page = take_over(self._listening, Orphan)

@@ -1,7 +1,4 @@
-"""The containers of an agent: what each should be, and what it is.
-
-Each batch is answered once: with its outcome, or with why its container is silent.
-"""
+"""The containers of an agent: what each should be, and what it is."""
 
 from __future__ import annotations
 
@@ -32,18 +29,7 @@ STOP_LIMIT = 2.0
 
 
 class ContainerProcess:
-    """A running container, from the agent's side.
-
-    `pid` is 0 until its birth is reported. `kill_at` is when it has had time enough to
-    end [s]. `silence` says why it does not respond; None: it does.
-
-    Parameters
-    ----------
-    control
-        Its process, and the connection to it.
-    pid
-        Of one that runs already, and was told nothing yet; 0: it is being born.
-    """
+    """A running container, from the agent's side."""
 
     def __init__(
         self, spec: ContainerSpec, control: ContainerControl, pid: int = 0
@@ -124,10 +110,7 @@ class ContainerProcess:
         return self.silent_since + min(limit for limit in limits if limit)
 
     def is_stuck(self) -> bool:
-        """Return whether it does not respond, and not only for lack of CPU.
-
-        Its heartbeat is known sooner than the watchdog says that it responds again.
-        """
+        """Return whether it does not respond, and not only for lack of CPU."""
         silence = self.silence
         return (
             silence is not None
@@ -146,14 +129,7 @@ class ContainerProcess:
         return what
 
     def leased_at_work(self, since: float) -> list[str]:
-        """Return the leased components that it says are active, if it said so lately.
-
-        Parameters
-        ----------
-        since
-            Of what it said before, or does not say because it is starved or stopped,
-            nothing is known [s].
-        """
+        """Return the leased components that it has said since then [s] are active."""
         if self.status is None or self.status.at < since:
             return []
         leased = {(c.name, c.epoch) for c in self.spec.components if c.leased}
@@ -190,13 +166,7 @@ class ContainerProcess:
         return "; ".join(filter(None, [*said, self._why_ended]))
 
     def loss(self, age_of: Callable[[str, int], float | None]) -> str:
-        """Return what became of the states of its components, in words.
-
-        Parameters
-        ----------
-        age_of
-            As `AgentDisk.checkpoint_age`.
-        """
+        """Return what became of the states of its components, in words."""
         active = [c for c in self._components() if c.state == "active"]
         ages = {c.name: age_of(c.name, c.epoch) for c in active}
         kept = "; ".join(
@@ -259,13 +229,7 @@ class _Pending(Struct, frozen=True):
 
 
 class MigrationRelay:
-    """The migration steps and taps in progress in one agent's containers.
-
-    Parameters
-    ----------
-    processes
-        The containers that run, by name.
-    """
+    """The migration steps and taps in progress in one agent's containers."""
 
     def __init__(self, processes: Mapping[str, ContainerProcess]) -> None:
         self._processes = processes

@@ -1,13 +1,8 @@
 """How the containers of a computer share its CPU when that is not enough for all.
 
-Each container is in a control group of its own with the weight of its architecture's
-priority, where the agent may make groups: on an emulated computer, or on a real one in
-a folder that was delegated to it (systemd's ``Delegate=cpu``). Elsewhere the threads of
-less important containers have higher nice values.
-
-What is prepared for an action that has not begun shares one group: it gets the CPU when
-nobody else wants it, and no more than it is given. Without groups nothing holds it back
-but that its threads that import are nice (`gives_way`).
+Each is in a cgroup with the weight of its architecture's priority, where the agent may
+make groups (emulated, or delegated by systemd's ``Delegate=cpu``); elsewhere it has a
+nice value. What is prepared for a later action shares one group of limited CPU.
 """
 
 from __future__ import annotations
@@ -38,18 +33,7 @@ _PERIOD = 0.02
 
 
 class CpuWeights:
-    """Gives containers their weights; for the agent's own thread.
-
-    Parameters
-    ----------
-    folder
-        The cgroup that belongs to the agent; None: there is none.
-
-    Attributes
-    ----------
-    means
-        What is used, for people; empty while all containers have the same weight.
-    """
+    """Gives containers their weights; for the agent's own thread."""
 
     def __init__(self, folder: Path | None) -> None:
         self._folder = folder

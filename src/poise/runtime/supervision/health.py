@@ -18,13 +18,7 @@ _LATELY = 60.0
 
 
 class ContainerUse(Struct, frozen=True):
-    """What a container uses.
-
-    Parameters
-    ----------
-    cpu, memory, growth, limit, full_in
-        As in `ContainerHealth`.
-    """
+    """What a container uses."""
 
     cpu: float = 0.0
     memory: int = 0
@@ -39,15 +33,7 @@ _NOTHING = ContainerUse()
 
 
 class HealthRecords:
-    """The health of all containers that an agent has run, for as long as it lives.
-
-    Parameters
-    ----------
-    clock
-        Returns the time [s] by which restarts of the last minute are counted.
-    wall
-        Returns the time [s since 1970].
-    """
+    """The health of all containers that an agent has run, for as long as it lives."""
 
     def __init__(
         self,

@@ -1,8 +1,4 @@
-"""Starts container processes by way of the zygote, and shares the computer out.
-
-The kernel counts such kills per cgroup (``memory.oom_control`` of version 1,
-``memory.events`` of version 2), and in ``/proc/vmstat`` for the whole machine.
-"""
+"""Starts container processes by way of the zygote, and shares the computer out."""
 
 from __future__ import annotations
 
@@ -25,18 +21,7 @@ from poise.wire.records.deployment_records import ContainerSpec
 
 
 class ControlLink:
-    """A `ContainerControl` of a real process.
-
-    Parameters
-    ----------
-    stats_page
-        The descriptor of its stats page; closed when it is not needed any more.
-
-    Attributes
-    ----------
-    page
-        Reads the container's stats page; None before its birth.
-    """
+    """A `ContainerControl` of a real process."""
 
     def __init__(self, name: str, connection: socket.socket, stats_page: int) -> None:
         self.name = name
@@ -73,10 +58,7 @@ class ControlLink:
                 os.kill(self.pid, number)
 
     def extend_lease(self, until: float) -> None:
-        """Let its leased components act until then [s, CLOCK_BOOTTIME].
-
-        Called from any thread; without effect before it is born.
-        """
+        """Let its leased components act until then [s, boot time]; any thread."""
         if self._lease is not None:
             self._lease.at = until
 
@@ -100,13 +82,7 @@ _LATE = 10.0
 
 
 class OomKills:
-    """The kills of this process's cgroup, each of which explains one end.
-
-    Parameters
-    ----------
-    proc
-        Where the kernel's process files are.
-    """
+    """The kills of this process's cgroup, each of which explains one end."""
 
     def __init__(self, proc: Path = Path("/proc")) -> None:
         mount = memory_group(proc)
@@ -166,15 +142,7 @@ containers, and last the agent."""
 
 
 class ProcessHost:
-    """The `ContainerHost` of a real computer.
-
-    Parameters
-    ----------
-    zygote_socket
-        The socket of the zygote, from `poise.runtime.container.zygote.start`.
-    computer, folder
-        The name of the computer, and the folder of the agent.
-    """
+    """The `ContainerHost` of a real computer."""
 
     def __init__(
         self, zygote_socket: socket.socket, computer: str, folder: Path

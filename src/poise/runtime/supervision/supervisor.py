@@ -1,8 +1,7 @@
 """Starts, watches and ends the containers of one computer.
 
-It compares the containers that should run with those that run and takes the smallest
-step. A container that ended is started again after a delay that grows. Those that an
-earlier agent left are adopted. An error in the handling of one stops no other.
+It takes the smallest step from those that run to those that should. One that ended is
+started again after a delay that grows. An error in handling one stops no other.
 """
 
 from __future__ import annotations
@@ -35,24 +34,7 @@ with its container [s]."""
 
 
 class Supervisor:
-    """The containers of an agent; for the agent's own thread.
-
-    Parameters
-    ----------
-    supervised
-        Runs what is done for one container.
-    random
-        Spreads restarts over time.
-    awaits
-        Returns whether a container of an earlier agent still runs: then it is adopted.
-    checkpoint_age
-        As `AgentDisk.checkpoint_age`.
-
-    Attributes
-    ----------
-    trouble
-        Why no container can be started any more; empty: they can.
-    """
+    """The containers of an agent; for the agent's own thread."""
 
     def __init__(
         self,
@@ -93,11 +75,7 @@ class Supervisor:
         self._is_cut_off = is_cut_off
 
     def extend_lease(self, until: float) -> None:
-        """Let leased components act until then [s, CLOCK_BOOTTIME]; on any thread.
-
-        A container whose lease had ended has it again when it runs nothing but what is
-        wanted: it may not have taken in yet what the manager said last.
-        """
+        """Let leased components act until then [s, CLOCK_BOOTTIME]; on any thread."""
         self.lease_end = until
         wanted = self.wanted.containers if self.wanted else ()
         for process in list(self.processes.values()):
@@ -161,13 +139,7 @@ class Supervisor:
         return None if process is None else process.take(said)
 
     def note_deaf(self, container: str, why: str) -> None:
-        """Record that a container cannot be heard any more; it is killed.
-
-        Parameters
-        ----------
-        why
-            In words; empty: it ended its connection.
-        """
+        """Kill a container that cannot be heard any more, and record why."""
         process = self.processes.get(container)
         if process is not None:
             process.give_up(why)
@@ -203,10 +175,7 @@ class Supervisor:
         return next(found, "")
 
     def adopt(self, name: str, pid: int, control: ContainerControl) -> bool:
-        """Take over a container of an earlier agent; return whether that is done.
-
-        It is not when there is another of its name, or no memory is free.
-        """
+        """Take over a container of an earlier agent; return whether that is done."""
         if name in self.processes:
             return False
         # it is told what to run, or to end, once that is known

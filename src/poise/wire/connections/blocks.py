@@ -1,17 +1,12 @@
-"""Blocks of shared memory for the arrays that cross connections.
+"""Blocks of shared memory (memfd) for the arrays that cross connections.
 
-A block is an anonymous file (``memfd_create``) that both ends map. The sender copies
-arrays into it, or they lie there from the start (`loan`); the receiver's arrays are
-read-only views on it. Its first page has a byte, a *slot*, for each connection of the
-sender, and one for the sender's own loan: the sender sets it, and the receiver clears
-it when the last array on the block is gone. A block whose slots are all clear is used
-again. When a receiver keeps its arrays, the sender takes another block, or sends
-through the socket when there is none. While a block is being filled, the byte has a
-third value, and the receiver waits (``native/filling.h``).
-
-When a connection ends, nobody clears its slot: a block that is still lent over it is
-given up. The kernel frees a block when the last process unmaps it, and so whatever a
-crash leaves behind: it has no name in the file system.
+The sender copies arrays into a block, or they lie there from the start (`loan`); the
+receiver's arrays are read-only views. The first page has a byte, a *slot*, for each
+connection and for the loan: the sender sets it, the receiver clears it when the last
+array is gone, and a third value says that the block is being filled
+(``native/filling.h``). A block whose slots are clear is used again; one that is still
+lent when its connection ends is given up. It has no name in the file system, so the
+kernel frees what a crash leaves behind.
 """
 
 from __future__ import annotations
@@ -51,10 +46,7 @@ _SEALS = fcntl.F_SEAL_SHRINK | fcntl.F_SEAL_GROW | fcntl.F_SEAL_SEAL
 
 
 class Block:
-    """The sender's side of a block with room for `capacity` bytes.
-
-    Sending copies arrays to its `memory`, or leaves them there.
-    """
+    """The sender's side of a block with room for `capacity` bytes."""
 
     def __init__(self, number: int, capacity: int) -> None:
         self.number = number
@@ -109,11 +101,7 @@ class Blocks:
         self._free_slots = list(reversed(range(1, DATA)))
 
     def take(self, size: int, slot: int) -> Block | None:
-        """Return a free block for `size` bytes, lent to a slot.
-
-        None when its receiver has not given back enough of them, or no memory or file
-        is left.
-        """
+        """Return a free block for `size` bytes, lent to a slot; None: there is none."""
         with self._changing, contextlib.suppress(OSError):
             blocks = self._blocks.values()
             if sum(block.is_lent(slot) for block in blocks) >= MOST_LENT:
@@ -139,10 +127,7 @@ class Blocks:
             return self._free_slots.pop() if self._free_slots else None
 
     def give_slot_back(self, slot: int) -> None:
-        """End a connection: blocks that are lent over it are not used again.
-
-        Behind the last connection no block is kept for another.
-        """
+        """End a connection: blocks that are lent over it are not used again."""
         with self._changing:
             self._free_slots.append(slot)
             is_last = len(self._free_slots) == len(range(1, DATA))
@@ -169,10 +154,7 @@ BLOCKS = Blocks()
 
 
 def lender(file: int, slot: int) -> _channel.Lender:
-    """Return the receiver's side of a block, which lends what was sent on it.
-
-    WireError when the file is none.
-    """
+    """Return the receiver's side of a block; WireError when the file is none."""
     if fcntl.fcntl(file, fcntl.F_GET_SEALS) & _SEALS != _SEALS:
         raise WireError("a shared block may shrink: not sealed")
     capacity = os.fstat(file).st_size - DATA

@@ -1,12 +1,10 @@
 """The sending end of a connector: connections to the container where it ends.
 
-Each connection carries one connector: its first frame names it, and says whether calls
-or messages follow. A call uses a connection alone until its answer is there, so answers
-need no sorting, and the thread that calls reads the answer; concurrent callers use
-several. The thread that reads a call at the other end runs it and answers: no thread
-wakes another. Messages use one connection, which keeps their order; credit comes back
-over it. When it breaks and another replaces it, the receiver first takes all that came
-over the first, and then hears how much was sent over that: so it knows what was lost.
+The first frame of a connection names the connector. A call has a connection to itself
+until its answer is there: the calling thread reads the answer, so no thread wakes
+another. Messages use one connection, which keeps their order; credit comes back over
+it. A receiver takes all that came over a connection before what comes over the one that
+replaces it.
 """
 
 from __future__ import annotations
@@ -92,10 +90,7 @@ class _Connections:
             connection.end()
 
     def close_older(self) -> None:
-        """Close those that were idle since the last time.
-
-        The last one stays when it holds no memory: opening another takes time.
-        """
+        """Close those that were idle since the last time, except one without memory."""
         if not self._recent and self._older and not self._older[-1].has_blocks:
             self._recent.append(self._older.pop())
         self._drop_all(self._older)
@@ -114,23 +109,7 @@ class _Connections:
 
 
 class Channel:
-    """The sending end; connects when first used, and again when the peer came back.
-
-    Any thread may use it.
-
-    Parameters
-    ----------
-    address
-        Where the container is in which the connector ends.
-    folder
-        Where the sockets of this computer's containers are.
-    use
-        `CALLS` or `MESSAGES`: the use of the connection that `is_ready` opens.
-    on_frame
-        Takes what comes back where messages go; returns whether more may come.
-    first
-        Returns what each connection for messages begins with; None: nothing.
-    """
+    """The sending end; connects when first used, and again when the peer came back."""
 
     def __init__(
         self,
@@ -156,10 +135,7 @@ class Channel:
         self._ask_at = 0.0
 
     def is_ready(self) -> bool:
-        """Return at once whether the receiving end is there, by connecting to it.
-
-        It also closes idle connections now and then.
-        """
+        """Connect if needed, and return at once whether the receiving end is there."""
         now = time.monotonic()
         if now - self._looked_at > _IDLE:
             self._looked_at = now
@@ -175,17 +151,7 @@ class Channel:
         return self._calls.is_in_use()
 
     def request(self, pieces: Pieces, limit: float) -> Frame:
-        """Send a call and return its answer.
-
-        Raises
-        ------
-        Closed
-            This end was closed; nothing was sent.
-        Unavailable
-            Nobody is there, or it went away.
-        Timeout
-            No answer within `limit` [s].
-        """
+        """Send a call and return its answer; Timeout after `limit` [s]."""
         if self._is_closed:
             raise Closed(f"{self._connector} is closed")
         deadline = time.monotonic() + limit
@@ -215,15 +181,7 @@ class Channel:
         limit: float,
         on_sent: Callable[[], object] = lambda: None,
     ) -> None:
-        """Send a message; all use one connection, which keeps their order.
-
-        It may block up to `limit` [s] when the receiver is slow; raises as `request`.
-
-        Parameters
-        ----------
-        on_sent
-            Called once it went out, and before another connection replaces this one.
-        """
+        """Send a message in order, within `limit` [s]; then call `on_sent`."""
         deadline = time.monotonic() + limit
         if not self._ordering.acquire(timeout=limit):
             raise Timeout(f"{self._connector}: others send since {limit:g} s")
@@ -234,10 +192,7 @@ class Channel:
             self._ordering.release()
 
     def give_up(self) -> None:
-        """Take the other computer for lost: messages wait for it no more.
-
-        One that is being sent fails; `is_ready` finds out when it is back.
-        """
+        """Take the other computer for lost: messages do not wait for it any more."""
         self._is_lost = self._address.gateway is not None
         self._messages.end()
 
@@ -270,10 +225,7 @@ class Channel:
                 return connection
 
     def _fresh(self, connections: _Connections) -> Connection | None:
-        """Return an open connection that, as far as is known, reaches the other end.
-
-        Over AF_UNIX, sending fails when it does not; TCP takes bytes for nobody.
-        """
+        """Return an open connection that, as far as is known, reaches the other end."""
         while (connection := connections.take()) and (
             connection.is_over or not (connection.is_local or connection.is_idle())
         ):
@@ -282,12 +234,7 @@ class Channel:
         return connection
 
     def _connect(self, use: int, deadline: float) -> Connection:
-        """Return a new connection.
-
-        A call waits for it until its deadline. A message waits for a computer that was
-        silent once only, so a publisher is not held up by a lost computer; `is_ready`
-        finds out when that is back.
-        """
+        """Return a new connection; a message waits for a silent computer only once."""
         waits = use == CALLS or not self._is_lost
         connection = self._opened(use, deadline if waits else 0.0)
         if connection is None:

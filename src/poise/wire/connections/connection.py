@@ -52,11 +52,7 @@ _ALONE = _INLINE + 3
 
 
 class _Placed(NamedTuple):
-    """A frame whose arrays go over a block, which is lent to the other end.
-
-    `where` is what the native code takes: `block` and `used` of the framing, where to
-    copy arrays to, and the file to be sent.
-    """
+    """A frame whose arrays go over a block, which is lent to the other end."""
 
     block: Block
     pieces: Pieces
@@ -66,9 +62,9 @@ class _Placed(NamedTuple):
 class Connection:
     """Sends and receives frames; one thread at a time in each direction.
 
-    Deadlines are moments of the monotonic clock [s]. `is_local` says that it needs no
-    network; `is_lost` that the other computer was silent for too long, once `is_idle`
-    has found that; `is_over` that no more comes back over it (`follow`).
+    Deadlines are moments of the monotonic clock [s]. After `Timeout` in `send` and
+    after `Unreadable` the connection must be closed, for a part of a frame may have
+    crossed.
     """
 
     def __init__(self, connection: socket.socket) -> None:
@@ -89,10 +85,7 @@ class Connection:
         return bool(self._lenders or self._known)
 
     def is_idle(self) -> bool:
-        """Return at once whether the other end is there, and said nothing unexpected.
-
-        Over AF_UNIX sending fails when it is gone; TCP accepts bytes for nobody.
-        """
+        """Return at once whether the other end is there, and said nothing."""
         try:
             said = self._connection.recv(1, socket.MSG_PEEK | socket.MSG_DONTWAIT)
             return bool(said) and self._reader is not None
@@ -116,21 +109,12 @@ class Connection:
             BLOCKS.give_slot_back(slot)
 
     def end(self, how: int = socket.SHUT_RDWR) -> None:
-        """Let its user find it closed; from any thread.
-
-        With ``socket.SHUT_RD`` what has come is still read, and may be answered.
-        """
+        """Let its user find it closed; from any thread."""
         with contextlib.suppress(OSError):
             self._connection.shutdown(how)
 
     def follow(self, handle: Callable[[Frame], bool]) -> None:
-        """Let a thread take what comes back, until `handle` returns False.
-
-        Raises
-        ------
-        Unavailable
-            No thread can be started.
-        """
+        """Let a thread take what comes back, until `handle` returns False."""
         self._reader = threads.daemon(self._follow, "credit", handle)
         try:
             self._reader.start()
@@ -139,10 +123,7 @@ class Connection:
             raise Unavailable(str(error)) from error
 
     def send_back(self, pieces: Pieces) -> bool:
-        """Send a frame, from any thread, if the other end takes it at once.
-
-        Else nothing more goes this way: part of the frame may have been sent.
-        """
+        """Send a frame, from any thread, if the other end takes it at once."""
         with self._closing:
             if self._connection.fileno() < 0:
                 return False
@@ -156,18 +137,7 @@ class Connection:
         return True
 
     def send(self, pieces: Pieces, deadline: float = math.inf) -> None:
-        """Send a frame.
-
-        Raises
-        ------
-        WireError
-            The frame is larger than `LARGEST`; nothing was sent.
-        Timeout
-            The other end did not take it in time. Part of it may have been sent: the
-            connection must be closed.
-        Unavailable
-            The other end is gone, and has not got the frame.
-        """
+        """Send a frame."""
         placed = self._place(pieces) if len(pieces) > _INLINE else None
         if placed is None:
             self._channel.send(pieces, deadline, LARGEST)
@@ -181,11 +151,7 @@ class Connection:
         self._known[placed.block.number] = placed.block
 
     def ask(self, pieces: Pieces, deadline: float) -> Frame | None:
-        """Send a call and return its answer.
-
-        None when the other end was gone before, and has not got the call. Raises what
-        `send` and `receive` do; after any of it the connection must be closed.
-        """
+        """Send a call and return its answer; None: the other end had gone before."""
         placed = self._place(pieces) if len(pieces) > _INLINE else None
         ask, lenders = self._channel.ask, self._lenders
         if placed is None:
@@ -202,17 +168,7 @@ class Connection:
         return got
 
     def receive(self, deadline: float = math.inf) -> Frame:
-        """Return the next frame.
-
-        Raises
-        ------
-        Timeout
-            It did not come in time.
-        Unavailable
-            The other end is gone.
-        WireError
-            It is not a frame; after `Unreadable`, the connection must be closed.
-        """
+        """Return the next frame."""
         got = self._channel.receive(deadline, LARGEST, self._lenders)
         if isinstance(got, tuple):
             return self._on_new_block(*got, deadline)

@@ -1,9 +1,4 @@
-"""The receiving end of a container: a thread for each connection from others.
-
-Connections from this computer come to its AF_UNIX socket. Those from others come to the
-gateway of this computer (`poise.wire.connections.gateway`), which hands them on as open
-files.
-"""
+"""The receiving end of a container: a thread for each connection from others."""
 
 from __future__ import annotations
 
@@ -67,22 +62,7 @@ class _ServedConnection(Struct, eq=False):
 
 
 class ConnectionServer:
-    """Serves the connections that end in a container.
-
-    Parameters
-    ----------
-    folder
-        Where the sockets of this computer's containers are.
-    container
-        The container's name.
-
-    Attributes
-    ----------
-    folder
-        As given.
-    warning
-        Knows whether connections are accepted.
-    """
+    """Serves the connections that end in a container."""
 
     def __init__(self, folder: Path, container: str) -> None:
         self._handlers: dict[str, Handler] = {}
@@ -106,19 +86,12 @@ class ConnectionServer:
         handler: Handler,
         refused: Refused = ignore,
     ) -> None:
-        """Receive the frames of `connector` from now on.
-
-        Malformed frames are logged, answered with an error where a caller waits, and
-        reported to `refused`.
-        """
+        """Receive the frames of `connector` from now on."""
         self._refused[connector] = refused
         self._handlers[connector] = handler
 
     def shut(self, connector: str) -> None:
-        """Receive no more of its frames; harmless when repeated.
-
-        Calls under way are still answered; connections end at their next frame.
-        """
+        """Receive no more of its frames; harmless when repeated."""
         self._handlers.pop(connector, None)
         self._refused.pop(connector, None)
 
@@ -277,10 +250,7 @@ def _handed_over(gateway: socket.socket) -> socket.socket:
 
 
 def _wait_until_taken(before: _ServedConnection) -> None:
-    """Wait for all that was sent over the connection that this one replaces.
-
-    Else a message could overtake earlier ones. What has not come in time is given up.
-    """
+    """Wait for what came over the replaced connection, to keep the order."""
     before.thread.join(_PATIENCE)
     before.connection.end(socket.SHUT_RD)
     while before.thread.is_alive():

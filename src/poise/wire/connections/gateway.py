@@ -1,11 +1,7 @@
 """The gateway of a computer: where connections from other computers arrive.
 
-It listens on one TCP port. The first frame of a connection names a container, and the
-gateway hands the connection on to it. So containers need no ports, and a restarted
-container keeps its address.
-
-A connection that sends nothing or nonsense is closed: its first frame has a largest
-size and a time limit. At most `MOST` are read at a time; others wait in the kernel.
+The first frame of a connection names a container, and the gateway hands the connection
+on to it: containers need no ports, and a restarted container keeps its address.
 """
 
 from __future__ import annotations
@@ -42,27 +38,7 @@ _PAUSE = 0.01
 
 
 class Gateway:
-    """Listens for connections from other computers, a thread for each.
-
-    Parameters
-    ----------
-    folder
-        Where the sockets of this computer's containers are.
-    host
-        An IP address of this computer.
-    port
-        TCP port; 0: one that is free.
-
-    Attributes
-    ----------
-    warning
-        Knows whether connections are accepted.
-
-    Raises
-    ------
-    RunError
-        The address cannot be had.
-    """
+    """Listens for connections from other computers, a thread for each."""
 
     def __init__(self, folder: Path, host: str, port: int = 0) -> None:
         self._folder = folder

@@ -1,11 +1,4 @@
-"""How a connection begins: the sending end names the connector, and the other accepts.
-
-A container of this computer is reached at its AF_UNIX socket, another at the gateway of
-its computer (`gateway`), where a frame names the container first. The next frame names
-the connector, and its number says whether calls or messages will follow.
-
-It is logged now and then, and reported for as long as it lasts.
-"""
+"""How a connection begins: the sending end names the connector, the other accepts."""
 
 from __future__ import annotations
 
@@ -39,13 +32,7 @@ only after 1, 3 and 7 s: too late after a short cut."""
 
 
 class Opening:
-    """A connection that is being opened, without a thread that waits for it.
-
-    Raises
-    ------
-    Unavailable
-        Nobody listens there, or no more files can be opened.
-    """
+    """A connection that is being opened, without a thread that waits for it."""
 
     def __init__(self, connector: str, address: Address, folder: Path) -> None:
         self._connector = connector
@@ -61,13 +48,7 @@ class Opening:
             raise self._failed(error) from error
 
     def go_on(self, use: int, deadline: float) -> bool:
-        """Go on until it is open or `deadline` comes; return whether it is open.
-
-        Raises
-        ------
-        Unavailable
-            Nobody listens there, or the connection was refused.
-        """
+        """Go on until it is open or `deadline` comes; return whether it is open."""
         try:
             return self._is_connected(use, deadline) and self._is_accepted(deadline)
         except BaseException as error:
@@ -163,13 +144,7 @@ _PASSING = {errno.EAGAIN, errno.ECONNABORTED, errno.EINTR}
 
 
 class AcceptWarning:
-    """The warnings of one listener.
-
-    Parameters
-    ----------
-    who
-        Who accepts, for people.
-    """
+    """The warnings of one listener: logged now and then, reported while they last."""
 
     def __init__(self, who: str) -> None:
         self._who = who

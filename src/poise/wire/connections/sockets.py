@@ -1,7 +1,7 @@
 """AF_UNIX sockets: their paths, connecting to one, and keeping them out of forks.
 
 A forked process shares all open sockets, so the other end of a connection would not
-notice that the container has ended. ``SOCK_CLOEXEC`` closes them only at an exec.
+notice that the container has ended; ``SOCK_CLOEXEC`` acts only at an exec.
 """
 
 from __future__ import annotations
@@ -18,13 +18,7 @@ LONGEST = 107
 
 
 def socket_path(folder: Path, container: str) -> Path:
-    """Return the path of a container's socket, as short for a long name as for any.
-
-    Raises
-    ------
-    ValueError
-        The folder's own path leaves no room for it.
-    """
+    """Return the path of a container's socket, as short for a long name as for any."""
     name = blake2s(container.encode(), digest_size=8).hexdigest()
     path = folder / f"{name}.sock"
     length = len(os.fsencode(path))
@@ -48,11 +42,7 @@ def agent_path(folder: Path) -> Path:
 
 
 def connect(connection: socket.socket, path: Path, limit: float) -> None:
-    """Connect an AF_UNIX socket; wait up to `limit` [s] for a place in the queue.
-
-    Python's own time-outs do not wait: the kernel answers EAGAIN to a non-blocking
-    socket. OSError when nobody listens.
-    """
+    """Connect an AF_UNIX socket; wait up to `limit` [s] for a place in the queue."""
     seconds = int(limit)
     value = struct.pack("ll", seconds, max(1, int(1e6 * (limit - seconds))))
     connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, value)

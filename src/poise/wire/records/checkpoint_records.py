@@ -15,20 +15,12 @@ LARGEST = 64 << 20
 
 
 class CheckpointCopy(Struct, frozen=True, kw_only=True, tag=True):
-    """A component's state as its agent keeps it.
-
-    Parameters
-    ----------
-    data
-        The content of the file; None: it is the same as before.
-    age
-        How old it was when this was sent [s].
-    """
+    """A component's state as its agent keeps it."""
 
     component: str
     epoch: int
-    data: bytes | None
-    age: float
+    data: bytes | None  # The content of the file; None: it is the same as before
+    age: float  # How old it was when this was sent [s]
 
 
 def checkpoint_path(folder: Path, component: str, epoch: int) -> Path:
@@ -38,19 +30,11 @@ def checkpoint_path(folder: Path, component: str, epoch: int) -> Path:
 
 
 def set_age(path: Path, age: float = 0.0) -> None:
-    """Let a checkpoint be so old [s]; raises OSError.
-
-    Its file's time of change is on the clock of `boot_time`, for the time of day may
-    step.
-    """
+    """Set a checkpoint's age [s] by its file's time on `boot_time`."""
     os.utime(path, (boot_time() - age,) * 2)
 
 
 def age_of(modified: float) -> float:
-    """Return how old a checkpoint is [s] by the ``st_mtime`` of its file.
-
-    Of one from before the computer started last, it is what is sure: the time since
-    then.
-    """
+    """Return a checkpoint's age [s] at least, by the ``st_mtime`` of its file."""
     now = boot_time()
     return now - modified if modified <= now else now

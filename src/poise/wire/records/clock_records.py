@@ -8,25 +8,14 @@ from msgspec import Struct
 
 
 class ClockStatus(Struct, frozen=True, kw_only=True):
-    """Another computer's clock, as seen from one.
+    """Another computer's clock, as seen from one."""
 
-    Parameters
-    ----------
-    offset
-        The other's clock minus this one [s].
-    error
-        It is surely not further off than this [s]: half of what the quickest ways there
-        and back left open, and what the clocks may have run apart since.
-    at
-        When that was so [s, on this clock].
-    trip
-        The quickest of the last round trips [s].
-    """
-
-    offset: float
+    offset: float  # The other's clock minus this one [s]
+    # It is surely not further off than this [s]: half of what the quickest ways there
+    # and back left open, and what the clocks may have run apart since
     error: float
-    at: float
-    trip: float
+    at: float  # When that was so [s, on this clock]
+    trip: float  # The quickest of the last round trips [s]
 
 
 class Clocks(Struct, frozen=True, tag=True):

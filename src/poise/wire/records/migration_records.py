@@ -47,13 +47,7 @@ TRANSITIONS: Mapping[Role, Mapping[Before, frozenset[Phase]]] = {
 
 
 class MigrationPhases:
-    """The state machine of one party to a migration; any thread may use it.
-
-    Parameters
-    ----------
-    who
-        Names the party in errors: ``migration of component 'localiser'``.
-    """
+    """The state machine of one party to a migration; any thread may use it."""
 
     def __init__(self, role: Role, who: str) -> None:
         self._allowed = TRANSITIONS[role]
@@ -64,18 +58,7 @@ class MigrationPhases:
         self._changing = threading.Lock()
 
     def enter(self, phase: Phase, since: float | None = None) -> None:
-        """Go to a phase; harmless when it is there already.
-
-        Parameters
-        ----------
-        since
-            When it began, by the monotonic clock [s]; None: now.
-
-        Raises
-        ------
-        RunError
-            The phase may not follow the present one, which stays.
-        """
+        """Go to a phase since a moment [s]; RunError when it may not follow."""
         with self._changing:
             self._check(phase)
             self._count(since)
@@ -83,13 +66,7 @@ class MigrationPhases:
 
     @contextmanager
     def taking(self, step: str, phase: Phase) -> Iterator[None]:
-        """Take a step, and enter the phase that it leads to when it succeeds.
-
-        Raises
-        ------
-        RunError
-            The phase may not follow the present one, before or after the step.
-        """
+        """Take a step, and enter the phase that it leads to when it succeeds."""
         with self._changing:
             self._check(phase, step)
         yield
@@ -184,33 +161,23 @@ party are taken by other components, or by connectors that begin in a container.
 
 
 class Step(Struct, frozen=True, omit_defaults=True):
-    """A step of a migration.
-
-    Parameters
-    ----------
-    component, epoch
-        The incarnation that takes it; empty for a step of connectors.
-    connectors
-        Names, for `buffer` and `drain channels`; keys, for a release.
-    sources
-        For `pre-copy`: component -> epoch and address of the incarnations that
-        transfer their state. From a source of the same component a target takes state,
-        buffered messages and timers; from others what `adapt` (`ComponentSpec`) makes
-        of their states.
-    late
-        Keys of connectors whose link is cut, for `buffer`, `pause` and `drain
-        channels`, and how many messages their subscribers keep.
-    limit
-        For `await idle` [s].
-    """
+    """A step of a migration."""
 
     name: StepName
+    # The incarnation that takes it; empty for a step of connectors
     component: str = ""
     epoch: int = 0
+    # Names, for `buffer` and `drain channels`; keys, for a release
     connectors: tuple[str, ...] = ()
+    # For `pre-copy`: component -> epoch and address of the incarnations that transfer
+    # their state. From a source of the same component a target takes state, buffered
+    # messages and timers; from others what `adapt` (`ComponentSpec`) makes of their
+    # states
     sources: Mapping[str, tuple[int, str]] = {}
+    # Keys of connectors whose link is cut, for `buffer`, `pause` and `drain channels`,
+    # and how many messages their subscribers keep
     late: Mapping[str, int] = {}
-    limit: float = 0.0
+    limit: float = 0.0  # For `await idle` [s]
 
     @property
     def role(self) -> Role | None:
@@ -224,55 +191,35 @@ class Step(Struct, frozen=True, omit_defaults=True):
 
 
 class MigrationSteps(Struct, frozen=True, tag=True):
-    """Steps for one container, one after the other; the first that fails ends them.
+    """Steps for one container, one after the other; the first that fails ends them."""
 
-    Parameters
-    ----------
-    number
-        Tells these steps from all others.
-    migration
-        The migration that they belong to; its markers have the same number.
-    limit
-        They are answered within this time [s], but may still be taken afterwards.
-    """
-
-    number: int
+    number: int  # Tells these steps from all others
+    # The migration that they belong to; its markers have the same number
     migration: int
     container: str
     steps: tuple[Step, ...]
+    # They are answered within this time [s], but may still be taken afterwards
     limit: float
 
 
 class StepTaken(Struct, frozen=True):
-    """A step that a container took, for the trace of a migration.
+    """A step that a container took, for the trace of a migration."""
 
-    Parameters
-    ----------
-    who
-        Component and epoch (``localiser/3``), or the container of a sender.
-    began, ended
-        By the monotonic clock of the container's computer [s].
-    """
-
-    who: str
+    who: str  # Component and epoch (``localiser/3``), or the container of a sender
     step: StepName
     phase: Phase
+    # By the monotonic clock of the container's computer [s]
     began: float
     ended: float
 
 
 class StepsDone(Struct, frozen=True, tag=True):
-    """All steps were taken.
-
-    Parameters
-    ----------
-    is_committed
-        Whether the container began a step that follows the commit, since its latest
-        deployment that a manager made.
-    """
+    """All steps were taken."""
 
     number: int
     taken: tuple[StepTaken, ...] = ()
+    # Whether the container began a step that follows the commit, since its latest
+    # deployment that a manager made
     is_committed: bool = False
 
 

@@ -6,35 +6,18 @@ from msgspec import Struct
 
 
 class ReadOutput(Struct, frozen=True, tag=True, kw_only=True):
-    """Tell what was written on a computer.
+    """Tell what was written on a computer."""
 
-    Parameters
-    ----------
-    component
-        Only its lines; empty: all.
-    after
-        Only what was written later [ns since 1970].
-    most
-        Of more lines than this, only the last.
-    """
-
-    component: str = ""
-    after: int = 0
-    most: int = 1_000
+    component: str = ""  # Only its lines; empty: all
+    after: int = 0  # Only what was written later [ns since 1970]
+    most: int = 1_000  # Of more lines than this, only the last
 
 
 class OutputLine(Struct, frozen=True, kw_only=True):
-    """A line that was written to standard output or error, or logged.
+    """A line that was written to standard output or error, or logged."""
 
-    Parameters
-    ----------
-    at
-        When [ns since 1970], by the clock of its computer.
-    component
-        Whose thread wrote it; of a call, the caller's. Else the name of the container.
-    """
-
-    at: int
+    at: int  # When [ns since 1970], by the clock of its computer
+    # Whose thread wrote it; of a call, the caller's. Else the name of the container
     component: str
     text: str
     computer: str = ""

@@ -1,7 +1,4 @@
-"""What a manager asks of agents, with the answers.
-
-The steps of migrations stand in `poise.wire.records.migration_records`.
-"""
+"""What a manager asks of agents, with the answers."""
 
 from __future__ import annotations
 
@@ -21,26 +18,16 @@ PROTOCOL = 10
 
 
 class ManagerId(Struct, frozen=True, kw_only=True):
-    """One start of a manager.
+    """One start of a manager."""
 
-    Parameters
-    ----------
-    key
-        Unique; its liveliness token is ``poise/ROBOT/manager/KEY``.
-    user, host, pid
-        Where it runs, for people.
-    since
-        When it started [s since 1970].
-    term
-        Higher than that of every manager which an agent obeyed when this one began to
-        claim them; 0 before. Of two managers the one with the lower `rank` gives way.
-    """
-
-    key: str
+    key: str  # Unique; its liveliness token is ``poise/ROBOT/manager/KEY``
+    # Where it runs, for people
     user: str
     host: str
     pid: int
-    since: float
+    since: float  # When it started [s since 1970]
+    # Higher than that of every manager which an agent obeyed when this one began to
+    # claim them; 0 before. Of two managers the one with the lower `rank` gives way
     term: int = 0
 
     @property
@@ -55,38 +42,23 @@ class ManagerId(Struct, frozen=True, kw_only=True):
 
 
 class Claim(Struct, frozen=True, tag=True):
-    """Obey this manager from now on.
-
-    Parameters
-    ----------
-    take_over
-        Even if another one is obeyed.
-    agents
-        Computer -> zenoh endpoint, of all agents of the robot: they exchange
-        heartbeats.
-    is_leased
-        Whether the manager exchanges heartbeats with them, too; else nothing is leased.
-    """
+    """Obey this manager from now on."""
 
     manager: ManagerId
-    take_over: bool = False
+    take_over: bool = False  # Even if another one is obeyed
+    # Computer -> zenoh endpoint, of all agents of the robot: they exchange heartbeats
     agents: Mapping[str, str] = {}
+    # Whether the manager exchanges heartbeats with them, too; else nothing is leased
     is_leased: bool = False
 
 
 class Claimed(Struct, frozen=True, tag=True):
-    """An agent's answer to a claim: it obeys the manager from now on.
+    """An agent's answer to a claim: it obeys the manager from now on."""
 
-    Parameters
-    ----------
-    deployment
-        What it works towards, as an earlier manager told it; None: nothing yet.
-    is_cut_off
-        Whether its lease had ended: what may move is inactive there, and may have been
-        started elsewhere.
-    """
-
+    # What it works towards, as an earlier manager told it; None: nothing yet
     deployment: Deployment | None = None
+    # Whether its lease had ended: what may move is inactive there, and may have been
+    # started elsewhere
     is_cut_off: bool = False
 
 
@@ -109,12 +81,7 @@ Request = Claim | Deployment | MigrationSteps | CheckpointCopy | Tap | ReadOutpu
 
 
 class ManagerRequest(Struct, frozen=True, kw_only=True):
-    """A request with its manager's fencing token.
-
-    Each manager claims its agents with a token above all that they have seen. An agent
-    refuses deployments and steps with any other token than that of the manager which
-    it obeys: what a replaced manager still sends has no effect.
-    """
+    """A request with its manager's fencing token: agents refuse any other."""
 
     protocol: int = PROTOCOL
     token: int

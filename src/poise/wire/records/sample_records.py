@@ -1,7 +1,7 @@
-"""The counters of an agent, published a few times a second, without field names.
+"""An agent's counters, published a few times a second, without field names.
 
-All counters are totals since the component, connector or process began; differences are
-for the receiver, so that a lost sample loses nothing.
+All are totals since the component, connector or process began, so that a lost sample
+loses nothing.
 """
 
 from __future__ import annotations
@@ -13,88 +13,55 @@ SAMPLE_EVERY = 0.2
 
 
 class ComponentSample(Struct, frozen=True, array_like=True):
-    """A component's counters; `epoch` tells incarnations of one component apart.
-
-    Parameters
-    ----------
-    cpu
-        CPU time [s].
-    wait
-        Time in which its thread could run and did not [s]; 0 for components with
-        jobs, which tell better whether it keeps up.
-    asked, done
-        Releases of timers and messages that came, and that were ended.
-    """
+    """A component's counters; `epoch` tells incarnations of one component apart."""
 
     name: str
     epoch: int
-    cpu: float
+    cpu: float  # CPU time [s]
+    # Time in which its thread could run and did not [s]; 0 for components with jobs,
+    # which tell better whether it keeps up
     wait: float
+    # Releases of timers and messages that came, and that were ended
     asked: int
     done: int
 
 
 class ConnectorSample(Struct, frozen=True, array_like=True):
-    """The counters of one end of a connector.
-
-    Parameters
-    ----------
-    bytes_out, bytes_in
-        What left this end over a wire, and what came to it.
-    arrivals
-        How many came of whom it is known how long they were under way.
-    latency, latency_error
-        How long those were so, in all, and how far that is off at most [s].
-    """
+    """The counters of one end of a connector."""
 
     name: str
     calls: int
     messages: int
+    # What left this end over a wire, and what came to it
     bytes_out: int
     bytes_in: int
     errors: int
     drops: int
-    arrivals: int = 0
+    arrivals: int = 0  # How many came of whom it is known how long they were under way
+    # How long those were so, in all, and how far that is off at most [s]
     latency: float = 0.0
     latency_error: float = 0.0
 
 
 class ContainerSample(Struct, frozen=True, array_like=True):
-    """A container's counters.
-
-    Parameters
-    ----------
-    at
-        When they were read [s], on its computer's clock.
-    cpu
-        CPU time of the process [s].
-    memory
-        Its proportional set size [bytes]; read less often than the rest.
-    """
+    """A container's counters."""
 
     name: str
     pid: int
-    at: float
-    cpu: float
-    memory: int
+    at: float  # When they were read [s], on its computer's clock
+    cpu: float  # CPU time of the process [s]
+    memory: int  # Its proportional set size [bytes]; read less often than the rest
     components: tuple[ComponentSample, ...]
     connectors: tuple[ConnectorSample, ...]
 
 
 class AgentSample(Struct, frozen=True, array_like=True):
-    """A computer's counters.
-
-    Parameters
-    ----------
-    cpu
-        CPU time of the agent itself [s].
-    busy
-        CPU time of all programs of the computer, the robot's or not [s]; None: nobody
-        counts it.
-    """
+    """A computer's counters."""
 
     computer: str
     at: float
-    cpu: float
+    cpu: float  # CPU time of the agent itself [s]
     containers: tuple[ContainerSample, ...]
+    # CPU time of all programs of the computer, the robot's or not [s]; None: nobody
+    # counts it
     busy: float | None = None

@@ -35,134 +35,80 @@ class Summary(Struct, frozen=True):
 
 
 class TimerStatus(Struct, frozen=True, kw_only=True):
-    """How a timer kept its rate.
-
-    Parameters
-    ----------
-    releases
-        How often it was due while the component was active there.
-    missed
-        How many of these ended after their deadline, or never began.
-    lateness, duration
-        From release to start, and from start to end [s].
-    """
+    """How a timer kept its rate."""
 
     name: str
     period: float
     deadline: float | None
-    releases: int
-    missed: int
+    releases: int  # How often it was due while the component was active there
+    missed: int  # How many of these ended after their deadline, or never began
+    # From release to start, and from start to end [s]
     lateness: Summary
     duration: Summary
 
 
 class ChainStatus(Struct, frozen=True, kw_only=True):
-    """How old the data of a chain was when one of its components used it.
-
-    Parameters
-    ----------
-    deadline
-        How old it may be, at the last component of the chain [s]; None elsewhere.
-    missed
-        How often it was older.
-    age
-        At each use [s].
-    """
+    """How old the data of a chain was when one of its components used it."""
 
     name: str
+    # How old it may be, at the last component of the chain [s]; None elsewhere
     deadline: float | None = None
-    missed: int = 0
-    age: Summary = Summary()
+    missed: int = 0  # How often it was older
+    age: Summary = Summary()  # At each use [s]
 
 
 class ConnectorStatus(Struct, frozen=True, kw_only=True):
-    """What one end of a connector counted, since its component began to run there.
-
-    So after a move or a replacement of the target alone, its end counts from 0, and the
-    source's goes on.
-
-    Parameters
-    ----------
-    key
-        What both ends call it, by their epochs: another one after every move.
-    end
-        Where calls and messages begin (``source``), where they end (``target``), or
-        ``both`` in one container: then all is counted once.
-    bytes_out, bytes_in
-        What left this end over a wire, and what came to it [bytes]: at the source
-        requests and messages go out and answers come in, at the target the other way
-        round. None within a container.
-    errors
-        Calls that failed, and what came and was refused.
-    drops
-        Messages that this end gave up: they could not go out, found no room, or made
-        room for newer ones.
-    delay
-        Of calls [s]: at the source there and back, at the target until the answer.
-    wait
-        Of messages [s]: at the source until they went out, elsewhere from their arrival
-        until the component took them.
-    size
-        Of calls, both ways, and of messages, over a wire [bytes].
-    latency
-        From the other end to this one [s]: at the target how long calls and messages
-        were under way, at the source answers. Over a wire only.
-    latency_error
-        How far that is off at most, in the mean [s]: nobody knows better how far other
-        computers' clocks are ahead. 0 on one computer.
-    """
+    """What one end of a connector counted, since its component began to run there."""
 
     name: str
+    # What both ends call it, by their epochs: another one after every move
     key: str = ""
     kind: ConnectorKind
+    # Where calls and messages begin (``source``), where they end (``target``), or
+    # ``both`` in one container: then all is counted once
     end: Side
     ready: bool
     calls: int = 0
     messages: int = 0
+    # What left this end over a wire, and what came to it [bytes]: at the source
+    # requests and messages go out and answers come in, at the target the other way
+    # round. None within a container
     bytes_out: int = 0
     bytes_in: int = 0
-    errors: int = 0
+    errors: int = 0  # Calls that failed, and what came and was refused
+    # Messages that this end gave up: they could not go out, found no room, or made room
+    # for newer ones
     drops: int = 0
+    # Of calls [s]: at the source there and back, at the target until the answer
     delay: Summary = Summary()
+    # Of messages [s]: at the source until they went out, elsewhere from their arrival
+    # until the component took them
     wait: Summary = Summary()
+    # Of calls, both ways, and of messages, over a wire [bytes]
     size: Summary = Summary()
+    # From the other end to this one [s]: at the target how long calls and messages were
+    # under way, at the source answers. Over a wire only
     latency: Summary = Summary()
+    # How far that is off at most, in the mean [s]: nobody knows better how far other
+    # computers' clocks are ahead. 0 on one computer
     latency_error: float = 0.0
 
 
 class ErrorCount(Struct, frozen=True, kw_only=True):
-    """Errors of one type that one line of a component's code raised.
+    """Errors of one type that one line of a component's code raised."""
 
-    Parameters
-    ----------
-    where
-        The hook, timer or port whose code raised them.
-    text
-        The first one's traceback.
-    first
-        When that was [s since 1970].
-    """
-
-    where: str
-    text: str
-    first: float
+    where: str  # The hook, timer or port whose code raised them
+    text: str  # The first one's traceback
+    first: float  # When that was [s since 1970]
     count: int
 
 
 class ActionEnd(Struct, frozen=True, kw_only=True):
-    """What a component said at a port that ends an action.
-
-    Parameters
-    ----------
-    count
-        How often it said so.
-    done
-        What it said last.
-    """
+    """What a component said at a port that ends an action."""
 
     port: str
-    count: int
-    done: bool
+    count: int  # How often it said so
+    done: bool  # What it said last
 
 
 class TaskWish(Struct, frozen=True, kw_only=True):
@@ -174,76 +120,44 @@ class TaskWish(Struct, frozen=True, kw_only=True):
 
 
 class ComponentStatus(Struct, frozen=True, kw_only=True):
-    """A component as its container sees it.
-
-    Parameters
-    ----------
-    error
-        The last traceback, or empty.
-    error_counts
-        The errors by line and type, in the order in which they first came.
-    handler, handler_seconds
-        The timer or port whose code its thread runs now, and for how long already [s].
-    hung
-        For how long a handler has run, or a due timer could not [s].
-    cpu
-        CPU time of its own code, on any thread [s].
-    start
-        How long it took to import, make and configure it [s].
-    snapshot
-        Size of its snapshot, if that was taken [bytes].
-    requires, subscribes
-        Its ports over which it calls others, and those to which messages come.
-    keeps
-        Of the latter, those that keep only the newest messages, and how many.
-    chains
-        Those that it is part of, and not the beginning.
-    ends
-        What it said of its actions.
-    wishes
-        The last ones.
-    """
+    """A component as its container sees it."""
 
     name: str
     epoch: int = 0
     state: State
-    error: str = ""
+    error: str = ""  # The last traceback, or empty
     errors: int = 0
+    # The errors by line and type, in the order in which they first came
     error_counts: tuple[ErrorCount, ...] = ()
+    # The timer or port whose code its thread runs now, and for how long already [s]
     handler: str = ""
     handler_seconds: float = 0.0
-    hung: float = 0.0
-    cpu: float = 0.0
-    start: float = 0.0
-    snapshot: int = 0
+    hung: float = 0.0  # For how long a handler has run, or a due timer could not [s]
+    cpu: float = 0.0  # CPU time of its own code, on any thread [s]
+    start: float = 0.0  # How long it took to import, make and configure it [s]
+    snapshot: int = 0  # Size of its snapshot, if that was taken [bytes]
     has_state: bool = False
+    # Its ports over which it calls others, and those to which messages come
     requires: tuple[str, ...] = ()
     subscribes: tuple[str, ...] = ()
+    # Of the latter, those that keep only the newest messages, and how many
     keeps: Mapping[str, int] = {}
     timers: tuple[TimerStatus, ...] = ()
+    # Those that it is part of, and not the beginning
     chains: tuple[ChainStatus, ...] = ()
-    ends: tuple[ActionEnd, ...] = ()
-    wishes: tuple[TaskWish, ...] = ()
+    ends: tuple[ActionEnd, ...] = ()  # What it said of its actions
+    wishes: tuple[TaskWish, ...] = ()  # The last ones
     measures: Mapping[str, Summary] = {}
 
 
 class ContainerStatus(Struct, frozen=True, kw_only=True, tag=True, dict=True):
-    """A container as it sees itself.
-
-    Parameters
-    ----------
-    at
-        When this was so [s, on its computer's clock].
-    cpu
-        Its process's CPU time so far [s].
-    trouble
-        Why it accepts no connection now, and what to do; empty: it does.
-    """
+    """A container as it sees itself."""
 
     name: str
     pid: int
-    at: float = 0.0
-    cpu: float = 0.0
+    at: float = 0.0  # When this was so [s, on its computer's clock]
+    cpu: float = 0.0  # Its process's CPU time so far [s]
+    # Why it accepts no connection now, and what to do; empty: it does
     trouble: str = ""
     components: tuple[ComponentStatus, ...] = ()
     connectors: tuple[ConnectorStatus, ...] = ()
@@ -266,138 +180,79 @@ class ContainerStatus(Struct, frozen=True, kw_only=True, tag=True, dict=True):
 
 
 class Fault(Struct, frozen=True, kw_only=True):
-    """Something that went wrong on a computer: a container that ended, say.
-
-    Parameters
-    ----------
-    message
-        What happened, what was lost, and what to do.
-    number
-        Counts the faults of one agent, from 1.
-    at
-        When [s since the epoch], by that computer's clock; for people.
-    uptime
-        For how long its agent had run then [s].
-    restarts
-        How often the container was started again before.
-    is_over
-        Whether it says that the fault before is over.
-    """
+    """Something that went wrong on a computer: a container that ended, say."""
 
     container: str
-    message: str
-    number: int = 0
-    at: float = 0.0
-    uptime: float = 0.0
-    restarts: int = 0
-    is_over: bool = False
+    message: str  # What happened, what was lost, and what to do
+    number: int = 0  # Counts the faults of one agent, from 1
+    at: float = 0.0  # When [s since the epoch], by that computer's clock; for people
+    uptime: float = 0.0  # For how long its agent had run then [s]
+    restarts: int = 0  # How often the container was started again before
+    is_over: bool = False  # Whether it says that the fault before is over
 
 
 class ContainerHealth(Struct, frozen=True, kw_only=True):
-    """A container as its agent sees it; kept for as long as the agent lives.
-
-    Parameters
-    ----------
-    state
-        ``starting`` until it first reports; ``restarting`` while it waits to be
-        started again.
-    since
-        When that state began [s since the epoch].
-    reason
-        Why it does not respond; else empty.
-    restarts
-        How often it was started again since the agent started.
-    restarts_lately
-        How often in the last minute.
-    last_fault
-        What went wrong last.
-    cpu, memory
-        CPU use [cores] and memory use [bytes] of its processes.
-    growth
-        By how much its memory grows steadily [bytes/s]; 0: it does not.
-    limit, full_in
-        While it grows: the limit of its computer's memory [bytes], and when that is
-        reached [s from now]; else 0.
-    """
+    """A container as its agent sees it; kept for as long as the agent lives."""
 
     name: str
+    # ``starting`` until it first reports; ``restarting`` while it waits to be started
+    # again
     state: ContainerState
-    since: float
-    reason: str = ""
-    restarts: int = 0
-    restarts_lately: int = 0
-    last_fault: Fault | None = None
+    since: float  # When that state began [s since the epoch]
+    reason: str = ""  # Why it does not respond; else empty
+    restarts: int = 0  # How often it was started again since the agent started
+    restarts_lately: int = 0  # How often in the last minute
+    last_fault: Fault | None = None  # What went wrong last
+    # CPU use [cores] and memory use [bytes] of its processes
     cpu: float = 0.0
     memory: int = 0
+    # By how much its memory grows steadily [bytes/s]; 0: it does not
     growth: float = 0.0
+    # While it grows: the limit of its computer's memory [bytes], and when that is
+    # reached [s from now]; else 0
     limit: float = 0.0
     full_in: float = 0.0
 
 
 class AgentStatus(Struct, frozen=True, kw_only=True, dict=True):
-    """A computer as its agent sees it.
-
-    Parameters
-    ----------
-    manager, token
-        The manager that it obeys, or obeyed last, with that one's fencing token.
-    cpu
-        CPU time of the agent and all its containers, ended ones too [s].
-    pid
-        The agent's process.
-    adopted
-        How many containers of an earlier agent, which was killed, it took over.
-    uptime
-        Time since the agent started [s].
-    load, memory
-        CPU use [cores] and memory use [bytes] of the agent and its containers.
-    faults
-        The latest faults, oldest first.
-    health
-        The containers of this deployment, and those that had faults before.
-    clocks
-        What is known of other computers' clocks, by name.
-    gateway
-        IP address and TCP port of its gateway.
-    trouble
-        What the agent cannot do now, and what to do; empty: it can do all.
-    errors
-        Errors of its own code within the last minute: the part that is tried again
-        later, and the traceback. The rest goes on.
-    cpu_weights
-        What gives containers their CPU weights: ``cgroup v2``, ``cgroup v1`` or
-        ``nice``; empty: all have the same.
-    cut_off
-        Since when its leased components are inactive, because its lease has ended
-        [s since 1970]; 0: they are not.
-    unmanaged
-        Since when it knows of no manager that is there: that one went, or the agent
-        started [s since 1970]; 0: one is there.
-    links
-        How the ways to other computers are, by name.
-    """
+    """A computer as its agent sees it."""
 
     protocol: int = PROTOCOL
     computer: str
-    pid: int = 0
+    pid: int = 0  # The agent's process
+    # How many containers of an earlier agent, which was killed, it took over
     adopted: int = 0
     generation: int
+    # The manager that it obeys, or obeyed last, with that one's fencing token
     token: int = 0
     manager: ManagerId | None = None
-    uptime: float
-    cpu: float
+    uptime: float  # Time since the agent started [s]
+    cpu: float  # CPU time of the agent and all its containers, ended ones too [s]
+    # CPU use [cores] and memory use [bytes] of the agent and its containers
     load: float = 0.0
     memory: int = 0
-    gateway: str = ""
+    gateway: str = ""  # IP address and TCP port of its gateway
+    # What the agent cannot do now, and what to do; empty: it can do all
     trouble: str = ""
+    # Errors of its own code within the last minute: the part that is tried again later,
+    # and the traceback. The rest goes on
     errors: tuple[ErrorCount, ...] = ()
+    # What gives containers their CPU weights: ``cgroup v2``, ``cgroup v1`` or ``nice``;
+    # empty: all have the same
     cpu_weights: str = ""
     containers: tuple[ContainerStatus, ...] = ()
-    faults: tuple[Fault, ...] = ()
+    faults: tuple[Fault, ...] = ()  # The latest faults, oldest first
+    # The containers of this deployment, and those that had faults before
     health: tuple[ContainerHealth, ...] = ()
+    # What is known of other computers' clocks, by name
     clocks: Mapping[str, ClockStatus] = {}
+    # Since when its leased components are inactive, because its lease has ended [s
+    # since 1970]; 0: they are not
     cut_off: float = 0.0
+    # Since when it knows of no manager that is there: that one went, or the agent
+    # started [s since 1970]; 0: one is there
     unmanaged: float = 0.0
+    # How the ways to other computers are, by name
     links: Mapping[str, LinkQuality] = {}
 
     @cached_property
