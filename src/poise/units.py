@@ -99,14 +99,7 @@ DIMENSIONS = {
 
 
 def parse(text: str | float, dimension: Dimension) -> float:
-    """Return the quantity `text` in SI: finite and >= 0.
-
-    Raises
-    ------
-    ValueError
-        It is not a number, is negative or not finite, or has an unknown unit. The
-        message names the value and the accepted units.
-    """
+    """Return the quantity `text` in SI: finite and >= 0."""
     match = _QUANTITY.fullmatch(str(text)) if len(str(text)) <= _LONGEST else None
     if match is None:
         raise ValueError(f"{quoted(text)} is not a {dimension.accepted()}")

@@ -42,21 +42,7 @@ CPU_GROUP = "POISE_CPU_GROUP"
 
 
 class EmulatedComputer:
-    """A computer of the robot, emulated by a part of this one.
-
-    Attributes
-    ----------
-    name
-        As in the robot file.
-    address
-        The IP address at which its processes listen.
-    folder
-        Its private folder, which is also its ``TMPDIR``; gone when it is closed.
-    limits
-        Its limits on the host.
-    slowdown
-        How many times faster than the robot's it is, without a quota; else 1.
-    """
+    """A computer of the robot, emulated by a part of this one."""
 
     def __init__(self, layout: ComputerLayout) -> None:
         self.name = layout.name
@@ -89,12 +75,6 @@ class EmulatedComputer:
         It is within all limits before its first instruction. Its process is the one
         that is returned (no wrapper stays between). A program that cannot be found
         ends with code 127, one that cannot enter its cgroup with 126.
-
-        Parameters
-        ----------
-        env
-            Its environment; None: this process's. The computer's ``TMPDIR`` and mark
-            are added.
         """
         joins = [str(file) for file in self._group.joins]
         child = subprocess.Popen(  # noqa: S603 - the arguments are never parsed by the shell

@@ -48,20 +48,13 @@ class Shape(Struct, frozen=True, kw_only=True):
 
 
 class NetworkPlan(Struct, frozen=True, kw_only=True):
-    """The whole network that `build` makes.
-
-    Parameters
-    ----------
-    cables
-        One for each computer, in the order of the robot file.
-    links
-        The two computers of each link, as indices of `cables`, and its shape.
-    """
+    """The whole network that `build` makes."""
 
     switch: str
     owner: str
     owner_address: str
-    cables: tuple[Cable, ...]
+    cables: tuple[Cable, ...]  # one for each computer, in the order of the robot file
+    # the two computers of each link, as indices of `cables`, and its shape
     links: tuple[tuple[int, int, Shape], ...] = ()
 
     @property
@@ -77,20 +70,7 @@ def plan_network(
     links: Sequence[Link],
     taken: Iterable[str] = (),
 ) -> NetworkPlan:
-    """Return the network for `computers` joined by `links`.
-
-    Parameters
-    ----------
-    number
-        Distinguishes the emulations of one owner.
-    taken
-        IP addresses of others, which may not be there yet.
-
-    Raises
-    ------
-    RobotError
-        When there are more computers than a subnet has addresses.
-    """
+    """Return the network for `computers` joined by `links`."""
     if len(computers) > _MOST:
         message = f"{len(computers)} computers cannot be emulated; at most {_MOST} can"
         raise RobotError(message)
@@ -196,11 +176,6 @@ def shaping(network: NetworkPlan, *, delays: bool) -> list[tuple[str, list[str]]
 
     Each link has a class of its own at both ends, where packets leave a computer. What
     belongs to no link is not shaped.
-
-    Parameters
-    ----------
-    delays
-        Whether the kernel can delay packets (netem).
     """
     commands: dict[int, list[str]] = {}
     for one, other, link in network.links:

@@ -32,39 +32,13 @@ class Emulation:
 
     `without` lists what the machine does not allow. First it cleans up after earlier
     runs that were killed.
-
-    Parameters
-    ----------
-    folder
-        The run's folder; each computer gets a private folder in it.
-    probe
-        What the machine allows; None: find out.
-    keep
-        Whether other processes may find and use it, as `poise.emulate.EmulatedSet`.
-
-    Raises
-    ------
-    RobotError
-        When a computer cannot be emulated.
-    UsageError
-        `folder` belongs to another run, or the robot has a set that is kept.
-    RunError
-        The machine refuses what it seemed to allow; everything is cleaned up.
-
-    Attributes
-    ----------
-    computers
-        By name.
-    without
-        Sentences for the user: the missing ones of quota, CPU set, memory limit,
-        namespaces and shaped links, and why; and where the machine is too small.
-    address
-        The owner's address in the emulated network, without limits.
     """
 
-    computers: Mapping[str, EmulatedComputer]
+    computers: Mapping[str, EmulatedComputer]  # by name
+    # sentences for the user: the missing ones of quota, CPU set, memory limit,
+    # namespaces and shaped links, and why; and where the machine is too small
     without: tuple[str, ...]
-    address: str
+    address: str  # the owner's address in the emulated network, without limits
 
     def __init__(
         self,
@@ -101,18 +75,7 @@ class Emulation:
             raise
 
     def close(self, ask: float = processes.ASK) -> None:
-        """End every process and remove everything. Repeating it is harmless.
-
-        Parameters
-        ----------
-        ask
-            How long the processes may take before they are killed [s].
-
-        Raises
-        ------
-        RunError
-            When something could not be ended or removed.
-        """
+        """Ask processes to end, kill them after `ask` [s], and remove everything."""
         try:
             for computer in self._layout.computers:
                 for group in computer.groups:  # to end takes CPU time

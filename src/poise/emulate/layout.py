@@ -59,35 +59,17 @@ class InjectedFault(Struct, frozen=True, kw_only=True):
 
 
 class ComputerLayout(Struct, frozen=True, kw_only=True):
-    """The layout of one computer.
-
-    Parameters
-    ----------
-    mark
-        Names its group; its processes inherit it.
-    address
-        The IP address at which its processes listen.
-    folder
-        Its private folder.
-    homes
-        Cgroup controller -> its folder there.
-    namespace
-        Its network namespace; None: the owner's.
-    pin
-        Whether ``taskset`` gives its processes their CPUs.
-    has_quota
-        Whether its quota is enforced.
-    """
+    """The layout of one computer."""
 
     name: str
-    mark: str
-    address: str
-    folder: str
+    mark: str  # names its group; its processes inherit it
+    address: str  # the IP address at which its processes listen
+    folder: str  # its private folder
     limits: Limits
-    homes: Mapping[str, str] = {}
-    namespace: str | None = None
-    pin: bool = False
-    has_quota: bool = False
+    homes: Mapping[str, str] = {}  # cgroup controller -> its folder there
+    namespace: str | None = None  # its network namespace; None: the owner's
+    pin: bool = False  # whether ``taskset`` gives its processes their CPUs
+    has_quota: bool = False  # whether its quota is enforced
 
     @property
     def groups(self) -> tuple[str, ...]:
@@ -96,27 +78,14 @@ class ComputerLayout(Struct, frozen=True, kw_only=True):
 
 
 class KeptSet(Struct, frozen=True, kw_only=True):
-    """What others must know of an emulation that is kept for them.
+    """What others must know of an emulation that is kept for them."""
 
-    Parameters
-    ----------
-    robot
-        Its name.
-    hardware
-        The robot's computers and links, to compare with those of a robot file.
-    since
-        When it was up [s since 1970]; None: it is not yet.
-    without
-        `Emulation.without`.
-    faults
-        The injected ones that are in force.
-    """
-
-    robot: str
+    robot: str  # its name
+    # the robot's computers and links, to compare with those of a robot file
     hardware: str
-    since: float | None = None
-    without: tuple[str, ...] = ()
-    faults: tuple[InjectedFault, ...] = ()
+    since: float | None = None  # when it was up [s since 1970]; None: it is not yet
+    without: tuple[str, ...] = ()  # `Emulation.without`
+    faults: tuple[InjectedFault, ...] = ()  # the injected ones that are in force
 
     @classmethod
     def of(cls, robot: Robot) -> KeptSet:
@@ -125,26 +94,15 @@ class KeptSet(Struct, frozen=True, kw_only=True):
 
 
 class EmulationLayout(Struct, frozen=True, kw_only=True):
-    """The whole emulation.
-
-    Parameters
-    ----------
-    run
-        Its name; unique on this machine.
-    network
-        None where there are no namespaces.
-    aside
-        Cgroup folders with processes that were in the way; they go back at the end.
-    kept
-        None: only the owner uses it.
-    """
+    """The whole emulation."""
 
     owner: Owner
-    run: str
+    run: str  # its name; unique on this machine
     computers: tuple[ComputerLayout, ...] = ()
-    network: NetworkPlan | None = None
+    network: NetworkPlan | None = None  # none where there are no namespaces
+    # cgroup folders with processes that were in the way; they go back at the end
     aside: tuple[str, ...] = ()
-    kept: KeptSet | None = None
+    kept: KeptSet | None = None  # none: only the owner uses it
 
 
 def lay_out(
@@ -155,24 +113,7 @@ def lay_out(
     kept: KeptSet | None = None,
     taken: Collection[str] = (),
 ) -> EmulationLayout:
-    """Return the layout of the computers of `robot` on `host`.
-
-    Parameters
-    ----------
-    folder
-        The run's folder.
-    number
-        Distinguishes the emulations of one process.
-    taken
-        IP addresses of other emulations.
-
-    Raises
-    ------
-    RobotError
-        When a computer cannot be emulated.
-    UsageError
-        `folder` belongs to another run.
-    """
+    """Return the layout of the computers of `robot` on `host`."""
     owner = Owner.this()
     run = f"{owner}-{number}"
     names = [computer.name for computer in robot.computers]

@@ -19,21 +19,11 @@ _ROUNDING = 1e-9
 
 
 class Limits(Struct, frozen=True, kw_only=True):
-    """The limits of one emulated computer.
+    """The limits of one emulated computer."""
 
-    Parameters
-    ----------
-    quota
-        Host cores; 0.001 at least.
-    cpus
-        The host CPUs that it may run on; one at least.
-    memory
-        [bytes]; None: no limit.
-    """
-
-    quota: float
-    cpus: tuple[int, ...]
-    memory: int | None = None
+    quota: float  # host cores; 0.001 at least
+    cpus: tuple[int, ...]  # the host CPUs that it may run on; one at least
+    memory: int | None = None  # [bytes]; None: no limit
 
     @property
     def period_us(self) -> int:
@@ -58,11 +48,6 @@ def share_out(computers: Sequence[Computer], cpus: Sequence[int]) -> list[Limits
     A computer gets its own CPUs, as many as its quota can fill (so that throttled time
     is spread over all of them, as `starved_time` assumes). If CPUs are short, each
     computer gets one; if there are fewer CPUs than computers, they share them.
-
-    Raises
-    ------
-    RobotError
-        When a computer has no CPU at all.
     """
     quotas = [_quota(computer) for computer in computers]
     if len(cpus) < len(computers):

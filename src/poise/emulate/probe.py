@@ -27,24 +27,13 @@ _NOT_ROOT = (
 
 
 class Probe(Struct, frozen=True, kw_only=True):
-    """The abilities of a host.
+    """The abilities of a host."""
 
-    Parameters
-    ----------
-    cpus
-        The CPUs that this process may use; one at least.
-    groups
-        How processes are grouped and limited.
-    tools
-        Which of ``ip``, ``tc``, ``nsenter`` and ``taskset`` are installed.
-    may_make_namespaces
-        Whether this process may make network namespaces.
-    """
-
-    cpus: tuple[int, ...]
-    groups: Groups
+    cpus: tuple[int, ...]  # the CPUs that this process may use; one at least
+    groups: Groups  # how processes are grouped and limited
+    # which of ``ip``, ``tc``, ``nsenter`` and ``taskset`` are installed
     tools: frozenset[str]
-    may_make_namespaces: bool
+    may_make_namespaces: bool  # whether this process may make network namespaces
 
     def without_groups(self) -> list[str]:
         """Return which limits cgroups cannot set on this host, and why."""

@@ -22,20 +22,7 @@ MARK = "POISE_EMULATION"
 
 
 def stop(processes: Callable[[], Sequence[int]], ask: float = ASK) -> None:
-    """End all that `processes` returns, and the processes that they start.
-
-    Parameters
-    ----------
-    processes
-        Returns the numbers of the running ones; called repeatedly.
-    ask
-        How long they may take before they are killed [s]; 0 kills at once.
-
-    Raises
-    ------
-    RunError
-        When some outlive being killed by `KILL` seconds.
-    """
+    """End all that `processes` returns at each call; kill them after `ask` [s]."""
     if ask and not _gone_within(processes, signal.SIGTERM, ask, again=False):
         ask = 0.0
     if not ask and not _gone_within(processes, signal.SIGKILL, KILL, again=True):
@@ -44,13 +31,7 @@ def stop(processes: Callable[[], Sequence[int]], ask: float = ASK) -> None:
 
 
 def freeze(processes: Callable[[], Sequence[int]]) -> None:
-    """Stop all that `processes` returns, until `thaw`; also what they start meanwhile.
-
-    Raises
-    ------
-    RunError
-        They started others for `KILL` seconds.
-    """
+    """Stop all that `processes` returns, and what they start meanwhile, until `thaw`."""
     end = time.monotonic() + KILL
     frozen: set[int] = set()
     while new := set(processes()) - frozen:

@@ -34,11 +34,6 @@ def registry() -> Path:
 
     `FOLDER` names it where a program has a network namespace of its own: a registry
     keeps apart the addresses of one network.
-
-    Raises
-    ------
-    RunError
-        It belongs to another user, whose entries would remove things of this one.
     """
     run = "/run" if os.access("/run", os.W_OK) else os.environ.get("XDG_RUNTIME_DIR")
     usual = f"{run}/{PREFIX}" if run else f"/tmp/{PREFIX}-{os.getuid()}"  # noqa: S108 - owner and mode are checked below
@@ -52,13 +47,7 @@ def registry() -> Path:
 
 
 def registered() -> Iterator[EmulationLayout]:
-    """Yield all emulations, of living owners and of dead ones.
-
-    Raises
-    ------
-    RunError
-        Another version of Poise wrote an entry.
-    """
+    """Yield all emulations, of living owners and of dead ones."""
     for file in sorted(registry().glob("*.emulation")):
         try:
             yield msgspec.json.decode(file.read_bytes(), type=EmulationLayout)
@@ -80,13 +69,7 @@ def kept_sets() -> list[EmulationLayout]:
 
 @contextmanager
 def locked() -> Iterator[None]:
-    """Let no other process of this user change kept sets meanwhile.
-
-    Raises
-    ------
-    RunError
-        Another one did for `_LOCK_LIMIT`.
-    """
+    """Let no other process of this user change kept sets meanwhile."""
     handle = os.open(registry(), os.O_RDONLY)
     try:
         deadline = time.monotonic() + _LOCK_LIMIT
@@ -104,18 +87,7 @@ def locked() -> Iterator[None]:
 
 
 def register(lay_out: Callable[[Collection[str]], EmulationLayout]) -> EmulationLayout:
-    """Lay an emulation out, and write it down, so that `sweep` can find it.
-
-    Parameters
-    ----------
-    lay_out
-        Is given the IP addresses of all other emulations: no two get the same ones.
-
-    Raises
-    ------
-    UsageError
-        It is to be kept, and another one is for a robot of this name.
-    """
+    """Lay an emulation out, and write it down, so that `sweep` can find it."""
     with locked():
         layout = lay_out(addresses())
         if layout.kept is not None:
@@ -144,13 +116,7 @@ def write(layout: EmulationLayout) -> None:
 
 
 def remove(layout: EmulationLayout) -> None:
-    """Remove all of an emulation, and then its entry. Repeating it is harmless.
-
-    Raises
-    ------
-    RunError
-        When something could not be removed; the entry stays for the next attempt.
-    """
+    """Remove all of an emulation, and then its entry. Repeating it is harmless."""
     network, computers = layout.network, layout.computers
     steps: tuple[tuple[Callable[[str], None], Iterable[str]], ...] = (
         (_end_marked, [computer.mark for computer in computers]),
@@ -175,13 +141,7 @@ def remove(layout: EmulationLayout) -> None:
 
 
 def sweep() -> list[Owner]:
-    """Remove emulations whose owner is dead; return those owners.
-
-    Raises
-    ------
-    RunError
-        When something could not be removed.
-    """
+    """Remove emulations whose owner is dead; return those owners."""
     dead = [layout for layout in registered() if not layout.owner.is_alive()]
     return [layout.owner for layout in dead if _sweep(layout)]
 

@@ -20,25 +20,16 @@ TOLERANCE = 0.1
 
 
 class Usage(Struct, frozen=True, kw_only=True):
-    """The usage of an emulated computer since it was started.
+    """The usage of an emulated computer since it was started."""
 
-    Parameters
-    ----------
-    used
-        CPU time [s], summed over its processes and CPUs. Without cgroups: of those
-        processes that still run.
-    throttled
-        Time in which it did not run because its quota was used up [s].
-    memory
-        Peak [bytes]; None when it is not counted.
-    starved
-        Time in which it wanted CPU, had quota left, and other processes ran [s]; None
-        when the kernel does not count it.
-    """
-
+    # CPU time [s], summed over its processes and CPUs. Without cgroups: of those
+    # processes that still run
     used: float
+    # time in which it did not run because its quota was used up [s]
     throttled: float = 0.0
-    memory: int | None = None
+    memory: int | None = None  # peak [bytes]; None when it is not counted
+    # time in which it wanted CPU, had quota left, and other processes ran [s]; None
+    # when the kernel does not count it
     starved: float | None = None
 
 
@@ -52,13 +43,6 @@ def is_starved(before: Usage, after: Usage, quota: float, cpus: int = 1) -> bool
     less than `TURNS` is ignored.
 
     Short starvation vanishes in a long mean: compare windows of a second or less.
-
-    Parameters
-    ----------
-    quota
-        The promised CPU [host cores]; > 0.
-    cpus
-        How many host CPUs it may run on; >= 1.
     """
     if before.starved is None or after.starved is None:
         return False
@@ -75,13 +59,6 @@ def starved_time(pressure: str, throttled: float, cpus: int) -> float:
     processes were runnable and none ran, as a mean over its CPUs. It includes throttled
     time, which is subtracted. The result is exact for one CPU and an upper bound for
     several, because not all of them need be in use.
-
-    Parameters
-    ----------
-    pressure
-        The content of the cgroup's ``cpu.pressure``.
-    throttled
-        For how long it was throttled, summed over its CPUs [s].
     """
     full = next(line for line in pressure.splitlines() if line.startswith("full"))
     microseconds = int(full.rpartition("total=")[2])
@@ -116,13 +93,7 @@ class Watched(Protocol):
 
 
 class StarvationWatch:
-    """Counts how long each computer was starved, window by window.
-
-    Parameters
-    ----------
-    computers
-        By name; the first window begins at once.
-    """
+    """Counts how long each computer was starved, window by window."""
 
     def __init__(self, computers: Mapping[str, Watched], clock: Clock) -> None:
         self._computers = computers

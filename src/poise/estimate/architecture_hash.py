@@ -24,11 +24,6 @@ def hash_of(architecture: Architecture, folders: Iterable[str]) -> str:
     only the planner reads (demands, states, traffic, quality, priority, home) is not
     covered, so a new profile changes nothing. Of an architecture in an installed
     package, the version and the Python files of that package are covered.
-
-    Parameters
-    ----------
-    folders
-        Where code is, besides installed packages: the robot's, and the repository's.
     """
     digest, folders = hashlib.sha256(), tuple(folders)
     digest.update(msgspec.json.encode(_what_runs(architecture), order="deterministic"))

@@ -25,49 +25,30 @@ _BEHIND = 0.02
 
 
 class Reading(Struct, frozen=True):
-    """A component's counters since it was activated.
+    """A component's counters since it was activated."""
 
-    Parameters
-    ----------
-    at
-        When they were read [s], on the clock of its own computer.
-    cpu
-        CPU time used [s].
-    wait
-        Time in which it was runnable and did not run, because other processes ran or
-        its computer was throttled [s].
-    asked, done
-        Jobs (releases of timers, messages, calls) that arrived, and that ended.
-    """
-
-    at: float
-    cpu: float
+    at: float  # when they were read [s], on the clock of its own computer
+    cpu: float  # CPU time used [s]
+    # time in which it was runnable and did not run, because other processes ran or its
+    # computer was throttled [s]
     wait: float = 0.0
+    # asked, done: Jobs (releases of timers, messages, calls) that arrived, and that
+    # ended
     asked: int = 0
     done: int = 0
 
 
 class Window(Struct, frozen=True):
-    """The work of a component between two readings.
+    """The work of a component between two readings."""
 
-    Parameters
-    ----------
-    seconds
-        Length [s]; > 0.
-    cpu
-        CPU time used [s]. A call counts for its caller until it is first seen (0.2 s at
-        most) or ends, then for its callee: the caller's may then be below zero.
-    asked, done
-        Jobs that arrived, and that ended.
-    is_cut
-        Whether it was runnable nearly all the time and waited often, so that its CPU
-        time is only a lower bound of its demand.
-    """
-
-    seconds: float
+    seconds: float  # length [s]; > 0
+    # CPU time used [s]. A call counts for its caller until it is first seen (0.2 s at
+    # most) or ends, then for its callee: the caller's may then be below zero
     cpu: float
-    asked: int = 0
+    asked: int = 0  # asked, done: Jobs that arrived, and that ended
     done: int = 0
+    # whether it was runnable nearly all the time and waited often, so that its CPU time
+    # is only a lower bound of its demand
     is_cut: bool = False
 
 
@@ -137,13 +118,7 @@ class Sums:
 
 
 def demand_in(windows: Collection[Window], total: Sums | None = None) -> Demand:
-    """Return the demand in consecutive windows; at least one.
-
-    Parameters
-    ----------
-    total
-        Over these windows, where that is known.
-    """
+    """Return the demand in consecutive windows; at least one."""
     total = total or Sums(windows)
     used = total.cpu / total.seconds
     if total.is_in_step:
@@ -172,13 +147,7 @@ _AT_WORK = 0.05
 
 
 class PresentJob:
-    """The job at which a component has been since the last one ended.
-
-    Attributes
-    ----------
-    windows, seconds, cpu
-        How many windows it fills, how long it has run, and what it used [s].
-    """
+    """The job at which a component has been since the last one ended."""
 
     def __init__(self) -> None:
         self.windows = 0

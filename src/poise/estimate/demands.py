@@ -34,16 +34,9 @@ def memory_demand(profile: ComponentProfile) -> float:
 def shifted_cpu_demand(
     demand: float, expected: float | None, estimate: Estimate
 ) -> float:
-    """Return the CPU demand for the planner after a drift [cores].
+    """Return the CPU demand after a drift [cores], in proportion to the mean.
 
-    Parameters
-    ----------
-    demand
-        The demand so far [cores].
-    expected
-        Mean CPU in the profile of `demand` [cores]; the demand changes by the same
-        ratio as the mean. None or 0: without a profile, the demand is the estimate plus
-        its error and the headroom.
+    Without an `expected` mean it is the estimate, its error and the headroom.
     """
     if expected:
         return demand * estimate.mean / expected

@@ -77,17 +77,7 @@ class Estimate(Struct, frozen=True, kw_only=True):
 
 
 class RunningEstimate:
-    """The running estimate of one component.
-
-    Parameters
-    ----------
-    expected
-        Its mean demand in the profile [cores], with which drift is detected. None: the
-        first windows are used instead.
-    repeat
-        Largest difference between repeated measurements of the profile [cores]; smaller
-        changes are no drift.
-    """
+    """The running estimate of one component."""
 
     def __init__(self, expected: float | None = None, repeat: float = 0.0) -> None:
         self._repeat = repeat

@@ -27,15 +27,7 @@ _MEGABYTE = 1e6
 def overhead_of(
     connector: ConnectorProfile, together: str, costs: Mapping[str, KindCosts]
 ) -> float:
-    """Return the relative overhead of a connector; >= 0.
-
-    Parameters
-    ----------
-    together
-        Its kind when both ends are on one computer: ``direct`` or ``local``.
-    costs
-        Kind -> its costs; without ``remote`` the result is the traffic [MB/s].
-    """
+    """Return the relative overhead of a connector, >= 0; `costs` is by its kind."""
     if "remote" not in costs:
         return connector.traffic / _MEGABYTE
     less = costs.get(together, KindCosts()).load(connector)

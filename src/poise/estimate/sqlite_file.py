@@ -10,20 +10,7 @@ from poise.errors import UsageError
 
 
 class SqliteFile:
-    """Tables in a file; the file and its folder are created if missing.
-
-    Parameters
-    ----------
-    schema
-        The statement that makes its table, if that is missing.
-    holds
-        What is in it, for messages: ``profiles``.
-
-    Raises
-    ------
-    UsageError
-        It cannot be created, read or written, or is no SQLite file.
-    """
+    """Tables in a file; the file and its folder are created if missing."""
 
     def __init__(self, path: Path, schema: str, holds: str) -> None:
         self._path = path

@@ -24,19 +24,7 @@ _NAME_SAYS = "a letter, then up to 62 letters, digits, '_' or '-'"
 
 
 def says(text: str, **notes: object) -> Meta:
-    """Return the description of a key, which an editor shows, and further notes.
-
-    Parameters
-    ----------
-    key
-        The key, where it is not the name of the field.
-    is_required
-        Whether the file must have the key although the field has a default.
-    gt, ge, lt, le, min_length, max_length
-        Limits.
-    is_nullable
-        Whether null may stand for no value.
-    """
+    """Return the description of a key, which an editor shows, and further notes."""
     return Meta(extra={"says": text, **notes})
 
 
@@ -67,14 +55,7 @@ def form_of(kind: types.Metadata) -> types.Type:
 
 
 def written(form: object, read: Callable[[Any], Any]) -> Meta:
-    """Return a note that a field is written as `form`.
-
-    Parameters
-    ----------
-    read
-        Returns the field's value for the one that is written; raises ValueError when
-        that is wrong.
-    """
+    """Return a note that a field is written as `form`."""
     return Meta(extra={"form": Form(form), "read": read})
 
 

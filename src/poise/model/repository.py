@@ -111,13 +111,6 @@ def with_repository(
     robot's own; so does one of an installed package, if the robot file itself does not
     provide the function. Of a name, the first one counts: the robot file's, then
     folders in order, then packages.
-
-    Parameters
-    ----------
-    root
-        The tree of the robot file; the architectures are added to it.
-    problems
-        What is wrong in the repository is added.
     """
     functions = {a.function for a in robot.architectures}
     if not robot.repository and wanted_by(robot) <= functions:
@@ -142,13 +135,7 @@ def search(
     problems: list[FileProblem],
     where: Iterable[Location],
 ) -> Repository:
-    """Return the architectures in these folders, and in installed packages.
-
-    Parameters
-    ----------
-    where
-        Where each folder is named.
-    """
+    """Return the architectures in these folders, and in installed packages."""
     places = list(map(Place, folders, where))
     places += _installed(problems)
     offers = [offer for place in places for offer in _offers(place, problems)]

@@ -130,19 +130,12 @@ class CodeTimer(Struct, frozen=True):
 
 
 class ComponentCode(Struct, frozen=True, kw_only=True):
-    """What the class of a component declares that is no part of the file.
-
-    Parameters
-    ----------
-    keep
-        Subscribed port -> how many messages wait at most.
-    sends
-        Timer, subscribed or provided port -> the ports that its code may publish or
-        call on.
-    """
+    """What the class of a component declares that is no part of the file."""
 
     timers: tuple[CodeTimer, ...] = ()
-    keep: Mapping[str, int] = {}
+    keep: Mapping[str, int] = {}  # subscribed port -> how many messages wait at most
+    # timer, subscribed or provided port -> the ports that its code may publish or call
+    # on
     sends: Mapping[str, tuple[str, ...]] = {}
 
 

@@ -34,29 +34,16 @@ IMPOSSIBLE = "no placement keeps all limits"
 
 
 class Selection(NamedTuple):
-    """What was chosen besides the placement.
+    """What was chosen besides the placement."""
 
-    Parameters
-    ----------
-    architectures
-        Function -> the architecture chosen for it, where there was a choice.
-    aside
-        Architectures put aside because not all fits.
-    lost
-        What F grows by for the quality that was lost.
-    whole
-        The problem with all architectures; None when nothing was put aside.
-    why
-        Why something was put aside, for people.
-    others
-        The problems with other alternatives, where nothing holds with any.
-    """
-
+    # function -> the architecture chosen for it, where there was a choice
     architectures: Mapping[str, str] = {}
-    aside: tuple[str, ...] = ()
-    lost: float = 0.0
+    aside: tuple[str, ...] = ()  # architectures put aside because not all fits
+    lost: float = 0.0  # what F grows by for the quality that was lost
+    # the problem with all architectures; None when nothing was put aside
     whole: Problem | None = None
-    why: str = ""
+    why: str = ""  # why something was put aside, for people
+    # the problems with other alternatives, where nothing holds with any
     others: tuple[Problem, ...] = ()
 
 

@@ -96,13 +96,9 @@ class Groups:
     """Makes groups without limits, where there are no cgroups.
 
     `V1` and `V2` make groups with limits. Nothing here blocks.
-
-    Attributes
-    ----------
-    controls
-        Which of ``cpu``, ``cpuset`` and ``memory`` its groups limit.
     """
 
+    # which of ``cpu``, ``cpuset`` and ``memory`` its groups limit
     controls: frozenset[str] = frozenset()
 
     def __init__(self, files: Files | None = None) -> None:
@@ -140,13 +136,6 @@ class Group:
     """All processes of one emulated computer.
 
     Without cgroups they are those that inherited the group's name as a mark.
-
-    Attributes
-    ----------
-    joins
-        A process enters by writing its number into each of these files.
-    cpu_file
-        The file in which the kernel counts its CPU time; None: there is none.
     """
 
     def __init__(

@@ -103,14 +103,7 @@ class V2(Groups):
         return (self._base / f"{name}-aside",)
 
     def prepare(self, name: str) -> None:
-        """Enable the controllers for the future groups.
-
-        Raises
-        ------
-        OSError
-            The kernel refuses, for instance because another user's processes are in the
-            way.
-        """
+        """Enable the controllers for the future groups."""
         control = self._base / "cgroup.subtree_control"
         missing = self.controls - set(self._files.read(control).split())
         enable = " ".join(f"+{controller}" for controller in sorted(missing))

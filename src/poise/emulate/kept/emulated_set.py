@@ -39,15 +39,6 @@ class EmulatedSet:
     A fault is in force until it is healed or the set ends, even after the process that
     injected it has ended. Every method raises `UsageError` for unknown names, for a
     fault that is in force already or not at all, and when the set has ended.
-
-    Attributes
-    ----------
-    robot
-        Its name.
-    layout
-        What there is on this machine.
-    computers
-        By name.
     """
 
     def __init__(self, layout: EmulationLayout, kept: KeptSet) -> None:
@@ -92,15 +83,7 @@ class EmulatedSet:
         bandwidth: float | None = None,
         latency: float | None = None,
     ) -> None:
-        """Slow the link between two computers down.
-
-        Parameters
-        ----------
-        bandwidth
-            [bytes/s], each way; None: as it was.
-        latency
-            One way [s]; None: as it was.
-        """
+        """Slow a link down: bandwidth [bytes/s] each way, latency [s] one way."""
         on = self._named(computer, other)
         if bandwidth is None and latency is None:
             raise UsageError("slow: give a bandwidth or a latency")
@@ -152,13 +135,7 @@ class EmulatedSet:
                 _drop(faults, kind, on)
 
     def freeze(self, computer: str, *, agent: bool = False) -> None:
-        """Stop all processes of a computer, until it is booted.
-
-        Parameters
-        ----------
-        agent
-            Whether to stop its agent only; its containers go on.
-        """
+        """Stop all processes of a computer, or its agent only, until it is booted."""
         on = self._named(computer)
         running = self.computers[computer].running
         with self._changing() as faults:
@@ -174,13 +151,7 @@ class EmulatedSet:
                 processes.freeze(running)
 
     def boot(self, computer: str) -> None:
-        """Bring a crashed or frozen computer back, or its frozen agent.
-
-        Raises
-        ------
-        RunError
-            Its agent was not started within `BOOT_LIMIT`.
-        """
+        """Bring a crashed or frozen computer back, or its frozen agent."""
         on = self._named(computer)
         running = self.computers[computer].running
         with self._changing() as faults:
@@ -197,13 +168,7 @@ class EmulatedSet:
         _wait(lambda: bool(running()), BOOT_LIMIT, what)  # its keeper starts it
 
     def load(self, computer: str, cpu: float) -> None:
-        """Let a program take CPU on a computer, instead of an earlier one.
-
-        Parameters
-        ----------
-        cpu
-            How much [host cores]; 0 ends it.
-        """
+        """Let a program take `cpu` [host cores] on a computer; 0 ends it."""
         on = self._named(computer)
         most = self.computers[computer].limits.quota
         if not 0 <= cpu <= most:
@@ -221,13 +186,7 @@ class EmulatedSet:
                 _add(faults, "load", on, cpu=cpu, processes=pids)
 
     def stop(self) -> None:
-        """End the process that keeps the set, and wait until both are gone.
-
-        Raises
-        ------
-        RunError
-            It was still there after `STOP_LIMIT`.
-        """
+        """End the process that keeps the set, and wait until both are gone."""
         keeper = self.layout.owner
         if keeper.is_alive():
             os.kill(keeper.pid, signal.SIGTERM)

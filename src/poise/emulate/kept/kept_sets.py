@@ -10,18 +10,7 @@ from poise.model.robot import Robot
 
 
 def find_set(robot: str | None = None) -> EmulatedSet:
-    """Return the emulated computers that a process of this user keeps.
-
-    Parameters
-    ----------
-    robot
-        Whose; None: of the only robot that has some.
-
-    Raises
-    ------
-    UsageError
-        There are none, or of several robots and none is named.
-    """
+    """Return the emulated computers that a process of this user keeps."""
     found = {each.robot: each for each in all_sets()}
     if robot is None and len(found) == 1:
         return next(iter(found.values()))
@@ -38,13 +27,7 @@ def find_set(robot: str | None = None) -> EmulatedSet:
 
 
 def set_for(robot: Robot) -> EmulatedSet | None:
-    """Return the set that a robot is to use; None when none is kept for it.
-
-    Raises
-    ------
-    UsageError
-        There is one for a robot of this name with other computers or links.
-    """
+    """Return the set that a robot is to use; None when none is kept for it."""
     for each in all_sets():
         if each.robot != robot.name:
             continue

@@ -28,13 +28,7 @@ def to_text(profile: Profile) -> str:
 
 
 def from_text(text: str, file: str) -> Profile:
-    """Return the profile in a YAML text.
-
-    Raises
-    ------
-    RobotError
-        It is not a profile; the message names `file` and the problem.
-    """
+    """Return the profile in a YAML text."""
     try:
         return msgspec.convert(yaml.load(text, _LOADER), Profile)  # noqa: S506 - both are safe
     except yaml.YAMLError as error:
@@ -46,13 +40,7 @@ def from_text(text: str, file: str) -> Profile:
 
 
 def read(path: Path) -> Profile:
-    """Return the profile in a file; raises as `from_text`, and when it cannot be read.
-
-    Raises
-    ------
-    RobotError
-        It cannot be read, or is no profile.
-    """
+    """Return the profile in a file; raises as `from_text`, or if it is unreadable."""
     try:
         text = path.read_text("utf-8")
     except (OSError, UnicodeDecodeError) as error:

@@ -44,15 +44,7 @@ class Distribution(Struct, frozen=True, kw_only=True):
 
 
 def quantile(values: Sequence[float], share: float) -> float:
-    """Return the smallest value that at least `share` of `values` do not exceed.
-
-    Parameters
-    ----------
-    values
-        At least one.
-    share
-        In [0, 1].
-    """
+    """Return the smallest value that at least `share` (0 to 1) do not exceed."""
     ordered = sorted(values)
     # share * n of 0.95 * 20 is 19.000000000000004 in floating point
     rank = math.ceil(share * len(ordered) - 1e-9)
@@ -77,15 +69,7 @@ def error_of_mean(values: Sequence[float]) -> float | None:
 
 
 def distribution_of(values: Sequence[float], window: float = WINDOW) -> Distribution:
-    """Return the distribution of a series over windows of equal length.
-
-    Parameters
-    ----------
-    values
-        One per window, oldest first.
-    window
-        Length of a window [s]; > 0.
-    """
+    """Return the distribution of a series over windows of `window` [s]."""
     if not values:
         return Distribution()
     return Distribution(

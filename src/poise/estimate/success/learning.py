@@ -118,16 +118,6 @@ def learned(
 
     That of an architecture is the mean over the actions that need its function. A
     function of which nothing is known stays as it is.
-
-    Parameters
-    ----------
-    actions
-        For which architectures are chosen.
-    explore
-        Whether success is drawn from what is believed (Thompson sampling) and not its
-        mean; so it is, too, when the robot file says so.
-    seed
-        Of what is drawn, with the number of outcomes so far.
     """
     explore = explore or robot.explore
     rivals = list(_rivals(robot, tuple(actions)))
@@ -190,13 +180,7 @@ def beliefs_about(robot: Robot, architecture: str) -> list[Belief]:
 
 
 def forget(robot: Robot, architecture: str) -> int:
-    """Forget what was learned of an architecture; return how many outcomes there were.
-
-    Raises
-    ------
-    UsageError
-        The robot has no such architecture.
-    """
+    """Forget what was learned of an architecture; return the number of outcomes."""
     named(robot, architecture)
     if not _has_outcomes(robot):
         return 0

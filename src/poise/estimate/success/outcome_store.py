@@ -21,14 +21,9 @@ class Posterior(Struct, frozen=True):
 
     It is Beta(1 + `done`, 1 + `failed`), the conjugate of independent outcomes of one
     rate (Agrawal and Goyal 2012, algorithm 1).
-
-    Parameters
-    ----------
-    done, failed
-        How many outcomes there were of each kind.
     """
 
-    done: int = 0
+    done: int = 0  # done, failed: How many outcomes there were of each kind
     failed: int = 0
 
     @property

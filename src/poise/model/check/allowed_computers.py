@@ -16,14 +16,7 @@ Names = frozenset[str]
 
 
 def allowed_computers(robot: Robot, *, layers_stay: bool = True) -> Mapping[str, Names]:
-    """Return component -> the computers it may run on; names must be known.
-
-    Parameters
-    ----------
-    layers_stay
-        Whether reactive and deliberative architectures stay at home: only people may
-        move them.
-    """
+    """Return component -> the computers it may run on; names must be known."""
     everywhere = frozenset(computer.name for computer in robot.computers)
     return {
         component.name: everywhere.intersection(

@@ -230,13 +230,6 @@ def check_cycles(
 
     A call chain excludes other chains from all its components except re-entrant ones.
     So a cycle through a re-entrant component cannot deadlock.
-
-    Parameters
-    ----------
-    ports
-        The known ports; others are not checked.
-    reentrant
-        Names of the re-entrant components.
     """
     graph = _calls(robot, ports, reentrant)
     done: set[str] = set()

@@ -106,13 +106,7 @@ def _finding(policy: Policy, key: str, message: str) -> Finding:
 
 
 def check_tasks(robot: Robot, repository: Repository) -> Iterator[Finding]:
-    """Yield what is wrong with the tasks of a robot.
-
-    Parameters
-    ----------
-    repository
-        Where functions were looked for that the robot file does not provide.
-    """
+    """Yield what is wrong with the tasks of a robot."""
     found = [
         finding for task in robot.tasks for finding in _names(robot, task, repository)
     ]

@@ -43,24 +43,13 @@ _OF_UNIT = {
 
 
 class _Kind(Struct, frozen=True):
-    """What an expression yields.
+    """What an expression yields."""
 
-    Parameters
-    ----------
-    type
-        `truth value`, `number` or `text`.
-    dimensions
-        Of a number: what it may measure; None: anything.
-    choices
-        Of a text: what it may be; none: anything.
-    is_constant
-        Whether it is a text that stands in the condition.
-    """
-
-    type: str
+    type: str  # `truth value`, `number` or `text`
+    # of a number: what it may measure; None: anything
     dimensions: frozenset[str] | None = None
-    choices: tuple[str, ...] = ()
-    is_constant: bool = False
+    choices: tuple[str, ...] = ()  # of a text: what it may be; none: anything
+    is_constant: bool = False  # whether it is a text that stands in the condition
 
 
 _TRUTH, _NUMBER, _TEXT = _Kind("truth value"), _Kind("number"), _Kind("text")
@@ -82,20 +71,7 @@ class Condition(Struct, frozen=True):
 def parse_condition(
     text: str, record: type[Struct], choices: Mapping[str, tuple[str, ...]] = {}
 ) -> Condition:
-    """Return the condition in a text.
-
-    Parameters
-    ----------
-    record
-        Of the subject's values.
-    choices
-        What texts may be, by the name of the value.
-
-    Raises
-    ------
-    ValueError
-        It is none; the message says what is wrong, and what is there.
-    """
+    """Return the condition in a text."""
     if len(text) > LONGEST:
         raise ValueError(f"is longer than {LONGEST} characters")
     constants: dict[str, _Constant] = {}

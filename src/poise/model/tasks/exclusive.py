@@ -12,16 +12,11 @@ from poise.model.tasks.steps import Action
 
 
 class Clash(Struct, frozen=True, kw_only=True):
-    """An exclusive device or function that several would use at the same time.
-
-    Parameters
-    ----------
-    users
-        For a function the actions that need it; for a device ``function of action``.
-    """
+    """An exclusive device or function that several would use at the same time."""
 
     kind: Literal["device", "function"]
     name: str
+    # for a function the actions that need it; for a device ``function of action``
     users: tuple[str, ...]
 
     def __str__(self) -> str:

@@ -140,24 +140,16 @@ class TooManyPhasesError(RobotError):
 
 
 class Phase(Struct, frozen=True, kw_only=True):
-    """Actions that run at the same time.
+    """Actions that run at the same time."""
 
-    Parameters
-    ----------
-    name
-        The names of its actions, joined with ``+``; those of another task's steps
-        begin with its name, as in ``greet.wave``.
-    after
-        The names of the phases that it may follow, and how often it is expected to in
-        a run of the task.
-    lasts
-        How long a run of the task is expected to be in it, in all [s].
-    """
-
+    # the names of its actions, joined with ``+``; those of another task's steps begin
+    # with its name, as in ``greet.wave``
     name: str
     actions: tuple[Action, ...]
+    # the names of the phases that it may follow, and how often it is expected to in a
+    # run of the task
     after: Mapping[str, float] = {}
-    lasts: float
+    lasts: float  # how long a run of the task is expected to be in it, in all [s]
 
     @property
     def functions(self) -> tuple[str, ...]:
@@ -166,15 +158,7 @@ class Phase(Struct, frozen=True, kw_only=True):
 
 
 def phases_of(robot: Robot, task: str) -> tuple[Phase, ...]:
-    """Return the phases of a task, those that come first first.
-
-    Raises
-    ------
-    KeyError
-        There is no such task, or one that it names.
-    RobotError
-        It is a step of itself, or has too many phases.
-    """
+    """Return the phases of a task, those that come first first."""
     flow = _Flows(robot, task).of_task(task, ())
     after: dict[_Node, dict[str, float]] = {node: {} for node in flow.lasts}
     for (first, then), often in flow.edges.items():
@@ -203,20 +187,12 @@ def _name(node: _Node) -> str:
 
 
 class _Flow(Struct, frozen=True):
-    """What is expected of some steps, whenever they are begun.
+    """What is expected of some steps, whenever they are begun."""
 
-    Parameters
-    ----------
-    lasts
-        How long each node lasts in all [s].
-    edges
-        How often one follows another.
-    first, last
-        How often they begin with each, and are done with it; else they have failed.
-    """
-
-    lasts: _Odds
-    edges: dict[tuple[_Node, _Node], float]
+    lasts: _Odds  # how long each node lasts in all [s]
+    edges: dict[tuple[_Node, _Node], float]  # how often one follows another
+    # first, last: How often they begin with each, and are done with it; else they have
+    # failed
     first: _Odds
     last: _Odds
 

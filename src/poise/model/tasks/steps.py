@@ -221,13 +221,7 @@ def actions_of(tasks: Mapping[str, Task], name: str) -> Iterator[Action]:
 
 
 def steps_of(tasks: Mapping[str, Task], name: str) -> Iterator[Step]:
-    """Yield every step of a task, with those of the tasks that it names.
-
-    Parameters
-    ----------
-    tasks
-        The robot's tasks by name; one that is missing has no steps.
-    """
+    """Yield every step of a task, with those of the tasks that it names, if known."""
     reached = [name]
     for each in reached:  # grows meanwhile
         for _, step in walk(tasks[each]) if each in tasks else ():

@@ -20,20 +20,6 @@ def with_values(
 
     An existing key gets the new value in place. New keys are inserted before the first
     key of the mapping, in the same style.
-
-    Parameters
-    ----------
-    texts
-        Name of each file, as in `positions`, -> its text.
-    path
-        A mapping with at least one key.
-    values
-        Key -> value as text.
-
-    Raises
-    ------
-    KeyError
-        There is no such mapping, or it is empty.
     """
     lines = {file: text.splitlines(keepends=True) for file, text in texts.items()}
     first = positions.first_key(path)

@@ -82,13 +82,7 @@ class _Reader:
 def read_file(
     path: Path, asked: Location | None, problems: list[FileProblem]
 ) -> Node | None:
-    """Return the tree of one file, or None; every problem is added to `problems`.
-
-    Parameters
-    ----------
-    asked
-        Where another file names this one; None: the user does.
-    """
+    """Return the tree of one file, or None; every problem is added to `problems`."""
     text = _read_text(path, asked, problems)
     return None if text is None else parse(text, str(path), problems)
 

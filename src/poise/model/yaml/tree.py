@@ -212,13 +212,7 @@ class Positions:
         return path in self._places
 
     def first_key(self, path: Path) -> Location:
-        """Return the location of the first key or item under `path`.
-
-        Raises
-        ------
-        KeyError
-            There is none.
-        """
+        """Return the location of the first key or item under `path`."""
         below = [p for p in self._places if p[:-1] == path and len(p) > len(path)]
         if not below:
             raise KeyError(path)

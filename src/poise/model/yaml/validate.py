@@ -31,11 +31,6 @@ def plain_value(node: Node) -> Any:  # noqa: ANN401, any value of YAML
     """Return the node as dicts, lists, text, numbers, truth values and None.
 
     Scalars follow YAML 1.2: ``yes`` is a text, ``1e3`` a number.
-
-    Raises
-    ------
-    ValueError
-        For a whole number that does not fit into 64 bits, or an infinite one.
     """
     if isinstance(node.value, dict):
         return {key: plain_value(entry) for key, entry in node.value.items()}
@@ -70,20 +65,12 @@ _INVALID: Any = object()
 
 
 class Where(Struct, frozen=True):
-    """The value under validation.
+    """The value under validation."""
 
-    Parameters
-    ----------
-    name
-        Its keys from the top, with dots.
-    notes
-        The notes on its type.
-    """
-
-    name: str
+    name: str  # its keys from the top, with dots
     place: Location
     problems: list[FileProblem]
-    notes: Notes = {}
+    notes: Notes = {}  # the notes on its type
 
     def inner(self, key: str | int, node: Node) -> Where:
         """Return an entry of this mapping or list."""

@@ -175,13 +175,6 @@ def with_moves(
 
     They are spread over the time of the phase, as its F is the mean over that. Another
     alternative than in a phase beside it costs as if it moved.
-
-    Parameters
-    ----------
-    placements
-        Those of the phases beside it that are to count.
-    start
-        Whether the solver is to begin at the placement of the phase itself.
     """
     this = next(each for each in phased.phases if each.name == phase)
     problem = this.problem

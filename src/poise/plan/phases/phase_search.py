@@ -51,13 +51,8 @@ def weighted(part: Arrays, weight: float) -> Arrays:
 def merged(parts: Sequence[Arrays], moves: Mapping[tuple[Unit, Unit], float]) -> Arrays:
     """Return the arrays of several phases as those of one problem.
 
-    Its F is the sum over the phases, and of `moves`. The bandwidth of links is left
-    out; where distances differ, they count for moves, too.
-
-    Parameters
-    ----------
-    moves
-        Two units of different phases -> what F grows by when they are apart.
+    Its F is the sum over the phases, and of `moves` (pairs of units -> what being apart
+    costs). The bandwidth of links is left out; distances count for moves, too.
     """
     begin = [0, *accumulate(part.n for part in parts)]
     start = [0, *accumulate(len(part.unit_of) for part in parts)]

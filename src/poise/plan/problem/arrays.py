@@ -23,80 +23,45 @@ Placed = list[int]
 
 
 class Arrays(Struct, frozen=True):
-    """The numbers of a problem; n units, m computers, r resources and soft limits.
-
-    Parameters
-    ----------
-    members
-        Unit -> indexes of its components.
-    unit_of
-        Component -> its unit.
-    index
-        Name of a component -> its place among the components.
-    component_demand
-        (components, r).
-    demand
-        (n, r).
-    capacity, limit
-        (m, r): what a computer has, and what placements may use of it; infinite for a
-        resource that has soft limits.
-    price
-        (r,): what F grows by for each unit beyond a limit; 0: it must be kept.
-    size_weight
-        (r,): the greedy orders by the sum of demand times this, largest first.
-    allowed
-        Unit -> computers it may run on; units that are not named may run on any.
-    connectors
-        Each pair of connected units: one, the other, overhead, traffic.
-    distance
-        (m, m), or empty: 1 between any two computers.
-    cost
-        (n, m), or empty: 0. Includes what leaving the present computer costs.
-    bandwidth
-        (m, m), or empty: unlimited.
-    apart
-        Pairs of units that must not share a computer, each once.
-    overhead, traffic
-        Of all pairs of units together that some placement has apart.
-    communication
-        What a unit of overhead x distance adds to F.
-    spread
-        (r,): what a unit of spread adds to F.
-    share
-        Whether residue is measured as a share of capacity.
-    variance
-        Whether spread is the population variance, else largest minus smallest.
-    times
-        The time limits, where there are any.
-    """
+    """The numbers of a problem; n units, m computers, r resources and soft limits."""
 
     problem: Problem
-    members: list[tuple[int, ...]]
-    unit_of: list[int]
-    index: dict[str, int]
-    component_demand: list[float]
+    members: list[tuple[int, ...]]  # unit -> indexes of its components
+    unit_of: list[int]  # component -> its unit
+    index: dict[str, int]  # name of a component -> its place among the components
+    component_demand: list[float]  # (components, r)
     resources: tuple[str, ...]
-    demand: list[float]
+    demand: list[float]  # (n, r)
+    # capacity, limit: (m, r): what a computer has, and what placements may use of it;
+    # infinite for a resource that has soft limits
     capacity: list[float]
     limit: list[float]
+    # (r,): what F grows by for each unit beyond a limit; 0: it must be kept
     price: list[float]
+    # (r,): the greedy orders by the sum of demand times this, largest first
     size_weight: list[float]
+    # unit -> computers it may run on; units that are not named may run on any
     allowed: dict[int, tuple[int, ...]]
+    # each pair of connected units: one, the other, overhead, traffic
     connectors: list[tuple[int, int, float, float]]
-    distance: list[float]
+    distance: list[float]  # (m, m), or empty: 1 between any two computers
+    # (n, m), or empty: 0. Includes what leaving the present computer costs
     cost: list[float]
-    bandwidth: list[float]
+    bandwidth: list[float]  # (m, m), or empty: unlimited
+    # pairs of units that must not share a computer, each once
     apart: list[tuple[int, int]]
+    # overhead, traffic: Of all pairs of units together that some placement has apart
     overhead: float
     traffic: float
-    communication: float
-    spread: list[float]
-    share: bool
+    communication: float  # what a unit of overhead x distance adds to F
+    spread: list[float]  # (r,): what a unit of spread adds to F
+    share: bool  # whether residue is measured as a share of capacity
+    # whether spread is the population variance, else largest minus smallest
     variance: bool
     n: int
     m: int
     r: int
-    times: Times | None = None
+    times: Times | None = None  # the time limits, where there are any
 
     def name(self, unit: int) -> str:
         """Return the names of a unit's components, joined."""
@@ -112,14 +77,7 @@ class Arrays(Struct, frozen=True):
         return self.problem.computers[index].name
 
     def placed(self, placement: Mapping[str, str]) -> Placed:
-        """Return a placement by name as one by index.
-
-        Raises
-        ------
-        UsageError
-            When a component has no computer, or one that is not there, or components
-            that must share a computer do not.
-        """
+        """Return a placement by name as one by index."""
         index = {h.name: i for i, h in enumerate(self.problem.computers)}
         placed = [-1] * self.n
         for component, unit in zip(self.problem.components, self.unit_of, strict=True):

@@ -23,29 +23,16 @@ LimitArray = tuple[float, float, float, int, list[RunArray], list[HopArray]]
 
 
 class Times(Struct, frozen=True):
-    """The time limits of a problem on m computers.
+    """The time limits of a problem on m computers."""
 
-    Parameters
-    ----------
-    limits
-        In the order of the problem.
-    speed
-        (m,): how fast a core is.
-    cores, power
-        (m,): how many cores a computer has, and the power in the formula of how long
-        runs wait for one (docs/design/objective.md).
-    latency
-        (m, m), or empty: 0 [s].
-    per_byte
-        (m, m), or empty: 0; how long a byte takes [s].
-    """
-
-    limits: list[LimitArray]
-    speed: list[float]
+    limits: list[LimitArray]  # in the order of the problem
+    speed: list[float]  # (m,): how fast a core is
+    # cores, power: (m,): how many cores a computer has, and the power in the formula of
+    # how long runs wait for one (docs/design/objective.md)
     cores: list[int]
     power: list[int]
-    latency: list[float]
-    per_byte: list[float]
+    latency: list[float]  # (m, m), or empty: 0 [s]
+    per_byte: list[float]  # (m, m), or empty: 0; how long a byte takes [s]
 
 
 def times_of(problem: Problem, index: Mapping[str, int]) -> Times | None:

@@ -64,11 +64,6 @@ def chosen_by(
     """Return what a placement chooses, and the problem without the rest.
 
     `partial`: what has no component in the placement was put aside.
-
-    Raises
-    ------
-    UsageError
-        When it has two architectures of one function, or a part of one.
     """
     if not (has_choice(problem) or partial):
         return Selection(), problem
@@ -144,13 +139,7 @@ def _priority(need: Need) -> int:
 
 
 class _Admission:
-    """Finds what to keep: as many as possible of the first level, then of the next.
-
-    Attributes
-    ----------
-    is_complete
-        Whether nothing better was left out for lack of time.
-    """
+    """Finds what to keep: as many as possible of the first level, then of the next."""
 
     def __init__(self, problem: Problem, decide: Decide) -> None:
         self._problem = problem
