@@ -31,7 +31,7 @@ def stop(processes: Callable[[], Sequence[int]], ask: float = ASK) -> None:
 
 
 def freeze(processes: Callable[[], Sequence[int]]) -> None:
-    """Stop all that `processes` returns, and what they start meanwhile, until `thaw`."""
+    """Stop all that `processes` returns, and what they start, until `thaw`."""
     end = time.monotonic() + KILL
     frozen: set[int] = set()
     while new := set(processes()) - frozen:
