@@ -41,7 +41,7 @@ architectures:
       important:
         implementation: "worker:Worker"
         cpu: 10%
-        parameters: {{work: 0.015}}
+        parameters: {{work: {work[0]}}}
   other:
     function: other
     priority: 1
@@ -49,18 +49,33 @@ architectures:
       other:
         implementation: "worker:Worker"
         cpu: 10%
-        parameters: {{work: 0.020}}
+        parameters: {{work: {work[1]}}}
 tasks: {{both: {{actions: [{{name: both, functions: [important, other]}}]}}}}
 """
 
 
-def deadlines_met(priority: int, seconds: float, folder: Path) -> Mapping[str, float]:
-    """Return component -> the share of its deadlines that it met."""
+def run(
+    priority: int,
+    seconds: float,
+    folder: Path,
+    work: tuple[float, float] = (0.015, 0.020),
+) -> poise.RunReport:
+    """Run both, of which the important one has a priority.
+
+    Parameters
+    ----------
+    work
+        What a step of the important one and of the other one takes [s of a core].
+    """
     (folder / "worker.py").write_text(CODE, encoding="utf-8")
     file = folder / f"priority{priority}.yaml"
-    text = ROBOT.format(name=f"priority{priority}", priority=priority)
+    text = ROBOT.format(name=f"priority{priority}", priority=priority, work=work)
     file.write_text(textwrap.dedent(text), encoding="utf-8")
-    report = poise.run(poise.load(file), seconds=seconds)
+    return poise.run(poise.load(file), seconds=seconds)
+
+
+def deadlines_met(report: poise.RunReport) -> Mapping[str, float]:
+    """Return component -> the share of its deadlines that it met."""
     return {
         component.name: 1 - timer.missed / timer.releases
         for component in report.components
@@ -80,7 +95,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         for _ in range(options.rounds):
             for priority in (1, 10):
-                shares = deadlines_met(priority, options.seconds, Path(folder))
+                shares = deadlines_met(run(priority, options.seconds, Path(folder)))
                 for name, share in shares.items():
                     met.setdefault((priority, name), []).append(share)
     print("| priorities | component | deadlines met (median, least) |")

@@ -85,7 +85,9 @@ from tests import busy
 @pytest.mark.parametrize("number", range(200))
 def test_it(number):
     if number < {}:
-        busy.skip_as_busy("others used 2.0 of its 2 CPUs")
+        others = busy.CpuOfOthers()
+        others.cpus = lambda: 2.0
+        busy.skip_as_starved("starved", others)
 """
     enough, too_many = run(tmp_path, tests.format(4)), run(tmp_path, tests.format(5))
     assert "5 tests were spoilt by a busy machine, more than 4" in too_many
@@ -93,13 +95,25 @@ def test_it(number):
     assert "test_it[3]: Skipped: the machine was too busy: others used 2.0" in enough
 
 
-@pytest.mark.parametrize("others", [0.9, 1.1])
-def test_a_failed_assertion_is_excused_only_while_others_use_the_machine(
-    others: float, monkeypatch: pytest.MonkeyPatch
+def test_no_failed_assertion_is_excused() -> None:
+    """A test may be skipped as the machine was busy only where Poise says so."""
+    callers = {
+        file.relative_to(ROOT).as_posix()
+        for file in (ROOT / "tests").rglob("*.py")
+        if "skip_as_starved" in file.read_text()
+    }
+    assert callers == {"tests/busy.py", "tests/command.py", "tests/test_rules.py"}
+
+
+@pytest.mark.parametrize(
+    ("used", "expected"),
+    [(0.4, pytest.fail.Exception), (0.6, pytest.skip.Exception)],
+)
+def test_starved_computers_are_an_excuse_only_while_others_use_the_machine(
+    used: float, expected: type[BaseException], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """On two CPUs, one may be used by others."""
-    monkeypatch.setattr(busy.CpuOfOthers, "cpus", lambda _: others)
+    """On two CPUs, half of one may be used by others."""
+    monkeypatch.setattr(busy.CpuOfOthers, "cpus", lambda _: used)
     monkeypatch.setattr("os.cpu_count", lambda: 2)
-    expected = pytest.skip.Exception if others > 1 else AssertionError
-    with pytest.raises(expected, match="too late"), busy.needs_quiet_machine():
-        raise AssertionError("too late")
+    with pytest.raises(expected, match="starved"):
+        busy.skip_as_starved("starved", busy.CpuOfOthers())
