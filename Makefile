@@ -57,6 +57,7 @@ lint: setup
 	@$(BIN)/ruff format --check .
 	@$(BIN)/mypy
 	@$(BIN)/lint-imports
+	@$(BIN)/python .ci/words.py
 
 # The stubs of the native modules, as their signatures say; what they do stands in the headers.
 stubs: setup
