@@ -256,7 +256,6 @@ def predictions(lengths: Lengths) -> dict[str, object]:
     profile = read_profile(robot)
     if profile is None:
         sys.exit(f"{TROT} has no profile: `poise profile {TROT}` makes it")
-    robot = msgspec.structs.replace(robot, simulator=robot.workload)
     placement = place(robot, "serve").where
     ran = run(robot, placement, lengths.trot)
     predicted = predicted_cpu(robot, placement, profile)

@@ -1,8 +1,10 @@
 """What Poise costs a computer that has nothing to do: ``python -m benchmarks.idle``.
 
 How long an agent takes until it is there, and a container until its components are
-active; what both use when nothing happens, samples and reports included; and what they
-hold of the memory (proportional set size: shared pages are divided by their users).
+active; what both use when nothing happens, samples and reports included; what the
+manager of `examples/hello` uses, which watches and adapts two components that exchange
+ten messages a second; and what all hold of the memory (proportional set size: shared
+pages are divided by their users).
 
 It imports internal modules: it measures agents and containers one by one.
 """
@@ -11,7 +13,10 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
+import shlex
 import statistics
+import subprocess
 import sys
 import tempfile
 import time
@@ -30,6 +35,7 @@ from poise.runtime.sampling.kernel_counters import proportional_memory
 from poise.session.launch.computers import computers_of
 from poise.wire.records.status_records import AgentStatus
 
+HELLO = Path(__file__).parents[1] / "examples" / "hello" / "robot.yaml"
 CONTAINERS = 4
 SETTLE = 1.0
 LIMIT = 30.0
@@ -85,6 +91,32 @@ def measure(robot: Robot, seconds: float) -> Mapping[str, float]:
         }
 
 
+def measure_manager(seconds: float) -> Mapping[str, float]:
+    """Keep a robot up by `poise up`, and return what the manager's process uses."""
+    argv = [sys.executable, "-m", "poise", "up", str(HELLO), "--task", "greet"]
+    with subprocess.Popen(argv, stdout=subprocess.PIPE, text=True) as manager:
+        assert manager.stdout is not None
+        try:
+            if not any("is up" in line for line in manager.stdout):
+                sys.exit(f"{shlex.join(argv)} did not come up")
+            time.sleep(SETTLE)
+            before, began = cpu_of(manager.pid), time.monotonic()
+            time.sleep(seconds)
+            used = cpu_of(manager.pid) - before
+            lasted = time.monotonic() - began
+            memory = proportional_memory(manager.pid)
+        finally:
+            manager.terminate()
+            manager.communicate(timeout=LIMIT)
+    return {"cores": used / lasted, "mib": memory / MIB}
+
+
+def cpu_of(pid: int) -> float:
+    """Return the CPU time of a process without its children [s]."""
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return sum(map(int, fields[11:13])) / os.sysconf("SC_CLK_TCK")
+
+
 def main() -> None:
     """Measure all, and print it."""
     parser = argparse.ArgumentParser("python -m benchmarks.idle", description=__doc__)
@@ -96,6 +128,7 @@ def main() -> None:
     sys.path.insert(0, robots.FOLDER)
     one = measure(robots.silent(1), seconds)
     many = measure(robots.silent(CONTAINERS), seconds)
+    manager = measure_manager(seconds)
     found = {
         "agent until it is there [s]": one["agent_start_s"],
         "a container with six components, until they are active [s]": one["start_s"],
@@ -108,6 +141,8 @@ def main() -> None:
             many["all_cores"] - many["agent_cores"]
         )
         / CONTAINERS,
+        "manager [cores]": manager["cores"],
+        "manager [MiB]": manager["mib"],
         "agent [MiB]": many["agent_mib"],
         "zygote [MiB]": many["zygote_mib"],
         f"each of {CONTAINERS} containers [MiB]": many["container_mib"],

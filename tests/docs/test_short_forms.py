@@ -1,0 +1,112 @@
+"""Every `python -m` command of the documents runs, in a form that is short.
+
+`QUICK` runs in `make test`; `ROBOTS` starts robots and measures, which takes minutes,
+and runs in `make exhaustive`. `.ci/run` runs both.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import shlex
+import subprocess
+import sys
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+DOCUMENTS = [
+    *ROOT.glob("*.md"),
+    *(ROOT / "docs").rglob("*.md"),
+    *(ROOT / "examples").rglob("*.md"),
+    *(ROOT / "benchmarks").rglob("*.md"),
+]
+QUICK = {
+    "benchmarks.learning": "--seeds 4 --json",
+    "benchmarks.lease": "",
+    "benchmarks.placement": "--quick --only proof --json",
+    "benchmarks.regret": "--seeds 1 --kinds lost --json",
+    "tests.simulation": "2",
+}
+ROBOTS = {
+    "benchmarks.adaptation": "--quick --only decision --json",
+    "benchmarks.calls": "--quick --only direct --json",
+    "benchmarks.dashboard": "--seconds 1 --components 5",
+    "benchmarks.data_age": "--seconds 2 --starts 1 --only t-rot --json",
+    "benchmarks.drive": "--times 1 --json",
+    "benchmarks.estimate": "--quick --json",
+    "benchmarks.faults": "--quick --json",
+    "benchmarks.idle": "--quick --json",
+    "benchmarks.moves": "--quick --json",
+    "benchmarks.prefetch": "--seconds 5 --json",
+    "benchmarks.priorities": "--rounds 1 --seconds 2",
+    "benchmarks.simulation": "--seconds 3 --only two --json",
+    "benchmarks.starvation": "",
+    "benchmarks.takeover": "--moves 5 --json",
+    "tests.chaos": "10s",
+}
+EXEMPT = {
+    "tests.simulation.mutations": "takes an hour; tests/simulation/test_mutations.py",
+    "trot.world": "runs until the robot ends it; the demo's tests start it",
+    "trot.world.record": "needs a program that makes speech, and rewrites a file",
+}
+"""Module -> why it has no short form, and what else runs it."""
+
+
+def commands() -> Iterator[tuple[str, str]]:
+    """Yield module and options of each command that a document names."""
+    for document in DOCUMENTS:
+        text = re.sub(r"\n *", " ", document.read_text())
+        yield from re.findall(
+            r"python -m ((?:benchmarks|tests|trot)[\w.]*)([^`#$|]*)", text
+        )
+
+
+NAMED = sorted(set(commands()))
+
+
+def test_every_command_has_a_short_form() -> None:
+    modules = {module for module, _ in NAMED}
+    assert modules - QUICK.keys() - ROBOTS.keys() - EXEMPT.keys() == set()
+
+
+def test_every_benchmark_has_a_short_form() -> None:
+    programs = {
+        ".".join(file.relative_to(ROOT).with_suffix("").parts).removesuffix(".__main__")
+        for file in (ROOT / "benchmarks").rglob("*.py")
+        if 'if __name__ == "__main__":' in file.read_text()
+    }
+    parts = {"benchmarks.calls.peer", "benchmarks.dashboard_pictures"}
+    assert programs - parts - QUICK.keys() - ROBOTS.keys() == set()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("module", "options"), QUICK.items(), ids=QUICK)
+def test_a_command_without_robots_runs(module: str, options: str) -> None:
+    run(module, options)
+
+
+@pytest.mark.slow
+@pytest.mark.exhaustive
+@pytest.mark.parametrize(("module", "options"), ROBOTS.items(), ids=ROBOTS)
+def test_a_command_with_robots_runs(module: str, options: str) -> None:
+    run(module, options)
+
+
+def run(module: str, options: str) -> None:
+    """Run a command to its end, which must be a success, and read its JSON."""
+    words = shlex.split(options)
+    done = subprocess.run(
+        [sys.executable, "-m", module, *words],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=280,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-4000:]
+    assert done.stdout
+    if "--json" in words:
+        assert isinstance(json.loads(done.stdout), Mapping | list)
