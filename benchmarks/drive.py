@@ -18,8 +18,8 @@ import msgspec
 from msgspec import Struct
 from rich.console import Console
 
-from poise.cli.commands.demo_command import EXAMPLES
-from poise.session.scenes.home_robot import Scene, move_while_driving, told
+from examples.demo.drives import Scene, move_while_driving, told
+from examples.demo.play import EXAMPLES
 
 
 class Drives(Struct, frozen=True, kw_only=True):

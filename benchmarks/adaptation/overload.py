@@ -16,10 +16,10 @@ from typing import Literal
 from msgspec import Struct
 
 import poise
+from examples.demo.overload import Deadlines
 from poise.emulate.kept.background_load import background_load
 from poise.errors import PoiseError
 from poise.session.running_robots.running import Running, Status
-from poise.session.scenes.overload import Deadlines
 
 Arm = Literal["poise", "none", "random"]
 ARMS: tuple[Arm, ...] = ("poise", "none", "random")

@@ -20,9 +20,9 @@ from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
 import poise
+from examples.demo.overlaps import overlaps, read_handler_log
 from poise.errors import PoiseError
 from poise.session.running_robots.running import Running, Status
-from poise.session.scenes.handler_log import overlaps, read_handler_log
 from poise.wire.records.status_records import ComponentStatus
 from tests.chaos.faults import COMPONENTS, Faults, containers
 from tests.chaos.managers import Managers

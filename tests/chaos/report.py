@@ -7,7 +7,7 @@ from collections.abc import Iterable
 
 from msgspec import Struct
 
-from poise.session.scenes.handler_log import Overlap
+from examples.demo.overlaps import Overlap
 from poise.units import format_bytes, format_seconds
 from tests.chaos.faults import Fault
 

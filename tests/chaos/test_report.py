@@ -7,7 +7,7 @@ from collections.abc import Iterable
 
 from msgspec.structs import replace
 
-from poise.session.scenes.handler_log import Overlap
+from examples.demo.overlaps import Overlap
 from tests.chaos.faults import Fault
 from tests.chaos.report import ChaosReport
 

@@ -11,12 +11,12 @@ from pathlib import Path
 import pytest
 
 import poise
+from examples.demo.waiting import measures
 from poise.emulate import EmulatedSet
 from poise.manage.agent_connections.statuses import connectors_of
 from poise.manage.migration.migration_report import MigrationReport
 from poise.session.placing.placement import place
 from poise.session.running_robots.running import RolledBack, Running
-from poise.session.scenes.waiting import measures
 from tests.session.emulated_robot import written
 from tests.waiting import LONG, wait_long
 

@@ -12,10 +12,10 @@ from pathlib import Path
 import pytest
 
 import poise
+from examples.demo.waiting import measures
 from poise.emulate import EmulatedSet, look
 from poise.session.placing.placement import place
 from poise.session.running_robots.running import Running
-from poise.session.scenes.waiting import measures
 from tests.waiting import LONG, wait_long
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(LONG)]

@@ -8,11 +8,11 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Mapping, Sequence
-from typing import Any, TypedDict, get_type_hints
+from typing import Any, TypedDict
 
 import msgspec
 
-from poise.cli.commands.demo_command import DemoReport
+from poise.cli.commands.demo_command import demo_module
 from poise.cli.commands.emulate_command import ListedSet
 from poise.errors import FileProblem
 from poise.estimate.profile import Profile
@@ -25,12 +25,10 @@ from poise.manage.tasks.concurrent_tasks import TaskReport
 from poise.model.policy.policy import Policy
 from poise.plan.phases.phase_result import PlainPhases
 from poise.plan.result import PlainResult
-from poise.session.experiment.summary import ExperimentReport
 from poise.session.placing.chosen_architectures import Described, Listed
 from poise.session.profiling.calibrate import Calibration
 from poise.session.reports.run_report import RunReport
 from poise.session.running_robots.local_robots import Rate, Robots
-from poise.session.scenes import SCENES
 from poise.simulation.predicted_times import PredictedTimes
 from poise.simulation.simulation_report import SimulationReport
 from poise.view.robot_recording import RobotRecording
@@ -115,7 +113,6 @@ class SmallestShown(TypedDict):
     tasks: Mapping[str, PlannedPhases]
 
 
-_SCENES = dict.fromkeys(get_type_hints(play)["return"] for _, play in SCENES.values())
 OUTPUTS: Mapping[str, Sequence[Any]] = {
     "check": [Checked],
     "plan": [PlannedPlacement, PlannedPhases, Compared, SmallestShown],
@@ -129,7 +126,7 @@ OUTPUTS: Mapping[str, Sequence[Any]] = {
     "repository list": [list[Listed]],
     "repository show": [Described],
     "run": [RunReport],
-    "demo": [DemoReport, ExperimentReport, *_SCENES],
+    "demo": demo_module().OUTPUTS,
     "emulate list": [list[ListedSet]],
     "list": [Robots],
     "record": [RobotRecording],

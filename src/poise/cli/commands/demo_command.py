@@ -1,69 +1,19 @@
-"""`poise demo`: the paper's case study, with static placement and with Poise's."""
+"""`poise demo`: the paper's case study, which is in `examples/` of a clone."""
 
 from __future__ import annotations
 
-import os
-import shutil
+import importlib
 import sys
-from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from types import ModuleType
 from typing import Annotated, Literal
 
-import msgspec
 import typer
-from msgspec import Struct
-from rich.console import Console
-from rich.markup import escape
 
-from poise.cli.interrupts import Interrupts
-from poise.cli.options import AsJson, print_json
-from poise.emulate import full_speed
-from poise.errors import RobotError, UsageError
-from poise.session.experiment.experiment import PAGE
-from poise.session.experiment.experiment import experiment as run_experiment
-from poise.session.experiment.results import FULL, SHORT, USUAL, Extent
-from poise.session.launch.printer import STDERR, Printer
-from poise.session.launch.temporary_folders import scratch_folder
-from poise.session.render.experiment_tables import experiment_parts
-from poise.session.render.tables import table
-from poise.session.reports.run_report import RunReport
-from poise.session.robot_file import load
-from poise.session.scenes import SCENES
-from poise.session.scenes.home_robot import (
-    NAVIGATOR,
-    Scene,
-    drive_once,
-    failed_functions,
-    find_trouble,
-    is_at_goal,
-    missed_share,
-    move_while_driving,
-    time_calls,
-    told,
-)
-from poise.units import format_seconds
-from poise.view.drives_picture import DrivePicture, drives_picture
-from poise.wire.records.status_records import Summary
+from poise.cli.options import AsJson
+from poise.errors import UsageError
 
-EXAMPLES = Path(__file__).parents[4] / "examples"
-_TITLES = {"static": "static (by hand)", "auto": "Poise"}
-_PICTURE = Path("poise-demo.svg")
-
-
-class DemoReport(Struct, frozen=True, kw_only=True):
-    """All that the demo measured.
-
-    Parameters
-    ----------
-    runs
-        Two drives: placed by hand, and by Poise.
-    calls
-        How long calls take: in one container, and between two computers [s].
-    """
-
-    runs: tuple[RunReport, ...]
-    scene: Scene
-    calls: Mapping[str, Summary]
+_CLONE = Path(__file__).parents[4]
 
 
 def demo_command(
@@ -81,21 +31,6 @@ def demo_command(
         | None,
         typer.Option(help="Show instead how a running robot adapts, or runs tasks."),
     ] = None,
-    experiment: Annotated[
-        bool, typer.Option(help="Compare instead eight ways to place, in many runs.")
-    ] = False,
-    quick: Annotated[
-        bool, typer.Option(help="Of the experiment: four ways, two runs of each.")
-    ] = False,
-    full: Annotated[
-        bool, typer.Option(help="Of the experiment: 79 runs of each, as in the paper.")
-    ] = False,
-    report: Annotated[
-        Path, typer.Option(help="Of the experiment: the folder for its results.")
-    ] = Path("poise-experiment"),
-    examples: Annotated[
-        Path, typer.Option(help="The folder with the examples trot and calls.")
-    ] = EXAMPLES,
 ) -> None:
     """Drive a home service robot through a home, placed by hand and by Poise.
 
@@ -108,186 +43,35 @@ def demo_command(
     is stopped, or the manager is killed amid a move; or three tasks share functions,
     and one pauses another.
 
-    With --experiment, T-Rot serves again and again under each way to place and each
-    condition: loads, a slow link, a component that overruns. Ctrl-C ends it, and the
-    same command goes on. It takes about two hours, with --quick five minutes.
+    The robots and the home are in the folder `examples` of Poise's repository: run it
+    in a clone.
 
     Examples
     --------
     poise demo
 
-    poise demo --experiment --quick
-
     poise demo --scene overload
     """
-    if (quick or full) and not experiment:
-        raise UsageError("--quick and --full are of --experiment")
-    if quick and full:
-        raise UsageError("--quick and --full are two experiments: give one")
-    if scene is not None:
-        _play(scene, examples, as_json=as_json)
-        return
-    if not (examples / "trot" / "robot.yaml").is_file():
-        raise RobotError(
-            f"the demo's robot is not at {examples}: run it in a clone of Poise, or "
-            "give its examples folder with --examples"
-        )
-    console = Console(stderr=as_json, highlight=False)
-    if experiment:
-        extent = SHORT if quick else FULL if full else USUAL
-        _experiment(examples, extent, report, console, as_json=as_json)
-        return
-    poise = _this_poise()
-    console.print(
-        f"To watch it live, run in another terminal:\n  {poise} dashboard   # or: top",
-        soft_wrap=True,
-    )
-    with Interrupts() as interrupts, full_speed():
-        check = interrupts.check
-        shown = DemoReport(
-            runs=tuple(drive_once(examples, each, console, check) for each in _TITLES),
-            scene=move_while_driving(examples, console, check),
-            calls=time_calls(examples, console, check),
-        )
-    print_json(shown) if as_json else _show(shown, console)
-    _draw(shown.runs, console)
-    console.print(
-        "to watch T-Rot for longer:\n"
-        f"  {poise} up {examples / 'trot' / 'robot.yaml'} --dashboard",
-        soft_wrap=True,
-    )
-    trouble = find_trouble(shown.runs)
-    if trouble:
-        Console(stderr=True).print(trouble)
-        raise typer.Exit(1)
-
-
-def _this_poise() -> str:
-    """Return how this `poise` is started in any folder."""
-    path = Path(sys.executable).with_name("poise")
-    is_known = shutil.which("poise") == str(path) or not path.exists()
-    return "poise" if is_known else str(path)
-
-
-def _experiment(
-    examples: Path, extent: Extent, folder: Path, console: Console, *, as_json: bool
-) -> None:
-    def say(sentence: str) -> None:
-        console.print(escape(sentence), soft_wrap=True)
-
-    robot = load(examples / "trot" / "robot.yaml", say=say)
-    with Interrupts() as interrupts:
-        try:
-            report = run_experiment(
-                robot, "serve", extent, folder, say=say, check=interrupts.check
-            )
-        finally:
-            say(f"the page of all runs so far is {(folder / PAGE).absolute()}")
-            if interrupts.has_come():
-                say("the same command goes on from here")
-    if as_json:
-        print_json(report)
+    demo = demo_module()
+    if scene is None:
+        demo.play_drives(as_json=as_json)
     else:
-        console.print(*experiment_parts(report), sep="\n")
-    if silent := [each for each in report.arms if each.runs == each.invalid]:
-        what = ", ".join(f"{each.placement} ({each.condition})" for each in silent)
-        Console(stderr=True).print(f"no valid run of {what}", soft_wrap=True)
-        raise typer.Exit(1)
+        demo.play_scene(scene, as_json=as_json)
 
 
-def _play(scene: str, examples: Path, *, as_json: bool) -> None:
-    with Printer(STDERR) as printer, Interrupts() as interrupts:
-        example, play = SCENES[scene]
-        with scratch_folder("poise-demo-") as folder:
-            file = _renamed(examples / example, folder / example)
-            robot = load(file, say=printer.print)
-            report = play(robot, printer.print, interrupts.check)
-    if as_json:
-        print_json(report)
-    else:
-        for key, value in msgspec.structs.asdict(report).items():
-            Console(highlight=False).print(f"{key:16}{value}")
-    if not report.ok:
-        raise typer.Exit(1)
+def demo_module() -> ModuleType:
+    """Return `examples/demo/play.py` of the clone where this is, or the command runs.
 
-
-def _renamed(example: Path, folder: Path) -> Path:
-    """Return the robot file in a copy of an example, with a name of its own.
-
-    Emulated computers and managers are found by it, and another may be up.
+    Raises
+    ------
+    UsageError
+        Neither is a clone.
     """
-    file = shutil.copytree(example, folder) / "robot.yaml"
-    old, new = f"robot: {example.name}\n", f"robot: {example.name}-{os.getpid()}\n"
-    file.write_text(file.read_text(encoding="utf-8").replace(old, new, 1))
-    return file
-
-
-def _show(report: DemoReport, console: Console) -> None:
-    """Print the numbers side by side, a column per run."""
-    rows = table("", *(_TITLES[drive.method] for drive in report.runs))
-    for computer in report.runs[0].cpu_share:
-        shares = [f"{drive.cpu_share.get(computer, 0):.0%}" for drive in report.runs]
-        rows.add_row(f"CPU used on {computer}", *shares)
-    for label, read in _ROWS.items():
-        rows.add_row(label, *(read(drive) for drive in report.runs))
-    console.print(rows)
-    console.print(told(report.scene))
-    direct, message = map(_typical, report.calls.values())
-    console.print(f"a call to a component beside it: {direct}")
-    console.print(f"a call to one on the other computer: {message}")
-    console.print(_ABOUT_TIMES)
-
-
-def _draw(runs: Sequence[RunReport], console: Console) -> None:
-    drives = [
-        DrivePicture(
-            title=_TITLES[drive.method],
-            path=drive.simulation.get("path", ()),
-            shares={"deadlines missed": missed_share(drive)}
-            | {f"CPU of {name}": share for name, share in drive.cpu_share.items()},
-            verdict="functions that failed: "
-            + (", ".join(failed_functions(drive)) or "none"),
-        )
-        for drive in runs
-    ]
-    home = runs[-1].simulation
-    goal = [home["goal"]] if "goal" in home else []
-    picture = drives_picture(drives, home.get("walls", ()), goal)
-    _PICTURE.write_text(picture, encoding="utf-8")
-    console.print(f"both drives are drawn in {_PICTURE.absolute()}")
-
-
-_ABOUT_TIMES = """
-What the times include, and what the paper says of its own:
-- decision: the search for all components, once demands are known.
-  Paper: 42 µs on the average for its greedy; it does not say whether that
-  begins with the demands.
-- near call: through a connector, there and back, in one process.
-  Paper: 6 µs on the average for a direct method call, without a framework.
-- far call: there and back, encoded, through two processes and the emulated
-  link. Paper: 74 µs by message passing through a connector; it does not say
-  between which computers.
-"""
-
-
-def _typical(summary: Summary) -> str:
-    return f"{format_seconds(summary.median)} (p99 {format_seconds(summary.p99)})"
-
-
-def _age(report: RunReport, what: str) -> str:
-    measures = report.component(NAVIGATOR).measures
-    return _typical(measures.get(f"{what}_age", Summary()))
-
-
-_ROWS: Mapping[str, Callable[[RunReport], str]] = {
-    "200 ms deadlines missed": lambda r: f"{missed_share(r):.1%}",
-    "age of the pose used, median (p99)": lambda r: _age(r, "pose"),
-    "age of the map used, median (p99)": lambda r: _age(r, "map"),
-    "goal reached": lambda r: "yes" if is_at_goal(r) else "no",
-    "functions that failed": lambda r: ", ".join(failed_functions(r)) or "none",
-    "time": lambda r: f"{r.seconds:.1f} s",
-    "placement decided in": lambda r: (
-        format_seconds(r.decision_seconds) if r.decision_seconds else "by hand"
-    ),
-    "valid run": lambda r: "no" if r.invalid else "yes",
-}
+    for clone in (_CLONE, Path.cwd()):
+        if (clone / "examples/demo/play.py").is_file():
+            sys.path.insert(0, str(clone))
+            return importlib.import_module("examples.demo.play")
+    raise UsageError(
+        "the demo is in the folder `examples` of Poise's repository, which is not "
+        f"installed with Poise: clone it, and run `poise demo` there (not {Path.cwd()})"
+    )

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks.experiment.results import Trial, TrialResult, append, read, remaining
 from poise.errors import UsageError
-from poise.session.experiment.results import Trial, TrialResult, append, read, remaining
 
 TRIALS = [Trial(arm, "usual", seed) for seed in range(2) for arm in ("a", "b")]
 

@@ -7,11 +7,11 @@ from pathlib import Path
 import pytest
 
 import poise
+from benchmarks.experiment.measure import measure
+from benchmarks.experiment.results import ARMS, CONDITIONS, Extent, named, read
+from benchmarks.experiment.series import PAGE, RAW, experiment
+from benchmarks.experiment.summary import ArmSummary
 from poise.session.callbacks import nothing
-from poise.session.experiment.experiment import PAGE, RAW, experiment
-from poise.session.experiment.measure import measure
-from poise.session.experiment.results import ARMS, CONDITIONS, Extent, named, read
-from poise.session.experiment.summary import ArmSummary
 from tests.session.emulated_robot import written
 from tests.waiting import LONG
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 from msgspec.structs import replace
 
-from poise.session.experiment.results import Missed, Trial, TrialResult
-from poise.session.experiment.summary import summarised, wilson
+from benchmarks.experiment.results import Missed, Trial, TrialResult
+from benchmarks.experiment.summary import summarised, wilson
 
 VALID = TrialResult(
     trial=Trial("a", "usual", 0),

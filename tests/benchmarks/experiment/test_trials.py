@@ -7,15 +7,7 @@ from itertools import groupby
 
 import pytest
 
-from poise.model.robot import (
-    Architecture,
-    ComponentEntry,
-    Computer,
-    Link,
-    Robot,
-    Simulator,
-)
-from poise.session.experiment.results import (
+from benchmarks.experiment.results import (
     ARMS,
     BASE,
     CONDITIONS,
@@ -28,6 +20,14 @@ from poise.session.experiment.results import (
     named,
     schedule,
     under,
+)
+from poise.model.robot import (
+    Architecture,
+    ComponentEntry,
+    Computer,
+    Link,
+    Robot,
+    Simulator,
 )
 
 ROBOT = Robot(

@@ -7,14 +7,7 @@ import time
 
 from msgspec.structs import replace
 
-from poise.clock import wall_time
-from poise.errors import PoiseError, RunError
-from poise.manage.agent_connections.statuses import Statuses, components_of
-from poise.manage.observe.chains import chain_reports
-from poise.manage.tasks.task_progress import OVER
-from poise.model.robot import Robot
-from poise.session.callbacks import Check, nothing
-from poise.session.experiment.results import (
+from benchmarks.experiment.results import (
     Arm,
     Missed,
     Trial,
@@ -23,6 +16,13 @@ from poise.session.experiment.results import (
     as_it_runs,
     under,
 )
+from poise.clock import wall_time
+from poise.errors import PoiseError, RunError
+from poise.manage.agent_connections.statuses import Statuses, components_of
+from poise.manage.observe.chains import chain_reports
+from poise.manage.tasks.task_progress import OVER
+from poise.model.robot import Robot
+from poise.session.callbacks import Check, nothing
 from poise.session.placing.placement import place
 from poise.session.profiling.machine_speed import as_when_profiled
 from poise.session.reports.history import cpu_shares

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 from xml.etree import ElementTree as ET
 
-from poise.view.drives_picture import DrivePicture, drives_picture
+from examples.demo.picture import DrivePicture, drives_picture
 
 SVG = "{http://www.w3.org/2000/svg}"
 

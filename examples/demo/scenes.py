@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
+from examples.demo.cut_link import CutLinkScene, cut_link
+from examples.demo.lost_computer import LostComputerScene, lose_computer
+from examples.demo.manager_killed import ManagerKilledScene, kill_manager
+from examples.demo.overload import OverloadScene, overload
+from examples.demo.relayed import RelayScene, cut_one_link, freeze_agent
+from examples.demo.task_scene import TasksScene, tasks
 from poise.model.robot import Robot
 from poise.session.callbacks import Check, Say
-from poise.session.scenes.cut_link import CutLinkScene, cut_link
-from poise.session.scenes.lost_computer import LostComputerScene, lose_computer
-from poise.session.scenes.manager_killed import ManagerKilledScene, kill_manager
-from poise.session.scenes.overload import OverloadScene, overload
-from poise.session.scenes.relayed import RelayScene, cut_one_link, freeze_agent
-from poise.session.scenes.task_scene import TasksScene, tasks
 
 Played = (
     OverloadScene

@@ -9,7 +9,7 @@ from typing import TypeVar
 
 from msgspec import Struct
 
-from poise.session.experiment.results import Missed, TrialResult
+from benchmarks.experiment.results import Missed, TrialResult
 
 V = TypeVar("V")
 _Z = 1.959963984540054

@@ -10,16 +10,16 @@ from pathlib import Path
 import pytest
 from msgspec.structs import replace
 
+from examples.demo.drives import find_trouble
 from poise.session.reports.run_report import ComponentReport, RunReport
-from poise.session.scenes.home_robot import find_trouble
 from poise.wire.records.status_records import Summary, TimerStatus
 from tests.waiting import LONG
 
 SHORT = """
 from poise.cli.main import main
-from poise.session.scenes import home_robot
+from examples.demo import drives
 
-home_robot.DRIVE, home_robot.MOVE_AT, home_robot.CALLS = 3.0, 0.5, 0.5
+drives.DRIVE, drives.MOVE_AT, drives.CALLS = 3.0, 0.5, 0.5
 main()
 """
 

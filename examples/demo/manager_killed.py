@@ -12,6 +12,7 @@ from pathlib import Path
 
 from msgspec import Struct
 
+from examples.demo.waiting import WARM_UP, active_components, measures, wait, wait_until
 from poise import threads
 from poise.errors import PoiseError
 from poise.manage.agent_connections.statuses import components_of
@@ -19,13 +20,6 @@ from poise.model.robot import Robot
 from poise.session.callbacks import Check, Say
 from poise.session.launch.emulated_agents import emulated
 from poise.session.running_robots.running import Running
-from poise.session.scenes.waiting import (
-    WARM_UP,
-    active_components,
-    measures,
-    wait,
-    wait_until,
-)
 
 _MOVED, _HOME, _TARGET = "passer", "left", "right"
 _AMID = 0.4

@@ -10,8 +10,8 @@ from xml.etree import ElementTree as ET
 import msgspec
 from rich.console import Console
 
-from poise.session.experiment.experiment_page import experiment_page
-from poise.session.experiment.results import (
+from benchmarks.experiment.page import experiment_page
+from benchmarks.experiment.results import (
     SHORT,
     USUAL,
     Extent,
@@ -19,8 +19,8 @@ from poise.session.experiment.results import (
     TrialResult,
     schedule,
 )
-from poise.session.experiment.summary import ExperimentReport, summarised
-from poise.session.render.experiment_tables import experiment_parts
+from benchmarks.experiment.summary import ExperimentReport, summarised
+from benchmarks.experiment.tables import experiment_parts
 
 
 def found(

@@ -11,7 +11,7 @@ from poise.session.render.tables import table
 from poise.units import counted
 
 if TYPE_CHECKING:
-    from poise.session.experiment.summary import ExperimentReport, Share
+    from benchmarks.experiment.summary import ExperimentReport, Share
 
 
 def experiment_parts(report: ExperimentReport) -> Iterator[RenderableType]:

@@ -8,12 +8,9 @@ from pathlib import Path
 
 from msgspec.structs import replace
 
-from poise.errors import UsageError
-from poise.model.robot import Robot
-from poise.session.callbacks import Check, Say
-from poise.session.experiment.experiment_page import experiment_page
-from poise.session.experiment.measure import measure
-from poise.session.experiment.results import (
+from benchmarks.experiment.measure import measure
+from benchmarks.experiment.page import experiment_page
+from benchmarks.experiment.results import (
     Extent,
     TrialResult,
     append,
@@ -22,7 +19,10 @@ from poise.session.experiment.results import (
     remaining,
     schedule,
 )
-from poise.session.experiment.summary import ExperimentReport, summarised
+from benchmarks.experiment.summary import ExperimentReport, summarised
+from poise.errors import UsageError
+from poise.model.robot import Robot
+from poise.session.callbacks import Check, Say
 from poise.session.profiling.machine_speed import steady
 from poise.session.state_folder import to_write
 from poise.units import counted
@@ -95,7 +95,7 @@ def experiment(
 
 
 def _minutes(seconds: float) -> str:
-    return f"about {seconds / 60:.0f} min" if seconds > 90 else f"{seconds:.0f} s"  # noqa: PLR2004
+    return f"about {seconds / 60:.0f} min" if seconds > 90 else f"{seconds:.0f} s"
 
 
 def _told(result: TrialResult) -> str:

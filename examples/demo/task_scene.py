@@ -8,13 +8,13 @@ from collections.abc import Callable
 from msgspec import Struct
 from msgspec.structs import replace
 
+from examples.demo.overload import Deadlines
+from examples.demo.waiting import wait_until
 from poise.manage.tasks.prefetch_report import PrefetchReport
 from poise.model.robot import Robot
 from poise.model.tasks.steps import Prefetch
 from poise.session.callbacks import Check, Say
 from poise.session.running_robots.running import Running
-from poise.session.scenes.overload import Deadlines
-from poise.session.scenes.waiting import wait_until
 from poise.session.up import up
 
 _TOLD = ("action ", "task ", "switched ")

@@ -145,7 +145,7 @@ def schedule(extent: Extent) -> list[Trial]:
     this machine does hits all alike, and an experiment that is ended early has as many
     runs of each arm.
     """
-    chance = random.Random(0)  # noqa: S311 - nothing secret
+    chance = random.Random(0)
     trials = []
     for seed in range(max(extent.base_seeds, extent.seeds)):
         for number, condition in enumerate(extent.conditions):

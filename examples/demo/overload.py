@@ -6,13 +6,13 @@ import time
 
 from msgspec import Struct
 
+from examples.demo.waiting import LOOK_EVERY, WARM_UP, wait
 from poise.emulate.kept.background_load import background_load
 from poise.manage.agent_connections.statuses import components_of
 from poise.model.robot import Robot
 from poise.session.callbacks import Check, Say
 from poise.session.placing.placement import place
 from poise.session.running_robots.running import Running
-from poise.session.scenes.waiting import LOOK_EVERY, WARM_UP, wait
 from poise.session.up import up
 
 _WATCH = 15.0

@@ -8,7 +8,7 @@ import shutil
 import tempfile
 from pathlib import Path
 
-from poise.session.scenes.handler_log import Overlap, overlaps, read_handler_log
+from examples.demo.overlaps import Overlap, overlaps, read_handler_log
 
 WRITER = Path(__file__).parents[2] / "examples/relay/handler_log.py"
 

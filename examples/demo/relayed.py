@@ -8,14 +8,14 @@ from pathlib import Path
 
 from msgspec import Struct
 
+from examples.demo.overlaps import overlaps, read_handler_log
+from examples.demo.waiting import WARM_UP, measures, wait, wait_until
 from poise.emulate import EmulatedSet
 from poise.model.robot import Robot
 from poise.session.callbacks import Check, Say
 from poise.session.launch.emulated_agents import emulated
 from poise.session.placing.placement import place
 from poise.session.running_robots.running import Running
-from poise.session.scenes.handler_log import overlaps, read_handler_log
-from poise.session.scenes.waiting import WARM_UP, measures, wait, wait_until
 from poise.session.up import up
 
 _MOVED, _END = "relay", "sink"

@@ -7,8 +7,8 @@ from html import escape
 
 import msgspec
 
-from poise.session.experiment.results import BASE, LOADS, Extent, TrialResult
-from poise.session.experiment.summary import ArmSummary, ExperimentReport, Share
+from benchmarks.experiment.results import BASE, LOADS, Extent, TrialResult
+from benchmarks.experiment.summary import ArmSummary, ExperimentReport, Share
 from poise.session.pages.picture import line, svg, text
 from poise.session.pages.report_page import document, html_table
 from poise.units import format_seconds

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -11,16 +10,12 @@ import pytest
 from poise.emulate import look
 from tests.command import run_poise
 
-EXAMPLES = Path(__file__).parents[2] / "examples"
-
 
 @pytest.mark.slow
 def test_components_of_a_crashed_computer_go_on_elsewhere() -> None:
     if reasons := look().without_network():
         pytest.skip("; ".join(reasons))
-    done = run_poise(
-        "demo", "--scene", "lost-computer", "--json", "--examples", EXAMPLES
-    )
+    done = run_poise("demo", "--scene", "lost-computer", "--json")
     assert done.returncode == 0, done.stderr
     scene = json.loads(done.stdout)
     assert scene["scene"] == "lost-computer"
@@ -34,9 +29,7 @@ def test_components_of_a_crashed_computer_go_on_elsewhere() -> None:
 def test_a_robot_outlives_its_manager_amid_a_move() -> None:
     if reasons := look().without_network():
         pytest.skip("; ".join(reasons))
-    done = run_poise(
-        "demo", "--scene", "manager-killed", "--json", "--examples", EXAMPLES
-    )
+    done = run_poise("demo", "--scene", "manager-killed", "--json")
     assert done.returncode == 0, done.stderr
     scene = json.loads(done.stdout)
     assert scene["ok"]
@@ -51,7 +44,7 @@ def test_a_robot_outlives_its_manager_amid_a_move() -> None:
 def test_what_was_cut_off_is_active_elsewhere_and_never_twice() -> None:
     if reasons := look().without_network():
         pytest.skip("; ".join(reasons))
-    done = run_poise("demo", "--scene", "cut-link", "--json", "--examples", EXAMPLES)
+    done = run_poise("demo", "--scene", "cut-link", "--json")
     assert done.returncode == 0, done.stderr
     scene = json.loads(done.stdout)
     assert scene["ok"]
@@ -83,7 +76,7 @@ def played(scene: str) -> dict[str, Any]:
     """Return what a scene on three computers reported, whether or not it went well."""
     if reasons := look().without_network():
         pytest.skip("; ".join(reasons))
-    done = run_poise("demo", "--scene", scene, "--json", "--examples", EXAMPLES)
+    done = run_poise("demo", "--scene", scene, "--json")
     assert done.stdout.startswith('{"scene"'), done.stderr
     return dict(json.loads(done.stdout))
 
@@ -91,7 +84,7 @@ def played(scene: str) -> dict[str, Any]:
 @pytest.mark.slow
 @pytest.mark.exhaustive
 def test_three_tasks_share_functions_and_one_pauses_another() -> None:
-    done = run_poise("demo", "--scene", "tasks", "--json", "--examples", EXAMPLES)
+    done = run_poise("demo", "--scene", "tasks", "--json")
     assert done.returncode == 0, done.stderr
     scene = json.loads(done.stdout)
     names = {each["name"]: each["outcome"] for each in scene["tasks"]}

@@ -1,1 +1,0 @@
-"""Compares ways to place a robot's components, in many runs of real processes."""
