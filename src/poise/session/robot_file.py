@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from html import escape
 from os import PathLike
 from pathlib import Path
 
 from msgspec.structs import replace
 
-from poise.errors import FileProblem, RobotError, UsageError
+from poise.errors import FileProblem, RobotError
 from poise.model.load import Source, load_source
 from poise.model.robot import Robot
 from poise.runtime.isolated_check import check_code_isolated
@@ -120,10 +119,7 @@ def _as_html(robot: Robot) -> str:
     """Return a robot's components as a diagram."""
     from poise.session.diagrams.draw import draw  # noqa: PLC0415, for notebooks only
 
-    try:
-        return draw(robot)._repr_svg_()
-    except UsageError as error:
-        return f"<p>robot <b>{escape(robot.name)}</b>: {error}</p>"
+    return draw(robot).text(".svg")
 
 
 # Jupyter asks for it; the model, which stands below, draws nothing

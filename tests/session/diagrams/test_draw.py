@@ -20,13 +20,8 @@ from poise.model.robot import (
     Link,
     Robot,
 )
-from poise.session.diagrams.diagram_records import (
-    ComponentDiagram,
-    DeploymentDiagram,
-    Join,
-    SequenceDiagram,
-)
-from poise.session.diagrams.draw import TEXTS, Drawing, draw
+from poise.session.diagrams.diagram_records import BoxDiagram, Join, SequenceDiagram
+from poise.session.diagrams.draw import FORMATS, Drawing, draw
 
 GIB = 2**30
 
@@ -84,29 +79,30 @@ ALL: tuple[Drawing, ...] = (
 
 def test_components_are_joined_by_flows_calls_and_what_is_not_known() -> None:
     diagram = draw(ROBOT).diagram
-    assert isinstance(diagram, ComponentDiagram)
+    assert isinstance(diagram, BoxDiagram)
     assert diagram.joins == (
-        Join("eye", "mind", "flow", "image", "Image"),
-        Join("mind", "map", "call", "maps", "Maps"),
+        Join("eye", "mind", "flow", "image", ("Image",)),
+        Join("mind", "map", "call", "maps", ("Maps",)),
         Join("map", "eye", "use"),
     )
-    assert [each.name for each in diagram.subsystems] == ["sees", "knows"]
+    assert [each.name for each in diagram.boxes] == ["sees", "knows"]
 
 
 def test_a_placement_shows_loads_and_what_goes_between_computers() -> None:
     diagram = draw(ROBOT, "deployment", PLACEMENTS).diagram
-    assert isinstance(diagram, DeploymentDiagram)
-    before, after = diagram.placements
-    left, right = after.nodes
+    assert isinstance(diagram, BoxDiagram)
+    assert [box.name for box in diagram.boxes] == ["now", "then"]
+    before, after = diagram.joins
+    left, right = diagram.boxes[1].boxes
     # two of three components, a quarter each
     assert left.lines == (
         "cpu: 50% of 1 core",
         "memory: 50% of 1 GiB",
         "devices: camera",
     )
-    assert [(part.name, part.remark) for part in right.parts] == [("mind", "from left")]
-    assert before.paths[0].lines == ("12.5 MB/s",)
-    assert after.paths[0].lines == (
+    assert [(part.name, part.remark) for part in right.boxes] == [("mind", "from left")]
+    assert before.lines == ("12.5 MB/s",)
+    assert after.lines == (
         "12.5 MB/s",
         "2 connectors, 9.77 KiB/s",  # 1,000 B at 10 Hz
         "eye → mind",
@@ -145,7 +141,7 @@ def test_what_is_missing_is_said() -> None:
 
 
 @pytest.mark.parametrize("drawing", ALL)
-@pytest.mark.parametrize("ending", TEXTS)
+@pytest.mark.parametrize("ending", FORMATS)
 def test_every_notation_names_everything(drawing: Drawing, ending: str) -> None:
     text = drawing.text(ending)
     assert "mind" in text
@@ -158,7 +154,8 @@ def test_every_notation_names_everything(drawing: Drawing, ending: str) -> None:
 def test_mermaid_reads_as_its_documentation_has_it() -> None:
     lines = draw(ROBOT).text(".mmd").splitlines()
     assert lines[:4] == ["---", 'title: "small"', "---", "flowchart LR"]
-    assert '  subgraph n_frame_sees["«subsystem»<br/>sees"]' in lines
+    frame = '  subgraph n_frame_sees["«subsystem»<br/>sees<br/>provides seeing"]'
+    assert frame in lines
     assert '  n_eye -.->|"«flow» Image"| n_mind' in lines
 
 
@@ -171,21 +168,7 @@ def test_plantuml_has_a_ball_and_a_socket() -> None:
 
 def test_names_with_signs_of_the_notation_stay_text() -> None:
     odd = ROBOT.with_components(lambda c: component("a<b>&c") if c.name == "eye" else c)
-    assert "a&lt;b&gt;&amp;c" in draw(odd).text(".dot")
-
-
-def chain_of_architectures(count: int) -> Robot:
-    parts = tuple(
-        Architecture(name=f"a{i}", function=f"f{i}", components=(component(f"c{i}"),))
-        for i in range(count)
-    )
-    connectors = tuple(joined(f"c{i}", f"c{i + 1}") for i in range(count - 1))
-    return Robot(name="chain", architectures=parts, connectors=connectors)
-
-
-def test_a_long_chain_of_architectures_is_drawn_below_each_other() -> None:
-    assert "constraint=false" not in draw(chain_of_architectures(4)).text(".dot")
-    assert "constraint=false" in draw(chain_of_architectures(5)).text(".dot")
+    assert "a&lt;b&gt;&amp;c" in draw(odd).text(".svg")
 
 
 def large() -> Robot:
@@ -225,19 +208,13 @@ def large() -> Robot:
     )
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("ending", [".svg", ".png", ".pdf"])
-def test_a_picture_is_written(tmp_path: Path, ending: str) -> None:
-    pytest.importorskip("pygraphviz")
-    beginnings = {".svg": b"<?xml", ".png": b"\x89PNG", ".pdf": b"%PDF"}
-    path = tmp_path / f"robot{ending}"
+def test_a_picture_is_written(tmp_path: Path) -> None:
+    path = tmp_path / "robot.svg"
     draw(ROBOT).save(path)
-    assert path.read_bytes().startswith(beginnings[ending])
+    assert path.read_text().startswith("<svg")
 
 
-@pytest.mark.slow
 def test_no_text_overlaps_another() -> None:
-    pytest.importorskip("pygraphviz")
     robot = large()
     names = [c.name for c in robot.components()]
     before = {name: f"c{place % 3}" for place, name in enumerate(names)}

@@ -59,7 +59,7 @@ def draw_command(
     --------
     poise draw robot.yaml -o robot.svg
 
-    poise draw robot.yaml --placement running -o now.png
+    poise draw robot.yaml --placement running -o now.svg
 
     poise draw robot.yaml --compare static,auto
 

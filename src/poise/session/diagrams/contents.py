@@ -6,20 +6,22 @@ from collections import defaultdict
 from collections.abc import Collection, Iterable, Iterator, Mapping
 
 from poise.manage.migration.migration_report import TransitionStep
-from poise.model.robot import Computer, Connector, ConnectorEnd, Link, Robot
+from poise.model.robot import (
+    Architecture,
+    Computer,
+    Connector,
+    ConnectorEnd,
+    Link,
+    Robot,
+)
 from poise.runtime.component.implementation import find, search_also
 from poise.runtime.component.ports import ports_of
 from poise.session.diagrams.diagram_records import (
     Arrow,
-    ComponentDiagram,
-    DeployedComponent,
-    DeploymentDiagram,
-    DeploymentNode,
+    Box,
+    BoxDiagram,
     Join,
-    Path,
-    Placed,
     SequenceDiagram,
-    Subsystem,
 )
 from poise.units import (
     counted,
@@ -33,9 +35,7 @@ Ports = dict[str, dict[str, tuple[str, str]]]
 """Component -> port -> its kind and the name of its type."""
 
 
-def component_diagram(
-    robot: Robot, functions: Collection[str] | None
-) -> ComponentDiagram:
+def component_diagram(robot: Robot, functions: Collection[str] | None) -> BoxDiagram:
     """Return the diagram of what provides `functions`; None: of all architectures."""
     chosen = [
         each
@@ -43,26 +43,29 @@ def component_diagram(
         if functions is None or each.function in functions
     ]
     drawn = {c.name for each in chosen for c in each.components}
-    subsystems = tuple(
-        Subsystem(each.name, each.function, tuple(c.name for c in each.components))
-        for each in chosen
-    )
+    boxes = tuple(_subsystem(each) for each in chosen)
     ports = _ports(robot, drawn)
     joins = dict.fromkeys(
         _join(connector, ports)
         for connector in robot.all_connectors()
         if {end.component for end in connector.between} <= drawn
     )
-    return ComponentDiagram(robot.name, subsystems, tuple(joins))
+    return BoxDiagram(robot.name, boxes, tuple(joins))
+
+
+def _subsystem(each: Architecture) -> Box:
+    inside = tuple(Box(c.name, c.name) for c in each.components)
+    function = () if each.function == each.name else (f"provides {each.function}",)
+    return Box(f"frame/{each.name}", each.name, "subsystem", function, inside)
 
 
 def _join(connector: Connector, ports: Ports) -> Join:
     source, target = connector.between
     kind, type_ = _port(source, ports) or _port(target, ports) or ("", "")
-    names = source.component, target.component
+    names, says = (source.component, target.component), (type_,) if type_ else ()
     if kind in {"requires", "provides"}:
-        return Join(*names, "call", target.port, type_)
-    return Join(*names, "flow" if kind else "use", source.port, type_)
+        return Join(*names, "call", target.port, says)
+    return Join(*names, "flow" if kind else "use", source.port, says)
 
 
 def _port(end: ConnectorEnd, ports: Ports) -> tuple[str, str] | None:
@@ -97,17 +100,22 @@ _MOST_CROSSING = 4
 
 def deployment_diagram(
     robot: Robot, placements: Mapping[str, Mapping[str, str]]
-) -> DeploymentDiagram:
+) -> BoxDiagram:
     """Return placements (component -> computer) side by side, by their names.
 
     What is elsewhere than in the first one is marked.
     """
     first: Mapping[str, str] = next(iter(placements.values()), {})
-    views = []
-    for name, placement in placements.items():
-        nodes = tuple(_node(robot, c, placement, first) for c in robot.computers)
-        views.append(Placed(name, nodes, tuple(_paths(robot, placement))))
-    return DeploymentDiagram(robot.name, tuple(views))
+    boxes: list[Box] = []
+    joins: list[Join] = []
+    for number, (name, placement) in enumerate(placements.items()):
+        nodes = tuple(
+            _node(robot, computer, placement, first, f"{number}")
+            for computer in robot.computers
+        )
+        boxes.append(Box(f"{number}", name, "placement", (), nodes))
+        joins += _paths(robot, placement, f"{number}")
+    return BoxDiagram(robot.name, tuple(boxes), tuple(joins))
 
 
 def _node(
@@ -115,7 +123,8 @@ def _node(
     computer: Computer,
     placement: Mapping[str, str],
     first: Mapping[str, str],
-) -> DeploymentNode:
+    within: str,
+) -> Box:
     here = [n for n, there in placement.items() if there == computer.name]
     demands = {each.name: each.demand for each in robot.components()}
     lines = []
@@ -126,11 +135,12 @@ def _node(
         lines.append(f"{resource}: {share}{format_amount(resource, usable)}")
     devices = [d.name for d in robot.devices if d.computer == computer.name]
     lines += [f"devices: {', '.join(devices)}"] if devices else []
-    parts = [
-        DeployedComponent(name, _remark(name, computer.name, first))
+    key = f"{within}/{computer.name}"
+    parts = tuple(
+        Box(f"{key}/{name}", name, remark=_remark(name, computer.name, first))
         for name in sorted(here)
-    ]
-    return DeploymentNode(computer.name, tuple(lines), tuple(parts))
+    )
+    return Box(key, computer.name, "device", tuple(lines), parts)
 
 
 def _remark(name: str, computer: str, first: Mapping[str, str]) -> str:
@@ -140,7 +150,7 @@ def _remark(name: str, computer: str, first: Mapping[str, str]) -> str:
     return "starts" if before is None else f"from {before}"
 
 
-def _paths(robot: Robot, placement: Mapping[str, str]) -> Iterator[Path]:
+def _paths(robot: Robot, placement: Mapping[str, str], within: str) -> Iterator[Join]:
     """Yield a path for each two computers that are linked, or talk to each other."""
     links = {frozenset(link.between): link for link in robot.links}
     crossing: dict[frozenset[str], list[str]] = defaultdict(list)
@@ -152,9 +162,9 @@ def _paths(robot: Robot, placement: Mapping[str, str]) -> Iterator[Path]:
             crossing[pair].append(" → ".join(e.component for e in connector.between))
             traffic[pair] += connector.traffic
     for pair in dict.fromkeys((*links, *crossing)):
-        one, other = sorted(pair)
+        one, other = (f"{within}/{name}" for name in sorted(pair))
         lines = _path_lines(links.get(pair), crossing[pair], traffic[pair])
-        yield Path((one, other), tuple(lines))
+        yield Join(one, other, "path", lines=tuple(lines))
 
 
 def _path_lines(

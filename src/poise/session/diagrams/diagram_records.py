@@ -1,86 +1,54 @@
-"""What diagrams show. How it is written, in each notation, stands beside this file."""
+"""What diagrams show; how it is written, in each notation, stands beside this file."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Literal
 
 from msgspec import Struct
 
 
-class Subsystem(Struct, frozen=True):
-    """An architecture: components within a frame."""
+class Box(Struct, frozen=True):
+    """Something with a name, and what is inside it; a remark marks it."""
 
+    key: str
     name: str
-    function: str
-    components: tuple[str, ...]
+    kind: Literal["subsystem", "device", "component", "placement"] = "component"
+    lines: tuple[str, ...] = ()
+    boxes: tuple[Box, ...] = ()
+    remark: str = ""
+
+    def walk(self) -> Iterator[Box]:
+        """Yield this box and all inside it."""
+        yield self
+        for box in self.boxes:
+            yield from box.walk()
 
 
 class Join(Struct, frozen=True):
-    """A connector between two components.
+    """A line between two boxes, by their keys; `port` is where a call arrives.
 
-    Parameters
-    ----------
-    kind
-        ``call``: `source` requires an interface that `target` provides at `port`;
-        ``flow``: messages; ``use``: the robot file does not say.
-    type
-        Name of the interface or the message; empty: not known.
+    ``call``: the source requires what the target provides; ``flow``: messages; ``use``:
+    the robot file does not say; ``path``: what goes between two computers.
     """
 
     source: str
     target: str
-    kind: Literal["call", "flow", "use"]
+    kind: Literal["call", "flow", "use", "path"]
     port: str = ""
-    type: str = ""
+    lines: tuple[str, ...] = ()
 
 
-class ComponentDiagram(Struct, frozen=True):
-    """The architectures of a robot, and how their components are joined."""
+class BoxDiagram(Struct, frozen=True):
+    """Architectures with their components, or placements with their computers."""
 
     title: str
-    subsystems: tuple[Subsystem, ...]
+    boxes: tuple[Box, ...]
     joins: tuple[Join, ...]
 
 
-class DeployedComponent(Struct, frozen=True):
-    """A component on a computer; `remark` says what is special there."""
-
-    name: str
-    remark: str = ""
-
-
-class DeploymentNode(Struct, frozen=True):
-    """A computer with what it has, what of that is used, and what runs there."""
-
-    name: str
-    lines: tuple[str, ...]
-    parts: tuple[DeployedComponent, ...]
-
-
-class Path(Struct, frozen=True):
-    """What goes between two computers, and over which link."""
-
-    between: tuple[str, str]
-    lines: tuple[str, ...]
-
-
-class Placed(Struct, frozen=True):
-    """One placement: its name, computers, and what goes between them."""
-
-    name: str
-    nodes: tuple[DeploymentNode, ...]
-    paths: tuple[Path, ...]
-
-
-class DeploymentDiagram(Struct, frozen=True):
-    """One placement, or several side by side."""
-
-    title: str
-    placements: tuple[Placed, ...]
-
-
 class Arrow(Struct, frozen=True):
-    """What one lifeline sends another; to itself: what it does."""
+    """What one lifeline sends another."""
 
     source: str
     target: str
@@ -95,4 +63,4 @@ class SequenceDiagram(Struct, frozen=True):
     messages: tuple[Arrow, ...]
 
 
-Diagram = ComponentDiagram | DeploymentDiagram | SequenceDiagram
+Diagram = BoxDiagram | SequenceDiagram

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
-import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Literal
 
@@ -19,18 +17,16 @@ from poise.session.diagrams.contents import (
     sequence_diagram,
 )
 from poise.session.diagrams.diagram_records import Diagram
-from poise.session.diagrams.dot import dot
+from poise.session.diagrams.svg_notation import svg
 from poise.session.diagrams.text_notations import mermaid, plantuml
 
 What = Literal["components", "deployment", "transition"]
-TEXTS: Mapping[str, Callable[[Diagram], str]] = {
+FORMATS: Mapping[str, Callable[[Diagram], str]] = {
+    ".svg": svg,
     ".mmd": mermaid,
     ".puml": plantuml,
-    ".dot": dot,
 }
-"""Ending of a file -> what writes the diagram as such text."""
-PICTURES = (".svg", ".png", ".pdf")
-FORMATS = (*PICTURES, *TEXTS)
+"""Ending of a file -> what writes the diagram."""
 
 
 class Drawing(Struct, frozen=True):
@@ -39,43 +35,27 @@ class Drawing(Struct, frozen=True):
     diagram: Diagram
 
     def save(self, path: Path | str) -> None:
-        """Write it to a file whose ending is one of `FORMATS`.
+        """Write it to a file that ends in ``.svg``, ``.mmd`` or ``.puml``.
 
         Raises
         ------
         UsageError
-            It ends otherwise; or it is a picture, and pygraphviz is not installed.
+            It ends otherwise.
         """
         path = Path(path)
-        if path.suffix in TEXTS:
-            path.write_text(self.text(path.suffix))
-        elif path.suffix in PICTURES:
-            path.write_bytes(self._picture(path.suffix.removeprefix(".")))
-        else:
+        if path.suffix not in FORMATS:
             raise UsageError(
                 f"{path}: the name says the format, and ends in {', '.join(FORMATS)}"
             )
+        path.write_text(self.text(path.suffix), encoding="utf-8")
 
     def text(self, ending: str = ".mmd") -> str:
-        """Return it as Mermaid (``.mmd``), PlantUML (``.puml``) or DOT (``.dot``)."""
-        return TEXTS[ending](self.diagram)
+        """Return it as SVG (``.svg``), Mermaid (``.mmd``) or PlantUML (``.puml``)."""
+        return FORMATS[ending](self.diagram)
 
     def _repr_svg_(self) -> str:
         """Return it as SVG, for Jupyter."""
-        return self._picture("svg").decode()
-
-    def _picture(self, format_: str) -> bytes:
-        try:
-            import pygraphviz  # noqa: PLC0415, an extra
-        except ImportError as error:
-            raise UsageError(
-                "pictures need Graphviz: pip install 'poise[draw]'; .mmd, .puml and "
-                ".dot files do not"
-            ) from error
-        with _silent_fontconfig():
-            graph = pygraphviz.AGraph(string=dot(self.diagram))
-            picture: bytes = graph.draw(format=format_, prog="dot")
-        return picture
+        return self.text(".svg")
 
 
 def draw(
@@ -122,19 +102,3 @@ def draw(
         "a deployment diagram is of one placement or more, a transition of two: "
         f"{what} was given {len(named)}"
     )
-
-
-@contextlib.contextmanager
-def _silent_fontconfig() -> Iterator[None]:
-    """Keep fontconfig from printing that the system's files are newer than it is.
-
-    Graphviz' own errors are raised.
-    """
-    kept = os.dup(2)
-    try:
-        with open(os.devnull, "wb") as nothing:  # noqa: PTH123, has no Path
-            os.dup2(nothing.fileno(), 2)
-        yield
-    finally:
-        os.dup2(kept, 2)
-        os.close(kept)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import sys
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -186,13 +185,8 @@ def test_notebooks_show_pictures() -> None:
     assert "▲" in REPORT.picture()  # not by colour alone
 
 
-def test_a_notebook_shows_a_robot_as_a_diagram(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    pytest.importorskip("pygraphviz")
+def test_a_notebook_shows_a_robot_as_a_diagram() -> None:
     robot = load(HELLO)
     assert callable(poise.load)  # where robots of notebooks come from
     show = vars(Robot)["_repr_html_"]  # as Jupyter finds it
     assert "<svg" in show(robot)
-    monkeypatch.setitem(sys.modules, "pygraphviz", None)
-    assert "poise[draw]" in show(robot)
