@@ -66,13 +66,7 @@ def load(
 
 
 def load_bare(file: str | PathLike[str]) -> Robot:
-    """Return the robot in a file, with the demands that stand there only.
-
-    Raises
-    ------
-    RobotError
-        The file or its code is wrong; `problems` has all that was found.
-    """
+    """Return the robot in a file, with the demands there only, or RobotError."""
     return _checked(file).robot
 
 
@@ -88,23 +82,14 @@ def _checked(
 
 
 def with_code(robot: Robot) -> Robot:
-    """Return the robot with what its classes declare, which another process reads.
-
-    When something is wrong with the code, nothing of it is known.
-    """
+    """Return the robot with what its classes declare, unless its code is wrong."""
     if robot.code:
         return robot
     return replace(robot, code=check_code_isolated(robot).code)
 
 
 def task_of(robot: Robot, task: str | None) -> str:
-    """Return the task, or the robot's first when none is named.
-
-    Raises
-    ------
-    RobotError
-        The robot has none.
-    """
+    """Return the task, or the robot's first when none is named, or RobotError."""
     if task is not None:
         return task
     if not robot.tasks:

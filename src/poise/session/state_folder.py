@@ -26,13 +26,7 @@ def make_journal(robot: str) -> Path:
 
 
 def find_journal(robot: str | None = None) -> Path:
-    """Return the journal of a robot; None: the one that was written last.
-
-    Raises
-    ------
-    UsageError
-        There is none.
-    """
+    """Return a robot's journal, or the one written last; UsageError: there is none."""
     found = list(state_folder().glob(f"{robot or '*'}/{_JOURNAL}"))
     if not found:
         of = f" of robot '{robot}'" if robot else ""
@@ -47,13 +41,7 @@ def find_journal(robot: str | None = None) -> Path:
 
 
 def to_write(path: Path | None) -> Path | None:
-    """Return the path of a file that is written at the end, when it can be.
-
-    Raises
-    ------
-    UsageError
-        It cannot; nothing was begun.
-    """
+    """Return a path to be written at the end; UsageError when it cannot be."""
     if path is None:
         return None
     is_new = not path.exists()

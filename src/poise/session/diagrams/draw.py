@@ -1,24 +1,44 @@
-"""Draws a robot: the diagram, and its files."""
+"""Draws a robot: its software, where it runs, how that changes; and the files."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections import defaultdict
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Literal
 
 from msgspec import Struct
 
 from poise.errors import UsageError
+from poise.manage.migration.migration_report import TransitionStep
 from poise.manage.migration.transition_plan import plan_transition
-from poise.model.robot import Robot
-from poise.session.diagrams.contents import (
-    component_diagram,
-    deployment_diagram,
-    sequence_diagram,
+from poise.model.robot import (
+    Architecture,
+    Computer,
+    Connector,
+    ConnectorEnd,
+    Link,
+    Robot,
 )
-from poise.session.diagrams.diagram_records import Diagram
+from poise.runtime.component.implementation import find, search_also
+from poise.runtime.component.ports import ports_of
+from poise.session.diagrams.diagram_records import (
+    Arrow,
+    Box,
+    BoxDiagram,
+    Diagram,
+    Join,
+    SequenceDiagram,
+)
 from poise.session.diagrams.svg_notation import svg
 from poise.session.diagrams.text_notations import mermaid, plantuml
+from poise.units import (
+    counted,
+    format_amount,
+    format_bandwidth,
+    format_bytes,
+    format_seconds,
+)
 
 What = Literal["components", "deployment", "transition"]
 FORMATS: Mapping[str, Callable[[Diagram], str]] = {
@@ -102,3 +122,188 @@ def draw(
         "a deployment diagram is of one placement or more, a transition of two: "
         f"{what} was given {len(named)}"
     )
+
+
+Ports = dict[str, dict[str, tuple[str, str]]]
+"""Component -> port -> its kind and the name of its type."""
+
+
+def component_diagram(robot: Robot, functions: Collection[str] | None) -> BoxDiagram:
+    """Return the diagram of what provides `functions`; None: of all architectures."""
+    chosen = [
+        each
+        for each in robot.architectures
+        if functions is None or each.function in functions
+    ]
+    drawn = {c.name for each in chosen for c in each.components}
+    boxes = tuple(_subsystem(each) for each in chosen)
+    ports = _ports(robot, drawn)
+    joins = dict.fromkeys(
+        _join(connector, ports)
+        for connector in robot.all_connectors()
+        if {end.component for end in connector.between} <= drawn
+    )
+    return BoxDiagram(robot.name, boxes, tuple(joins))
+
+
+def _subsystem(each: Architecture) -> Box:
+    inside = tuple(Box(c.name, c.name) for c in each.components)
+    function = () if each.function == each.name else (f"provides {each.function}",)
+    return Box(f"frame/{each.name}", each.name, "subsystem", function, inside)
+
+
+def _join(connector: Connector, ports: Ports) -> Join:
+    source, target = connector.between
+    kind, type_ = _port(source, ports) or _port(target, ports) or ("", "")
+    names, says = (source.component, target.component), (type_,) if type_ else ()
+    if kind in {"requires", "provides"}:
+        return Join(*names, "call", target.port, says)
+    return Join(*names, "flow" if kind else "use", source.port, says)
+
+
+def _port(end: ConnectorEnd, ports: Ports) -> tuple[str, str] | None:
+    return ports[end.component].get(end.port)
+
+
+def _ports(robot: Robot, drawn: Collection[str]) -> Ports:
+    search_also(robot.repository)
+    ports: Ports = {}
+    for component in robot.components():
+        if component.name in drawn:
+            declared = {
+                each.name: (each.kind, each.type.rpartition(":")[2])
+                for each in component.ports
+            }
+            named = dict(_of_class(component.implementation, robot.folder))
+            ports[component.name] = declared | named
+    return ports
+
+
+def _of_class(
+    implementation: str, folder: str
+) -> Iterator[tuple[str, tuple[str, str]]]:
+    if implementation:
+        for name, port in ports_of(find(implementation, folder)).items():
+            yield name, (port.kind, getattr(port.type, "__qualname__", str(port.type)))
+
+
+_MOST_CROSSING = 4
+"""So many connectors between two computers are named; of more, how many there are."""
+
+
+def deployment_diagram(
+    robot: Robot, placements: Mapping[str, Mapping[str, str]]
+) -> BoxDiagram:
+    """Return placements (component -> computer) side by side, by their names.
+
+    What is elsewhere than in the first one is marked.
+    """
+    first: Mapping[str, str] = next(iter(placements.values()), {})
+    boxes: list[Box] = []
+    joins: list[Join] = []
+    for number, (name, placement) in enumerate(placements.items()):
+        nodes = tuple(
+            _node(robot, computer, placement, first, f"{number}")
+            for computer in robot.computers
+        )
+        boxes.append(Box(f"{number}", name, "placement", (), nodes))
+        joins += _paths(robot, placement, f"{number}")
+    return BoxDiagram(robot.name, tuple(boxes), tuple(joins))
+
+
+def _node(
+    robot: Robot,
+    computer: Computer,
+    placement: Mapping[str, str],
+    first: Mapping[str, str],
+    within: str,
+) -> Box:
+    here = [n for n, there in placement.items() if there == computer.name]
+    demands = {each.name: each.demand for each in robot.components()}
+    lines = []
+    for resource in computer.capacity:
+        usable = computer.usable(resource)
+        used = sum(demands[name].get(resource, 0.0) for name in here)
+        share = f"{used / usable:.0%} of " if usable and used else ""
+        lines.append(f"{resource}: {share}{format_amount(resource, usable)}")
+    devices = [d.name for d in robot.devices if d.computer == computer.name]
+    lines += [f"devices: {', '.join(devices)}"] if devices else []
+    key = f"{within}/{computer.name}"
+    parts = tuple(
+        Box(f"{key}/{name}", name, remark=_remark(name, computer.name, first))
+        for name in sorted(here)
+    )
+    return Box(key, computer.name, "device", tuple(lines), parts)
+
+
+def _remark(name: str, computer: str, first: Mapping[str, str]) -> str:
+    before = first.get(name)
+    if before == computer:
+        return ""
+    return "starts" if before is None else f"from {before}"
+
+
+def _paths(robot: Robot, placement: Mapping[str, str], within: str) -> Iterator[Join]:
+    """Yield a path for each two computers that are linked, or talk to each other."""
+    links = {frozenset(link.between): link for link in robot.links}
+    crossing: dict[frozenset[str], list[str]] = defaultdict(list)
+    traffic: dict[frozenset[str], float] = defaultdict(float)
+    for connector in robot.all_connectors():
+        ends = [placement.get(end.component) for end in connector.between]
+        if None not in ends and ends[0] != ends[1]:
+            pair = frozenset(end for end in ends if end is not None)
+            crossing[pair].append(" → ".join(e.component for e in connector.between))
+            traffic[pair] += connector.traffic
+    for pair in dict.fromkeys((*links, *crossing)):
+        one, other = (f"{within}/{name}" for name in sorted(pair))
+        lines = _path_lines(links.get(pair), crossing[pair], traffic[pair])
+        yield Join(one, other, "path", lines=tuple(lines))
+
+
+def _path_lines(
+    link: Link | None, names: Iterable[str], traffic: float
+) -> Iterator[str]:
+    if link is not None and link.bandwidth < float("inf"):
+        latency = f", {format_seconds(link.latency)}" if link.latency else ""
+        yield f"{format_bandwidth(link.bandwidth)}{latency}"
+    names = list(dict.fromkeys(names))
+    if names:
+        size = f", {format_bytes(traffic)}/s" if traffic else ""
+        yield f"{counted(len(names), 'connector')}{size}"
+    if len(names) <= _MOST_CROSSING:
+        yield from names
+
+
+MANAGER = "manager"
+
+
+def sequence_diagram(
+    robot: Robot, title: str, steps: Iterable[TransitionStep]
+) -> SequenceDiagram:
+    """Return the steps as messages between the manager and the agents of computers."""
+    states = {each.name: each.state for each in robot.components()}
+    messages = tuple(
+        message
+        for step in steps
+        for message in _messages(step, states.get(step.component, 0.0))
+    )
+    used = {name for each in messages for name in (each.source, each.target)}
+    computers = [c.name for c in robot.computers if c.name in used]
+    return SequenceDiagram(f"{robot.name}: {title}", (MANAGER, *computers), messages)
+
+
+def _messages(step: TransitionStep, state: float) -> Iterator[Arrow]:
+    """Yield what a step takes; docs/design/moves.md has all of its parts."""
+    name, source, target = step.component, step.source, step.target
+    why = f" ({step.why})" if step.why else ""
+    if not step.source:
+        yield Arrow(MANAGER, target, f"start {name}{why}")
+    elif not step.target:
+        yield Arrow(MANAGER, source, f"stop {name}{why}")
+    else:
+        size = f", {format_bytes(state)}" if state else ""
+        yield Arrow(MANAGER, target, f"prepare {name}{why}")
+        yield Arrow(MANAGER, source, f"pause {name}")
+        yield Arrow(source, target, f"state of {name}{size}")
+        yield Arrow(MANAGER, target, f"resume {name}")
+        yield Arrow(MANAGER, source, f"end {name}")

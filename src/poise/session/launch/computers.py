@@ -23,24 +23,7 @@ _TOLERATED = 0.1
 
 
 class Computers:
-    """The computers of a run.
-
-    Parameters
-    ----------
-    endpoints
-        Computer -> zenoh endpoint of its agent.
-    without
-        What the emulation does without.
-    agents
-        Computer -> the process of its agent, where it was started here.
-    emulated
-        The emulated computers, by name; none of a real robot.
-
-    Attributes
-    ----------
-    lease
-        An agent that is silent for this time [s] is lost.
-    """
+    """The computers of a run, with the zenoh endpoints of their agents."""
 
     def __init__(
         self,
@@ -86,13 +69,7 @@ class Computers:
             self._watch.look()
 
     def end(self, of: str | None = None) -> str:
-        """Return why the run says nothing about the robot; empty when it does.
-
-        Parameters
-        ----------
-        of
-            The computer that the run is about; None: all of them.
-        """
+        """Return why the run, or computer `of` in it, is invalid; empty: it is not."""
         starved = self._watch.end() if self._watch is not None else {}
         if of is not None:
             starved = {name: t for name, t in starved.items() if name == of}
@@ -115,21 +92,7 @@ def computers_of(
     *,
     use_kept: bool = False,
 ) -> Iterator[Computers]:
-    """Give the robot's real computers, or emulate all of them on this one.
-
-    Parameters
-    ----------
-    sample_every
-        How often emulated computers tell what they use [s]; real ones were told by
-        ``poise agent``.
-    use_kept
-        Whether emulated ones that ``poise emulate`` keeps are used, if there are.
-
-    Raises
-    ------
-    UsageError
-        ``poise emulate`` keeps other computers of a robot of this name.
-    """
+    """Give the robot's real computers, or emulate all of them on this one."""
     addresses = {c.name: c.address for c in robot.computers if c.address}
     if addresses:
         yield Computers({n: locator(Endpoint.parse(a)) for n, a in addresses.items()})

@@ -27,13 +27,7 @@ _END_LIMIT = 30.0
 
 
 class Detached(Struct, frozen=True):
-    """A manager in the background.
-
-    Parameters
-    ----------
-    log
-        The file of what it prints.
-    """
+    """A manager in the background, and the file of what it prints."""
 
     robot: str
     process: int
@@ -57,23 +51,7 @@ class DetachedFailure(RunError):
 def up_detached(
     robot: Robot, file: Path, words: Sequence[str], say: Say, check: Check
 ) -> Detached:
-    """Run `poise` in the background, and return once the robot is up.
-
-    Its computers must outlive the manager: emulated ones that nobody keeps are kept by
-    `poise emulate` in the background, too.
-
-    Parameters
-    ----------
-    words
-        The words after `poise` that keep the robot up.
-    check
-        Called several times a second; may raise to end that.
-
-    Raises
-    ------
-    DetachedFailure
-        It did not come up; nothing is left.
-    """
+    """Run `poise WORDS` in the background, on computers that outlive it."""
     with contextlib.ExitStack() as undo:
         is_emulated = not any(computer.address for computer in robot.computers)
         if is_emulated and set_for(robot) is None:
@@ -122,13 +100,7 @@ def _wait(
     is_done: Callable[[], bool],
     check: Check,
 ) -> None:
-    """Wait until it is done, or has ended: its own limits are those that count.
-
-    Parameters
-    ----------
-    size
-        Of the log before [bytes].
-    """
+    """Wait until it is done or has ended; the log had `size` bytes before."""
     while not is_done():
         check()
         code = process.poll()

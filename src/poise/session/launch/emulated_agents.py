@@ -1,7 +1,4 @@
-"""The agents of emulated computers: started here, and gone with this process.
-
-An agent that was killed is started again, as systemd would.
-"""
+"""The agents of emulated computers: an agent that is killed starts again."""
 
 from __future__ import annotations
 
@@ -37,25 +34,7 @@ _LOOK_EVERY = 0.02
 
 
 class EmulatedAgents:
-    """The agents of all emulated computers of a robot. Use it as a context manager.
-
-    Parameters
-    ----------
-    output
-        A descriptor for what they and their components print.
-    lifeline
-        A descriptor at whose end of file they end.
-    say
-        Takes sentences, on a thread of its own.
-    kept
-        The set that other processes use: any agent starts again, unless its computer
-        was crashed. None: only one that was killed does.
-
-    Attributes
-    ----------
-    processes
-        Computer -> the process of its agent that was started last.
-    """
+    """The agents of emulated computers, as a context; those of a `kept` set restart."""
 
     def __init__(
         self,
@@ -158,15 +137,7 @@ def emulated_agents(
     sample_every: float = SAMPLE_EVERY,
     keep: bool = False,
 ) -> Iterator[EmulatedAgents]:
-    """Emulate the computers of a robot, and start an agent on each.
-
-    Parameters
-    ----------
-    sample_every
-        How often they tell what they use [s].
-    keep
-        Whether other processes use them, and can inject faults.
-    """
+    """Emulate a robot's computers, with an agent each; `keep`: for others, too."""
     say(f"emulating {counted(len(robot.computers), 'computer')} on this one")
     # an agent ends at the end of its lifeline, so even a killed process leaves none
     lifeline, held = os.pipe()

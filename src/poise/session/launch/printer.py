@@ -21,14 +21,7 @@ _CLOSE_LIMIT = 1.0
 
 
 class Printer:
-    """Prints to a file descriptor. Use it as a context manager.
-
-    Parameters
-    ----------
-    fd
-        Where to. Not one of Python's own files: a thread that is blocked within one
-        would also hold up the end of the program.
-    """
+    """Prints to a descriptor of its own, so that a blocked print holds up no exit."""
 
     def __init__(self, fd: int = STDOUT) -> None:
         self._fd = fd
@@ -72,10 +65,7 @@ class Printer:
 
 @contextmanager
 def relay(printer: Printer) -> Iterator[int]:
-    """Give a descriptor for the output of processes, which is printed as it comes.
-
-    So they never wait for the terminal. It ends when the last of them has.
-    """
+    """Give a descriptor of which all is printed as it comes: no process waits."""
     reading, writing = os.pipe()
 
     def run() -> None:

@@ -1,8 +1,4 @@
-"""Starts a robot's components on its computers, and leaves nothing behind.
-
-Here the parts are wired together: computers with their agents, the simulated world,
-and the manager's run.
-"""
+"""Starts a robot's components on its computers, and leaves nothing behind."""
 
 from __future__ import annotations
 
@@ -50,20 +46,7 @@ class Started(Struct, frozen=True):
         meanwhile: Callable[[float], object] = lambda _: None,
         is_over: Callable[[], bool] = lambda: False,
     ) -> bool:
-        """Let it run for `seconds` [s]; return whether the simulated world ended first.
-
-        Parameters
-        ----------
-        meanwhile
-            Called several times a second with the time since the last call [s].
-        is_over
-            Called as often; whether it ends now.
-
-        Raises
-        ------
-        RunError
-            A component failed, or a computer was lost.
-        """
+        """Let it run for `seconds`; return whether the simulated world ended first."""
         last, end = time.monotonic(), time.monotonic() + seconds
         while (left := end - last) > 0:
             self.run.watch(min(left, _STEP))
@@ -79,11 +62,7 @@ class Started(Struct, frozen=True):
 
 
 class Sampling(Struct, frozen=True):
-    """What takes samples of resource use, how often [s]; and snapshots' sizes.
-
-    `take` is called on a thread of its own and must not block, and only while all
-    components are at work.
-    """
+    """What takes samples, on another thread and without blocking, how often [s]."""
 
     take: Callable[[AgentSample], object] | None = None
     every: float = SAMPLE_EVERY
@@ -102,25 +81,7 @@ def started(  # noqa: PLR0913 - each is a choice of the caller
     use_kept: bool = False,
     begin: Callable[[RunningComponents], object] | None = None,
 ) -> Iterator[Started]:
-    """Start a robot's components on its computers; stop and remove all afterwards.
-
-    Parameters
-    ----------
-    sampling
-        What takes the agents' samples; None: they are not taken.
-    check
-        Called several times a second while all starts and is watched; may raise to end
-        that.
-    use_kept
-        Whether computers that ``poise emulate`` keeps are used, if there are.
-    begin
-        Starts the components, or takes over those that run; None: all are started.
-
-    Raises
-    ------
-    RobotError, RunError
-        It could not be started; nothing is left.
-    """
+    """Start a robot's components on its computers; stop and remove all afterwards."""
     _check_runnable(robot, placement)
     with contextlib.ExitStack() as stack:
         folder = stack.enter_context(scratch_folder("poise-run-"))

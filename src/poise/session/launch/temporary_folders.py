@@ -1,9 +1,4 @@
-"""Temporary folders, of which even a killed process leaves none for long.
-
-A process holds a lock on its folder while it lives, and so do those that it forks. The
-next one finds the folders that nobody holds any more, and removes them. Who tidies up
-`/tmp` by age, such as systemd-tmpfiles, leaves alone what is locked.
-"""
+"""Temporary folders, locked while in use: the next process removes the others."""
 
 from __future__ import annotations
 
@@ -23,20 +18,7 @@ _MOST_TRIES = 10
 
 @contextlib.contextmanager
 def scratch_folder(prefix: str) -> Iterator[Path]:
-    """Make a folder of this process's own, and remove it afterwards.
-
-    Those of `prefix` that processes left which were killed are removed first.
-
-    Parameters
-    ----------
-    prefix
-        Begins the folder's name, and no other program's.
-
-    Raises
-    ------
-    RunError
-        Where temporary files lie, no folder can be locked.
-    """
+    """Make a folder, removed afterwards, and remove unlocked ones of this `prefix`."""
     _sweep(prefix)
     folder, lock = _made(prefix)
     try:
@@ -47,18 +29,7 @@ def scratch_folder(prefix: str) -> Iterator[Path]:
 
 
 def agent_folder(of: str) -> Path:
-    """Return the folder of an agent, the same one each time it is started.
-
-    Parameters
-    ----------
-    of
-        Tells agents of this computer apart.
-
-    Raises
-    ------
-    RunError
-        Another user made it.
-    """
+    """Return the folder of an agent, the same one each time it is started."""
     name = blake2s(of.encode(), digest_size=8).hexdigest()
     folder = Path(tempfile.gettempdir()) / f"poise-agent-{os.getuid()}-{name}"
     folder.mkdir(mode=0o700, exist_ok=True)

@@ -28,10 +28,7 @@ _NICE = -10
 
 
 class SimulatorProcess:
-    """The simulated world's process, and what that starts.
-
-    What it prints is read all the time, or it would stop when the pipe is full.
-    """
+    """The simulated world's process, and what that starts; its output is read."""
 
     def __init__(self, process: subprocess.Popen[bytes]) -> None:
         self._process = process
@@ -43,13 +40,7 @@ class SimulatorProcess:
         self._reader.start()
 
     def wait_ready(self, check: Check) -> None:
-        """Wait for its line ``ready``; `check` may raise to end that.
-
-        Raises
-        ------
-        RunError
-            It said something else, or nothing within `READY_LIMIT`.
-        """
+        """Wait for its line ``ready``; RunError when it says something else."""
         deadline = time.monotonic() + READY_LIMIT
         while not self._has_spoken.wait(_LOOK_EVERY):
             check()
@@ -71,13 +62,7 @@ class SimulatorProcess:
         return int(file.read_text().split()[1]) / 1e9
 
     def result(self) -> Mapping[str, Any]:
-        """End it, if it has not, and return the JSON object of its last line.
-
-        Raises
-        ------
-        RunError
-            It gave none, its last line is something else, or it does not end.
-        """
+        """End it, and return the JSON object of its last line; RunError: none."""
         self.end()
         return _object(self._last.decode(errors="replace"))
 
@@ -118,15 +103,7 @@ class SimulatorProcess:
 def world_of(
     robot: Robot, folder: Path, check: Check = nothing
 ) -> Iterator[SimulatorProcess | None]:
-    """Run the robot's simulated world, if it has one, in the run's folder.
-
-    Raises
-    ------
-    RobotError
-        Its command cannot be started.
-    RunError
-        It does not become ready.
-    """
+    """Run the robot's simulated world, if it has one, in the run's folder."""
     if robot.simulator is None:
         yield None
         return
@@ -142,13 +119,7 @@ def world_of(
 
 
 def _go_first(process: int) -> None:
-    """Let the world go before other programs: it is to keep up with the clock.
-
-    It and what it starts are real-time threads of the lowest priority; where the system
-    does not allow that, they have a nice value. Linux shares the CPU among sessions
-    first, if it is told to (``sched_autogroup``): that counts only inside the world's
-    own one then.
-    """
+    """Give the world priority, real-time or nice: it is to keep up with the clock."""
     with contextlib.suppress(OSError):
         os.sched_setscheduler(process, os.SCHED_RR, os.sched_param(1))
         return

@@ -25,13 +25,7 @@ class Hosted(NamedTuple):
 
 
 def picture(shares: Mapping[str, float], hosted: Iterable[Hosted]) -> str:
-    """Return a box for each computer, with a bar for each of its components.
-
-    Parameters
-    ----------
-    shares
-        Computer -> CPU that is used, as a share of what it has.
-    """
+    """Return a box for each computer, of share of CPU, with its components as bars."""
     placed = sorted(hosted, key=lambda each: (-each.cpu, each.name))
     most = max((each.cpu for each in placed), default=0.0)
     boxes = []

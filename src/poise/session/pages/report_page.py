@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from html import escape
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 from poise.manage.journal import JournalEntry
 from poise.session.pages.picture import Point, line, svg, text
+from poise.session.reports.history import Moment
+from poise.session.reports.run_records import RunRecord
 from poise.units import counted, format_seconds
-
-if TYPE_CHECKING:
-    from poise.session.reports.history import Moment
 
 _WIDTH, _LEFT, _HEIGHT, _GAP = 960, 130, 56, 14
 """Of the picture, of the names on its left, of a strip, and between strips [pixels]."""
@@ -37,10 +36,7 @@ def time_line(
     began: float,
     seconds: float,
 ) -> str:
-    """Return a strip for each computer's CPU, and one for missed deadlines.
-
-    Entries of the journal are lines through all of them, with their numbers.
-    """
+    """Return CPU and missed deadlines over time, with numbered journal entries."""
     end = max(seconds, 1.0)
     names = list(dict.fromkeys(n for each in moments for n in each.cpu_share))
     strips = {
@@ -69,19 +65,7 @@ def over_time(
     *,
     every: float = 1.0,
 ) -> str:
-    """Return strips of shares over time, rows of bars below, and marks through all.
-
-    Parameters
-    ----------
-    strips
-        Name -> moments [s], and the share of the time before each.
-    end
-        Of the time that is shown [s].
-    bars
-        Name -> when each bar begins and ends [s].
-    every
-        How much time the first moment of each strip stands for [s].
-    """
+    """Return shares over time [s], rows of bars [s] below, and marks through all."""
     rows = bars or {}
     below = _GAP + len(strips) * (_HEIGHT + _GAP)
     height = below + len(rows) * _BAR + _GAP + 10
@@ -152,10 +136,6 @@ def _strip(
     )
 
 
-if TYPE_CHECKING:
-    from poise.session.reports.history import Moment
-    from poise.session.reports.run_report import RunReport
-
 _AROUND = 1.0
 """What happened so long before and after a second is shown [s]."""
 _FULL = 0.95
@@ -187,7 +167,7 @@ pre {{ overflow-x: auto }}
 """
 
 
-def page(report: RunReport) -> str:
+def page(report: RunRecord, picture: str, figures: str) -> str:
     """Return the page: the verdict, where and when what happened, then all figures."""
     entries = dict(enumerate(_events(report), 1))
     title = f"{report.robot}: {report.task}"
@@ -196,7 +176,7 @@ def page(report: RunReport) -> str:
         f"<p>{escape(report.method)} placement, active for {report.seconds:.1f} s</p>",
         f'<p class="verdict">{escape(_verdict(report))}</p>',
         "<h2>What ran where</h2>",
-        report.picture(),
+        picture,
         "<h2>Over time</h2>",
         _ABOUT_TIME,
         time_line(report.history, entries, report.began, report.seconds),
@@ -205,7 +185,7 @@ def page(report: RunReport) -> str:
         "<h2>What happened</h2>",
         _journal(entries, report.began),
         "<h2>All figures</h2>",
-        report.html(),
+        figures,
     ]
     return document(title, "\n".join(parts))
 
@@ -215,7 +195,7 @@ def document(title: str, body: str) -> str:
     return _PAGE.format(title=escape(title), body=body)
 
 
-def _events(report: RunReport) -> list[JournalEntry]:
+def _events(report: RunRecord) -> list[JournalEntry]:
     """Return what the manager saw and did, and the containers that ended, in turn."""
     faults = [
         JournalEntry(each.at, "wrong", each.message, {}) for each in report.faults
@@ -223,7 +203,7 @@ def _events(report: RunReport) -> list[JournalEntry]:
     return sorted([*report.journal, *faults], key=lambda each: each.at)
 
 
-def _verdict(report: RunReport) -> str:
+def _verdict(report: RunRecord) -> str:
     if report.invalid:
         return f"✗ invalid run: {report.invalid}"
     if report.failed:
@@ -247,7 +227,7 @@ class _Deadline(NamedTuple):
         return self.missed / self.times if self.times else 0.0
 
 
-def _deadlines(report: RunReport) -> Iterator[_Deadline]:
+def _deadlines(report: RunRecord) -> Iterator[_Deadline]:
     for component in report.components:
         for timer in component.timers:
             if timer.deadline is not None:
@@ -262,7 +242,7 @@ def _deadlines(report: RunReport) -> Iterator[_Deadline]:
         yield _Deadline(chain.name, chain.deadline, *counts)
 
 
-def _worst(report: RunReport, entries: Mapping[int, JournalEntry]) -> Iterator[str]:
+def _worst(report: RunRecord, entries: Mapping[int, JournalEntry]) -> Iterator[str]:
     """Yield the deadlines that were missed most, and what happened around them."""
     missed = sorted(
         (each for each in _deadlines(report) if each.missed),

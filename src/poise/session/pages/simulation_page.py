@@ -2,20 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from html import escape
-from typing import TYPE_CHECKING
 
 from poise.session.pages.picture import bar_row
 from poise.session.pages.report_page import Mark, document, html_table, over_time
 from poise.session.render.simulation_tables import late, share, took, verdict
 from poise.simulation.simulation_report import SimulatedEvent, SimulationReport
-
-if TYPE_CHECKING:
-    from poise.session.simulating.simulation_results import (
-        Simulation,
-        SimulationComparison,
-    )
 
 _MOST_LATE, _MOST_EVENTS = 20, 1000
 _FAULT = "fault"
@@ -26,23 +19,23 @@ _ABOUT_TIME = (
 )
 
 
-def simulation_page(simulation: Simulation) -> str:
+def simulation_page(simulation: SimulationReport, figures: str) -> str:
     """Return the page: the verdict, what happened when, what was late, all figures."""
     title = f"{simulation.robot}: {simulation.task}, simulated"
     parts = [
         f"<h1>{escape(title)}</h1>",
         *_pictures(simulation),
         "<h2>All figures</h2>",
-        simulation.html(),
+        figures,
     ]
     return document(title, "\n".join(parts))
 
 
-def comparison_page(comparison: SimulationComparison) -> str:
+def comparison_page(results: Mapping[str, SimulationReport], figures: str) -> str:
     """Return the page: all placements side by side, then each by itself."""
     title = "Placements, simulated"
-    parts = [f"<h1>{title}</h1>", comparison.html()]
-    for method, simulation in comparison.results.items():
+    parts = [f"<h1>{title}</h1>", figures]
+    for method, simulation in results.items():
         parts.append(f"<h1>{escape(method)}</h1>")
         parts += _pictures(simulation)
     return document(title, "\n".join(parts))

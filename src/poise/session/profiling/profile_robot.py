@@ -28,7 +28,7 @@ from poise.session.profiling.stored_profiles import (
     read_profile,
     store_of,
 )
-from poise.session.reports.run_errors import silent_ports
+from poise.session.reports.run_records import silent_ports
 
 Progress = Callable[[str, float], AbstractContextManager[Tick]]
 """Takes an architecture and the time that its measurement takes [s]; gives a function

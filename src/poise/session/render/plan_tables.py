@@ -30,13 +30,7 @@ _MOST_BARS = 3
 def plan_parts(
     phased: plan.PhasedResult, times: Mapping[str, PredictedTimes] = {}
 ) -> tuple[RenderableType, ...]:
-    """Return what is printed of a placement: its phases, or the only one whole.
-
-    Parameters
-    ----------
-    times
-        Phase -> what is predicted of it.
-    """
+    """Return what is printed of a placement, with what is predicted of each phase."""
     several = len(phased.results) > 1
     parts = _phases(phased) if several else _phase(phased.only[1])
     return (*parts, *_chains(times))

@@ -41,13 +41,7 @@ def show_profile(robot: Robot, profile: Profile, console: Console) -> None:
 
 
 def history_table(now: Profile, earlier: Sequence[Profile]) -> Table:
-    """Return every component's CPU and memory by profile, newest first.
-
-    Parameters
-    ----------
-    earlier
-        Newest first. Those on another computer are left out, and so is `now` itself.
-    """
+    """Return components' CPU and memory by profile of this computer, newest first."""
     others = [
         each for each in earlier if each.computer == now.computer and each.at != now.at
     ][:_MOST_EARLIER]

@@ -25,14 +25,7 @@ _DRAW_EVERY = 0.2
 def progress(
     console: Console, seconds: float, *, live: bool = False
 ) -> Iterator[Meanwhile]:
-    """Tell how a run of up to `seconds` [s] goes, each time that it is called.
-
-    Parameters
-    ----------
-    live
-        Draw a bar where the console is a terminal. Only where components print
-        nothing, or their lines and the bar end up in each other.
-    """
+    """Show how a run of up to `seconds` [s] goes; `live`: as a bar, in a terminal."""
     if not live or not console.is_terminal:
         due = _LINE_EVERY
 
@@ -52,13 +45,7 @@ def progress(
 def virtual_progress(
     console: Console, seconds: float, clock: Callable[[], float] = time.monotonic
 ) -> Iterator[Watch]:
-    """Draw how a simulation of `seconds` [virtual s] goes, where it is a terminal.
-
-    Parameters
-    ----------
-    clock
-        Gives real time [s].
-    """
+    """Draw how a simulation of `seconds` [virtual s] goes, where it is a terminal."""
     if not console.is_terminal:
         yield nothing
         return
@@ -84,13 +71,7 @@ def virtual_progress(
 def _bar(
     console: Console, seconds: float, *, by_thread: bool = True
 ) -> Iterator[Callable[[float, str], object]]:
-    """Draw a bar for some time [s], with a sentence beside it.
-
-    Parameters
-    ----------
-    by_thread
-        Whether a thread draws it now and then, not only each call.
-    """
+    """Draw a bar for some time [s], with a sentence; by a thread, or at each call."""
     columns = BarColumn(), TextColumn("{task.description}")
     with Progress(
         *columns, console=console, transient=True, auto_refresh=by_thread

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Collection, Iterator, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import msgspec
 from msgspec import Struct
@@ -21,6 +21,7 @@ from poise.session.render.tables import (
     table,
     task_lines,
 )
+from poise.session.reports.run_records import ComponentReport, RunRecord
 from poise.units import counted, format_seconds
 
 
@@ -48,11 +49,7 @@ class Judgement(Struct, frozen=True, kw_only=True):
 def judgements(
     simulation: Mapping[str, Any], tasks: Collection[str]
 ) -> list[Judgement]:
-    """Return those of the tasks that ran, or else those of all functions.
-
-    They are under ``tasks`` and ``criteria`` of the world's result; what is there in
-    another form is the world's own affair.
-    """
+    """Return the world's judgements of the tasks that ran, else of all functions."""
     of_tasks = [each for each in _found(simulation, "tasks") if each.name in tasks]
     return of_tasks or _found(simulation, "criteria")
 
@@ -64,11 +61,7 @@ def _found(simulation: Mapping[str, Any], key: str) -> list[Judgement]:
         return []
 
 
-if TYPE_CHECKING:
-    from poise.session.reports.run_report import ComponentReport, RunReport
-
-
-def report_parts(report: RunReport) -> Iterator[RenderableType]:
+def report_parts(report: RunRecord) -> Iterator[RenderableType]:
     """Yield where the components ran, what they used, and how timers kept up."""
     yield _component_table(report)
     yield from _measure_tables(report)
@@ -88,7 +81,7 @@ def report_parts(report: RunReport) -> Iterator[RenderableType]:
         yield f"[bold yellow]invalid run:[/] {escape(report.invalid)}"
 
 
-def _world(report: RunReport) -> Iterator[RenderableType]:
+def _world(report: RunRecord) -> Iterator[RenderableType]:
     """Yield what the simulated world judges; without judgements, its plain values."""
     rows = table("in the simulated world", "success", "measured", folds=2)
     for each in judgements(report.simulation, [task.name for task in report.tasks]):
@@ -106,7 +99,7 @@ def _world(report: RunReport) -> Iterator[RenderableType]:
         yield f"the simulated world says: {escape(', '.join(plain))}"
 
 
-def _failures(report: RunReport) -> Iterator[RenderableType]:
+def _failures(report: RunRecord) -> Iterator[RenderableType]:
     """Yield what is not as it should be, the worst first."""
     for error in report.errors:
         many = counted(error.count, "error")
@@ -139,7 +132,7 @@ def _failures(report: RunReport) -> Iterator[RenderableType]:
         yield "[yellow]the run was ended early[/]"
 
 
-def _component_table(report: RunReport) -> Table:
+def _component_table(report: RunRecord) -> Table:
     rows = table(
         "component", "CPU", "timer, period", "missed", "median", "p99", folds=2
     )
@@ -167,7 +160,7 @@ def _add_component(rows: Table, component: ComponentReport) -> None:
         head = ("", "")
 
 
-def _measure_tables(report: RunReport) -> Iterator[Table]:
+def _measure_tables(report: RunRecord) -> Iterator[Table]:
     rows = table("measure", "count", "mean", "median", "p99", "maximum")
     for component in report.components:
         for name, summary in component.measures.items():

@@ -76,10 +76,7 @@ def component_table(answer: RobotStatus) -> Table:
 
 
 def computer_table(answer: RobotStatus) -> Table:
-    """Return what agents and containers use of each computer, and what restarted.
-
-    Where that is not known now, it says how old it is.
-    """
+    """Return what is used of each computer, how old that figure is, and restarts."""
     unknown, columns = answer.not_known(), ["containers", "restarts"]
     columns += ["reported"] if unknown else []
     rows = table("computer", "CPU", "memory", *columns)
@@ -102,10 +99,7 @@ def computer_table(answer: RobotStatus) -> Table:
 
 
 def container_table(answer: RobotStatus) -> Table:
-    """Return the memory of containers, and what their components were placed by.
-
-    Where it grows steadily, it says how fast, and when the computer's limit is reached.
-    """
+    """Return the memory of containers, how fast it grows, and what was planned."""
     rows = table("container", "computer", "memory", "demand", "grows", "components")
     for name, computer in sorted(answer.computers.items()):
         inside = {

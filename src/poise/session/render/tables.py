@@ -20,10 +20,7 @@ from poise.wire.records.status_records import ConnectorStatus, Summary
 
 
 def table(*columns: str, folds: int = 0) -> Table:
-    """Return an empty table; long words are broken over lines rather than cut.
-
-    The first column, of names, and the one with the number `folds` give way to others.
-    """
+    """Return an empty table; names, and the column number `folds`, break over lines."""
     made = Table(box=box.SIMPLE_HEAD, show_edge=False, padding=(0, 1, 0, 0))
     for place, title in enumerate(columns):
         made.add_column(title, overflow="fold", no_wrap=place not in {0, folds})
@@ -31,16 +28,7 @@ def table(*columns: str, folds: int = 0) -> Table:
 
 
 class NamedRows:
-    """A table of rows that stand under a name, which has a line of its own.
-
-    Names of connectors are as long as four names of components and ports: in a column
-    they would leave no room for the numbers.
-
-    Parameters
-    ----------
-    title
-        Of the names.
-    """
+    """A table whose long names have a line of their own, above their rows."""
 
     def __init__(self, title: str, *columns: str) -> None:
         self._rows = table(title, *columns)
@@ -131,10 +119,7 @@ _Cells = Callable[[_Ends], tuple[str, ...]]
 
 
 def connector_tables(ends: Iterable[ConnectorStatus]) -> list[NamedRows]:
-    """Return what went over connectors, how long it took, and how large it was.
-
-    While a component moves, its connectors have a target more: their numbers are added.
-    """
+    """Return what went over connectors, how long it took, and how large it was."""
     grouped = dict(sorted(_grouped(ends).items()))
     counts = NamedRows(_OF, "kind", "end", "count", "out", "in", "errors", "drops")
     times = NamedRows(_OF, "end", "took", "p99", "one way", "p99")

@@ -15,19 +15,7 @@ MOST = 2_000
 
 
 class Moment(Struct, frozen=True, kw_only=True):
-    """How a run was at one time.
-
-    Parameters
-    ----------
-    at
-        When [s since 1970].
-    cpu_share
-        Computer -> CPU that agent and containers used since the moment before, as a
-        share of what it has.
-    missed
-        ``component.timer``, or chain -> share of its deadlines in the last second that
-        were missed; only those that missed any.
-    """
+    """Shares of CPU used and of deadlines missed in the second before a time."""
 
     at: float
     cpu_share: Mapping[str, float]
@@ -35,13 +23,7 @@ class Moment(Struct, frozen=True, kw_only=True):
 
 
 class History:
-    """Takes a moment of a run every second.
-
-    Parameters
-    ----------
-    faster
-        Computer -> how many times more CPU it has than the robot file says; missing: 1.
-    """
+    """Takes a moment of a run every second, of computers `faster` than described."""
 
     def __init__(self, robot: Robot, faster: Mapping[str, float]) -> None:
         self.moments: list[Moment] = []
@@ -51,13 +33,7 @@ class History:
         self._every, self._next = 1.0, 0.0
 
     def look(self, statuses: Statuses, at: float, now: float) -> None:
-        """Take a moment when it is time for one.
-
-        Parameters
-        ----------
-        at, now
-            The time since 1970, and one that never goes back [s].
-        """
+        """Take a moment when it is time: `at` since 1970, `now` never goes back [s]."""
         if now < self._next:
             return
         self._next = now + self._every
@@ -76,13 +52,7 @@ class History:
 def cpu_shares(
     robot: Robot, begin: Statuses, end: Statuses, faster: Mapping[str, float]
 ) -> dict[str, float]:
-    """Return computer -> share of its CPU used between two statuses.
-
-    Parameters
-    ----------
-    faster
-        Computer -> how many times more CPU it has than the robot file says; missing: 1.
-    """
+    """Return computer -> share of its CPU used between two statuses."""
     shares = {}
     for computer in robot.computers:
         first, last = begin.get(computer.name), end.get(computer.name)

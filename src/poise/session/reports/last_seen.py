@@ -27,10 +27,7 @@ T = TypeVar("T", TimerStatus, ChainStatus)
 
 
 def whole(stays: Sequence[ComponentStatus]) -> ComponentStatus:
-    """Return the last status, with the counts of all stays, first to last.
-
-    Medians and 99th percentiles are those of the stay with most values.
-    """
+    """Return the last status, with the counts of all stays, first to last."""
     return reduce(_after, stays)
 
 
@@ -50,10 +47,7 @@ def _after(before: ComponentStatus, last: ComponentStatus) -> ComponentStatus:
 
 
 def together(one: Summary, other: Summary) -> Summary:
-    """Return the summary of the values of both.
-
-    It is exact but for median and 99th percentile: these are of the larger one.
-    """
+    """Return the summary of both; exact but for median and p99, of the larger one."""
     count = one.count + other.count
     if not count:
         return one
@@ -108,17 +102,7 @@ _MOST = 50
 
 
 class LastSeen:
-    """Keeps what is gone: components of actions that are over, and their connectors.
-
-    What a component counted is added up over the places where it ran; of a connector's
-    ends that were in several places only the latest count.
-
-    Attributes
-    ----------
-    ended
-        What ends of connectors had counted when their container ended and another one
-        took its place; those began at 0.
-    """
+    """Keeps what is gone: components that ended or moved, and their connectors."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()

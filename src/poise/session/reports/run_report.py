@@ -1,8 +1,7 @@
-"""What a run showed, as records for people and machines."""
+"""What a run showed, for people and machines."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -11,12 +10,7 @@ from msgspec import Struct
 from rich.console import RenderableType
 
 from poise.errors import RunError
-from poise.manage.agent_connections.statuses import (
-    Statuses,
-    components_of,
-    connectors_of,
-    located,
-)
+from poise.manage.agent_connections.statuses import Statuses, connectors_of
 from poise.manage.deploy.deactivation import unprocessed
 from poise.manage.journal import JournalEntry
 from poise.manage.observe.chains import ChainReport
@@ -30,23 +24,16 @@ from poise.session.render.printable import Printable
 from poise.session.render.run_tables import report_parts
 from poise.session.reports.history import Moment, cpu_shares
 from poise.session.reports.last_seen import LastSeen
-from poise.session.reports.run_errors import (
-    ComponentError,
-    HungHandler,
-    SilentPort,
+from poise.session.reports.run_records import (
+    RunRecord,
+    clocks_of,
     component_errors,
+    component_reports,
     hung_handlers,
     refused_messages,
     silent_ports,
 )
-from poise.wire.records.clock_records import ClockStatus
-from poise.wire.records.status_records import (
-    AgentStatus,
-    ConnectorStatus,
-    Fault,
-    Summary,
-    TimerStatus,
-)
+from poise.wire.records.status_records import Summary
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -54,24 +41,7 @@ if TYPE_CHECKING:
 Table = Literal["components", "timers", "connectors", "chains"]
 
 
-class ComponentReport(Struct, frozen=True, kw_only=True):
-    """How a component did, from its activation to the end of the run.
-
-    Its counts are those of all places where it ran; medians and 99th percentiles are of
-    the longest stay.
-
-    `cpu` is the CPU time of its own thread per second of the run [cores].
-    """
-
-    name: str
-    computer: str
-    cpu: float
-    errors: int
-    timers: tuple[TimerStatus, ...]
-    measures: Mapping[str, Summary]
-
-
-class RunReport(Printable, Struct, frozen=True, kw_only=True):
+class RunReport(Printable, RunRecord, frozen=True, kw_only=True):
     """One run of a task. It prints itself as tables, in a terminal and in a notebook.
 
     Parameters
@@ -123,52 +93,6 @@ class RunReport(Printable, Struct, frozen=True, kw_only=True):
         What the simulated world said last.
     """
 
-    robot: str
-    task: str
-    method: str
-    placement: Mapping[str, str]
-    decision_seconds: float
-    seconds: float
-    cpu_share: Mapping[str, float]
-    components: tuple[ComponentReport, ...]
-    connectors: tuple[ConnectorStatus, ...]
-    began: float = 0.0
-    history: tuple[Moment, ...] = ()
-    journal: tuple[JournalEntry, ...] = ()
-    chains: tuple[ChainReport, ...] = ()
-    tasks: tuple[TaskReport, ...] = ()
-    put_aside: tuple[str, ...] = ()
-    errors: tuple[ComponentError, ...] = ()
-    hung: tuple[HungHandler, ...] = ()
-    refused: Mapping[str, int] = {}
-    lost: Mapping[str, int] = {}
-    silent: tuple[SilentPort, ...] = ()
-    faults: tuple[Fault, ...] = ()
-    interrupted: bool = False
-    clocks: Mapping[str, Mapping[str, ClockStatus]] = {}
-    invalid: str = ""
-    without: tuple[str, ...] = ()
-    simulation: Mapping[str, Any] = {}
-
-    def component(self, name: str) -> ComponentReport:
-        """Return the report of one component; KeyError when it did not run."""
-        for component in self.components:
-            if component.name == name:
-                return component
-        raise KeyError(name)
-
-    @property
-    def failed(self) -> bool:
-        """Whether code raised or hung, a message was refused, or not all ran."""
-        return bool(
-            self.errors
-            or self.hung
-            or self.refused
-            or self.faults
-            or self.put_aside
-            or any(each.state == "failed" for each in self.tasks)
-        )
-
     def rows(self, of: Table = "components") -> list[dict[str, Any]]:
         """Return components, their timers, connectors' ends or chains as flat values.
 
@@ -203,7 +127,7 @@ class RunReport(Printable, Struct, frozen=True, kw_only=True):
 
     def page(self) -> str:
         """Return an HTML page that needs no other file, and no network."""
-        return page(self)
+        return page(self, self.picture(), self.html())
 
 
 def _flat(record: Struct, *without: str) -> dict[str, Any]:
@@ -219,12 +143,7 @@ def _flat(record: Struct, *without: str) -> dict[str, Any]:
 
 
 class MeasuredRun(Struct, frozen=True, kw_only=True):
-    """What was seen between the moments when all had begun and when all was to end.
-
-    `seconds` is the time between, and `began` the first of them [s since 1970].
-    `chains` is how old data was by then: while components end one after the other,
-    those that still run use what they had last.
-    """
+    """What was seen from when all had begun (`began`) until all was to end, [s]."""
 
     begin: Statuses
     end: Statuses
@@ -280,30 +199,3 @@ def reported(
         without=up.computers.without,
         simulation=simulation,
     )
-
-
-def component_reports(begin: Statuses, end: Statuses) -> tuple[ComponentReport, ...]:
-    """Return a report for every component in the last statuses."""
-    before = {each.name: each.cpu for each in components_of(begin)}
-    return tuple(
-        ComponentReport(
-            name=component.name,
-            computer=computer,
-            cpu=max(0.0, component.cpu - before.get(component.name, 0.0))
-            / _seconds(begin.get(computer), end[computer]),
-            errors=component.errors,
-            timers=component.timers,
-            measures=component.measures,
-        )
-        for computer, component in located(end)
-    )
-
-
-def _seconds(first: AgentStatus | None, last: AgentStatus) -> float:
-    """Return the time between two statuses of a computer [s]."""
-    return last.uptime - (first.uptime if first else 0.0) or math.inf
-
-
-def clocks_of(statuses: Statuses) -> dict[str, Mapping[str, ClockStatus]]:
-    """Return what each computer knows of the others' clocks, by name."""
-    return {name: status.clocks for name, status in sorted(statuses.items())}

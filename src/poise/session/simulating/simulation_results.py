@@ -58,7 +58,7 @@ class Simulation(Printable, SimulationReport, frozen=True, kw_only=True):
 
     def page(self) -> str:
         """Return an HTML page that needs no other file, and no network."""
-        return simulation_page(self)
+        return simulation_page(self, self.html())
 
 
 class SimulationComparison(Printable, Struct, frozen=True, kw_only=True):
@@ -86,4 +86,4 @@ class SimulationComparison(Printable, Struct, frozen=True, kw_only=True):
 
     def page(self) -> str:
         """Return an HTML page that needs no other file, and no network."""
-        return comparison_page(self)
+        return comparison_page(self.results, self.html())

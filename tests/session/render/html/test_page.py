@@ -14,7 +14,8 @@ from poise.manage.journal import JournalEntry
 from poise.model import load
 from poise.model.robot import Computer, Robot
 from poise.session.reports.history import MOST, History, Moment
-from poise.session.reports.run_report import ComponentReport, RunReport
+from poise.session.reports.run_records import ComponentReport
+from poise.session.reports.run_report import RunReport
 from poise.wire.records.status_records import (
     AgentStatus,
     ComponentStatus,
