@@ -1,4 +1,7 @@
-"""Runs a robot once for the experiment, and measures it from outside."""
+"""Runs a robot once for the experiment, and measures it from outside.
+
+It imports internal modules: it measures runs from outside.
+"""
 
 from __future__ import annotations
 

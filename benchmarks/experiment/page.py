@@ -1,4 +1,7 @@
-"""The experiment as one HTML page, which needs no other file and no network."""
+"""The experiment as one HTML page, which needs no other file and no network.
+
+It imports internal modules: its page looks as reports do.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""What is compared, under which conditions, and in which order. Pure."""
+"""What is compared, under which conditions, and in which order. Pure.
+
+It imports internal modules: it changes the robot that runs.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Makes the runs of an experiment, and goes on where one was ended."""
+"""Makes the runs of an experiment, and goes on where one was ended.
+
+It imports internal modules: it measures runs from outside.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""What an experiment found, in short, for terminals."""
+"""What an experiment found, in short, for terminals.
+
+It imports internal modules: it prints as commands do.
+"""
 
 from __future__ import annotations
 

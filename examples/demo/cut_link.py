@@ -1,4 +1,7 @@
-"""A computer of a running robot is cut off, and its link is healed again."""
+"""A computer of a running robot is cut off, and its link is healed again.
+
+It imports internal modules: it measures a running robot from outside.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""T-Rot drives through a home: placed by hand and by Poise, and while a part moves."""
+"""T-Rot drives through a home: placed by hand and by Poise, and while a part moves.
+
+It imports internal modules: it moves a component amid a run.
+"""
 
 from __future__ import annotations
 

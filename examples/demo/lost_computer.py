@@ -1,4 +1,7 @@
-"""A computer of a running robot loses power."""
+"""A computer of a running robot loses power.
+
+It imports internal modules: it measures a running robot from outside.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""The manager is killed amid a move, and another one takes the robot over."""
+"""The manager is killed amid a move, and another one takes the robot over.
+
+It imports internal modules: it measures a running robot from outside.
+"""
 
 from __future__ import annotations
 

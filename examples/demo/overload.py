@@ -1,4 +1,7 @@
-"""Another program overloads a computer of a running robot."""
+"""Another program overloads a computer of a running robot.
+
+It imports internal modules: it measures a running robot from outside.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Drives as one SVG picture: the paths, missed deadlines, and CPU used."""
+"""Drives as one SVG picture: the paths, missed deadlines, and CPU used.
+
+It imports internal modules: it draws as reports do.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""The paper's case study, with static placement and with Poise's; and the scenes."""
+"""The paper's case study, with static placement and with Poise's; and the scenes.
+
+It imports internal modules: it is the command `poise demo`.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""A chain over three computers, whose middle must move while something is broken."""
+"""A chain over three computers, whose middle must move while something is broken.
+
+It imports internal modules: it measures a running robot from outside.
+"""
 
 from __future__ import annotations
 

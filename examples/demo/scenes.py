@@ -1,4 +1,7 @@
-"""Scenes that show how a running robot adapts, and measure it from outside."""
+"""Scenes that show how a running robot adapts, and measure it from outside.
+
+It imports internal modules: it measures a running robot from outside.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Three tasks share functions: one pauses another, and what comes next is prepared."""
+"""Three tasks share functions: one pauses another, and what comes next is prepared.
+
+It imports internal modules: it measures a running robot from outside.
+"""
 
 from __future__ import annotations
 

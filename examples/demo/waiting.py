@@ -1,4 +1,7 @@
-"""What the scenes have in common: waiting, and what is active."""
+"""What the scenes have in common: waiting, and what is active.
+
+It imports internal modules: it measures a running robot from outside.
+"""
 
 from __future__ import annotations
 
