@@ -18,7 +18,7 @@ from poise.manage.agent_connections.statuses import (
 from poise.manage.journal import JournalEntry
 from poise.manage.observe.chains import ChainReport
 from poise.manage.observe.troubles import refused
-from poise.manage.tasks.task_report import TaskReport
+from poise.manage.tasks.concurrent_tasks import TaskReport
 from poise.model.robot import Connector, Robot
 from poise.session.reports.history import Moment
 from poise.wire.records.clock_records import ClockStatus
