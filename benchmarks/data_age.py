@@ -26,7 +26,7 @@ from msgspec import Struct
 
 import poise
 from poise.model.robot import Robot
-from poise.session.profiling.machine_speed import as_when_profiled, steady
+from poise.session.profiling.stored_profiles import as_when_profiled, steady
 
 ROOT = Path(__file__).parents[1]
 TROT = ROOT / "examples/trot/robot.yaml"

@@ -42,7 +42,7 @@ from poise.runtime._calls import ComponentCounters
 from poise.session.launch.start import Sampling, started
 from poise.session.placing.placement import place
 from poise.session.profiling.figures import figures, measure
-from poise.session.profiling.measurement import measure_alone
+from poise.session.profiling.profile_robot import measure_alone
 from poise.session.profiling.rig import rig_of
 from poise.session.profiling.stored_profiles import read_profile
 from poise.session.robot_file import load

@@ -38,8 +38,11 @@ from poise.model.robot import (
     Robot,
     Task,
 )
-from poise.session.profiling.machine_speed import as_when_profiled, steady
-from poise.session.profiling.stored_profiles import read_profile
+from poise.session.profiling.stored_profiles import (
+    as_when_profiled,
+    read_profile,
+    steady,
+)
 from poise.session.running_robots.running import Running
 from poise.simulation.faults import SimulatedFault, plan_faults
 from poise.simulation.rehearsal import Rehearsal, RehearsalPlan

@@ -27,7 +27,7 @@ from poise.manage.tasks.task_progress import OVER
 from poise.model.robot import Robot
 from poise.session.callbacks import Check, nothing
 from poise.session.placing.placement import place
-from poise.session.profiling.machine_speed import as_when_profiled
+from poise.session.profiling.stored_profiles import as_when_profiled
 from poise.session.reports.history import cpu_shares
 from poise.session.reports.last_seen import LastSeen
 from poise.session.up import Up, up

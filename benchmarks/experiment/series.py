@@ -26,7 +26,7 @@ from benchmarks.experiment.summary import ExperimentReport, summarised
 from poise.errors import UsageError
 from poise.model.robot import Robot
 from poise.session.callbacks import Check, Say
-from poise.session.profiling.machine_speed import steady
+from poise.session.profiling.stored_profiles import steady
 from poise.session.state_folder import to_write
 from poise.units import counted
 

@@ -21,7 +21,7 @@ from poise.manage.migration.move import move
 from poise.model.robot import Robot
 from poise.session.callbacks import Check, nothing
 from poise.session.placing.placement import Placement, place
-from poise.session.profiling.machine_speed import as_when_profiled
+from poise.session.profiling.stored_profiles import as_when_profiled
 from poise.session.render.move_tables import outcome_sentence
 from poise.session.render.run_progress import progress
 from poise.session.reports.run_report import RunReport

@@ -40,15 +40,7 @@ class DrivePicture(Struct, frozen=True, kw_only=True):
 
 
 def drives_picture(drives: Sequence[DrivePicture], walls: Points, goal: Points) -> str:
-    """Return an SVG picture.
-
-    Parameters
-    ----------
-    walls
-        x, y of one end, x, y of the other [m], of each.
-    goal
-        x, y [m]; one point, or none.
-    """
+    """Return an SVG picture."""
     points = [*(p for d in drives for p in d.path), *(w[:2] for w in walls)]
     points += [wall[2:] for wall in walls]
     xs, ys = [point[0] for point in points], [point[1] for point in points]

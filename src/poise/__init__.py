@@ -45,9 +45,9 @@ if TYPE_CHECKING:
     from poise.session.profiling.calibrate import calibrate as calibrate
     from poise.session.profiling.profile_robot import Profiling as Profiling
     from poise.session.profiling.profile_robot import profile as profile
-    from poise.session.recordings.policy_events import PolicyEvent as PolicyEvent
-    from poise.session.recordings.policy_events import test_policies as test_policies
+    from poise.session.recordings.recorded_run import PolicyEvent as PolicyEvent
     from poise.session.recordings.recorded_run import RecordedRun as RecordedRun
+    from poise.session.recordings.recorded_run import test_policies as test_policies
     from poise.session.reports.run_report import RunReport as RunReport
     from poise.session.robot_file import check as check
     from poise.session.robot_file import load as load
@@ -62,14 +62,14 @@ if TYPE_CHECKING:
     from poise.session.running_robots.without_manager import (
         stop_without_manager as stop_without_manager,
     )
+    from poise.session.simulating.simulate import Simulation as Simulation
+    from poise.session.simulating.simulate import (
+        SimulationComparison as SimulationComparison,
+    )
     from poise.session.simulating.simulate import (
         compare_simulations as compare_simulations,
     )
     from poise.session.simulating.simulate import simulate as simulate
-    from poise.session.simulating.simulation_results import Simulation as Simulation
-    from poise.session.simulating.simulation_results import (
-        SimulationComparison as SimulationComparison,
-    )
     from poise.session.up import up as up
     from poise.simulation.faults import SimulatedFault as SimulatedFault
     from poise.view.robot_recording import RobotRecording as RobotRecording
@@ -89,7 +89,7 @@ else:
         "Placement": "session.placing.placement",
         "PoiseError": "errors",
         "PolicyAction": "model.policy.policy",
-        "PolicyEvent": "session.recordings.policy_events",
+        "PolicyEvent": "session.recordings.recorded_run",
         "Profiling": "session.profiling.profile_robot",
         "Provided": "runtime.component.ports",
         "Published": "runtime.component.ports",
@@ -105,8 +105,8 @@ else:
         "Seen": "model.policy.policy",
         "Conditions": "estimate.success",
         "SimulatedFault": "simulation.faults",
-        "Simulation": "session.simulating.simulation_results",
-        "SimulationComparison": "session.simulating.simulation_results",
+        "Simulation": "session.simulating.simulate",
+        "SimulationComparison": "session.simulating.simulate",
         "Stamp": "clock",
         "TakenOver": "errors",
         "Timeout": "errors",
@@ -132,7 +132,7 @@ else:
         "status_without_manager": "session.running_robots.without_manager",
         "stop_without_manager": "session.running_robots.without_manager",
         "subscribed": "runtime.component.ports",
-        "test_policies": "session.recordings.policy_events",
+        "test_policies": "session.recordings.recorded_run",
         "time_left": "runtime.component.deadline",
         "up": "session.up",
         "within": "runtime.component.deadline",

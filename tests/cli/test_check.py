@@ -138,7 +138,7 @@ def test_a_missing_file_is_a_problem_without_a_traceback(tmp_path: Path) -> None
 @pytest.mark.slow
 def test_an_interrupt_ends_with_130() -> None:
     interrupt = (
-        "import poise.cli.commands.check_command as c\n"
+        "import poise.cli.commands.robot_file_command as c\n"
         "def stop(*_):\n    raise KeyboardInterrupt\n"
         "c.check = stop\n"
     )

@@ -18,7 +18,7 @@ import poise
 from poise.errors import RunError
 from poise.manage.control_socket.location import path_of
 from tests.command import POISE, check_output, robot_up, run_poise
-from tests.view.test_mcap_file import read
+from tests.view.test_robot_recording import read
 from tests.waiting import LONG, wait_long
 
 pytest.importorskip("mcap", reason="mcap is not installed")

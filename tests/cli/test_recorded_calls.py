@@ -9,7 +9,7 @@ import pytest
 from poise.estimate.profile import profile_files as profile_file
 from poise.runtime.component.implementation import find_type
 from poise.runtime.connectors.interface import methods
-from poise.wire.recording_file import load
+from poise.wire.recording_file import inputs_of
 from tests.command import Poise
 
 ROBOT = """\
@@ -67,12 +67,12 @@ def test_calls_are_recorded_and_played(tmp_path: Path, poise: Poise) -> None:
     (tmp_path / "robot.yaml").write_text(ROBOT)
     (tmp_path / "asked.py").write_text(CODE)
     run = poise(
-        "run", "robot.yaml", "--task", "ask", "--for", "3s", "--record", "a.recording"
+        "run", "robot.yaml", "--task", "ask", "--for", "3s", "--record", "a.mcap"
     )
     said = run.stdout + run.stderr
-    assert "calls of one.questions, two.questions to a.recording" in said, said
+    assert "calls of one.questions, two.questions to a.mcap" in said, said
 
-    inputs = load(tmp_path / "a.recording").inputs
+    inputs = inputs_of(tmp_path / "a.mcap")
     assert {each.source for each in inputs} == {"one.questions", "two.questions"}
     assert [each.at for each in inputs] == sorted(each.at for each in inputs)
     interface: type = find_type("asked:Questions", str(tmp_path))
@@ -87,9 +87,7 @@ def test_calls_are_recorded_and_played(tmp_path: Path, poise: Poise) -> None:
     assert known[ask.tag or 0].result.decode(ask.result, memoryview(b"")) == "whywhyw"
     assert by_name["tell"].result == b""
 
-    (tmp_path / "robot.yaml").write_text(
-        f"{ROBOT}workload: {{recording: a.recording}}\n"
-    )
+    (tmp_path / "robot.yaml").write_text(f"{ROBOT}workload: {{recording: a.mcap}}\n")
     done = poise(
         *("profile", "robot.yaml", "--architecture", "knowing", "--for", "2s"),
         *("--warm-up", "1s", "--repeat", "1"),

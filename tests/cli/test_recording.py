@@ -8,13 +8,13 @@ from pathlib import Path
 
 import pytest
 
-from poise.wire.recording_file import Recorded, append
 from poise.wire.records.sample_records import (
     AgentSample,
     ComponentSample,
     ContainerSample,
 )
 from tests.command import Poise
+from tests.recordings import write_recording
 
 ROBOT = """\
 robot: r
@@ -38,13 +38,13 @@ def told(at: float) -> AgentSample:
 def _folder(tmp_path: Path) -> Path:
     (tmp_path / "robot.yaml").write_text(ROBOT)
     samples = [told(0.2 * k) for k in range(300)]
-    append(Recorded(robot="r", samples=samples), tmp_path / "run.recording")
+    write_recording(tmp_path / "run.mcap", "r", samples)
     return tmp_path
 
 
 @pytest.mark.slow
 def test_exports_a_table(folder: Path, poise: Poise) -> None:
-    done = poise("recording", "export", "run.recording", "--to", "run.csv")
+    done = poise("recording", "export", "run.mcap", "--to", "run.csv")
     assert done.stdout == "300 rows of components in run.csv\n"
     assert len((folder / "run.csv").read_text().splitlines()) == 301
 
@@ -53,7 +53,7 @@ def test_exports_a_table(folder: Path, poise: Poise) -> None:
 def test_replays_into_the_estimator(folder: Path, poise: Poise) -> None:
     """60 s: at the end only what was used in the last 30 s counts, 40 % of a core."""
     assert folder.exists()
-    replay = ("recording", "replay", "run.recording", "--robot", "robot.yaml")
+    replay = ("recording", "replay", "run.mcap", "--robot", "robot.yaml")
     done = poise(*replay, "--json")
     assert done.returncode == 0, done.stderr
     (standing,) = json.loads(done.stdout)
@@ -66,8 +66,8 @@ def test_replays_into_the_estimator(folder: Path, poise: Poise) -> None:
 @pytest.mark.parametrize(
     ("words", "says"),
     [
-        (("export", "run.recording"), "give a file: --to"),
-        (("replay", "run.recording"), "give the robot file: --robot"),
+        (("export", "run.mcap"), "give a file: --to"),
+        (("replay", "run.mcap"), "give the robot file: --robot"),
         (("export", "robot.yaml", "--to", "x.csv"), "robot.yaml is no recording"),
         (("export", "none", "--to", "x.csv"), "cannot be read"),
     ],
@@ -84,5 +84,5 @@ def test_says_how_to_use_it(
 @pytest.mark.slow
 def test_says_whose_recording_it_is(folder: Path, poise: Poise) -> None:
     (folder / "robot.yaml").write_text(ROBOT.replace("robot: r", "robot: s"))
-    done = poise("recording", "replay", "run.recording", "--robot", "robot.yaml")
+    done = poise("recording", "replay", "run.mcap", "--robot", "robot.yaml")
     assert "was recorded of robot 'r', not of 's'" in done.stderr

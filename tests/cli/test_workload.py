@@ -15,9 +15,9 @@ from poise.model.robot import Generated, Robot, Workload
 from poise.session.profiling.rig import OTHERS, PLAYER, played, rig_of
 from poise.session.recordings.record_run import tapped
 from poise.session.robot_file import check
-from poise.wire.recording_file import Input, Recorded, append
-from poise.wire.recording_file import load as load_recording
+from poise.wire.recording_file import Input, inputs_of, samples_of
 from tests.command import Poise
+from tests.recordings import write_recording
 
 ROBOT = """\
 robot: heard
@@ -72,8 +72,8 @@ def _robot(folder: Path) -> Robot:
 
 def recorded(folder: Path, source: str) -> Workload:
     entry = Input(source, 0.1, b"", b"")
-    append(Recorded(robot="heard", inputs=[entry]), folder / "run.recording")
-    return Workload(recording="run.recording")
+    write_recording(folder / "run.mcap", "heard", [entry])
+    return Workload(recording="run.mcap")
 
 
 def test_what_goes_between_architectures_is_recorded(
@@ -150,12 +150,13 @@ def test_measures_on_what_was_recorded_and_on_what_is_made_up(
     folder: Path, poise: Poise
 ) -> None:
     run = poise(
-        "run", "robot.yaml", "--task", "think", "--for", "3s", "--record", "a.recording"
+        "run", "robot.yaml", "--task", "think", "--for", "3s", "--record", "a.mcap"
     )
-    assert "messages of ear.heard to a.recording" in run.stdout, run.stdout + run.stderr
-    recording = load_recording(folder / "a.recording")
-    assert recording.samples
-    assert {each.source for each in recording.inputs} == {"ear.heard"}
+    assert "messages of ear.heard to a.mcap" in run.stdout, run.stdout + run.stderr
+    assert list(samples_of(folder / "a.mcap"))
+    inputs = inputs_of(folder / "a.mcap")
+    assert {entry.source for entry in inputs} == {"ear.heard"}
+    assert not (folder / "a.mcap.inputs").exists()
     measure: tuple[str, ...] = (
         "profile",
         "robot.yaml",
@@ -166,7 +167,7 @@ def test_measures_on_what_was_recorded_and_on_what_is_made_up(
     )
     measure += ("--warm-up", "1s", "--repeat", "1")
     found = {}
-    for workload in ("workload: {recording: a.recording}\n", MADE_UP):
+    for workload in ("workload: {recording: a.mcap}\n", MADE_UP):
         (folder / "robot.yaml").write_text(ROBOT + workload)
         done = poise(*measure)
         assert done.returncode == 0, done.stdout + done.stderr

@@ -13,9 +13,6 @@ import pytest
 from poise.manage import background_file
 from poise.manage.background_file import BackgroundFile
 from poise.manage.journal import Journal, read_journal
-from poise.manage.observe.sample_recording import RecordingFile
-from poise.wire.recording_file import load
-from tests.manage.observe.test_recording import sample
 from tests.waiting import wait_until
 
 needs_root = pytest.mark.skipif(os.geteuid() != 0, reason="mounts a small disk")
@@ -100,22 +97,6 @@ def test_a_journal_goes_on_when_its_disk_is_not_read_only_any_more(disk: Path) -
     journal.close()
     kept = [each.what for each in read_journal(disk / "journal.jsonl")]
     assert kept == ["kept in memory"]
-
-
-@needs_root
-@pytest.mark.slow
-def test_a_recording_on_a_full_disk_keeps_what_it_has_and_counts_the_rest(
-    disk: Path,
-) -> None:
-    recorder = RecordingFile(disk / "it", "r")
-    for number in range(20_000):
-        recorder.add(sample(number))
-    wait_until(lambda: "No space left on device" in str(recorder))
-    recorder.close()
-    kept = load(disk / "it").samples
-    assert [each.at for each in kept] == list(range(len(kept)))
-    assert 0 < len(kept) == 20_000 - recorder.file.missing
-    assert f"lacks {20_000 - len(kept)} records" in str(recorder)
 
 
 @pytest.mark.slow

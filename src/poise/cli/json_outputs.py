@@ -25,7 +25,7 @@ from poise.manage.tasks.concurrent_tasks import TaskReport
 from poise.model.policy.policy import Policy
 from poise.plan.phases.phase_result import PlainPhases
 from poise.plan.result import PlainResult
-from poise.session.placing.chosen_architectures import Described, Listed
+from poise.session.placing.first_phase import Described, Listed
 from poise.session.profiling.calibrate import Calibration
 from poise.session.reports.run_report import RunReport
 from poise.session.running_robots.local_robots import Rate, Robots

@@ -33,13 +33,7 @@ def running(what: Thing) -> Complete:
 
 
 def in_file(what: str) -> Complete:
-    """Return what completes names in the command's robot file.
-
-    Parameters
-    ----------
-    what
-        ``tasks``, ``computers`` or ``components``.
-    """
+    """Return what completes names in the command's robot file."""
 
     def complete(context: typer.Context, begun: str) -> list[str]:
         def names() -> Iterable[str]:
@@ -104,13 +98,7 @@ def busy(what: str) -> AbstractContextManager[object]:
 
 
 def parse_option(option: str, text: str, dimension: Dimension) -> float:
-    """Return the quantity that an option was given, in SI.
-
-    Raises
-    ------
-    UsageError
-        It is none; the message names the option and the accepted units.
-    """
+    """Return the quantity that an option was given, in SI."""
     try:
         return parse(text, dimension)
     except ValueError as error:

@@ -102,7 +102,7 @@ class Manager:
         self._has_successor = False
         self._watch = Watch(run)
         self._troubles = ManagerTroubles(
-            run.journal, others=(samples, *([recording.file] if recording else []))
+            run.journal, others=(samples, *([recording] if recording else []))
         )
         self.failures = ThreadFailures(run.journal)
         self._lost = LostComputers(run)

@@ -154,7 +154,7 @@ class Connector(Struct, frozen=True, kw_only=True, dict=True):
 
     A calibrated profile provides the `overhead` that a file does not give
     (`poise.estimate.overhead`); without both it is the traffic [MB/s] (the paper's
-    "system-dependent value"). `record` is a file in which messages or calls are
+    "system-dependent value"). `record` is a folder in which messages or calls are
     recorded, set by `poise run --record`; empty: none.
     """
 

@@ -21,8 +21,7 @@ from poise.manage.observe.sample_recording import Recording
 from poise.model.robot import Robot
 from poise.session.callbacks import Check, Say, log, nothing
 from poise.session.launch.start import Sampling, Started, started
-from poise.session.placing.chosen_architectures import note_architectures
-from poise.session.placing.first_phase import first_phase
+from poise.session.placing.first_phase import first_phase, note_architectures
 from poise.session.placing.placement import Placement
 from poise.session.profiling.stored_profiles import read_profile
 from poise.session.recordings.record_run import keeping

@@ -20,20 +20,7 @@ _MOST_ROWS = 200
 
 
 def plot_profile(profile: Profile, overheads: Mapping[str, float], path: Path) -> None:
-    """Draw what components and connectors needed, largest first.
-
-    Parameters
-    ----------
-    overheads
-        Connector -> its relative overhead.
-    path
-        Its ending says the format, one of `FORMATS`.
-
-    Raises
-    ------
-    UsageError
-        It ends otherwise, or matplotlib is not installed.
-    """
+    """Draw what components and connectors needed, largest first."""
     if path.suffix not in FORMATS:
         raise UsageError(
             f"{path}: the name says the format, and ends in {', '.join(FORMATS)}"

@@ -10,6 +10,7 @@ from math import inf
 from pathlib import Path
 from typing import Any, get_args
 
+import msgspec
 from msgspec import Struct
 
 from poise.clock import wall_time
@@ -17,7 +18,6 @@ from poise.errors import PoiseError, RunError
 from poise.session.callbacks import Check, Say, log, nothing
 from poise.session.running_robots.running import JournalEntry, Status, connect
 from poise.units import counted
-from poise.view.mcap_file import McapFile, schema_like, schema_of
 from poise.view.robot_view import (
     ComponentRow,
     ComputerRow,
@@ -26,6 +26,7 @@ from poise.view.robot_view import (
     Reader,
     TimerRow,
 )
+from poise.wire.recording_file import McapFile, Schema
 from poise.wire.records.tap_records import TapReading
 
 _LOOK_EVERY = 0.25
@@ -66,6 +67,50 @@ class ChainRow(Struct, frozen=True):
     p99: float
     deadline: float
     missed: int
+
+
+def schema_of(type_: type[Struct]) -> Schema:
+    """Return the schema of a record whose fields are numbers, texts and truths."""
+    found = msgspec.json.schema(type_)
+    return {
+        **found["$defs"][type_.__name__],
+        "title": f"poise.{type_.__name__.removesuffix('Row')}",
+    }
+
+
+def schema_like(value: Mapping[str, Any], title: str) -> Schema:
+    """Return the schema of objects that have the same parts as one.
+
+    Parts of which Foxglove takes no schema are left out of it, and only of it: null,
+    and lists that are empty, mixed or of lists.
+    """
+    return {"title": title, **_object_like(value)}
+
+
+def _object_like(value: Mapping[str, Any]) -> dict[str, Any]:
+    parts = {name: _like(each) for name, each in value.items()}
+    return {"type": "object", "properties": {n: p for n, p in parts.items() if p}}
+
+
+def _like(value: Any) -> dict[str, Any]:  # noqa: ANN401, JSON's
+    """Return the schema of a part; empty: there is none."""
+    if isinstance(value, Mapping):
+        return _object_like(value)
+    if isinstance(value, list):
+        kinds = {_TYPES.get(type(each), "") for each in value}
+        is_one = len(kinds) == 1 and "" not in kinds
+        return {"type": "array", "items": _like(value[0])} if is_one else {}
+    kind = _TYPES.get(type(value))
+    return {"type": kind} if kind else {}
+
+
+_TYPES = {
+    bool: "boolean",
+    int: "number",
+    float: "number",
+    str: "string",
+    dict: "object",
+}
 
 
 _Row = ComputerRow | ComponentRow | ConnectorRow | TimerRow | ChainRow
@@ -110,7 +155,7 @@ def record(  # noqa: PLR0913 - each is a choice of the user
 ) -> RobotRecording:
     """Record a running robot as an MCAP file, which Foxglove opens.
 
-    The file is whole also when it ends with an error.
+    The file is whole also when it ends with an error; a kill loses its last second.
 
     Parameters
     ----------
@@ -140,7 +185,7 @@ def record(  # noqa: PLR0913 - each is a choice of the user
     """
     name = connect(robot).status().robot
     recorder = Recorder(name, connectors, rate)  # before there is a file
-    interrupted, file = False, McapFile(Path(path))
+    interrupted, file = False, McapFile(Path(path), name)
     try:
         with file:
             say(f"recording robot '{name}' to {path}")
@@ -170,18 +215,6 @@ class Recorder:
 
     There is no queue: what the robot notes between two looks is bounded, and what it
     has no room for is counted in `missing`.
-
-    Parameters
-    ----------
-    connectors
-        Whose messages and calls are recorded: names, or ``component.port`` of an end.
-    rate
-        So many messages of each a second at most.
-
-    Raises
-    ------
-    PoiseError
-        There is no such robot or connector.
     """
 
     def __init__(self, robot: str, connectors: Iterable[str], rate: float) -> None:
@@ -252,6 +285,7 @@ class Recorder:
         assert look.status is not None  # noqa: S101, without trouble there is one
         self._write_rows(file, look.status, now)
         self._write_entries(file, look.status.manager.key, look.entries)
+        file.flush()
 
     def _write_rows(self, file: McapFile, status: Status, now: float) -> None:
         view, at = self._reader.take(status, now), wall_time()

@@ -254,13 +254,7 @@ class Look(Struct, frozen=True, kw_only=True):
 
 
 class LiveReader:
-    """Reads one robot. It looks only when it is asked to, and never raises.
-
-    Parameters
-    ----------
-    robot
-        Its name; None: the only one that runs here. It stays with the one it found.
-    """
+    """Reads one robot. It looks only when it is asked to, and never raises."""
 
     def __init__(self, robot: str | None = None) -> None:
         self.running = Running(robot)

@@ -61,16 +61,7 @@ _COLOURS = {"wrong": "red", "failed": "red", "right": "green", "decided": "bold"
 
 
 class Top(App[None]):
-    """Shows a robot until `q`.
-
-    Parameters
-    ----------
-    read
-        Returns its status, on a thread of its own; what it raises is shown, and it is
-        asked again.
-    every
-        How often [s].
-    """
+    """Shows a robot until `q`."""
 
     TITLE = "poise top"
     CSS = """

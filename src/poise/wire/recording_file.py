@@ -1,20 +1,41 @@
-"""The file of a recording: records one after another, so that it grows as it is made.
+"""Recordings: MCAP files, which Foxglove opens (extra `record`).
 
-Each is a `Recorded` behind its length; together they are the recording. What a killed
-run left ends with its last whole record.
+A recording that was killed ends with its last whole record, and is read as far as that.
 """
 
 from __future__ import annotations
 
+import contextlib
+import json
 import logging
-from collections.abc import Iterator
+import os
+import threading
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from importlib import import_module
 from pathlib import Path
+from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 import msgspec
 from msgspec import Struct
 
 from poise.errors import RunError, UsageError
+from poise.units import counted, format_bytes
 from poise.wire.records.sample_records import AgentSample
+
+if TYPE_CHECKING:
+    from mcap.records import McapRecord
+
+log = logging.getLogger(__name__)
+
+_CHUNK = 1 << 20
+"""At most so much is compressed and written at a time [bytes]."""
+_KEPT_FREE = 16 << 20
+"""A disk with less room than this counts as full: what is begun must be ended
+[bytes]."""
+_LIBRARY = "poise"
+
+Schema = Mapping[str, Any]
 
 
 class Input(Struct, frozen=True, array_like=True):
@@ -25,7 +46,7 @@ class Input(Struct, frozen=True, array_like=True):
     source
         ``component.port`` that published it, or that called.
     at
-        When it came [s], since the recording began.
+        When it came [s]: since 1970 in a file, since the first one once read.
     body, buffers
         It, or the arguments, encoded (`poise.wire.codec`); buffers end to end.
     tag
@@ -43,92 +64,236 @@ class Input(Struct, frozen=True, array_like=True):
     result: bytes = b""
 
 
-class Recorded(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """All that was recorded of one run, oldest first.
+_SAMPLES, _INPUTS = "samples", "inputs"
+SEEN = "policies"
+"""The topic of what policies see."""
+_Record = TypeVar("_Record", bound=Struct)
 
-    Parameters
-    ----------
-    samples
-        What the agents sampled.
-    inputs
-        What was published between architectures, and called.
-    seen
-        What policies saw, five times a second: `poise.model.policy.policy.Seen`, as
-        msgpack, compressed by zlib.
+
+def message_of(record: Struct) -> tuple[str, bytes]:
+    """Return the topic of a record, and how it is written."""
+    match record:
+        case AgentSample(computer=name):
+            topic = f"{_SAMPLES}/{name}"
+        case Input(source=name):
+            topic = f"{_INPUTS}/{name}"
+        case _:
+            topic = SEEN
+    return topic, msgspec.msgpack.encode(record)
+
+
+class McapFile:
+    """Writes an MCAP file, from any thread; whole when the ``with`` block is left.
+
+    `at_once`, a message is in the file when `add` returns, else after a `flush`.
     """
 
-    version: int = 1
-    robot: str
-    samples: list[AgentSample] = []
-    inputs: list[Input] = []
-    seen: list[bytes] = []
+    def __init__(
+        self, path: Path, robot: str, *, at_once: bool = False, replaces: bool = False
+    ) -> None:
+        writer = _mcap("writer")
+        self.path = path
+        self.counts: Counter[str] = Counter()
+        """Topic -> messages written."""
+        self._at_once = at_once
+        self._channels: dict[str, int] = {}
+        self._schemas: dict[str, int] = {"": 0}
+        self._lock = threading.Lock()
+        try:
+            self._file = path.open("wb" if replaces else "xb")
+        except OSError as error:
+            raise UsageError(f"{path} cannot be created: {error.strerror}") from error
+        self._writer = writer.Writer(self._file, _CHUNK, use_chunking=not at_once)
+        try:
+            self._check_room()
+            self._writer.start(profile="", library=_LIBRARY)
+            self._writer.add_metadata(_LIBRARY, {"robot": robot})
+            self.flush()
+        except RunError as error:
+            with contextlib.suppress(OSError):
+                self._file.close()
+            path.unlink()
+            raise UsageError(str(error)) from error
+
+    def add(
+        self, topic: str, schema: Schema | None, at: float, value: object | bytes
+    ) -> None:
+        """Write what came `at` [s since 1970]: msgpack as bytes, else JSON.
+
+        Dots in the topic become slashes, for Foxglove takes what follows a dot for a
+        field. A topic has the schema of its first message.
+        """
+        topic, moment = _slashed(topic), int(at * 1e9)
+        is_packed = isinstance(value, bytes)
+        data = value if is_packed else msgspec.json.encode(value)
+        with self._lock:
+            self._check_room()
+            if topic not in self._channels:
+                self._channels[topic] = self._writer.register_channel(
+                    topic, "msgpack" if is_packed else "json", self._schema(schema)
+                )
+            try:
+                self._writer.add_message(self._channels[topic], moment, data, moment)
+                if self._at_once:
+                    self._writer.flush()
+            except OSError as error:
+                raise self._unwritten(error) from error
+            self.counts[topic] += 1
+
+    def add_record(self, record: Struct, at: float) -> None:
+        """Write a record that `messages_of` reads."""
+        topic, data = message_of(record)
+        self.add(topic, None, at, data)
+
+    def flush(self) -> None:
+        """Put into the file what was added."""
+        with self._lock:
+            try:
+                self._writer.flush()
+            except OSError as error:
+                raise self._unwritten(error) from error
+
+    def summary(self) -> str:
+        """Return how much was written, for people."""
+        written = counted(self.counts.total(), "message")
+        return f"{written} of {counted(len(self.counts), 'topic')}"
+
+    def close(self) -> None:
+        """Write the index; harmless when repeated."""
+        with self._lock:
+            if self._file.closed:
+                return
+            try:
+                with self._file:
+                    self._writer.finish()
+            except OSError as error:
+                raise RunError(
+                    f"{self.path} could not be ended: {error.strerror}; "
+                    "`mcap recover` makes it whole"
+                ) from error
+
+    def __contains__(self, topic: str) -> bool:
+        """Return whether the topic has messages."""
+        return _slashed(topic) in self._channels
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _schema(self, schema: Schema | None) -> int:
+        text = json.dumps(schema) if schema else ""
+        if schema and text not in self._schemas:
+            self._schemas[text] = self._writer.register_schema(
+                str(schema["title"]), "jsonschema", text.encode()
+            )
+        return self._schemas[text]
+
+    def _check_room(self) -> None:
+        disk = os.fstatvfs(self._file.fileno())
+        free = disk.f_bavail * disk.f_frsize
+        if free < _KEPT_FREE:
+            raise RunError(
+                f"{self.path}: the disk is full: {format_bytes(free)} are left, and "
+                f"{format_bytes(_KEPT_FREE)} stay free"
+            )
+
+    def _unwritten(self, error: OSError) -> RunError:
+        return RunError(f"{self.path} cannot be written: {error.strerror}")
 
 
-log = logging.getLogger(__name__)
-
-_LENGTH = 4
-_decode = msgspec.msgpack.Decoder(Recorded).decode
-
-
-def packed(part: Recorded) -> bytes:
-    """Return a part of a recording as it is in the file."""
-    data = msgspec.msgpack.encode(part)
-    return len(data).to_bytes(_LENGTH, "little") + data
+def robot_of(path: Path) -> str:
+    """Return the name of the recorded robot; UsageError: it is no recording."""
+    for record in _records(path):
+        if type(record).__name__ == "Metadata" and record.name == _LIBRARY:
+            return str(record.metadata["robot"])
+    raise UsageError(f"{path} is no recording of Poise")
 
 
-def append(part: Recorded, path: Path) -> None:
-    """Write a part at the end of a recording, which is begun where there is none.
+def samples_of(path: Path) -> Iterator[AgentSample]:
+    """Yield what agents counted; UsageError: it is no recording."""
+    return messages_of(path, _SAMPLES, AgentSample)
 
-    Raises
-    ------
-    RunError
-        It cannot be written, for instance because the disk is full.
+
+def inputs_of(path: Path) -> list[Input]:
+    """Return messages and calls, oldest first, the first at 0 s.
+
+    Also those that a killed run left in its folder of inputs.
     """
+    inputs = [*stored_inputs(path), *left_inputs(path)]
+    inputs.sort(key=lambda entry: entry.at)
+    return [msgspec.structs.replace(e, at=e.at - inputs[0].at) for e in inputs]
+
+
+def left_inputs(path: Path) -> Iterator[Input]:
+    """Yield what containers have recorded that is not yet in the recording itself."""
+    for file in sorted(inputs_folder(path).glob("*.mcap")):
+        yield from stored_inputs(file)
+
+
+def stored_inputs(path: Path) -> Iterator[Input]:
+    """Yield the messages and calls in one file as they were written."""
+    return messages_of(path, _INPUTS, Input)
+
+
+def inputs_folder(path: Path) -> Path:
+    """Return where containers record messages and calls while a run goes on."""
+    return path.with_name(f"{path.name}.inputs")
+
+
+def messages_of(path: Path, kind: str, type_: type[_Record]) -> Iterator[_Record]:
+    """Yield the records in the topics of a kind; UsageError: it is no recording."""
+    decoder = msgspec.msgpack.Decoder(type_)
+    wanted: set[int] = set()
+    for record in _records(path):
+        match type(record).__name__:
+            case "Channel" if record.topic.split("/")[1] == kind:
+                wanted.add(record.id)
+            case "Message" if record.channel_id in wanted:
+                try:
+                    yield decoder.decode(record.data)
+                except msgspec.DecodeError as error:
+                    raise UsageError(f"{path} is damaged: {error}") from error
+
+
+def _records(path: Path) -> Iterator[McapRecord]:
+    """Yield the records of a file; say when it was not ended."""
+    reader, errors = _mcap("stream_reader"), _mcap("exceptions")
+    is_recording = False
     try:
-        with path.open("ab") as file:
-            file.write(packed(part))
-    except OSError as error:
-        raise RunError(
-            f"the recording {path} cannot be written: {error.strerror}"
-        ) from error
-
-
-def parts_of(path: Path) -> Iterator[Recorded]:
-    """Yield the parts of a recording, in order; each is read when it is asked for.
-
-    A last one that is not whole is left out, with a warning.
-
-    Raises
-    ------
-    UsageError
-        It cannot be read, or is no recording.
-    """
-    count = 0
-    try:
-        size = path.stat().st_size
         with path.open("rb") as file:
-            while head := file.read(_LENGTH):
-                length = int.from_bytes(head, "little")
-                data = file.read(min(length, size))
-                if len(head) < _LENGTH or len(data) < length:
-                    break
-                yield _decode(data)
-                count += 1
+            size = os.fstat(file.fileno()).st_size
+            stream = reader.StreamReader(_Whole(file), record_size_limit=size)
+            for record in stream.records:
+                is_recording = True
+                yield record
     except OSError as error:
         raise UsageError(f"recording {path} cannot be read: {error}") from error
-    except msgspec.DecodeError as error:
-        raise UsageError(f"{path} is no recording: {error}") from error
-    if not count:
-        raise UsageError(f"{path} is no recording, or one of an earlier version")
-    if head:
-        log.warning("the recording %s ends within a record, which is left out", path)
+    except errors.McapError as error:
+        if not is_recording:
+            raise UsageError(f"{path} is no recording: it is no MCAP file") from error
+        log.warning("the recording %s was not ended: up to its last second lacks", path)
 
 
-def load(path: Path) -> Recorded:
-    """Return the whole recording in a file; raises as `parts_of` does."""
-    first, *others = parts_of(path)
-    for part in others:
-        first.samples.extend(part.samples)
-        first.inputs.extend(part.inputs)
-        first.seen.extend(part.seen)
-    return first
+class _Whole:
+    """A file of which a part that is cut off counts as its end."""
+
+    def __init__(self, file: Any) -> None:  # noqa: ANN401, what `open` returns
+        self._file = file
+
+    def read(self, length: int) -> bytes:
+        data: bytes = self._file.read(length)
+        return data if len(data) == length else b""
+
+
+def _mcap(module: str) -> Any:  # noqa: ANN401, an extra
+    """Return a module of the library of the format."""
+    try:
+        return import_module(f"mcap.{module}")
+    except ImportError as error:
+        raise UsageError("recording needs mcap: pip install 'poise[record]'") from error
+
+
+def _slashed(topic: str) -> str:
+    return "/" + topic.replace(".", "/")

@@ -17,7 +17,7 @@ from poise.estimate.success.learning import (
 from poise.manage.journal import Journal
 from poise.model.load import load
 from poise.model.robot import Robot
-from poise.session.placing.chosen_architectures import note_architectures
+from poise.session.placing.first_phase import note_architectures
 from poise.session.placing.placement import place
 
 TEXT = """

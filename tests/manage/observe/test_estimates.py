@@ -13,7 +13,7 @@ from poise.manage.observe.estimates import Estimates
 from poise.manage.observe.metrics import MetricsServer, to_prometheus
 from poise.manage.observe.sample_recording import Recording
 from poise.model.robot import Robot
-from poise.wire.recording_file import Recorded, append, load
+from poise.wire.recording_file import samples_of
 from poise.wire.records.sample_records import AgentSample
 from poise.wire.records.status_records import (
     AgentStatus,
@@ -22,6 +22,7 @@ from poise.wire.records.status_records import (
     Summary,
 )
 from tests.manage.observe.conftest import Sampler
+from tests.recordings import write_recording
 
 
 def test_stands_against_the_profile(robot: Robot, steady: Sampler) -> None:
@@ -93,10 +94,9 @@ def test_a_replay_gives_the_same_estimates(
     for k in range(100):
         live.take(steady(0.2 * k))
         recording.add(steady(0.2 * k))
-    recorded = Recorded(robot="r", samples=recording.take())
-    append(recorded, tmp_path / "run.samples")
+    write_recording(tmp_path / "run.mcap", "r", recording.take())
     again = Estimates(robot, None, emulated=True)
-    for sample in load(tmp_path / "run.samples").samples:
+    for sample in samples_of(tmp_path / "run.mcap"):
         again.take(sample)
     assert again.demand_estimates() == live.demand_estimates()
     assert recording.take() == []
@@ -105,9 +105,9 @@ def test_a_replay_gives_the_same_estimates(
 def test_says_what_is_no_recording(tmp_path: Path) -> None:
     (tmp_path / "x").write_text("hello")
     with pytest.raises(UsageError, match="is no recording"):
-        load(tmp_path / "x")
+        list(samples_of(tmp_path / "x"))
     with pytest.raises(UsageError, match="cannot be read"):
-        load(tmp_path / "y")
+        list(samples_of(tmp_path / "y"))
 
 
 def test_speaks_to_prometheus(robot: Robot, steady: Sampler) -> None:
@@ -198,8 +198,3 @@ def test_a_move_is_no_drift(robot: Robot, steady: Sampler, cpu: float) -> None:
     ]
     assert drifts == []
     assert estimates.demand_estimates()[0].estimate.mean == pytest.approx(0.1)
-
-
-def test_a_recording_on_a_full_disk_is_an_error() -> None:
-    with pytest.raises(RunError, match="/dev/full cannot be written: No space left"):
-        append(Recorded(robot="any", samples=[]), Path("/dev/full"))

@@ -12,10 +12,10 @@ from pathlib import Path
 
 import pytest
 
-from poise.errors import RunError
+from poise.errors import UsageError
 from poise.manage.observe import sample_recording
 from poise.manage.observe.sample_recording import Recording, RecordingFile
-from poise.wire.recording_file import Recorded, append, load
+from poise.wire.recording_file import McapFile, robot_of, samples_of
 from poise.wire.records.sample_records import (
     AgentSample,
     ComponentSample,
@@ -34,16 +34,16 @@ def test_what_came_is_in_the_file(tmp_path: Path) -> None:
     for number in range(3):
         recorder.add(sample(number))
     recorder.close()
-    recorded = load(tmp_path / "it")
-    assert recorded.robot == "r"
-    assert recorded.samples == [sample(number) for number in range(3)]
+    assert robot_of(tmp_path / "it") == "r"
+    samples = list(samples_of(tmp_path / "it"))
+    assert samples == [sample(number) for number in range(3)]
     assert str(recorder) == f"recorded 3 samples to {tmp_path / 'it'}"
 
 
 def test_a_recording_that_was_there_is_replaced(tmp_path: Path) -> None:
     for robot in ("one", "two"):
         RecordingFile(tmp_path / "it", robot).close()
-    assert load(tmp_path / "it").robot == "two"
+    assert robot_of(tmp_path / "it") == "two"
 
 
 @pytest.mark.slow
@@ -58,12 +58,12 @@ def test_200_000_samples_take_no_memory_and_each_is_written_or_counted(
     grown = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
     recorder.close()
     assert grown < 100_000  # KiB: three times what may wait for the disk
-    kept = load(tmp_path / "it").samples
-    assert len(kept) + recorder.file.missing == recorder.count == 200_000
+    kept = sum(1 for _ in samples_of(tmp_path / "it"))
+    assert kept + recorder.missing == recorder.count == 200_000
 
 
 _KILLED = """
-import sys
+import sys, time
 from pathlib import Path
 from poise.manage.observe.sample_recording import RecordingFile
 from tests.manage.observe.test_recording import sample
@@ -71,8 +71,8 @@ recorder = RecordingFile(Path(sys.argv[1]), "r")
 number = 0
 while True:
     recorder.add(sample(number))
-    recorder.file.flush()
     number += 1
+    time.sleep(1e-4)
 """
 
 
@@ -81,9 +81,9 @@ def test_it_can_be_read_after_a_kill(tmp_path: Path) -> None:
     path = tmp_path / "it"
     root = Path(__file__).parents[3]
     with subprocess.Popen([sys.executable, "-c", _KILLED, str(path)], cwd=root) as made:
-        wait_until(lambda: path.exists() and path.stat().st_size > 100_000)
+        wait_until(lambda: path.exists() and path.stat().st_size > 20_000)
         made.send_signal(signal.SIGKILL)
-    kept = load(path).samples
+    kept = list(samples_of(path))
     assert [each.at for each in kept] == list(range(len(kept)))
     assert len(kept) > 10
 
@@ -93,19 +93,36 @@ def test_half_a_record_at_the_end_is_left_out_and_said(
     tmp_path: Path, cut: int, caplog: pytest.LogCaptureFixture
 ) -> None:
     path = tmp_path / "it"
-    for number in range(2):
-        append(Recorded(robot="r", samples=[sample(number)]), path)
-    whole = path.stat().st_size
-    os.truncate(path, whole // 2 + cut)
+    with McapFile(path, "r", at_once=True) as file:
+        file.add_record(sample(0), 1.0)
+        one = path.stat().st_size
+        file.add_record(sample(1), 2.0)
+        assert path.stat().st_size > one
+    os.truncate(path, one + cut)
     with caplog.at_level(logging.WARNING):
-        assert load(path).samples == [sample(0)]
-    assert "ends within a record" in caplog.text
+        assert list(samples_of(path)) == [sample(0)]
+    assert "was not ended" in caplog.text
+
+
+def test_a_full_disk_costs_records_and_not_the_robot(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    recorder = RecordingFile(tmp_path / "it", "r")
+    full = os.statvfs_result((4096, 4096, 100, 0, 1000, 9, 9, 9, 0, 255))
+    monkeypatch.setattr(os, "fstatvfs", lambda _: full)
+    for number in range(5):
+        recorder.add(sample(number))
+    recorder.close()
+    assert recorder.missing == 5
+    assert "the disk is full" in recorder.trouble
+    assert str(recorder).endswith("lacks 5 records")
+    assert not list(samples_of(tmp_path / "it"))
 
 
 def test_where_none_can_be_written_is_an_error_before_the_robot_starts(
     tmp_path: Path,
 ) -> None:
-    with pytest.raises(RunError, match="cannot be written: No such file"):
+    with pytest.raises(UsageError, match="cannot be created: No such file"):
         RecordingFile(tmp_path / "nowhere" / "it", "r")
 
 

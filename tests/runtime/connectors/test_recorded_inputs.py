@@ -11,11 +11,13 @@ import pytest
 from numpy.typing import NDArray
 
 from poise import Message
-from poise.runtime.connectors.recorded_inputs import InputFile, read_inputs, recording
+from poise.runtime.connectors.recorded_inputs import InputFile
 from poise.wire import frame
 from poise.wire.codec import codec
 from poise.wire.connections.connection_server import Handler
 from poise.wire.frame import Frame, Kind
+from poise.wire.recording_file import Input, inputs_of, stored_inputs
+from tests.recordings import write_recording
 
 
 class Vectors(Message):
@@ -25,9 +27,16 @@ class Vectors(Message):
 
 @pytest.fixture(name="file")
 def _file(tmp_path: Path) -> Iterator[InputFile]:
-    file = InputFile(tmp_path / "inputs")
+    file = InputFile(tmp_path / "it.inputs", "a.x")
     yield file
     file.close()
+
+
+def inputs_so_far(tmp_path: Path) -> list[Input]:
+    """Return what a run that was killed by now would have left."""
+    (tmp_path / "it").unlink(missing_ok=True)
+    write_recording(tmp_path / "it", "r")
+    return inputs_of(tmp_path / "it")
 
 
 def come(handler: Handler, kind: Kind, value: Any, tag: int = 7) -> None:
@@ -39,7 +48,7 @@ def come(handler: Handler, kind: Kind, value: Any, tag: int = 7) -> None:
 def received(file: InputFile) -> tuple[Handler, list[Frame]]:
     """Return a handler that records, and what goes on to the one behind it."""
     frames: list[Frame] = []
-    return recording(frames.append, "a.x", file), frames
+    return file.handler(frames.append), frames
 
 
 def test_messages_are_recorded_without_and_calls_with_a_tag(
@@ -50,7 +59,7 @@ def test_messages_are_recorded_without_and_calls_with_a_tag(
     come(handler, Kind.MARKER, None)
     come(handler, Kind.ONEWAY, "two")
     assert [each.kind for each in frames] == [Kind.MESSAGE, Kind.MARKER, Kind.ONEWAY]
-    found = read_inputs(tmp_path / "inputs")
+    found = inputs_so_far(tmp_path)
     assert [(each.source, each.tag) for each in found] == [("a.x", None), ("a.x", 7)]
     assert 0 == found[0].at <= found[1].at
     decode = codec(str).decode
@@ -60,7 +69,7 @@ def test_messages_are_recorded_without_and_calls_with_a_tag(
 def test_arrays_of_any_length_are_recorded(file: InputFile, tmp_path: Path) -> None:
     sent = Vectors(np.arange(3, dtype=np.uint8), np.arange(5, dtype=np.uint8))
     come(received(file)[0], Kind.MESSAGE, sent)
-    (found,) = read_inputs(tmp_path / "inputs")
+    (found,) = inputs_so_far(tmp_path)
     got = codec(Vectors).decode(found.body, memoryview(found.buffers))
     np.testing.assert_array_equal(got.one, sent.one)
     np.testing.assert_array_equal(got.two, sent.two)
@@ -70,9 +79,9 @@ def test_a_cut_off_end_is_left_out(file: InputFile, tmp_path: Path) -> None:
     handler, _ = received(file)
     come(handler, Kind.MESSAGE, "one")
     come(handler, Kind.MESSAGE, "two")
-    path = tmp_path / "inputs"
+    (path,) = (tmp_path / "it.inputs").iterdir()
     path.write_bytes(path.read_bytes()[:-1])
-    assert len(read_inputs(path)) == 1
+    assert len(list(stored_inputs(path))) == 1
 
 
 def test_a_recording_is_bounded_and_says_so(
@@ -86,6 +95,6 @@ def test_a_recording_is_bounded_and_says_so(
     for _ in range(5):
         come(handler, Kind.MESSAGE, "a" * 60)
     assert len(frames) == 5
-    assert len(read_inputs(tmp_path / "inputs")) == 1
-    (said,) = caplog.messages
+    assert len(inputs_so_far(tmp_path)) == 1
+    said = caplog.messages[0]
     assert "nothing more is recorded: it may have 100 B" in said

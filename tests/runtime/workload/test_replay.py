@@ -12,7 +12,8 @@ from poise import Message
 from poise.runtime.workload.replay import TICK, Replay
 from poise.testing import Bench
 from poise.wire.codec import codec
-from poise.wire.recording_file import Input, Recorded, append
+from poise.wire.recording_file import Input
+from tests.recordings import write_recording
 
 
 class Text(Message):
@@ -34,7 +35,7 @@ def recorded(path: Path, *messages: tuple[str, float, str]) -> str:
     inputs = [
         Input(source, at, encode(Text(text))[0], b"") for source, at, text in messages
     ]
-    append(Recorded(robot="r", inputs=inputs), path)
+    write_recording(path, "r", inputs)
     return str(path)
 
 
@@ -54,7 +55,7 @@ def texts(bench: Bench[Any], port: str) -> list[str]:
 
 def test_plays_what_each_source_published_when_it_did(tmp_path: Path) -> None:
     file = recorded(
-        tmp_path / "r", ("a.x", 0.1, "one"), ("b.y", 0.2, "other"), ("a.x", 0.3, "two")
+        tmp_path / "r", ("a.x", 0.0, "one"), ("b.y", 0.2, "other"), ("a.x", 0.3, "two")
     )
     ports = {
         "first": {"type": TEXT, "sources": ["a.x"]},
@@ -71,7 +72,7 @@ def test_plays_what_each_source_published_when_it_did(tmp_path: Path) -> None:
 
 def test_a_recording_begins_again(tmp_path: Path) -> None:
     """It lasts 0.3 s, and a pause of 0.1 s."""
-    file = recorded(tmp_path / "r", ("a.x", 0.1, "one"), ("a.x", 0.3, "two"))
+    file = recorded(tmp_path / "r", ("a.x", 0.0, "one"), ("a.x", 0.3, "two"))
     ports = {"out": {"type": TEXT, "sources": ["a.x"]}}
     with player(recording=file, ports=ports) as bench:
         bench.advance(0.7 + TICK)

@@ -10,8 +10,8 @@ from msgspec.structs import replace
 from poise.estimate.profile import Profile
 from poise.estimate.profile import profile_files as profile_file
 from poise.model.robot import Computer, Robot
-from poise.session.profiling import machine_speed
-from poise.session.profiling.machine_speed import as_when_profiled
+from poise.session.profiling import stored_profiles
+from poise.session.profiling.stored_profiles import as_when_profiled
 
 PROFILE = Profile(
     robot="r", poise="1", computer="left", speed=0.5, at="", seconds=1.0, loops=8000.0
@@ -31,7 +31,7 @@ def robot(folder: Path, profile: Profile | None, address: str | None = None) -> 
 def test_a_quicker_machine_gives_less_of_its_time(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, loops: float, speed: float
 ) -> None:
-    monkeypatch.setattr(machine_speed, "loops", lambda: loops)
+    monkeypatch.setattr(stored_profiles, "loops", lambda: loops)
     (left,) = as_when_profiled(robot(tmp_path, PROFILE)).computers
     assert left.speed == pytest.approx(speed)
 

@@ -8,12 +8,13 @@ import msgspec
 import pytest
 
 import poise
-from poise.cli.commands.policy_command import policy_command
+from poise.cli.commands.robot_file_command import policy_command
 from poise.errors import UsageError
 from poise.manage.observe.sample_recording import RecordingFile
 from poise.model.policy.policy import SUBJECTS, ComputerValues, LinkValues, Policy, Seen
 from poise.model.robot import Computer, Robot
-from poise.wire.recording_file import Recorded, append
+from poise.wire.recording_file import McapFile
+from tests.recordings import write_recording
 
 BUSY = Policy(
     name="busy",
@@ -58,14 +59,15 @@ def test_it_would_have_acted_again_after_its_cool_down(tmp_path: Path) -> None:
 
 
 def test_a_recording_without_what_policies_see_is_refused(tmp_path: Path) -> None:
-    append(Recorded(robot="r"), tmp_path / "x")
+    write_recording(tmp_path / "x", "r")
     with pytest.raises(UsageError, match="`poise up --record` records it"):
         poise.test_policies(ROBOT, tmp_path / "x")
 
 
 def test_a_damaged_recording_is_refused(tmp_path: Path) -> None:
-    append(Recorded(robot="r", seen=[b"zlib?"]), tmp_path / "x")
-    with pytest.raises(UsageError, match="the recording is damaged"):
+    with McapFile(tmp_path / "x", "r") as file:
+        file.add("policies", None, 1.0, b"damaged")
+    with pytest.raises(UsageError, match="is damaged"):
         poise.test_policies(ROBOT, tmp_path / "x")
 
 

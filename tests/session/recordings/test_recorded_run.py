@@ -11,12 +11,12 @@ from poise.errors import UsageError
 from poise.model.robot import Robot
 from poise.session.recordings.recorded_run import RecordedRun
 from poise.simulation.workload import workload_of
-from poise.wire.recording_file import Recorded, append
 from poise.wire.records.sample_records import (
     AgentSample,
     ComponentSample,
     ContainerSample,
 )
+from tests.recordings import write_recording
 from tests.simulation.conftest import small_scenario
 from tests.simulation.test_rehearsal import profile_of
 
@@ -42,7 +42,7 @@ def recorded(tmp_path: Path) -> RecordedRun:
         *(sample(at, used) for at, used in cpu),
         *(sample(at, used, 1) for at, used in again),
     ]
-    append(Recorded(robot="small", samples=samples), path)
+    write_recording(path, "small", samples)
     return RecordedRun(path)
 
 

@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from math import isfinite
 from pathlib import Path
 from typing import Annotated, NamedTuple
 
 import typer
 from rich.console import Console
 
-from poise import plan
-from poise.cli.commands.plan_what_if import changed_problem
+from poise import plan, units
 from poise.cli.interrupts import Interrupts
 from poise.cli.options import AsJson, busy, in_file, print_json
 from poise.errors import UsageError
 from poise.estimate.success import Conditions
 from poise.estimate.success.learning import actions_in, learned
 from poise.model import load
-from poise.model.robot import Robot
+from poise.model.robot import Computer, Robot
 from poise.session.placing.by_time import DecidedByTime, decide_by_time
 from poise.session.placing.placement import ALL, ruled
 from poise.session.profiling.stored_profiles import profiled
@@ -258,15 +258,7 @@ def _check_phases(
 def _robot(
     file: Path, tasks: list[str], say: Callable[[str], None], *, explore: bool
 ) -> Robot | None:
-    """Return the robot in `file`; None when it is a plain problem.
-
-    Parameters
-    ----------
-    say
-        Told where a robot's demands are from.
-    explore
-        Whether alternatives are to be tried: those of a robot.
-    """
+    """Return the robot in `file`; None when it is a plain problem."""
     if file.suffix != ".json":
         found = profiled(load(file))
         for sentence in found.says:
@@ -359,3 +351,55 @@ def _answer_comparison(
     else:
         show_comparison(problem.phases[0].problem, results, Console())
     return any(result.feasible for result in results.values())
+
+
+def changed_problem(
+    problem: plan.Problem, without: list[str], add: list[str], scale: list[str]
+) -> plan.Problem:
+    """Return the problem without computers, with others, and with other capacities."""
+    if without:
+        problem = plan.without(problem, without)
+    for text in add:
+        problem = plan.add(problem, _computer(text))
+    if scale:
+        problem = plan.scale(problem, dict(_factor(text) for text in scale))
+    return problem
+
+
+def _computer(text: str) -> Computer:
+    """Return the computer that ``NAME:cpu=2,memory=4GiB`` describes."""
+    name, colon, rest = text.partition(":")
+    if not name or not colon:
+        raise UsageError(f"--add {text!r}: write NAME:cpu=2,memory=4GiB")
+    pairs = [_pair(f"--add {text!r}", part) for part in rest.split(",") if part]
+    return Computer(
+        name=name,
+        capacity={key: _amount(f"--add {text!r}", key, value) for key, value in pairs},
+    )
+
+
+def _factor(text: str) -> tuple[str, float]:
+    """Return the name and the factor of ``NAME=0.5``."""
+    name, value = _pair(f"--scale {text!r}", text)
+    try:
+        number = float(value)
+    except ValueError:
+        number = -1.0
+    if not (isfinite(number) and number >= 0):
+        raise UsageError(f"--scale {text!r}: {value!r} is not a number >= 0")
+    return name, number
+
+
+def _pair(option: str, text: str) -> tuple[str, str]:
+    key, equals, value = text.partition("=")
+    if not key or not equals:
+        raise UsageError(f"{option}: {text!r} is not NAME=VALUE")
+    return key.strip(), value.strip()
+
+
+def _amount(option: str, resource: str, value: str) -> float:
+    known = {"cpu": units.CORES, "memory": units.BYTES}
+    try:
+        return units.parse(value, known.get(resource, units.NUMBER))
+    except ValueError as error:
+        raise UsageError(f"{option}: {error}") from None

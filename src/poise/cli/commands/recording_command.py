@@ -1,22 +1,30 @@
-"""`poise recording`: look into what was recorded of a run."""
+"""`poise record` and `poise recording`: make recordings, and look into them."""
 
 from __future__ import annotations
 
+import math
 import sys
+import time
 from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
 from rich.console import Console
+from rich.markup import escape
 
-from poise.cli.options import AsJson, print_json
+from poise.cli.commands.running_robot_command import Robot
+from poise.cli.interrupts import Interrupts
+from poise.cli.options import AsJson, print_json, running
 from poise.errors import UsageError
+from poise.manage.agent_connections.statuses import connectors_of
 from poise.manage.observe.estimates import DemandEstimate
 from poise.session.recordings.recorded_run import RecordedRun
 from poise.session.render.printable import console_to
 from poise.session.render.tables import table
 from poise.session.robot_file import load_bare
+from poise.session.running_robots.running import connect
 from poise.session.state_folder import to_write
+from poise.view.robot_recording import record
 
 
 def recording_command(
@@ -47,8 +55,8 @@ def recording_command(
 
     Examples
     --------
-    poise recording export run.recording --to run.parquet
-    poise recording replay run.recording --robot robot.yaml
+    poise recording export run.mcap --to run.parquet
+    poise recording replay run.mcap --robot robot.yaml
     """
     recorded = RecordedRun(file)
     if what == "export":
@@ -78,3 +86,69 @@ def _show(demand_estimates: list[DemandEstimate], console: Console) -> None:
         mean, p95 = f"{now.mean:.1%}{error}", f"{now.p95:.1%}"
         rows.add_row(each.component, each.computer, mean, p95, expected)
     console.print(rows)
+
+
+def record_command(
+    connectors: Annotated[
+        list[str] | None,
+        typer.Argument(
+            help="Whose messages and calls: names, or component.port of an end.",
+            autocompletion=running("connectors"),
+        ),
+    ] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", help="The file; else ROBOT-TIME.mcap."),
+    ] = None,
+    every: Annotated[
+        bool, typer.Option("--all", help="Messages and calls of all connectors.")
+    ] = False,
+    rate: Annotated[
+        float, typer.Option(help="At most so many messages of each a second.")
+    ] = 400.0,
+    seconds: Annotated[
+        float, typer.Option("--for", help="End after so many seconds.")
+    ] = math.inf,
+    robot: Robot = None,
+    as_json: AsJson = False,
+) -> None:
+    """Record a running robot, until Ctrl-C, as an MCAP file, which Foxglove opens.
+
+    How computers, components, connectors, timers and chains are each second, what the
+    manager decides, and the messages and calls of the connectors that are named. The
+    robot does not wait for it: what finds no room is counted, and so is what is too
+    long: of lists over 1,000 values, of arrays and of bytes. It goes on with a new
+    manager. The file is whole when this ends, also with an error: with code 1 when the
+    disk is full or the robot has ended, with 130 after Ctrl-C.
+
+    Examples
+    --------
+    poise record
+
+    poise record counter.count --for 60 -o run.mcap
+    """
+    for option, value in ("--rate", rate), ("--for", seconds):
+        if not value > 0:
+            raise UsageError(f"{option} {value:g}: it is a positive number")
+    status = connect(robot).status()
+    names = connectors or []
+    if every:
+        names = sorted({end.name for end in connectors_of(status.computers)})
+    clock = time.strftime("%Y%m%d-%H%M%S")
+    path = output or Path(f"{status.robot}-{clock}.mcap")
+    console = console_to(stderr=as_json)
+    ends = "" if math.isinf(seconds) else f" of {seconds:g} s"
+    with Interrupts() as interrupts:
+        with console.status("") as shown:
+            recorded = record(
+                path,
+                names,
+                robot=status.robot,
+                seconds=seconds,
+                rate=rate,
+                say=lambda sentence: console.print(escape(sentence)),
+                check=interrupts.check,
+                tell=lambda now, what: shown.update(f"{now:.0f} s{ends}: {what}"),
+            )
+        if as_json:
+            print_json(recorded)

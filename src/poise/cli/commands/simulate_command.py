@@ -27,8 +27,12 @@ from poise.session.profiling.stored_profiles import profiled
 from poise.session.render.printable import console_to
 from poise.session.render.run_progress import virtual_progress
 from poise.session.robot_file import task_of, with_code
-from poise.session.simulating.simulate import compare_simulations, simulate
-from poise.session.simulating.simulation_results import Simulation, SimulationComparison
+from poise.session.simulating.simulate import (
+    Simulation,
+    SimulationComparison,
+    compare_simulations,
+    simulate,
+)
 from poise.session.state_folder import to_write
 from poise.units import SECONDS
 

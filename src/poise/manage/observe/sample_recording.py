@@ -3,23 +3,27 @@
 from __future__ import annotations
 
 import threading
-import zlib
+import time
 from collections import deque
 from pathlib import Path
 
-import msgspec
-
-from poise.errors import UsageError
-from poise.manage.background_file import BackgroundFile
+from poise import threads
+from poise.clock import wall_time
+from poise.errors import RunError
 from poise.model.policy.policy import Seen
 from poise.units import counted
-from poise.wire.recording_file import Recorded, append, packed
+from poise.wire.recording_file import McapFile, message_of
 from poise.wire.records.sample_records import AgentSample
 
 MOST = 10_000
 """The most samples that wait to be taken: 33 minutes of one computer at 5 Hz."""
 MOST_WAITING = 32 << 20
 """The most that waits for the disk [bytes]."""
+_WRITE_EVERY = 1.0
+"""What came meanwhile is compressed and written at once [s]."""
+_SLOW_AFTER, _CLOSE_LIMIT = 2.0, 30.0
+"""A disk that has not answered for so long is said to be the trouble; a recording is
+ended within so much [s]."""
 
 
 class Recording:
@@ -55,48 +59,90 @@ class Recording:
 
 
 class RecordingFile:
-    """Writes a recording while it is made. Its methods may be called from any thread.
+    """Writes a recording while it is made; its methods neither raise nor wait for it.
 
-    They neither raise nor wait for the disk: what it does not take is dropped and
-    counted, `file.trouble` says so, and the robot goes on.
+    What the disk does not take is dropped and counted, and the robot goes on. A kill
+    loses what came within the last second.
     """
 
     def __init__(self, path: Path, robot: str) -> None:
-        if path.is_file():
-            path.unlink()
-        append(Recorded(robot=robot), path)
+        self.file = McapFile(path, robot, replaces=True)
         self.count = 0
-        self._robot = robot
-        self.file = BackgroundFile(path, "the recording", "record", most=MOST_WAITING)
-        self.file.start()
+        """How many samples came."""
+        self.missing = 0
+        """How many records were dropped."""
+        self._waiting: list[tuple[str, float, bytes]] = []
+        self._size = 0
+        self._changed = threading.Condition()
+        self._is_closing = False
+        self._error = ""
+        self._began: float | None = None
+        self._thread = threads.daemon(self._main, "recording", again=True)
+        self._thread.start()
 
     def add(self, sample: AgentSample) -> None:
-        """Write a sample."""
+        """Write a sample soon."""
         self.count += 1
-        self._add(Recorded(robot=self._robot, samples=[sample]))
+        self._put(*message_of(sample))
 
     def add_seen(self, seen: Seen) -> None:
-        """Write what policies saw."""
-        compressed = zlib.compress(msgspec.msgpack.encode(seen), level=1)
-        self._add(Recorded(robot=self._robot, seen=[compressed]))
+        """Write soon what policies saw."""
+        self._put(*message_of(seen))
+
+    @property
+    def trouble(self) -> str:
+        """Why records are not written, and how many lack; empty: all is well."""
+        began, error = self._began, self._error
+        if not error and began and time.monotonic() - began > _SLOW_AFTER:
+            error = f"its disk has not answered for {_SLOW_AFTER:g} s"
+        said = [f"cannot be written: {error}"] if error else []
+        said += [f"lacks {counted(self.missing, 'record')}"] if self.missing else []
+        return f"the recording {self.file.path} {', '.join(said)}" if said else ""
 
     def close(self) -> None:
-        """Write what still waits, within 2 s."""
-        self.file.close()
+        """Write what waits and end the file, within half a minute; add nothing more."""
+        with self._changed:
+            self._is_closing = True
+            self._changed.notify_all()
+        self._thread.join(_CLOSE_LIMIT)
 
     def __str__(self) -> str:
         """Return how much there is, and is not, for people."""
-        trouble = self.file.trouble
         said = f"recorded {self.count} samples to {self.file.path}"
-        return f"{said}; {trouble}" if trouble else said
+        return f"{said}; {self.trouble}" if self.trouble else said
 
-    def _add(self, part: Recorded) -> None:
-        self.file.add(packed(part))
+    def _put(self, topic: str, data: bytes) -> None:
+        with self._changed:
+            if self._is_closing or self._size + len(data) > MOST_WAITING:
+                self.missing += 1
+                return
+            self._waiting.append((topic, wall_time(), data))
+            self._size += len(data)
 
+    def _main(self) -> None:
+        is_closing = False
+        while not is_closing:
+            with self._changed:
+                is_closing = self._changed.wait_for(
+                    lambda: self._is_closing, _WRITE_EVERY
+                )
+                taken, self._waiting, self._size = self._waiting, [], 0
+            self._began = time.monotonic()
+            self._write(taken)
+            self._began = None
+        try:
+            self.file.close()
+        except RunError as error:
+            self._error = str(error)
 
-def unpacked(compressed: bytes) -> Seen:
-    """Return what policies saw at one moment."""
-    try:
-        return msgspec.msgpack.decode(zlib.decompress(compressed), type=Seen)
-    except (zlib.error, msgspec.DecodeError) as error:
-        raise UsageError(f"the recording is damaged: {error}") from error
+    def _write(self, taken: list[tuple[str, float, bytes]]) -> None:
+        written = 0
+        try:
+            for topic, at, data in taken:
+                self.file.add(topic, None, at, data)
+                written += 1
+            self.file.flush()
+            self._error = ""
+        except RunError as error:
+            self._error = str(error)
+        self.missing += len(taken) - written

@@ -28,19 +28,7 @@ _LARGEST = 1 << 63
 
 
 class Observer:
-    """What one viewer gets of a connector. Any thread may use it.
-
-    Parameters
-    ----------
-    connector
-        Its name.
-    type_
-        The declared type of its messages, or its interface.
-    rate
-        So many messages a second are noted with their content.
-    items
-        Of longer lists, arrays and mappings the rest is left out.
-    """
+    """What one viewer gets of a connector. Any thread may use it."""
 
     def __init__(
         self, connector: str, type_: object, rate: float, items: int = SHOWN_ITEMS
@@ -132,18 +120,7 @@ def observed_call(
 
 
 class Plain:
-    """Makes values plain, as JSON has them, and short, whatever they are.
-
-    Parameters
-    ----------
-    items
-        Of longer lists, arrays and mappings the rest is left out.
-
-    Attributes
-    ----------
-    is_whole
-        Whether nothing was shortened so far.
-    """
+    """Makes values plain, as JSON has them, and short, whatever they are."""
 
     def __init__(self, items: int = SHOWN_ITEMS) -> None:
         self.is_whole = True

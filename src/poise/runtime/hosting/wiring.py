@@ -17,7 +17,7 @@ from poise.runtime.connectors.chain_stamps import SentChains
 from poise.runtime.connectors.channel_route import ChannelRoute, receiving
 from poise.runtime.connectors.direct import DirectRoute
 from poise.runtime.connectors.flow_control import Credit, CreditIssuer
-from poise.runtime.connectors.recorded_inputs import InputFile, recording
+from poise.runtime.connectors.recorded_inputs import InputFile
 from poise.runtime.connectors.route import Route
 from poise.runtime.connectors.sender import Sender
 from poise.runtime.execution.clocks import RemoteClock
@@ -222,9 +222,10 @@ class Wiring:
             target.lease,
         )
         if spec.record:
-            file = InputFile(Path(spec.record))
+            source = f"{spec.source}.{spec.source_port}"
+            file = InputFile(Path(spec.record), source)
             ends.closing.callback(file.close)
-            handler = recording(handler, f"{spec.source}.{spec.source_port}", file)
+            handler = file.handler(handler)
         self._server.open(spec.key, handler, ends.counts.refuse)
         ends.closing.callback(self._server.shut, spec.key)
 

@@ -43,11 +43,6 @@ def score(seconds: float = _PIECE) -> float:
 
     Other processes make loops slower, by the caches and cores that they share, but
     seldom all of them: the quickest tenth counts, without the one that was lucky.
-
-    Parameters
-    ----------
-    seconds
-        CPU time that it takes [s].
     """
     times = sorted(_loop_times(time.thread_time() + seconds))
     return 1 / times[len(times) // 10]

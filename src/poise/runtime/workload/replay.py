@@ -23,7 +23,7 @@ from poise.runtime.component.implementation import find_function, find_type
 from poise.runtime.component.ports import Published, Required, every
 from poise.runtime.connectors.interface import methods
 from poise.wire.codec import codec
-from poise.wire.recording_file import Input, load
+from poise.wire.recording_file import Input, inputs_of
 
 Maker = Callable[[random.Random, float], Any]
 """Makes a message of about this encoded size [bytes]."""
@@ -40,11 +40,6 @@ def maker(type_: Any) -> Maker:  # noqa: ANN401, any type of a message
     Numbers are random. One field that can be of any length, a text, bytes, an array or
     a list, the first that there is, is as long as the size asks for; all others are
     empty. A message without such a field has the size that it has.
-
-    Raises
-    ------
-    UsageError
-        A field is of a type for which nothing can be generated.
     """
     size_of = codec(type_).size_of
 
@@ -192,7 +187,7 @@ class Replay(Component):
     def configure(self) -> None:
         """Read the recording, if there is one."""
         recording = self.parameters.get("recording")
-        inputs = load(Path(recording)).inputs if recording else []
+        inputs = inputs_of(Path(recording)) if recording else []
         self._streams = [
             self._generated(name, part.generated)
             if part.generated

@@ -45,11 +45,6 @@ def by_rule(rule: str, robot: Robot, problem: plan.Problem) -> dict[str, str]:
     ``random:SEED`` at random, and ``whole-functions`` keeps what belongs to a function
     on one computer, the largest function first, where most CPU is left. None puts a
     component where it may not run.
-
-    Raises
-    ------
-    UsageError
-        The seed is no number, or the file names what is not there.
     """
     static = plan.static(robot, problem)
     names = [computer.name for computer in problem.computers]
@@ -323,19 +318,7 @@ def place(  # noqa: PLR0913 - each is a choice of the user
 def ruled(
     method: str, robot: Robot | None, problem: plan.PhasedProblem
 ) -> plan.PhasedResult | None:
-    """Return what a rule places in each phase; None: a solver is to decide.
-
-    Parameters
-    ----------
-    robot
-        Whose problem it is; None: nobody's.
-
-    Raises
-    ------
-    UsageError
-        There is no such method, the rule needs a robot, or it is a file and there are
-        several phases.
-    """
+    """Return what a rule places in each phase; None: a solver is to decide."""
     if method in SOLVERS:
         return None
     if not is_rule(method):

@@ -19,10 +19,10 @@ from poise.runtime.workload.calibration import SCORES
 from poise.session.callbacks import Check, nothing
 from poise.session.launch.start import Sampling, started
 from poise.session.profiling.connector_costs import costs_of, pairs, yardsticks
-from poise.session.profiling.machine_speed import steady
 from poise.session.profiling.stored_profiles import (
     check_keepable,
     read_profile,
+    steady,
     store_of,
 )
 

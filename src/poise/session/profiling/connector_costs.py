@@ -155,20 +155,7 @@ class Use(Struct, frozen=True):
 def costs_of(
     samples: Iterable[AgentSample], speeds: Mapping[str, float]
 ) -> dict[str, KindCosts]:
-    """Return the costs of connectors by kind; remote only with two computers.
-
-    Parameters
-    ----------
-    samples
-        Samples of the robot of `robots.pairs`, first to last.
-    speeds
-        Computer -> factor from its CPU time to the reference computer's.
-
-    Raises
-    ------
-    RunError
-        A container sent no samples, or a connector seems to cost nothing.
-    """
+    """Return the costs of connectors by kind; remote only with two computers."""
     uses, computers = _uses(samples, speeds)
     kinds = KINDS if len(computers) > 1 else KINDS[:-1]
     costs = {kind: _fitted(uses, kind) for kind in kinds}

@@ -192,21 +192,7 @@ def figures(
     versions: Mapping[str, str],
     speed: float,
 ) -> Figures:
-    """Return the figures of an architecture.
-
-    Parameters
-    ----------
-    rig
-        With which it was measured.
-    runs
-        Measurements with its containers as they are used; at least one.
-    apart
-        A measurement with its own container for every component, and an empty one.
-    versions
-        Component -> fingerprint of its code.
-    speed
-        Factor from the computer's CPU time to the reference computer's.
-    """
+    """Return the figures of an architecture."""
     names = rig.measured
     typical = sorted(runs, key=lambda run: _total(run, names))[(len(runs) - 1) // 2]
     memory = _memory(typical, apart, names)

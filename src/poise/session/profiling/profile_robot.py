@@ -12,24 +12,37 @@ from pathlib import Path
 import msgspec
 from msgspec import Struct
 
-from poise.errors import UsageError
+from poise.errors import RunError, UsageError
 from poise.estimate.profile import Profile
 from poise.estimate.profile import profile_files as profile_file
 from poise.estimate.profile.code_version import version_of
+from poise.estimate.profile.profile_records import WINDOW
 from poise.manage.agent_connections.statuses import components_of
+from poise.manage.deploy.running_components import ACTIVE_LIMIT
+from poise.manage.journal import Journal
+from poise.manage.observe.sample_recording import Recording
 from poise.model.robot import Robot
 from poise.session.callbacks import Check, Say, log, nothing
-from poise.session.profiling.figures import Figures, Observed, disagreeing, figures
-from poise.session.profiling.machine_speed import is_emulated, loops, steady
-from poise.session.profiling.measurement import Tick, measure_alone
+from poise.session.launch.start import Sampling, Started, started
+from poise.session.profiling.figures import (
+    Figures,
+    Observed,
+    disagreeing,
+    figures,
+    measure,
+)
 from poise.session.profiling.rig import ProfilingRig, rig_of
 from poise.session.profiling.stored_profiles import (
     check_keepable,
+    is_emulated,
+    loops,
     read_profile,
+    steady,
     store_of,
 )
 from poise.session.reports.run_records import silent_ports
 
+Tick = Callable[[float], None]
 Progress = Callable[[str, float], AbstractContextManager[Tick]]
 """Takes an architecture and the time that its measurement takes [s]; gives a function
 that is called with the time that has passed [s]."""
@@ -290,3 +303,42 @@ def _write(robot: Robot, kept: Profile) -> Path | None:
     path = Path(robot.folder) / robot.profile
     path.write_text(profile_file.to_text(kept), "utf-8")
     return path
+
+
+def measure_alone(
+    rig: ProfilingRig,
+    seconds: float,
+    warm_up: float,
+    tick: Tick,
+    check: Check = nothing,
+) -> Observed:
+    """Return one measurement of a rig."""
+    recording = Recording()
+    sampling = Sampling(recording.add, WINDOW, weigh=True)
+    journal = Journal(":memory:")
+    try:
+        with started(rig.robot, rig.placement, journal, nothing, sampling, check) as up:
+            _watch(up, warm_up, tick)
+            recording.take()
+            up.computers.begin()
+            _watch(up, seconds, tick)
+            samples = recording.take()
+            invalid = up.computers.end(rig.computer)
+            working = up.run.agents.statuses()
+            up.run.reach("inactive", ACTIVE_LIMIT)
+            return Observed(
+                measured=measure(samples),
+                statuses=up.run.agents.statuses(),
+                working=working,
+                invalid=invalid,
+            )
+    finally:
+        journal.close()
+
+
+def _watch(up: Started, seconds: float, tick: Tick) -> None:
+    if up.watch(seconds, tick):
+        raise RunError(
+            "the simulator ended during the measurement: name an endless one as "
+            "`workload` in the robot file, or measure for a shorter time"
+        )

@@ -30,7 +30,7 @@ from poise.runtime.component.implementation import find, search_also
 from poise.runtime.component.ports import ports_of
 from poise.runtime.workload.replay import PlayedPort
 from poise.session.recordings.record_run import interface_type, message_type
-from poise.wire.recording_file import load
+from poise.wire.recording_file import inputs_of
 
 PLAYER = "player-of-workload"
 
@@ -97,13 +97,7 @@ class Played(Struct, frozen=True):
 
 
 def played(robot: Robot) -> Played:
-    """Return the inputs that the robot's workload replays.
-
-    Raises
-    ------
-    UsageError
-        The recording cannot be read, or has no input of this robot.
-    """
+    """Return the inputs that the robot's workload replays."""
     workload = robot.workload
     if workload is None:
         return Played()
@@ -120,7 +114,7 @@ def played(robot: Robot) -> Played:
 
 def _recorded(robot: Robot, recording: str) -> dict[str, PlayedPort]:
     try:
-        inputs = load(Path(recording)).inputs
+        inputs = inputs_of(Path(recording))
     except UsageError as error:
         raise UsageError(
             f"workload: recording {recording} cannot be replayed: {error}. "
@@ -179,21 +173,7 @@ class ProfilingRig(Struct, frozen=True):
 def rig_of(
     robot: Robot, architecture: str, computer: str, *, apart: bool
 ) -> ProfilingRig:
-    """Return the rig for an architecture of `robot`.
-
-    Parameters
-    ----------
-    computer
-        The computer of the robot to measure on.
-    apart
-        Whether every component gets its own container; an empty container then runs
-        beside them.
-
-    Raises
-    ------
-    UsageError
-        There is no such computer.
-    """
+    """Return the rig for an architecture of `robot`."""
     chosen = robot.architecture(architecture)
     if computer not in {c.name for c in robot.computers}:
         known = ", ".join(c.name for c in robot.computers)

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
 
 from msgspec import Struct
+from msgspec.structs import replace
 
+from poise.emulate import full_speed
 from poise.errors import RobotError
 from poise.estimate.demands import cpu_demand, memory_demand, missing, with_profile
 from poise.estimate.profile import ComponentProfile, Profile
@@ -15,6 +18,7 @@ from poise.estimate.profile.profile_files import Store
 from poise.model.load import load_source
 from poise.model.robot import Robot
 from poise.model.yaml.edit import with_values
+from poise.runtime.workload.calibration import score
 from poise.session.state_folder import to_write
 
 _MOST_NAMED = 4
@@ -29,13 +33,7 @@ class Profiled(Struct, frozen=True):
 
 
 def read_profile(robot: Robot) -> Profile | None:
-    """Return the profile that the robot file names; None if it does not exist.
-
-    Raises
-    ------
-    RobotError
-        The file is not a profile.
-    """
+    """Return the profile that the robot file names; None if it does not exist."""
     path = Path(robot.folder) / robot.profile
     if not robot.profile or not path.exists():
         return None
@@ -43,13 +41,7 @@ def read_profile(robot: Robot) -> Profile | None:
 
 
 def store_of(robot: Robot) -> Store:
-    """Return the store of all profiles of the robots in this folder.
-
-    Raises
-    ------
-    UsageError
-        It cannot be created.
-    """
+    """Return the store of all profiles of the robots in this folder."""
     return Store(Path(robot.folder) / STORE)
 
 
@@ -60,13 +52,7 @@ def check_keepable(robot: Robot) -> None:
 
 
 def profiled(robot: Robot) -> Profiled:
-    """Return the robot with measured demands where its file has none.
-
-    Raises
-    ------
-    RobotError
-        The file is not a profile of this robot.
-    """
+    """Return the robot with measured demands where its file has none."""
     profile = read_profile(robot)
     if profile is None:
         asked = f"{robot.profile} does not exist: `poise profile` measures it"
@@ -126,15 +112,6 @@ def write_demands(file: Path, profile: Profile) -> list[Path]:
 
     Comments and layout of the file, of included files and of those in folders of
     `repository` are kept. Files of installed packages are not changed.
-
-    Returns
-    -------
-    The files that changed.
-
-    Raises
-    ------
-    RobotError
-        The robot file has a problem; nothing was written.
     """
     source = load_source(file)
     paths = [
@@ -161,3 +138,35 @@ def _values(found: ComponentProfile) -> dict[str, str]:
         "cpu": f"{100 * cpu_demand(found):.3g}%",
         "memory": f"{memory_demand(found) / _MIB:.3g} MiB",
     }
+
+
+_SERIES = 12
+
+
+def steady(robot: Robot) -> contextlib.AbstractContextManager[None]:
+    """Keep this machine at full speed where it emulates the robot's computers."""
+    return full_speed() if is_emulated(robot) else contextlib.nullcontext()
+
+
+def is_emulated(robot: Robot) -> bool:
+    """Return whether this machine emulates the robot's computers."""
+    return all(computer.address is None for computer in robot.computers)
+
+
+def loops() -> float:
+    """Return how much work a CPU second does here, undisturbed [loops/s]."""
+    return max(score() for _ in range(_SERIES))
+
+
+def as_when_profiled(robot: Robot) -> Robot:
+    """Return the robot with computers as quick as its profile was measured with.
+
+    A core of this machine may do more or less than one of the machine of the profile:
+    by so much less or more time of it emulates the same computer.
+    """
+    profile = read_profile(robot)
+    if profile is None or not profile.loops or not is_emulated(robot):
+        return robot
+    factor = profile.loops / loops()
+    computers = (replace(c, speed=c.speed * factor) for c in robot.computers)
+    return replace(robot, computers=tuple(computers))

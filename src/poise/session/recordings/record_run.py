@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import contextlib
+import shutil
+from collections import Counter
 from collections.abc import Collection, Iterator
 from pathlib import Path
 
 import msgspec
 from msgspec import Struct
 
+from poise.errors import PoiseError
 from poise.manage.observe.sample_recording import RecordingFile
 from poise.model.robot import ConnectorEnd, Robot
 from poise.runtime.component.implementation import find, search_also
 from poise.runtime.component.ports import ports_of
-from poise.runtime.connectors.recorded_inputs import read_inputs
 from poise.session.callbacks import Say
-from poise.wire.recording_file import Input, Recorded, append
+from poise.wire.recording_file import inputs_folder, left_inputs
 
 
 class Tapped(Struct, frozen=True):
@@ -32,8 +34,8 @@ class Tapped(Struct, frozen=True):
 def tapped(robot: Robot, placed: Collection[str], path: Path) -> Tapped:
     """Return the robot with what goes between placed architectures recorded.
 
-    It is written where it comes, a message to several at the first of them, to `path`
-    on the computer where that is.
+    It is written where it comes, a message to several at the first of them, into the
+    folder `path` on the computer where that is.
     """
     connectors, sources, callers = [], [], []
     for connector in robot.connectors:
@@ -87,43 +89,44 @@ def keeping(
     """Write a recording of what runs within to `file`; None: nothing is kept.
 
     To be entered before the run is, for containers write until it ends.
-
-    Parameters
-    ----------
-    placed
-        The components that run.
     """
     if file is None:
         yield Kept(robot)
         return
-    inputs = file.with_name(f"{file.name}.inputs")
-    inputs.unlink(missing_ok=True)
+    inputs = inputs_folder(file)
+    shutil.rmtree(inputs, ignore_errors=True)
     tap = tapped(robot, placed, inputs)
     recorder = RecordingFile(file, robot.name)
     try:
         yield Kept(tap.robot, recorder)
     finally:
+        inputs_said = _collect(tap, recorder, file)
         recorder.close()
         say(str(recorder))
-        there = read_inputs(inputs) if inputs.exists() else []
-        append(Recorded(robot=robot.name, inputs=there), file)
-        inputs.unlink(missing_ok=True)
-        say(_summary(there, tap, file))
+        say(inputs_said)
 
 
-def _summary(inputs: list[Input], tap: Tapped, file: Path) -> str:
+def _collect(tap: Tapped, recorder: RecordingFile, path: Path) -> str:
+    """Move what containers have recorded into the recording; say what that is."""
     if not tap.sources and not tap.callers:
         return "nothing goes between architectures"
-    if not inputs:
-        return f"what came is in {file}.inputs on the robot, if any"
-    calls = sum(each.tag is not None for each in inputs)
-    messages = len(inputs) - calls
-    found = [
-        f"{count} {what} of {', '.join(names)}"
-        for count, what, names in (
-            (messages, "messages", tap.sources),
-            (calls, "calls", tap.callers),
+    counts: Counter[bool] = Counter()
+    try:
+        for entry in left_inputs(path):
+            recorder.file.add_record(entry, entry.at)
+            counts[entry.tag is not None] += 1
+        recorder.file.flush()
+    except PoiseError as error:
+        return f"{error}; what came is in {inputs_folder(path)}"
+    if not counts:
+        return f"what came is in {inputs_folder(path)} on the robot, if any"
+    shutil.rmtree(inputs_folder(path))
+    said = [
+        f"{counts[is_call]} {what} of {', '.join(names)}"
+        for is_call, what, names in (
+            (False, "messages", tap.sources),
+            (True, "calls", tap.callers),
         )
         if names
     ]
-    return f"recorded {' and '.join(found)} to {file}"
+    return f"recorded {' and '.join(said)} to {path}"

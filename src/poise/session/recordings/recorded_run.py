@@ -1,4 +1,4 @@
-"""A recording of a run: as a table, or as estimates of what components needed."""
+"""A recording of a run: as a table, as estimates, and what policies would have done."""
 
 from __future__ import annotations
 
@@ -10,12 +10,17 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
+from msgspec import Struct
+
 from poise.errors import UsageError
+from poise.manage.adaptation.policies import Policies
 from poise.manage.observe.estimates import DemandEstimate, Estimates
+from poise.model.policy.policy import Do, Seen, Values
+from poise.model.policy.shipped import policies_of
 from poise.model.robot import Robot
 from poise.session.callbacks import Say, log
 from poise.session.profiling.stored_profiles import read_profile
-from poise.wire.recording_file import parts_of
+from poise.wire.recording_file import SEEN, messages_of, robot_of, samples_of
 from poise.wire.records.sample_records import (
     AgentSample,
     ComponentSample,
@@ -80,13 +85,7 @@ def rows(samples: Iterable[AgentSample], which: Which) -> Iterator[dict[str, Val
 
 
 def export(samples: Iterable[AgentSample], path: Path, which: Which) -> int:
-    """Write a table to a file whose name ends in .csv or .parquet; return its rows.
-
-    Raises
-    ------
-    UsageError
-        It ends otherwise, or Parquet needs a package that is not installed.
-    """
+    """Write a table to a file whose name ends in .csv or .parquet; return its rows."""
     writers = {".csv": _write_csv, ".parquet": _write_parquet}
     if path.suffix not in writers:
         raise UsageError(
@@ -152,7 +151,7 @@ class RecordedRun:
 
     def __init__(self, file: str | PathLike[str]) -> None:
         self.file = Path(file)
-        self._robot = next(parts_of(self.file)).robot
+        self._robot = robot_of(self.file)
 
     @property
     def robot(self) -> str:
@@ -241,8 +240,7 @@ class RecordedRun:
             )
 
     def _samples(self) -> Iterator[AgentSample]:
-        for part in parts_of(self.file):
-            yield from part.samples
+        return samples_of(self.file)
 
 
 def _each_second(used: Mapping[int, float]) -> tuple[float, ...]:
@@ -251,3 +249,90 @@ def _each_second(used: Mapping[int, float]) -> tuple[float, ...]:
     for second in range(max(used)):
         found.append(used.get(second, found[-1] if found else 0.0))
     return tuple(found)
+
+
+class PolicyEvent(Struct, frozen=True, kw_only=True):
+    """Something that a policy would have done.
+
+    Parameters
+    ----------
+    at
+        When [s], since the recording began.
+    policy, do
+        The policy's name, and its action.
+    about, computer
+        The subject, and where it was.
+    what
+        A sentence for people.
+    saw
+        The values of the subject.
+    """
+
+    at: float
+    policy: str
+    do: Do | None
+    about: str
+    computer: str
+    what: str
+    saw: Values
+
+
+def test_policies(
+    robot: Robot,
+    recording: str | PathLike[str],
+    *,
+    say: Say = log.info,  # noqa: PT028, it is no test
+) -> tuple[PolicyEvent, ...]:
+    """Return what the policies of a robot would have done, without acting.
+
+    It replays the values that were seen, so what an action would have changed does not
+    show: a policy acts again after each cool-down while its condition holds. Whether a
+    new placement would have been worth its moves is not computed.
+
+    Parameters
+    ----------
+    recording
+        A file of `poise up --record`.
+    say
+        Takes what is wrong with policies' own functions.
+
+    Raises
+    ------
+    UsageError
+        It cannot be read, or nothing that policies see was recorded.
+    """
+    policies = Policies(policies_of(robot), robot.folder)
+    found: list[PolicyEvent] = []
+    began: float | None = None
+    troubles: set[str] = set()
+    try:
+        for seen in messages_of(Path(recording), SEEN, Seen):
+            began = seen.at if began is None else began
+            due = policies.due(policies.look(seen.of, seen.at, waits=True), seen.at)
+            policies.note_acted(due, seen.at)
+            for trouble in set(policies.troubles()) - troubles:
+                say(trouble)
+                troubles.add(trouble)
+            found += [
+                PolicyEvent(
+                    at=seen.at - began,
+                    policy=each.policy.name,
+                    do=each.policy.do,
+                    about=each.values.name,  # noqa: PD011, no data frame
+                    computer=each.computer,
+                    what=each.what,
+                    saw=each.values,
+                )
+                for each in due
+            ]
+    finally:
+        policies.close()
+    if began is None:
+        raise UsageError(
+            f"nothing that policies see is recorded in {recording}: "
+            "`poise up --record` records it"
+        )
+    return tuple(found)
+
+
+test_policies.__test__ = False  # type: ignore[attr-defined] # no test, if pytest sees it

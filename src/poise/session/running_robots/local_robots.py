@@ -23,15 +23,7 @@ Robots = Mapping[str, RobotStatus | None]
 
 
 def robots_here(name: str | None = None) -> Robots:
-    """Return the robots that run here; only one if it is named.
-
-    Raises
-    ------
-    UsageError
-        The one that is named does not run.
-    RunError
-        It does not answer.
-    """
+    """Return the robots that run here; only one if it is named."""
     if name is not None:
         return {name: Running(name).status()}
     found: dict[str, RobotStatus | None] = {}

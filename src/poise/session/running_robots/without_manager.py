@@ -56,13 +56,7 @@ def stop_without_manager(robot: Robot) -> None:
 
 
 def stop_agents(addresses: AgentAddresses) -> None:
-    """End all containers of a robot's agents, which obey no manager that is there.
-
-    Raises
-    ------
-    RunError
-        A manager is at work, or a computer is out of reach.
-    """
+    """End all containers of a robot's agents, which obey no manager that is there."""
     ends = addresses.endpoints
     with Agents(addresses.robot, ends, SystemClock()) as agents:
         agents.wait_news(lambda: agents.reached() == ends.keys(), REACH_LIMIT)

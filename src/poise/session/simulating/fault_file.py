@@ -26,13 +26,7 @@ from poise.suggest import unknown
 def fault_findings(
     fault: SimulatedFault, robot: Robot, seconds: float
 ) -> Iterator[tuple[str, str]]:
-    """Yield the wrong fields of a fault, and what is wrong with each.
-
-    Parameters
-    ----------
-    seconds
-        How long the simulation lasts [virtual s].
-    """
+    """Yield the wrong fields of a fault, and what is wrong with each."""
     names = [each.name for each in robot.computers]
     if fault.kind not in KINDS:
         yield "kind", unknown("fault", fault.kind, KINDS)
@@ -109,15 +103,7 @@ class DocumentKeys(Struct, frozen=True):
 def faults_of(
     robot: Robot, faults: Faults, seconds: float, seed: int
 ) -> tuple[SimulatedFault, ...]:
-    """Return the faults of a simulation of `seconds` [virtual s].
-
-    Raises
-    ------
-    RobotError
-        The file is wrong; `problems` has all that was found.
-    UsageError
-        Faults that were given name what is not there, or begin too late.
-    """
+    """Return the faults of a simulation of `seconds` [virtual s]."""
     if isinstance(faults, str) and faults == RANDOM:
         return _random(robot, seconds, seed)
     if isinstance(faults, str | PathLike):
@@ -133,13 +119,7 @@ def faults_of(
 
 
 def read_faults(path: Path, robot: Robot, seconds: float) -> tuple[SimulatedFault, ...]:
-    """Return the faults in a file.
-
-    Raises
-    ------
-    RobotError
-        The file is wrong; `problems` has all that was found.
-    """
+    """Return the faults in a file."""
     problems: list[FileProblem] = []
     root = read_file(path, None, problems)
     found = root and validate(root, msgspec.inspect.type_info(DocumentKeys), problems)

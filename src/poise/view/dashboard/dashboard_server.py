@@ -42,12 +42,6 @@ class Guard:
 
     A page of another site that runs in the same browser must not act on the robot:
     hence the checks of `Origin` and, where there is no token, of `Host`.
-
-    Parameters
-    ----------
-    token
-        What everyone must show, once in the address and then as a cookie; empty: only
-        requests to a loopback name are let in.
     """
 
     def __init__(self, app: App, token: str = "") -> None:
@@ -215,16 +209,7 @@ async def _listens(host: str, port: int) -> bool:
 def serve(
     robot: str | None, host: str, port: int, say: Callable[[str], object]
 ) -> None:
-    """Serve the page until Ctrl-C.
-
-    Parameters
-    ----------
-    robot
-        Its name; None: the only one that runs here.
-    host
-        The address to listen on; others than this computer's own need a token, which
-        is part of the address that is said.
-    """
+    """Serve the page until Ctrl-C."""
     token = "" if is_loopback(host) else secrets.token_urlsafe(18)
     dashboard = Dashboard(robot)
     app.add_middleware(Guard, token=token)

@@ -27,13 +27,7 @@ _MOST_LINES = 200
 
 
 class PageActions:
-    """What one page does; everything goes through the robot's manager.
-
-    Parameters
-    ----------
-    running
-        The robot.
-    """
+    """What one page does; everything goes through the robot's manager."""
 
     def __init__(self, running: Running) -> None:
         self._running = running

@@ -27,13 +27,7 @@ class PageState:
         self._reader = Reader()
 
     def of(self, look: Look, at: float) -> Page:
-        """Return the state.
-
-        Parameters
-        ----------
-        at
-            When the look was taken, on a clock that never goes back [s].
-        """
+        """Return the state."""
         page: Page = {"robot": {"": _robot(look)}, "entries": _entries(look)}
         status = look.status
         if status is None:

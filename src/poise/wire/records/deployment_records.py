@@ -94,7 +94,7 @@ class ConnectorSpec(Struct, frozen=True, kw_only=True):
     # the kind ``direct``
     address: str = ""
     limit: float = 1.0  # Time limit of a call [s]
-    # A file for the messages or calls that come; empty: they are not recorded
+    # A folder for the messages or calls that come; empty: they are not recorded
     record: str = ""
     # The chains whose data goes from source to target, and with answers to calls from
     # target to source; the same for all connectors of one slot

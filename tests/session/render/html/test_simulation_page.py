@@ -6,7 +6,7 @@ import re
 
 from msgspec.structs import replace
 
-from poise.session.simulating.simulation_results import Simulation, SimulationComparison
+from poise.session.simulating.simulate import Simulation, SimulationComparison
 from poise.simulation.simulation_report import SimulationReport
 from tests.session.simulating.fake_rehearsal import REPORT
 

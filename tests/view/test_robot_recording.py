@@ -12,7 +12,8 @@ import pytest
 from msgspec import Struct
 
 from poise.errors import RunError, UsageError
-from poise.view import mcap_file
+from poise.view.robot_recording import schema_like, schema_of
+from poise.wire.recording_file import McapFile
 
 reader = pytest.importorskip("mcap.reader", reason="mcap is not installed")
 
@@ -62,10 +63,10 @@ def test_records_and_values_come_back(tmp_path: Path) -> None:
         "parts": [{"at": 1, "seen": None}, {"at": 2, "seen": 3}],
         "empty": {},
     }
-    with mcap_file.McapFile(path) as file:
-        schema = mcap_file.schema_of(EyeRow)
+    with McapFile(path, "r") as file:
+        schema = schema_of(EyeRow)
         file.add("eyes.left", schema, 1.5, EyeRow("left", 0.25))
-        file.add("said", mcap_file.schema_like(message, "Pose"), 2.0, message)
+        file.add("said", schema_like(message, "Pose"), 2.0, message)
     assert read(path) == [
         ("/eyes/left", "poise.Eye", 1_500_000_000, {"name": "left", "cpu": 0.25}),
         ("/said", "Pose", 2_000_000_000, message),
@@ -77,8 +78,8 @@ def test_what_an_error_ends_is_whole(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
 
     def write() -> None:
-        with mcap_file.McapFile(path) as file:
-            file.add("eye", mcap_file.schema_of(EyeRow), 1.0, EyeRow("eye", 0.5))
+        with McapFile(path, "r") as file:
+            file.add("eye", schema_of(EyeRow), 1.0, EyeRow("eye", 0.5))
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
@@ -90,19 +91,19 @@ def test_a_full_disk_is_told_and_the_file_is_whole(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "a.mcap"
-    with mcap_file.McapFile(path) as file:
-        file.add("eye", mcap_file.schema_of(EyeRow), 1.0, EyeRow("eye", 0.5))
+    with McapFile(path, "r") as file:
+        file.add("eye", schema_of(EyeRow), 1.0, EyeRow("eye", 0.5))
         full = os.statvfs_result((4096, 4096, 100, 0, 1000, 9, 9, 9, 0, 255))
         monkeypatch.setattr(os, "fstatvfs", lambda _: full)
         with pytest.raises(RunError, match=r"disk is full: 3\.91 MiB are left"):
-            file.add("eye", mcap_file.schema_of(EyeRow), 2.0, EyeRow("eye", 0.5))
+            file.add("eye", schema_of(EyeRow), 2.0, EyeRow("eye", 0.5))
     assert len(read(path)) == 1
     with pytest.raises(UsageError, match="disk is full"):
-        mcap_file.McapFile(tmp_path / "b.mcap")
+        McapFile(tmp_path / "b.mcap", "r")
     assert not (tmp_path / "b.mcap").exists()
 
 
 def test_nothing_is_overwritten(tmp_path: Path) -> None:
     (tmp_path / "a.mcap").write_text("mine")
     with pytest.raises(UsageError, match="cannot be created: File exists"):
-        mcap_file.McapFile(tmp_path / "a.mcap")
+        McapFile(tmp_path / "a.mcap", "r")

@@ -1,0 +1,244 @@
+"""`poise check`, `policy` and `repository`: look into a robot file."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Annotated, Literal
+
+import msgspec
+import typer
+from msgspec import structs
+from rich.console import Console
+from rich.markup import escape
+
+from poise.cli.options import AsJson, RobotFile, busy, print_json
+from poise.errors import FileProblem, UsageError
+from poise.estimate.success.learning import Belief, beliefs_about, forget
+from poise.model.load import load
+from poise.model.policy.policy import Policy
+from poise.model.policy.shipped import policies_of
+from poise.session.placing.first_phase import Described, Listed, listed
+from poise.session.recordings.recorded_run import PolicyEvent, test_policies
+from poise.session.render.printable import console_to
+from poise.session.render.tables import table
+from poise.session.robot_file import check
+from poise.suggest import unknown
+from poise.units import counted, format_seconds
+
+
+def check_command(
+    file: Annotated[
+        Path | None, typer.Argument(help="The robot file.", envvar="POISE_ROBOT")
+    ] = None,
+    as_json: AsJson = False,
+    schema: Annotated[
+        bool, typer.Option("--schema", help="Print the JSON Schema of robot files.")
+    ] = False,
+) -> None:
+    """Check a robot file and the code that it names.
+
+    It reports every problem as file:line:column and message. The exit code is 0 when
+    there is none.
+
+    Example: poise check robot.yaml
+    """
+    if schema:
+        _print_schema()
+        return
+    if file is None:
+        raise UsageError("give a robot file, as in `poise check robot.yaml`")
+    with busy("checking"):
+        problems = check(file)
+    _print_json(problems) if as_json else _print_text(file, problems)
+    if problems:
+        raise typer.Exit(1)
+
+
+def _print_schema() -> None:
+    from poise.model.schema import schema_text
+
+    sys.stdout.write(schema_text())
+
+
+def _print_json(problems: tuple[FileProblem, ...]) -> None:
+    report = {"ok": not problems, "problems": msgspec.to_builtins(problems)}
+    sys.stdout.write(json.dumps(report, indent=2) + "\n")
+
+
+def _print_text(path: Path, problems: tuple[FileProblem, ...]) -> None:
+    if not problems:
+        sys.stdout.write(f"{path}: no problems\n")
+        return
+    for problem in problems:
+        sys.stderr.write(f"{problem}\n")
+    sys.stderr.write(f"{path}: {counted(len(problems), 'problem')}\n")
+
+
+def policy_command(
+    what: Annotated[
+        Literal["list", "test"],
+        typer.Argument(
+            help="list: what is done, and when; test: what would have been done."
+        ),
+    ],
+    file: RobotFile,
+    recording: Annotated[
+        Path | None, typer.Option(help="For test: a file of `poise up --record`.")
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Show the policies of a robot, those that Poise ships and its own, or test them.
+
+    A test replays a recording of `poise up --record FILE`, and prints what the policies
+    would have done when. Nothing is done.
+
+    Examples
+    --------
+    poise policy list robot.yaml
+    poise policy test robot.yaml --recording run.mcap
+    """
+    robot, console = load(file), console_to(stderr=as_json)
+    if what == "list":
+        policies = policies_of(robot)
+        if as_json:
+            print_json(policies)
+        else:
+            _show_policies(policies, console)
+        return
+    if recording is None:
+        raise UsageError("give a recording: --recording FILE, of `poise up --record`")
+    events = test_policies(
+        robot, recording, say=lambda text: console.print(text, style="yellow")
+    )
+    if as_json:
+        print_json(events)
+    else:
+        _show_events(events, console)
+
+
+def _show_policies(policies: tuple[Policy, ...], console: Console) -> None:
+    rows = table("policy", "for each", "when", "lasts", "do", "cool down", folds=2)
+    for each in policies:
+        rows.add_row(
+            each.name,
+            each.for_each or "",
+            each.when or each.call or "",
+            format_seconds(each.lasts or 0.0),
+            "off" if each.off else each.do or "",
+            format_seconds(each.cool_down or 0.0),
+        )
+    console.print(rows)
+
+
+def _show_events(events: tuple[PolicyEvent, ...], console: Console) -> None:
+    rows = table("at [s]", "policy", "do", "what was seen", folds=3)
+    for each in events:
+        rows.add_row(f"{each.at:.1f}", each.policy, each.do or "", each.what)
+    console.print(rows)
+    if not events:
+        console.print("the policies would have done nothing")
+
+
+AnyFile = Annotated[
+    Path | None,
+    typer.Argument(
+        envvar="POISE_ROBOT",
+        help="The robot file; without it, only installed packages are searched.",
+    ),
+]
+Name = Annotated[str, typer.Argument(help="The architecture.")]
+
+
+def list_command(file: AnyFile = None, as_json: AsJson = False) -> None:
+    """List the architectures that a robot may choose from, by function.
+
+    They are from its file, from the folders of its `repository`, and from installed
+    packages.
+
+    Examples
+    --------
+    poise repository list robot.yaml
+    """
+    rows = listed(file)
+    if as_json:
+        print_json(rows)
+    elif rows:
+        _show_list(rows, console_to())
+    else:
+        console_to().print(
+            "no installed package has the entry point poise.architectures"
+        )
+
+
+def show_command(name: Name, file: AnyFile = None, as_json: AsJson = False) -> None:
+    """Show an architecture, and how often actions succeeded with it.
+
+    Examples
+    --------
+    poise repository show laser_navigator robot.yaml
+    """
+    rows = listed(file)
+    row = next((row for row in rows if row.architecture == name), None)
+    if row is None:
+        names = [row.architecture for row in rows]
+        raise UsageError(unknown("architecture", name, names))
+    beliefs = [] if file is None or row.unused else beliefs_about(load(file), name)
+    if as_json:
+        print_json(Described(**structs.asdict(row), learned=tuple(beliefs)))
+    else:
+        _show_architecture(row, beliefs, console_to())
+
+
+def reset_command(name: Name, file: RobotFile) -> None:
+    """Forget how often actions succeeded with an architecture.
+
+    Examples
+    --------
+    poise repository reset laser_navigator robot.yaml
+    """
+    count = forget(load(file), name)
+    console_to().print(f"{counted(count, 'outcome')} of '{name}' forgotten")
+
+
+def _show_list(rows: list[Listed], console: Console) -> None:
+    shown = table("function", "architecture", "quality", "hash", "from", folds=4)
+    for row in rows:
+        source = f"{row.where} ({row.package})" if row.package else row.where
+        unused = f"\nnot used: {row.unused}" if row.unused else ""
+        quality = f"{row.quality:g}"
+        where = escape(source + unused)
+        shown.add_row(row.function, row.architecture, quality, row.hash, where)
+    console.print(shown)
+
+
+def _show_architecture(row: Listed, beliefs: list[Belief], console: Console) -> None:
+    what = f"{row.architecture} provides {row.function}"
+    for sentence in (
+        f"{what}, quality {row.quality:g}, {row.layer} layer",
+        f"from {row.where}" + (f", package {row.package}" if row.package else ""),
+        f"hash {row.hash}",
+        f"components: {', '.join(row.components)}",
+        *((f"not used: {row.unused}",) if row.unused else ()),
+    ):
+        console.print(escape(sentence), highlight=False)
+    if not beliefs:
+        console.print("nothing is learned of its success yet")
+        return
+    shown = table(
+        "action", "conditions", "success", "90 % between", "of", "hash", folds=1
+    )
+    for each in beliefs:
+        shown.add_row(
+            each.action,
+            str(each.conditions),
+            f"{each.mean:.0%} ± {each.deviation:.0%}",
+            f"{each.low:.0%} and {each.high:.0%}",
+            str(each.done + each.failed),
+            each.hash if each.is_present else f"{each.hash}, before",
+        )
+    console.print(shown)
+
+
+repository_command = list_command
