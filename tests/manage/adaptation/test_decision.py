@@ -109,6 +109,28 @@ def test_a_computer_that_is_lost_with_what_is_pinned_there_stops_no_decision(
     assert found.acts
 
 
+def test_a_function_that_is_lost_with_its_computer_stops_no_decision(
+    situation: Make,
+) -> None:
+    """All of an architecture is pinned to the lost computer, and missing."""
+    robot = robot_of({"a": 0.4, "b": 0.4}, computers=3)
+    camera = Architecture(
+        name="camera",
+        function="camera",
+        components=(ComponentEntry(name="c", demand={"cpu": 0.1}, only=("c2",)),),
+    )
+    asks = Action(name="w", functions=("all", "camera"))
+    robot = replace(
+        robot,
+        architectures=(*robot.architectures, camera),
+        tasks=(Task(name="work", actions=(asks,)),),
+    )
+    placed = {"a": "left", "b": "left", "c": "c2"}
+    seen = replace(situation(placed, robot=robot), demand_estimates=())
+    found = decide(replace(seen, lost=frozenset({"c2"})))
+    assert found.acts, found.why
+
+
 def robot_of(needs: Mapping[str, float], computers: int = 2) -> Robot:
     """Return components on computers of half a core."""
     names = ("left", "right", "c2")[:computers]

@@ -94,7 +94,8 @@ def alternatives(situation: Situation) -> tuple[Alternative, ...]:
     robot = replace(left, computers=situation.robot.computers)
     now = situation.placement
     try:
-        problem = plan.problem_of(robot, situation.task, present=now)
+        functions = situation.functions()
+        problem = plan.problem_of(robot, functions=functions, present=now)
     except RobotError:
         return ()
     costs = move_costs(situation, robot)

@@ -189,7 +189,8 @@ def propose(
     robot_now = _with_cpu(
         robot, {name: demand.counted for name, demand in shifted.items()}
     )
-    problem = plan.problem_of(robot_now, task, present=now, move=move)
+    functions = situation.functions()
+    problem = plan.problem_of(robot_now, functions=functions, present=now, move=move)
     if costs is not None:
         problem = with_costs(problem, costs)
     # Of alternative architectures only one runs: keep to it.

@@ -73,6 +73,11 @@ class Situation(Struct, frozen=True, kw_only=True):
         robot = here.robot.with_components(lambda c: c if c.name in runs else None)
         return replace(here, robot=robot)
 
+    def functions(self) -> tuple[str, ...]:
+        """Return the functions of the task, without those that nothing provides."""
+        provided = {each.function for each in self.robot.architectures}
+        return tuple(f for f in self.robot.functions_of(self.task) if f in provided)
+
     def computers_left(self, *, is_cautious: bool = False) -> tuple[Computer, ...]:
         """Return the computers with what other programs leave of their CPU."""
         return tuple(
