@@ -20,9 +20,11 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections import deque
 from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
+from threading import Thread
 
 from benchmarks.synthetic import robots
 from poise.clock import SystemClock
@@ -94,11 +96,19 @@ def measure(robot: Robot, seconds: float) -> Mapping[str, float]:
 def measure_manager(seconds: float) -> Mapping[str, float]:
     """Keep a robot up by `poise up`, and return what the manager's process uses."""
     argv = [sys.executable, "-m", "poise", "up", str(HELLO), "--task", "greet"]
-    with subprocess.Popen(argv, stdout=subprocess.PIPE, text=True) as manager:
+    with subprocess.Popen(
+        argv, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+    ) as manager:
         assert manager.stdout is not None
         try:
-            if not any("is up" in line for line in manager.stdout):
-                sys.exit(f"{shlex.join(argv)} did not come up")
+            lines = []
+            for line in manager.stdout:
+                lines.append(line)
+                if "is up" in line:
+                    break
+            else:
+                sys.exit(f"{shlex.join(argv)} did not come up:\n{''.join(lines)}")
+            Thread(target=deque, args=(manager.stdout, 0), daemon=True).start()
             time.sleep(SETTLE)
             before, began = cpu_of(manager.pid), time.monotonic()
             time.sleep(seconds)
@@ -107,7 +117,7 @@ def measure_manager(seconds: float) -> Mapping[str, float]:
             memory = proportional_memory(manager.pid)
         finally:
             manager.terminate()
-            manager.communicate(timeout=LIMIT)
+            manager.wait(timeout=LIMIT)
     return {"cores": used / lasted, "mib": memory / MIB}
 
 
