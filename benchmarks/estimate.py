@@ -116,7 +116,7 @@ def run(
     try:
         with started(robot, placement, journal, _silent, sampling) as up:
             up.run.watch(WARM_UP)
-            recording.take()
+            recording.drain()
             up.computers.begin()
             begin, manager = up.run.agents.statuses(), time.process_time()
             end_at = time.monotonic() + seconds
@@ -139,7 +139,7 @@ def run(
         lasted = last.uptime - begin[name].uptime
         cores[name] = (last.cpu - begin[name].cpu) / lasted
         agents_share += (own_cpu(last) - own_cpu(begin[name])) / lasted
-    return Ran(recording.take(), cores, agents_share, manager / seconds, told, void)
+    return Ran(recording.drain(), cores, agents_share, manager / seconds, told, void)
 
 
 def own_cpu(status: AgentStatus) -> float:
@@ -261,7 +261,7 @@ def predictions(lengths: Lengths) -> dict[str, object]:
     predicted = predicted_cpu(robot, placement, profile)
     errors = {n: predicted[n] / ran.cores[n] - 1 for n in predicted}
     estimates = Estimates(robot, profile, emulated=True)
-    alarms = [told for s in ran.samples for told in estimates.take(s)]
+    alarms = [told for s in ran.samples for told in estimates.add(s)]
     return {
         "prediction_error": max(map(abs, errors.values())),
         "prediction_errors": errors,
@@ -276,7 +276,7 @@ def drifts(lengths: Lengths) -> dict[str, object]:
     robot = robots.alone(0.2, STEADY)
     ran = run(robot, on_bench(robot), STEADY + AFTER)
     estimates = Estimates(robot, None, emulated=True)
-    told = [drift.at for s in ran.samples for _, drift in estimates.take(s)]
+    told = [drift.at for s in ran.samples for _, drift in estimates.add(s)]
     changed = ran.told["worker"]
     found = [at - changed for at in told if at >= changed]
     false = len([at for at in told if at < changed])
@@ -286,7 +286,7 @@ def drifts(lengths: Lengths) -> dict[str, object]:
         robot = robots.together(0.25)
         steady = run(robot, on_bench(robot), lengths.steady)
         estimates = Estimates(robot, None, emulated=True)
-        alarms = [each for s in steady.samples for each in estimates.take(s)]
+        alarms = [each for s in steady.samples for each in estimates.add(s)]
         false += len(alarms)
         watched = lengths.steady
     return {
@@ -303,7 +303,7 @@ def overhead(lengths: Lengths) -> dict[str, object]:
     placement = on_bench(robot)
     estimates = Estimates(robot, None, emulated=True)
     without = run(robot, placement, lengths.overhead, every=0)
-    ran = run(robot, placement, lengths.overhead, take=estimates.take)
+    ran = run(robot, placement, lengths.overhead, take=estimates.add)
     agents_share = ran.agents_share - without.agents_share
     manager = ran.manager - without.manager
     counting = LIGHT * robots.LIGHT_RATE * counting_seconds()

@@ -34,7 +34,7 @@ from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.migration import transition_run
 from poise.manage.migration.migration_report import TransitionReport, TransitionStep
 from poise.manage.observe.estimates import DemandEstimate, Load
-from poise.manage.shortages.suspension import PutAside
+from poise.manage.shortages.suspension import Suspensions
 from poise.model.policy.policy import TimerValues
 from poise.model.robot import (
     Action,
@@ -87,7 +87,7 @@ class Loop:
         self._adaptation = Adaptation(
             cast(RunningComponents, self),
             self._situation,
-            cast(PutAside, _Nothing()),
+            cast(Suspensions, _Nothing()),
             clock=lambda: BEGAN + self._step * STEP,
         )
 
@@ -101,7 +101,7 @@ class Loop:
             for module, name in _transitions():
                 patch = mock.patch.object(module, name, getattr(self, name))
                 stack.enter_context(patch)
-            self._adaptation.look()
+            self._adaptation.adapt()
         return self._moves
 
     @property

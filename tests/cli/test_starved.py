@@ -70,7 +70,7 @@ def seen(tmp_path_factory: pytest.TempPathFactory) -> Mapping[str, Seen]:
     found = {c.name: Seen(c.name) for c in components}
 
     def take(sample: AgentSample) -> None:
-        drifts = estimates.take(sample)
+        drifts = estimates.add(sample)
         for each in found.values():
             each.take(sample, drifts, estimates.demand_estimates())
 

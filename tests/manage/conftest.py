@@ -203,10 +203,10 @@ class FakeAgents:
         self.claimed.append(computer)
         reply = Reply()
         if computer in self.refusing:
-            reply.take(Refused("not today"))
+            reply.set(Refused("not today"))
         else:
             self.strangers.discard(computer)
-            reply.take(Claimed(self.left_with.get(computer)))
+            reply.set(Claimed(self.left_with.get(computer)))
         return reply
 
     def end_claim(self, computer: str, reply: Reply) -> None:
@@ -217,12 +217,12 @@ class FakeAgents:
         if self.lose_when_told:
             self.gone.add(self.lose_when_told)
         if computer in self.refusing:
-            reply.take(Refused("not today"))
+            reply.set(Refused("not today"))
             return reply
         self.deployed.append((computer, deployment))
         if computer not in self.deaf:
             self._statuses[computer] = self._obeyed(computer, deployment)
-        reply.take(Accepted())
+        reply.set(Accepted())
         return reply
 
     def _obeyed(self, computer: str, deployment: Deployment) -> AgentStatus:

@@ -35,15 +35,15 @@ def test_a_connector_is_not_said_to_be_joined_because_its_end_is_moved(
     agents.unjoined = (RAW,)
     agents.report(replace(agents.statuses()["left"], pid=9))  # so it is told again
     run.reconcile()
-    seen.look()
+    seen.record()
     what = f"connector '{RAW.name}' from 'left' does not reach 'left'"
     assert [each.what for each in seen.deviations] == [what]
     run.commit(run.desired.aiming("stay", ["filter"]), "it is to move")
-    seen.look()
+    seen.record()
     assert [each.what for each in seen.deviations] == [what]
     agents.unjoined = ()
     run.commit(run.desired.aiming("active", ["filter"]), "it stays")
-    seen.look()
+    seen.record()
     assert not seen.deviations
     said = [(e.kind, e.what) for e in journal.entries() if "reach" in e.what]
     assert said == [("wrong", what), ("right", f"no more: {what}")]

@@ -105,11 +105,11 @@ def _bug_ends_the_robot() -> None:
     def fails_once_lost(self: Any, *args: Any) -> None:
         if self._run.agents.out_of_reach():
             raise KeyError("a computer is lost")
-        look(self, *args)
+        update(self, *args)
 
-    look = Prefetcher.look
+    update = Prefetcher.update
     setattr(SupervisedTick, "run", run)
-    setattr(Prefetcher, "look", fails_once_lost)
+    setattr(Prefetcher, "update", fails_once_lost)
 
 
 def _unknown_is_no() -> None:
@@ -176,10 +176,10 @@ def _same_epoch() -> None:
 
 
 def _told_once() -> None:
-    def is_told(_: Any, agent: Any, *__: Any) -> Any:
-        return agent.told is not None
+    def is_sent(_: Any, agent: Any, *__: Any) -> Any:
+        return agent.sent is not None
 
-    setattr(Reconciler, "_is_told", is_told)
+    setattr(Reconciler, "_is_sent", is_sent)
 
 
 def _no_roll_back() -> None:

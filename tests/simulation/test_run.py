@@ -97,7 +97,7 @@ def test_an_error_of_the_manager_is_found(
     def fail(*_: object) -> None:
         raise KeyError("a bug")
 
-    monkeypatch.setattr("poise.manage.tasks.task_manager.TaskManager.look", fail)
+    monkeypatch.setattr("poise.manage.tasks.task_manager.TaskManager.advance", fail)
     outcome = simulate(with_fault(scenario), 1)
     assert outcome.failure != ""
 

@@ -130,14 +130,14 @@ class BackgroundFile:
         """
         with self._changed:
             self._changed.wait_for(lambda: self._waiting or self._is_closing)
-            found: list[bytes] = []
+            records: list[bytes] = []
             size = 0
             for record in self._waiting:
-                if found and (self._error or size + len(record) > _MOST_AT_ONCE):
+                if records and (self._error or size + len(record) > _MOST_AT_ONCE):
                     break
-                found.append(record)
+                records.append(record)
                 size += len(record)
-            return found
+            return records
 
     def _wait_to_retry(self) -> bool:
         """Wait a moment; return whether to try once more."""

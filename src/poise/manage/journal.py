@@ -260,10 +260,10 @@ def _parsed(line: bytes) -> JournalEntry | None:
 
 def _last_number(path: Path) -> int:
     """Return the number of a journal's last entry; 0: it has none that can be read."""
-    for each in (path, *numbered(path, FILES)[:1]):
+    for candidate in (path, *numbered(path, FILES)[:1]):
         try:
-            with each.open("rb") as file:
-                file.seek(max(0, each.stat().st_size - _TAIL))
+            with candidate.open("rb") as file:
+                file.seek(max(0, candidate.stat().st_size - _TAIL))
                 lines = file.read().split(b"\n")
         except OSError:
             continue

@@ -40,7 +40,7 @@ from poise.manage.control_socket.commands import (
     TaskCommand,
     TaskDone,
 )
-from poise.manage.control_socket.read_commands import look, status_of
+from poise.manage.control_socket.read_commands import answer, status_of
 from poise.manage.deploy.deactivation import stop
 from poise.manage.deploy.lost_computers import LostComputers
 from poise.manage.deploy.running_components import RunningComponents
@@ -56,14 +56,14 @@ from poise.manage.observe.estimates import Estimates
 from poise.manage.observe.sample_recording import Recording, RecordingFile
 from poise.manage.observe.troubles import ManagerTroubles, ThreadFailures
 from poise.manage.observe.watch import Watch
-from poise.manage.shortages.suspension import PutAside
+from poise.manage.shortages.suspension import Suspensions
 from poise.manage.tasks.prefetch import Prefetcher
 from poise.manage.tasks.task_manager import TaskManager
 from poise.manage.tasks.task_progress import Saved
 
 MOST_COMMANDS = 64
 """At most this many commands queue; further ones are refused."""
-LOOK_EVERY = 0.2
+TICK = 0.2
 """A manager looks at its robot so often [s]."""
 Results = Future[Result | Refusal]
 T = TypeVar("T")
@@ -109,15 +109,17 @@ class Manager:
         self._misses = DeadlineMisses()
         self._chains, self._ages = ChainReader(run.robot), ChainAges()
         self.tasks = TaskManager(run, tasks, self._situation)
-        self._put_aside = PutAside(run, self.tasks.now, aside)
+        self._suspensions = Suspensions(run, self.tasks.now, aside)
         if aside:
-            self._put_aside.look()
+            self._suspensions.record()
         self._prefetch = Prefetcher(run)
         keep = recording.add_seen if recording else None
         self._adaptation = Adaptation(
-            run, self._situation, self._put_aside, acts=adapts, keep=keep
+            run, self._situation, self._suspensions, acts=adapts, keep=keep
         )
-        run.check = self._look  # moves wait long: what breaks meanwhile is said at once
+        run.check = (
+            self._observe
+        )  # moves wait long: what breaks meanwhile is said at once
 
     @property
     def is_stopping(self) -> bool:
@@ -137,7 +139,7 @@ class Manager:
             self._run.cancel()
         elif self.is_stopping and not looks_back:
             future.set_result(Refusal("the robot is being stopped", "RunError"))
-        elif (seen := look(self._run, self.status, command)) is not None:
+        elif (seen := answer(self._run, self.status, command)) is not None:
             future.set_result(seen)
         else:
             try:
@@ -176,11 +178,11 @@ class Manager:
                 self._begin(command, future)
         self._tick.run("migrate", self._migrate)
         self._tick.run("take samples", self._take_samples)
-        self._look()
+        self._observe()
         if not self.is_stopping:
             self._tick.run("look after tasks", self._look_after_tasks, changes=True)
             self._tick.run("prepare the next action", self._prepare_next, changes=True)
-            self._tick.run("adapt the placement", self._adaptation.look)
+            self._tick.run("adapt the placement", self._adaptation.adapt)
 
     def stop(self) -> None:
         """Stop the robot, and answer the clients that still wait."""
@@ -220,22 +222,24 @@ class Manager:
     def _take_samples(self) -> None:
         """Estimate from samples, keep them, and say which demands have shifted."""
         prepared = self._run.prepared.items()
-        self._estimates.resting = {(name, each.epoch) for name, each in prepared}
-        for sample in self._samples.take():
+        self._estimates.idle = {
+            (name, incarnation.epoch) for name, incarnation in prepared
+        }
+        for sample in self._samples.drain():
             if self._estimates_end:
                 return
             if self._recording is not None:
                 self._recording.add(sample)
-            for name, drift in self._estimates.take(sample):
+            for name, drift in self._estimates.add(sample):
                 needs = f"'{name}' needs {drift.after:.1%} of a core now"
                 what = f"{needs}, {drift.before:.1%} before"
                 self._run.journal.note("seen", what)
 
     def _look_after_tasks(self) -> None:
-        self.tasks.look(self._put_aside.functions())
+        self.tasks.advance(self._suspensions.functions())
 
     def _prepare_next(self) -> None:
-        self._prefetch.look(self.tasks.likely_next(), self._estimates.loads.loads())
+        self._prefetch.update(self.tasks.likely_next(), self._estimates.loads.loads())
 
     def _wait_news(self, limit: float) -> bool:
         return self._run.agents.wait_news(self._has_news, limit)
@@ -250,7 +254,7 @@ class Manager:
             *self._watch.deviations,
             *self._watch.code_errors.deviations(),
             *self._adaptation.deviations,
-            *self._put_aside.deviations(),
+            *self._suspensions.deviations(),
         )
 
     def _has_news_of_tasks(self) -> bool:
@@ -279,10 +283,10 @@ class Manager:
 
     def _migrate(self) -> None:
         """Make the migrations whose targets are configured, or will not be."""
-        for each in list(self._planned):
-            command, planned, future = each
+        for waiting in list(self._planned):
+            command, planned, future = waiting
             if not self.is_stopping and planned.is_over():
-                self._planned.remove(each)
+                self._planned.remove(waiting)
                 future.set_result(self._carry_out(command, planned.run))
 
     def _carry_out(self, command: Command, do: Callable[[], T]) -> T | Refusal:
@@ -342,8 +346,8 @@ class Manager:
             },
             lost=self._lost.computers(),
             loads=self._estimates.loads.loads(),
-            misses=self._misses.look(statuses, moment),
-            chains=self._ages.look(self._chains.reports(statuses), moment),
+            misses=self._misses.measure(statuses, moment),
+            chains=self._ages.measure(self._chains.reports(statuses), moment),
             demand_estimates=tuple(self._estimates.demand_estimates()),
             statuses=statuses,
             traffic=self._estimates.traffic(),
@@ -359,12 +363,12 @@ class Manager:
             self._has_successor = True
             raise TakenOver(text)
 
-    def _look(self) -> None:
+    def _observe(self) -> None:
         self._tick.run("see who manages the robot", self._raise_on_successor)
-        self._tick.run("look at itself", self._troubles.look)
+        self._tick.run("look at itself", self._troubles.check)
         self._run.reconcile()
         self._tick.run("see which computers are lost", self._lost.note)
-        self._tick.run("watch components", self._watch.look)
+        self._tick.run("watch components", self._watch.record)
 
 
 def _answer(future: Results, result: Result | Refusal) -> None:

@@ -17,7 +17,7 @@ from poise.manage.control_socket.commands import StopCommand
 from poise.manage.control_socket.control_server import ControlServer
 from poise.manage.deploy.takeover import start_or_take_over
 from poise.manage.journal import Journal, check_journal
-from poise.manage.manager import LOOK_EVERY, Manager
+from poise.manage.manager import TICK, Manager
 from poise.manage.observe.estimates import Estimates
 from poise.manage.observe.sample_recording import Recording, RecordingFile
 from poise.manage.tasks.task_manager import goes_on_with
@@ -95,13 +95,13 @@ class Up(Running):
         try:
             while not self._manager.is_stopping:
                 if not run.tick.run("carry on", self._work):
-                    run.clock.sleep(LOOK_EVERY)
+                    run.clock.sleep(TICK)
         finally:  # it was asked for, or another manager has the robot
             self._manager.stop()
 
     def _work(self) -> bool:
         world = self.started.world
-        self._manager.work(LOOK_EVERY)
+        self._manager.work(TICK)
         if world is not None and world.has_ended():
             self._manager.end_estimates()
         return True

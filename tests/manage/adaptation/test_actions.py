@@ -32,9 +32,9 @@ def take(
     """Carry out the action of a policy about the first subject that it finds."""
     situation = robbed.situation()
     policies = Policies([replace(policy, lasts=0.0)])
-    symptom = policies.look(partial(values_of, situation), now)[0]
+    symptom = policies.evaluate(partial(values_of, situation), now)[0]
     actions = Actions(robbed.run, robbed.aside, limits or MoveLimits(), policies)
-    actions.take(symptom, situation, now)
+    actions.act(symptom, situation, now)
 
 
 def about(name: str, **keys: object) -> Policy:
@@ -114,17 +114,17 @@ def test_the_loop_says_what_a_policy_saw_and_what_came_of_it() -> None:
     robbed = Robbed(replace(robot, policies=policies))
     now = [0.0]
     loop = Adaptation(robbed.run, robbed.situation, robbed.aside, clock=lambda: now[0])
-    loop.look()
+    loop.adapt()
     assert robbed.run.placed["low"].epoch == 1
     (entry,) = [e for e in robbed.journal.entries() if "policy" in e.what]
     assert entry.what == "policy 'p': restart 'low': component 'low': name == 'low'"
     (seen,) = entry.facts["policies"]
     assert seen["saw"]["computer"] == "left"
     now[0] = 59.0
-    loop.look()
+    loop.adapt()
     assert robbed.run.placed["low"].epoch == 1
     now[0] = 60.0
-    loop.look()
+    loop.adapt()
     assert robbed.run.placed["low"].epoch == 2
 
 
@@ -132,6 +132,6 @@ def test_an_action_that_fails_is_said_and_the_loop_goes_on() -> None:
     policies = (about("low", do="replace", lasts=0.0, cool_down=60.0),)
     robbed = Robbed(replace(robot_with(), policies=policies))
     loop = Adaptation(robbed.run, robbed.situation, robbed.aside, clock=lambda: 0.0)
-    loop.look()
+    loop.adapt()
     (entry,) = [e for e in robbed.journal.entries() if e.kind == "failed"]
     assert entry.what.endswith("architecture 'low-task' has no alternative")

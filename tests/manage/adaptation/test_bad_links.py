@@ -36,7 +36,7 @@ def seen(situation: Make, robot: Robot, **links: LinkQuality) -> list[str]:
     now = replace(situation(robot=linked), statuses={"left": left})
     policies = Policies(policies_of(linked))
     for at in (0.0, 5.0):
-        found = policies.look(lambda subject: values_of(now, subject), at)
+        found = policies.evaluate(lambda subject: values_of(now, subject), at)
     return [symptom.policy.name for symptom in found]
 
 
@@ -200,19 +200,19 @@ def test_a_link_that_comes_and_goes_moves_less_and_less(
     at: dict[str, str] = {"a": "left", "b": "right"}
     for now in range(900):
         if now % 20 < 10:
-            limits.forget_nothing()
+            limits.reset_backoff()
             continue
         seen = replace(
             over(situation, robot, quality(silent=1.0)),
             placement=at,
         )
-        if limits.rests(now, seen.amounts()):
+        if limits.is_backing_off(now, seen.amounts()):
             continue
-        found = decide(seen, limits.barred(now))
+        found = decide(seen, limits.quarantined(now))
         if found.acts and found.proposal is not None:
             limits.note(found.proposal.steps, now)
             at = dict(found.proposal.placement)
             moves.append(now)
         else:
-            limits.note_nothing(now, seen.amounts())
+            limits.start_backoff(now, seen.amounts())
     assert len(moves) == 1

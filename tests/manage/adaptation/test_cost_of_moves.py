@@ -25,7 +25,7 @@ from poise.manage.deploy.desired import Desired
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.migration.migration_report import TransitionReport, TransitionStep
 from poise.manage.observe.estimates import DemandEstimate, Load
-from poise.manage.shortages.suspension import PutAside
+from poise.manage.shortages.suspension import Suspensions
 from poise.model.policy.policy import TimerValues
 from poise.model.robot import (
     Action,
@@ -203,19 +203,19 @@ def run(world: World, seconds: float) -> World:
         adaptation = Adaptation(
             cast(RunningComponents, Robotless(world.robot)),
             world.situation,
-            cast(PutAside, Nothing()),
+            cast(Suspensions, Nothing()),
             clock=lambda: world.now,
         )
         end = world.now + seconds
         while world.now < end:
             world.step()
-            adaptation.look()
+            adaptation.adapt()
         kept = world.background(world)
         world.background = lambda _: kept
         end = world.now + CALM
         while world.now < end:
             world.step()
-            adaptation.look()
+            adaptation.adapt()
     finally:
         patch.undo()
     return world

@@ -34,7 +34,7 @@ class Returning(Robbed):
 
     def look(self, now: float) -> None:
         self.now = now
-        self.loop.look()
+        self.loop.adapt()
 
     def said(self) -> list[str]:
         whats = (entry.what for entry in self.journal.entries())

@@ -18,17 +18,17 @@ def test_it_rests_until_what_has_changed_is_measured() -> None:
     move_limits = MoveLimits()
     for now in (0.0, 10.0, 20.0):
         move_limits.note([AWAY], now)
-        assert move_limits.rests(now + 0.9 * REST)
-        assert not move_limits.rests(now + REST)
+        assert move_limits.is_backing_off(now + 0.9 * REST)
+        assert not move_limits.is_backing_off(now + REST)
 
 
 def test_a_component_may_not_return_for_some_time() -> None:
     move_limits = MoveLimits()
     move_limits.note([AWAY], 0.0)
-    assert move_limits.barred(299.0) == {"a": {"left"}}
-    assert move_limits.barred(300.0) == {}
+    assert move_limits.quarantined(299.0) == {"a": {"left"}}
+    assert move_limits.quarantined(300.0) == {}
     move_limits.note([AWAY], 400.0)
-    assert move_limits.barred(999.0) == {"a": {"left"}}
+    assert move_limits.quarantined(999.0) == {"a": {"left"}}
 
 
 def test_no_more_than_the_budget_moves_in_a_minute() -> None:
@@ -53,12 +53,12 @@ def test_no_load_makes_a_component_go_to_and_fro(situation: Make, load: str) -> 
             side = max(("left", "right"), key=at.count)
         elif chance.random() < 0.2:
             side = chance.choice(("left", "right"))
-        if move_limits.rests(now):
+        if move_limits.is_backing_off(now):
             continue
         seen = situation(dict(placement), background={side: 0.35})
-        found = decide(seen, move_limits.barred(now))
+        found = decide(seen, move_limits.quarantined(now))
         if not found.acts or found.proposal is None:
-            move_limits.note_nothing(now)
+            move_limits.start_backoff(now)
             continue
         move_limits.note(found.proposal.steps, now)
         for step in found.proposal.steps:
@@ -72,17 +72,17 @@ def test_no_load_makes_a_component_go_to_and_fro(situation: Make, load: str) -> 
 def test_what_was_in_vain_is_thought_about_soon_when_things_have_changed() -> None:
     limits = MoveLimits()
     for now in (0.0, 2.0, 6.0, 14.0):
-        limits.note_nothing(now, {"left": 1.0})
-    assert limits.rests(29.0, {"left": 1.02})
-    assert limits.rests(14.4, {"left": 0.5})  # but not at once
-    assert not limits.rests(14.5, {"left": 0.5})
+        limits.start_backoff(now, {"left": 1.0})
+    assert limits.is_backing_off(29.0, {"left": 1.02})
+    assert limits.is_backing_off(14.4, {"left": 0.5})  # but not at once
+    assert not limits.is_backing_off(14.5, {"left": 0.5})
 
 
 def test_a_cool_down_is_none_the_shorter_when_things_have_changed() -> None:
     limits = MoveLimits()
-    limits.note_nothing(0.0, {"left": 1.0})
+    limits.start_backoff(0.0, {"left": 1.0})
     limits.note([], 2.0)
-    assert limits.rests(3.9, {"left": 0.5})
+    assert limits.is_backing_off(3.9, {"left": 0.5})
 
 
 def test_a_cold_move_bars_the_way_back_too() -> None:
@@ -95,7 +95,7 @@ def test_a_cold_move_bars_the_way_back_too() -> None:
         ],
         0.0,
     )
-    assert limits.barred(1.0) == {"a": {"left"}, "b": {"right"}}
+    assert limits.quarantined(1.0) == {"a": {"left"}, "b": {"right"}}
 
 
 def test_the_third_computer_of_an_intermediate_move_is_not_barred() -> None:
@@ -107,4 +107,4 @@ def test_the_third_computer_of_an_intermediate_move_is_not_barred() -> None:
         ],
         0.0,
     )
-    assert limits.barred(1.0) == {"a": {"left"}}
+    assert limits.quarantined(1.0) == {"a": {"left"}}

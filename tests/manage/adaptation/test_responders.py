@@ -66,21 +66,21 @@ def test_one_that_raises_is_said_and_the_others_are_asked(number: int) -> None:
     rig = Rig()
     rig.asked[number].error = KeyError("odd")
     for _ in range(2):
-        rig.loop.look()
+        rig.loop.adapt()
     times = [each.times for each in rig.asked]
     assert times == [1 if each == number else 2 for each in range(len(PURPOSES))]
     (deviation,) = rig.tick.deviations()
     assert f"the manager cannot {PURPOSES[number]} (KeyError" in deviation.what
     rig.asked[number].error = None
     rig.clock.sleep(2.0)
-    rig.loop.look()
+    rig.loop.adapt()
     assert rig.tick.deviations() == []
 
 
 def test_the_first_that_wants_a_change_is_the_last_that_is_asked() -> None:
     rig, done = Rig(), list[str]()
     rig.asked[2].change = Change(why="so", carry_out=lambda: done.append("it"))
-    rig.loop.look()
+    rig.loop.adapt()
     assert done == ["it"]
     assert [each.times for each in rig.asked] == [1, 1, 1, 0, 0, 0]
     assert rig.robbed.journal.entries()[-1].what == "so"
@@ -92,6 +92,6 @@ def test_a_change_that_fails_backs_off_and_lets_the_next_act() -> None:
 
     rig = Rig()
     rig.asked[0].change = Change(carry_out=fail)
-    rig.loop.look()
-    rig.loop.look()
+    rig.loop.adapt()
+    rig.loop.adapt()
     assert [each.times for each in rig.asked] == [1, 2, 2, 2, 2, 2]

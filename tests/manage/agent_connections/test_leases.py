@@ -73,7 +73,7 @@ class World:
     def _send(self, name: str) -> None:
         at = self.now + AHEAD[name]
         if name == MANAGER:
-            self.manager.look(AGENTS, at)
+            self.manager.measure(AGENTS, at)
         managed = 0.0 if name == MANAGER else self.leases[name].managed(at)
         manager = self.obeys.get(name, "")
         beat = self.contacts[name].next_beat(at, managed=managed, manager=manager)

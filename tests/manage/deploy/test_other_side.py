@@ -9,7 +9,7 @@ from msgspec.structs import replace
 
 from poise.estimate.profile.code_version import version_of
 from poise.manage.agent_connections.agents import Agents
-from poise.manage.deploy.adoption import counting, found_in, joined_by
+from poise.manage.deploy.adoption import authoritative, found_in, joined_by
 from poise.manage.deploy.deployment_plan import DeploymentPlan
 from poise.manage.deploy.desired import Desired, Incarnation
 from poise.manage.deploy.lost_computers import LostComputers
@@ -239,5 +239,5 @@ def test_what_an_earlier_manager_held_is_no_target_of_a_migration(robot: Robot) 
     old = replace(THINKER, computer="left", epoch=3)
     found = found_in(plan.specs([old, *desired.incarnations()], 5, {}))
     assert {each.spec.goal for each in found} == {"active", "inactive"}
-    counts = counting(found, robot, is_committed=False)
+    counts = authoritative(found, robot, is_committed=False)
     assert counts["thinker"].incarnation == THINKER

@@ -872,7 +872,7 @@ def test_a_command_line_component_goes_on_when_it_cannot_start_elsewhere(
         if computer == "left" or goals != {"active"}:
             return begin_deploy(computer, deployment)
         reply = Reply()
-        reply.take(Refused("not today"))
+        reply.set(Refused("not today"))
         return reply
 
     world.striking.begin_deploy = refuse

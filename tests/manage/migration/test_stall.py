@@ -33,7 +33,7 @@ class Preparation:
         self.is_at("inactive")
         run = cast("RunningComponents", self.run)
         self.stall = Stall(run, [TARGET], lambda: self.now)
-        self.stall.look()
+        self.stall.check()
 
     def misses(self, *what: str) -> None:
         self.run.missing.return_value = list(what)
@@ -54,7 +54,7 @@ class Preparation:
 
     def look_after(self, seconds: float) -> None:
         self.now += seconds
-        self.stall.look()
+        self.stall.check()
 
 
 def test_a_preparation_without_progress_ends_and_says_what_is_missing() -> None:

@@ -105,23 +105,23 @@ def test_a_chain_that_does_not_run_as_a_whole_is_not_reported() -> None:
 
 def test_only_what_was_used_lately_counts() -> None:
     ages = ChainAges()
-    ages.look([report(100, 0, within=0.01, last=0.02)], 0.0)
+    ages.measure([report(100, 0, within=0.01, last=0.02)], 0.0)
     # ten uses more: 100 at 0.02 s and these at 0.24 s are 0.04 s in the mean
     mean = (100 * 0.02 + 10 * 0.24) / 110
-    (found,) = ages.look([report(110, 9, within=0.01, last=mean)], 1.0)
+    (found,) = ages.measure([report(110, 9, within=0.01, last=mean)], 1.0)
     assert (found.used, found.missed) == (10, 9)
     assert found.is_late
     assert found.ages["controller"] == pytest.approx(0.24)
     assert found.slowest == "controller"
     assert str(found) == "scanner -> localiser 10 ms, localiser -> controller 230 ms"
-    (found,) = ages.look([report(120, 9, within=0.01, last=mean)], 2.0)
+    (found,) = ages.measure([report(120, 9, within=0.01, last=mean)], 2.0)
     assert not found.is_late
 
 
 def test_what_is_used_no_more_is_forgotten() -> None:
     ages = ChainAges()
-    ages.look([report(1, 1)], 0.0)
-    assert ages.look([report(2, 2)], 1.0)[0].is_late
+    ages.measure([report(1, 1)], 0.0)
+    assert ages.measure([report(2, 2)], 1.0)[0].is_late
     for second in range(2, 12):
-        found = ages.look([report(2, 2)], float(second))
+        found = ages.measure([report(2, 2)], float(second))
     assert found == ()

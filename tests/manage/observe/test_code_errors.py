@@ -43,24 +43,24 @@ def statuses(
 def test_says_once_that_errors_come_and_once_that_they_are_over() -> None:
     said = list[tuple[str, str]]()
     raised = CodeErrors(lambda kind, what: said.append((kind, what)))
-    raised.look(statuses(0), 0.0)
+    raised.record(statuses(0), 0.0)
     assert not said
     for now in range(1, 6):
-        raised.look(statuses(3 * now), float(now))
+        raised.record(statuses(3 * now), float(now))
     assert said == [("wrong", WHAT)]
-    raised.look(statuses(15), 5.0 + 0.9 * QUIET)
+    raised.record(statuses(15), 5.0 + 0.9 * QUIET)
     assert len(said) == 1
-    raised.look(statuses(15), 5.0 + QUIET)
-    raised.look(statuses(15), 6.0 + QUIET)
+    raised.record(statuses(15), 5.0 + QUIET)
+    raised.record(statuses(15), 6.0 + QUIET)
     assert said[1:] == [("right", f"no more: {WHAT} (15 times)")]
 
 
 def test_what_a_restarted_component_raises_is_new() -> None:
     said = list[tuple[str, str]]()
     raised = CodeErrors(lambda kind, what: said.append((kind, what)))
-    raised.look(statuses(5), 0.0)
+    raised.record(statuses(5), 0.0)
     for now in (1.0, 2.0, 2 * QUIET):
-        raised.look(statuses(2, pid=2), now)
+        raised.record(statuses(2, pid=2), now)
     assert [kind for kind, _ in said] == ["wrong", "right"]
     assert said[1][1].endswith("(7 times)")
 
@@ -68,16 +68,16 @@ def test_what_a_restarted_component_raises_is_new() -> None:
 def test_what_is_out_of_reach_for_a_while_raised_nothing_new() -> None:
     said = list[tuple[str, str]]()
     raised = CodeErrors(lambda kind, what: said.append((kind, what)))
-    raised.look(statuses(5), 0.0)
-    raised.look({}, QUIET)
-    raised.look(statuses(5), QUIET + 1)
+    raised.record(statuses(5), 0.0)
+    raised.record({}, QUIET)
+    raised.record(statuses(5), QUIET + 1)
     assert [kind for kind, _ in said] == ["wrong", "right"]
 
 
 def test_a_component_that_failed_is_told_of_as_a_deviation() -> None:
     said = list[tuple[str, str]]()
     raised = CodeErrors(lambda kind, what: said.append((kind, what)))
-    raised.look(statuses(1, "failed"), 0.0)
+    raised.record(statuses(1, "failed"), 0.0)
     assert not said
 
 
@@ -85,8 +85,8 @@ def test_messages_that_are_refused_are_told_of() -> None:
     said = list[tuple[str, str]]()
     errors = CodeErrors(lambda kind, what: said.append((kind, what)))
     for now, count in enumerate((0, 3, 4, 2)):
-        errors.look(statuses(0, refused=count), float(now))
-    errors.look(statuses(0, refused=2), 3.0 + QUIET)
+        errors.record(statuses(0, refused=count), float(now))
+    errors.record(statuses(0, refused=2), 3.0 + QUIET)
     what = (
         "connector 'eye.size-hand.size' refused messages on 'left': "
         "not of the port's type; `poise log` says more"

@@ -37,7 +37,7 @@ def test_a_slow_timer_stays_late_between_its_releases() -> None:
     for tick in range(100):
         now = tick * 0.2
         count = int(now / 2)
-        found = misses.look(status(2.0, count, count), now)
+        found = misses.measure(status(2.0, count, count), now)
         late.append(any(each.late for each in found))
     assert not any(late[:10])
     assert all(late[10:])
@@ -45,23 +45,23 @@ def test_a_slow_timer_stays_late_between_its_releases() -> None:
 
 def test_what_was_missed_long_ago_does_not_count() -> None:
     misses = DeadlineMisses()
-    misses.look(status(0.1, 10, 0), 0.0)
-    (found,) = misses.look(status(0.1, 20, 9), 1.0)
+    misses.measure(status(0.1, 10, 0), 0.0)
+    (found,) = misses.measure(status(0.1, 20, 9), 1.0)
     assert (found.released, found.missed, found.over) == (10, 9, 1.0)
-    (found,) = misses.look(status(0.1, 30, 9), 2.0)
+    (found,) = misses.measure(status(0.1, 30, 9), 2.0)
     assert (found.released, found.missed) == (10, 0)
 
 
 def test_only_releases_of_the_last_second_count() -> None:
     """Statuses come once a second, and at once when a deadline was missed."""
     misses = DeadlineMisses()
-    misses.look(status(0.1, 0, 0), 0.0)
-    misses.look(status(0.1, 10, 0), 1.0)
-    misses.look(status(0.1, 18, 1), 1.8)
-    (found,) = misses.look(status(0.1, 19, 2), 1.9)
+    misses.measure(status(0.1, 0, 0), 0.0)
+    misses.measure(status(0.1, 10, 0), 1.0)
+    misses.measure(status(0.1, 18, 1), 1.8)
+    (found,) = misses.measure(status(0.1, 19, 2), 1.9)
     assert (found.released, found.missed) == (10, 2)
     assert found.late
-    (found,) = misses.look(status(0.1, 19, 2), 2.7)  # no status came meanwhile
+    (found,) = misses.measure(status(0.1, 19, 2), 2.7)  # no status came meanwhile
     assert (found.released, found.missed) == (9, 2)
 
 

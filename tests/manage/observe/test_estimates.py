@@ -38,7 +38,7 @@ def test_stands_against_the_profile(robot: Robot, steady: Sampler) -> None:
         components={"eye": known},
     )
     estimates = Estimates(robot, profile, emulated=False)
-    drifts = [d for k in range(200) for d in estimates.take(steady(0.2 * k))]
+    drifts = [d for k in range(200) for d in estimates.add(steady(0.2 * k))]
     assert drifts == []
     eye, mind = estimates.demand_estimates()
     assert (eye.component, eye.computer, eye.expected) == ("eye", "a", 0.05)
@@ -52,14 +52,14 @@ def test_time_of_an_emulated_computer_is_the_references(
 ) -> None:
     estimates = Estimates(robot, None, emulated=True)
     for k in range(20):
-        estimates.take(steady(0.2 * k))
+        estimates.add(steady(0.2 * k))
     assert estimates.demand_estimates()[0].estimate.mean == pytest.approx(0.1)
 
 
 def test_estimates_traffic(robot: Robot, steady: Sampler) -> None:
     estimates = Estimates(robot, None, emulated=True)
     for k in range(50):
-        estimates.take(steady(0.2 * k))
+        estimates.add(steady(0.2 * k))
     assert estimates.traffic().keys() == {"eye.x-mind.x"}
     traffic = estimates.traffic()["eye.x-mind.x"]
     assert traffic.messages == pytest.approx(10)
@@ -80,7 +80,7 @@ def test_a_connector_that_falls_silent_has_no_traffic(
         there = msgspec.structs.replace(here, name="other", connectors=(silent,))
         both = tuple(msgspec.structs.replace(c, at=0.2 * k) for c in (here, there))
         sample = msgspec.structs.replace(steady(0.2 * k), containers=both)
-        estimates.take(sample)
+        estimates.add(sample)
         rates |= {round(t.messages) for t in estimates.traffic().values()}
     assert rates == {10, 0}
     (traffic,) = estimates.traffic().values()
@@ -92,14 +92,14 @@ def test_a_replay_gives_the_same_estimates(
 ) -> None:
     live, recording = Estimates(robot, None, emulated=True), Recording()
     for k in range(100):
-        live.take(steady(0.2 * k))
+        live.add(steady(0.2 * k))
         recording.add(steady(0.2 * k))
-    write_recording(tmp_path / "run.mcap", "r", recording.take())
+    write_recording(tmp_path / "run.mcap", "r", recording.drain())
     again = Estimates(robot, None, emulated=True)
     for sample in samples_of(tmp_path / "run.mcap"):
-        again.take(sample)
+        again.add(sample)
     assert again.demand_estimates() == live.demand_estimates()
-    assert recording.take() == []
+    assert recording.drain() == []
 
 
 def test_says_what_is_no_recording(tmp_path: Path) -> None:
@@ -113,7 +113,7 @@ def test_says_what_is_no_recording(tmp_path: Path) -> None:
 def test_speaks_to_prometheus(robot: Robot, steady: Sampler) -> None:
     estimates = Estimates(robot, None, emulated=True)
     for k in range(20):
-        estimates.take(steady(0.25 * k))
+        estimates.add(steady(0.25 * k))
     text = to_prometheus(estimates, {})
     lines = [x for x in text.splitlines() if x.startswith("poise_component_cpu_cores{")]
     labels, values = zip(*(line.split(" ") for line in lines), strict=True)
@@ -154,7 +154,7 @@ def test_tells_prometheus_what_each_end_counts(robot: Robot) -> None:
 def test_serves_metrics_and_nothing_else(robot: Robot, steady: Sampler) -> None:
     estimates = Estimates(robot, None, emulated=True)
     for k in range(3):
-        estimates.take(steady(0.25 * k))
+        estimates.add(steady(0.25 * k))
     server = MetricsServer(estimates, dict, ("127.0.0.1", 0))
     at = f"http://127.0.0.1:{server.port}"
     try:
@@ -192,9 +192,9 @@ def moved(sample: AgentSample, cpu: float) -> AgentSample:
 def test_a_move_is_no_drift(robot: Robot, steady: Sampler, cpu: float) -> None:
     """Whatever the new incarnation's counters begin with."""
     estimates = Estimates(robot, None, emulated=True)
-    drifts = [d for k in range(100) for d in estimates.take(steady(0.2 * k))]
+    drifts = [d for k in range(100) for d in estimates.add(steady(0.2 * k))]
     drifts += [
-        d for k in range(100, 200) for d in estimates.take(moved(steady(0.2 * k), cpu))
+        d for k in range(100, 200) for d in estimates.add(moved(steady(0.2 * k), cpu))
     ]
     assert drifts == []
     assert estimates.demand_estimates()[0].estimate.mean == pytest.approx(0.1)

@@ -19,7 +19,7 @@ def test_another_program_is_known_0_6_s_after_it_began(robot: Robot) -> None:
     for tick in range(14):
         at = 0.2 * tick
         busy = 0.1 * at + 0.9 * max(0.0, at - 2.0)
-        loads.take(AgentSample("a", at, 0.1 * at, (), busy))
+        loads.add(AgentSample("a", at, 0.1 * at, (), busy))
     found = loads.loads()["a"]
     assert found.used == pytest.approx(1.0)
     assert found.background == pytest.approx(0.9)
@@ -36,5 +36,5 @@ def test_what_each_component_uses_now_is_known(robot: Robot) -> None:
             ComponentSample("mind", 1, 0.5, 0.0, 0, 0),
         )
         container = ContainerSample("one", 7, at, cpu, 0, components, ())
-        loads.take(AgentSample("a", at, 0.0, (container,), cpu))
+        loads.add(AgentSample("a", at, 0.0, (container,), cpu))
     assert loads.loads()["a"].components == {"eye": pytest.approx(1.0)}

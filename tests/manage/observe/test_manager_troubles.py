@@ -20,17 +20,17 @@ def test_a_jump_of_the_clock_is_said_once_and_shown_for_a_minute() -> None:
     clocks, journal = Clocks(), Journal(":memory:")
     troubles = ManagerTroubles(journal, lambda: clocks.wall, lambda: clocks.now)
     clocks.pass_by(30)
-    troubles.look()
+    troubles.check()
     assert not troubles.deviations()
     clocks.wall -= 7200
-    troubles.look()
+    troubles.check()
     clocks.pass_by(59)
-    troubles.look()
+    troubles.check()
     (entry,) = journal.entries()
     assert "clock of the manager's computer jumped back by 7200 s" in entry.what
     assert [each.what for each in troubles.deviations()] == [entry.what]
     clocks.pass_by(2)
-    troubles.look()
+    troubles.check()
     assert not troubles.deviations()
     assert len(journal.entries()) == 1
 
@@ -41,7 +41,7 @@ def test_a_clock_that_drifts_is_no_trouble() -> None:
     for _ in range(100):
         clocks.pass_by(1)
         clocks.wall += 0.1
-        troubles.look()
+        troubles.check()
     assert not journal.entries()
 
 
@@ -58,11 +58,11 @@ def test_a_file_that_cannot_be_written_is_a_deviation_meanwhile() -> None:
         "the recording x cannot be written: no room, and so far lacks 7 records",
         "the recording x lacks 8 records",
     ):
-        troubles.look()
+        troubles.check()
         (found,) = troubles.deviations()
         assert found.what == file.trouble
     file.trouble = ""
-    troubles.look()
+    troubles.check()
     assert not troubles.deviations()
     assert [(e.kind, e.what) for e in journal.entries()] == [
         ("wrong", "the recording x cannot be written: no room"),
@@ -80,7 +80,7 @@ def test_a_journal_that_cannot_be_written_is_a_deviation(tmp_path: Path) -> None
     assert journal.file is not None
     assert not journal.file.flush()
     troubles = ManagerTroubles(journal)
-    troubles.look()
+    troubles.check()
     (found,) = troubles.deviations()
     assert found.what.endswith("cannot be written: No such file or directory")
     assert [e.what for e in journal.entries()] == [found.what]

@@ -97,7 +97,7 @@ def _collector() -> Iterator[Collector]:
 def _estimates(robot: Robot, steady: Sampler) -> Estimates:
     estimates = Estimates(robot, None, emulated=True)
     for k in range(50):
-        estimates.take(steady(0.2 * k))
+        estimates.add(steady(0.2 * k))
     return estimates
 
 

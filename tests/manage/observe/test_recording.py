@@ -133,8 +133,8 @@ def test_of_too_many_samples_the_last_wait_and_it_is_said(
     waiting = Recording()
     for number in range(5):
         waiting.add(sample(number))
-    assert [each.at for each in waiting.take()] == [3, 4]
-    assert waiting.take() == []
+    assert [each.at for each in waiting.drain()] == [3, 4]
+    assert waiting.drain() == []
     assert waiting.trouble == (
         "3 samples of agents came while the manager was busy, and are lost"
     )

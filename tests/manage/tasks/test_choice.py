@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import pytest
 from msgspec.structs import replace
 
-from poise.manage.tasks.action_placement import Likely
+from poise.manage.tasks.action_placement import LikelyAction
 from poise.manage.tasks.prefetch import PrefetchPlan, choose
 from poise.model.robot import Architecture, ComponentEntry, Computer, Device, Robot
 from poise.model.tasks.steps import Prefetch
@@ -38,8 +38,8 @@ def robot() -> Robot:
     )
 
 
-def likely(probability: float, **placement: str) -> Likely:
-    return Likely(
+def likely(probability: float, **placement: str) -> LikelyAction:
+    return LikelyAction(
         task="t",
         action="+".join(placement),
         placement=placement,
@@ -49,7 +49,7 @@ def likely(probability: float, **placement: str) -> Likely:
 
 def chosen(
     robot: Robot,
-    *actions: Likely,
+    *actions: LikelyAction,
     running: Mapping[str, str] | None = None,
     cpu: Mapping[str, float] = FREE,
     held: Mapping[str, str] | None = None,

@@ -13,7 +13,7 @@ from poise.manage.deploy.deactivation import stop
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.journal import Journal
 from poise.manage.observe.estimates import Load
-from poise.manage.tasks.action_placement import Likely
+from poise.manage.tasks.action_placement import LikelyAction
 from poise.manage.tasks.prefetch import TRY_AGAIN, Prefetcher
 from poise.manage.tasks.switch import switch
 from poise.model.robot import Robot
@@ -21,7 +21,7 @@ from poise.model.tasks.steps import Prefetch
 from poise.wire.records.status_records import ComponentStatus, ContainerHealth, Fault
 from tests.manage.conftest import FakeAgents
 
-NEXT = Likely(
+NEXT = LikelyAction(
     task="serve", action="think", placement={"thinker": "right"}, probability=0.8
 )
 
@@ -40,8 +40,10 @@ class Rig:
         self.now = 0.0
         self.prefetch = Prefetcher(self.run, lambda: self.now)
 
-    def look(self, *likely: Likely, loads: Mapping[str, Load] | None = None) -> None:
-        self.prefetch.look(likely, loads or {})
+    def look(
+        self, *likely: LikelyAction, loads: Mapping[str, Load] | None = None
+    ) -> None:
+        self.prefetch.update(likely, loads or {})
 
     def told(self, computer: str) -> list[tuple[str, Any]]:
         """Return the containers that an agent was told last, with their spare CPU."""

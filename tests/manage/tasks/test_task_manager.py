@@ -122,7 +122,7 @@ class Rig:
         self.manager = TaskManager(self.run, saved or Saved(), self._situation)
         for name in started:
             self.manager.command("start", name)
-        self.manager.look()
+        self.manager.advance()
 
     def _situation(self) -> Situation:
         now = self.manager.now()
@@ -136,7 +136,7 @@ class Rig:
     def end(self, component: str, *, done: bool = True) -> None:
         self.agents.say(component, done=done)
         assert self.manager.has_news()
-        self.manager.look()
+        self.manager.advance()
 
     def active(self) -> set[str]:
         return set(self.run.placed)
@@ -165,7 +165,7 @@ def test_a_component_learns_once_that_its_action_begins() -> None:
     rig = Rig(robot_with(task("t", act("a", "see"), act("b", "see"))), "t")
     first = rig.run.placed["seeer"]
     assert (first.action, first.turn > 0) == ("a", True)
-    rig.manager.look()
+    rig.manager.advance()
     assert rig.run.placed["seeer"] == first
     rig.end("seeer")
     second = rig.run.placed["seeer"]
@@ -178,7 +178,7 @@ def test_one_that_was_restarted_by_others_learns_its_action_again() -> None:
     placed = rig.run.placed["seeer"]
     again = replace(placed, epoch=9, turn=0, action="")
     rig.run.commit(rig.run.desired.placing([again]), "it was restarted")
-    rig.manager.look()
+    rig.manager.advance()
     assert rig.run.placed["seeer"].turn == placed.turn
 
 
@@ -186,7 +186,7 @@ def test_what_no_action_needs_ends_after_its_linger() -> None:
     robot = robot_with(task("t", act("a", "see"), act("b", "go")), linger=0.0)
     rig = Rig(robot, "t")
     rig.end("seeer")
-    rig.manager.look()
+    rig.manager.advance()
     assert rig.resting() == set()
     assert "architecture 'see-arch' ends: no action needed it for 0.0 s" in rig.said()
 
@@ -216,7 +216,7 @@ def test_a_task_that_finds_no_room_waits_for_the_one_that_is_at_work() -> None:
     assert rig.states()["second"][0] == "waiting"
     said = len(rig.said())
     for _ in range(3):
-        rig.manager.look()
+        rig.manager.advance()
     assert len(rig.said()) == said  # it says so once
     rig.manager.command("cancel", "first")
     assert rig.active() == {"sayer"}
@@ -255,7 +255,7 @@ def test_a_paused_task_rests_and_keeps_its_state() -> None:
     rig = Rig(robot_with(task("t", act("a", "see")), linger=0.0), "t")
     before = rig.run.placed["seeer"]
     rig.manager.command("pause", "t")
-    rig.manager.look()
+    rig.manager.advance()
     assert (rig.active(), rig.resting()) == (set(), {"seeer"})
     rig.manager.command("resume", "t")
     assert rig.run.placed["seeer"] == before
@@ -269,7 +269,7 @@ def test_components_start_tasks_and_refusals_are_journalled() -> None:
         for n, (verb, name) in enumerate(wishes, 1)
     )
     for _ in range(2):
-        rig.manager.look()
+        rig.manager.advance()
     assert rig.states() == {"t": ("paused", "it was asked"), "u": ("going", "")}
     (refused,) = (each for each in rig.said() if "has no task 'nap'" in each)
     assert refused.startswith("component 'seeer' asks to start task 'nap': ")
@@ -283,7 +283,7 @@ def test_what_is_on_a_lost_computer_holds_no_switch_up() -> None:
     rig.run.commit(rig.run.desired.placing([away]), "it was there")
     (each,) = rig.manager.tasks.tries(rig.manager.tasks.find("t"))
     rig.manager.tasks.end(each.number, 0.0, "told", done=True)
-    rig.manager.look()
+    rig.manager.advance()
     assert (rig.active(), rig.resting()) == ({"goer"}, set())
 
 
@@ -317,7 +317,7 @@ def test_the_limit_of_an_action_holds_though_the_time_of_day_steps_back(
     (each,) = rig.manager.tasks.tries(rig.manager.tasks.records[0])
     assert each.progress.since is not None
     each.progress.since -= 61
-    rig.manager.look()
+    rig.manager.advance()
     assert rig.states()["t"][0] == "failed"
 
 
@@ -336,7 +336,7 @@ def test_the_limit_of_an_action_goes_on_under_the_next_manager(boot: str) -> Non
     (again,) = tasks.tries(tasks.records[0])
     left = 60 - tasks.worked(again, each.progress.since + 50)
     assert left == pytest.approx(10 if boot == "this" else 60, abs=5)
-    said = [what for what in rig.said() if "has its limit of 60 s from now on" in what]
+    said = [what for what in rig.said() if "the limit of 60 s of action" in what]
     assert len(said) == (boot == "another")
 
 
@@ -344,7 +344,7 @@ def test_a_choice_that_is_ahead_is_said_only_when_it_is_made() -> None:
     choice = Choice(steps=(act("a", "see"), act("b", "go")))
     rig = Rig(robot_with(task("t", act("first", "see"), choice)), "t")
     rig.manager.likely_next()
-    rig.manager.look()
+    rig.manager.advance()
     (report,) = rig.manager.reports
     assert report.next == ("a",)
     assert "choice of" not in rig.said()

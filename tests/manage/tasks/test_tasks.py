@@ -101,7 +101,7 @@ class Played:
     def after(self, seconds: float, *holding: str) -> list[str]:
         """Let time pass; return the actions that run then."""
         self.now += seconds
-        self.tasks.look(self.now, lambda until: until.when in holding)
+        self.tasks.end_due(self.now, lambda until: until.when in holding)
         self.work()
         return self.names()
 

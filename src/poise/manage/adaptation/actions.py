@@ -27,7 +27,7 @@ from poise.manage.migration.migration_report import (
 from poise.manage.migration.move import move, replace_architecture
 from poise.manage.migration.transition_run import start_together, transit
 from poise.manage.shortages.free_room import room_for_components
-from poise.manage.shortages.suspension import PutAside
+from poise.manage.shortages.suspension import Suspensions
 from poise.model.check.allowed_computers import pinned_components
 from poise.model.policy.policy import Do
 from poise.model.robot import Architecture, Robot
@@ -36,7 +36,7 @@ from poise.model.robot import Architecture, Robot
 class Actions:
     """Carries out actions on a running robot, one about one subject at a time.
 
-    `take` raises PoiseError when an action is refused or fails.
+    `act` raises PoiseError when an action is refused or fails.
     """
 
     purpose = "carry out policies"
@@ -44,19 +44,19 @@ class Actions:
     def __init__(
         self,
         run: RunningComponents,
-        put_aside: PutAside,
+        suspensions: Suspensions,
         limits: MoveLimits,
         policies: Policies,
     ) -> None:
         self._run = run
         self._policies = policies
-        self._put_aside = put_aside
+        self._suspensions = suspensions
         self._limits = limits
         self._by_name: Mapping[Do, Callable[[Symptom, Situation, float], None]] = {
             "move": self._move,
             "replace": self._replace,
             "restart": self._restart,
-            "restart elsewhere": CrashLoops(run, put_aside, limits).restart_elsewhere,
+            "restart elsewhere": CrashLoops(run, suspensions, limits).restart_elsewhere,
             "put aside": self._put,
         }
 
@@ -77,11 +77,11 @@ class Actions:
     def _carry_out(self, symptom: Symptom, situation: Situation, what: str) -> None:
         self._policies.note_acted([symptom], situation.now)
         try:
-            self.take(symptom, situation, situation.now)
+            self.act(symptom, situation, situation.now)
         except PoiseError as error:
             self._run.journal.note("failed", f"{what}: {error}")
 
-    def take(self, symptom: Symptom, situation: Situation, now: float) -> None:
+    def act(self, symptom: Symptom, situation: Situation, now: float) -> None:
         """Carry out the action of a symptom's policy."""
         do = symptom.policy.do
         assert do is not None  # noqa: S101, `respond` looked
@@ -97,7 +97,7 @@ class Actions:
         if not policy.force:
             if not self._limits.may_move(1, now):
                 raise RunError("the move is over the budget of a minute")
-            if target in self._limits.barred(now).get(component, ()):
+            if target in self._limits.quarantined(now).get(component, ()):
                 raise RunError(f"'{component}' left '{target}' only lately")
             check_move(situation, component, target)
         self._limits.note([TransitionStep(component, source, target)], now)
@@ -133,7 +133,7 @@ class Actions:
             architecture = _lowest(situation, symptom.computer)
         else:
             architecture = self._architecture(symptom)
-        self._put_aside.put([architecture.name], symptom.what, now)
+        self._suspensions.suspend([architecture.name], symptom.what, now)
 
     def _architecture(self, symptom: Symptom) -> Architecture:
         layout, name = self._run.layout, symptom.values.name
@@ -148,7 +148,9 @@ class Actions:
 
 def saw(symptoms: Iterable[Symptom]) -> list[dict[str, object]]:
     """Return policies and the values that they saw, for the journal."""
-    return [{"policy": each.policy.name, "saw": each.values} for each in symptoms]
+    return [
+        {"policy": symptom.policy.name, "saw": symptom.values} for symptom in symptoms
+    ]
 
 
 def _raise_on_failure(report: MigrationReport | TransitionReport) -> None:
@@ -188,10 +190,10 @@ class CrashLoops:
     """Where containers crashed again and again, and what is done about it."""
 
     def __init__(
-        self, run: RunningComponents, put_aside: PutAside, limits: MoveLimits
+        self, run: RunningComponents, suspensions: Suspensions, limits: MoveLimits
     ) -> None:
         self._run = run
-        self._put_aside = put_aside
+        self._suspensions = suspensions
         self._limits = limits
         self._crashed: dict[str, dict[str, float]] = {}
 
@@ -247,10 +249,12 @@ class CrashLoops:
         said = f" (the last time: {fault.message})" if fault else ""
         why = f"container '{container}' crashes again and again on {computers}{said}"
         architecture = self._run.robot.architecture_of(names[0])
-        self._put_aside.bar(architecture.name)
+        self._suspensions.quarantine(architecture.name)
         is_there = any(c.name in self._run.placed for c in architecture.components)
         # else the last try to start it ended so
-        put = self._put_aside.put if is_there else self._put_aside.note
+        put = (
+            self._suspensions.suspend if is_there else self._suspensions.note_suspended
+        )
         put([architecture.name], f"{why}; {way_out}", now)
 
 
@@ -258,7 +262,7 @@ def _crashed_before(
     container: str, situation: Situation, now: float
 ) -> dict[str, float]:
     """Return where agents saw it crash as often, under an earlier manager, and when."""
-    found = {}
+    crashed = {}
     for computer, status in situation.statuses.items():
         ages = [
             status.uptime - fault.uptime
@@ -266,16 +270,16 @@ def _crashed_before(
             if fault.container == container and not fault.is_over
         ]
         if sum(age < FORGET_AFTER for age in ages) >= CRASHES:
-            found[computer] = now - max(0.0, ages[-1])
-    return found
+            crashed[computer] = now - max(0.0, ages[-1])
+    return crashed
 
 
 def components_in(run: RunningComponents, symptom: Symptom) -> list[str]:
     """Return the components of the container that a symptom is about."""
     return sorted(
         name
-        for name, each in run.placed.items()
-        if each.computer == symptom.computer
+        for name, incarnation in run.placed.items()
+        if incarnation.computer == symptom.computer
         and run.layout.container_of(name) == symptom.values.name
     )
 

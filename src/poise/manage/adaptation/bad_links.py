@@ -201,12 +201,12 @@ def with_bad_links(robot: Robot, bad: Sequence[LinkState]) -> Robot:
 
 
 def beyond_cuts(
-    barred: Mapping[str, AbstractSet[str]],
+    quarantined: Mapping[str, AbstractSet[str]],
     placement: Mapping[str, str],
     bad: Sequence[LinkState],
 ) -> Mapping[str, AbstractSet[str]]:
     """Return where components may not go: state cannot cross a cut link, either."""
-    found = {name: {*computers} for name, computers in barred.items()}
+    found = {name: {*computers} for name, computers in quarantined.items()}
     for state in bad:
         if state.cut:
             first, second = state.link.between

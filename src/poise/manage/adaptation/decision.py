@@ -88,7 +88,7 @@ class Decision(Struct, frozen=True, kw_only=True):
 
 def decide(
     situation: Situation,
-    barred: Mapping[str, AbstractSet[str]] = {},
+    quarantined: Mapping[str, AbstractSet[str]] = {},
     horizon: float = HORIZON,
     doubt: float = 1.0,
 ) -> Decision:
@@ -96,17 +96,19 @@ def decide(
 
     Parameters
     ----------
-    barred
+    quarantined
         Component -> computers where it may not go.
     horizon
         For how long the present load is expected to last [s].
     doubt
         How many times costs count, >= 1.
     """
-    situation = situation.of_what_runs()
+    situation = situation.of_running_components()
     bad = bad_links(situation)
-    barred = beyond_cuts(barred, situation.placement, bad)
-    robot = _barring(with_bad_links(situation.robot, bad), situation.placement, barred)
+    quarantined = beyond_cuts(quarantined, situation.placement, bad)
+    robot = _without_quarantined(
+        with_bad_links(situation.robot, bad), situation.placement, quarantined
+    )
     robot_now = with_present_demands(robot, situation.demand_estimates)
     short = sum(shortages_of(situation).values())
     causes = reason(situation, bad)
@@ -248,11 +250,11 @@ def shortages_of(situation: Situation) -> dict[str, float]:
 def _suffering(situation: Situation) -> set[str]:
     """Return the components that are starved, or miss deadlines."""
     starved = {
-        each.component
-        for each in situation.demand_estimates
-        if each.estimate.starved >= STARVED
+        demand.component
+        for demand in situation.demand_estimates
+        if demand.estimate.starved >= STARVED
     }
-    return starved | {each.component for each in situation.misses if each.late}
+    return starved | {timer.component for timer in situation.misses if timer.late}
 
 
 def move_costs(situation: Situation, robot: Robot) -> dict[str, float]:
@@ -289,11 +291,13 @@ def cost_of(
     return sum(costs[step.component] for step in steps)
 
 
-def _barring(
-    robot: Robot, placement: Mapping[str, str], barred: Mapping[str, AbstractSet[str]]
+def _without_quarantined(
+    robot: Robot,
+    placement: Mapping[str, str],
+    quarantined: Mapping[str, AbstractSet[str]],
 ) -> Robot:
-    """Return the robot whose components may not go where they are barred from."""
-    if not barred:
+    """Return the robot whose components may not go where they are quarantined from."""
+    if not quarantined:
         return robot
     allowed = allowed_computers(robot)
     homes = {
@@ -302,6 +306,6 @@ def _barring(
             for computer in sorted(allowed[name])
             if computer not in computers or computer == placement.get(name)
         )
-        for name, computers in barred.items()
+        for name, computers in quarantined.items()
     }
     return _held(robot, homes)

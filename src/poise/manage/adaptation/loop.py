@@ -31,10 +31,10 @@ from poise.manage.migration.migration_report import TransitionReport
 from poise.manage.observe.deviations import Deviation
 from poise.manage.shortages.failover import FailOver
 from poise.manage.shortages.suspension import (
-    Needs,
-    PutAside,
+    NeededFunctions,
+    ResumeSuspended,
     StopWithoutNeeded,
-    TakeBack,
+    Suspensions,
 )
 from poise.model.policy.policy import Seen
 from poise.model.policy.shipped import policies_of
@@ -52,7 +52,7 @@ class Adaptation:
         self,
         run: RunningComponents,
         read: Callable[[], Situation],
-        put_aside: PutAside,
+        suspensions: Suspensions,
         *,
         acts: bool = True,
         keep: Callable[[Seen], object] | None = None,
@@ -60,19 +60,19 @@ class Adaptation:
     ) -> None:
         self._run = run
         self._read = read
-        self._put_aside = put_aside
+        self._suspensions = suspensions
         self._acts = acts
         self._keep = keep
         self._clock = clock
         self._policies = Policies(policies_of(run.robot), run.robot.folder)
-        self._needs = Needs(run.journal)
-        self._transitions = Transitions(run, self._policies, put_aside)
+        self._needs = NeededFunctions(run.journal)
+        self._transitions = Transitions(run, self._policies, suspensions)
         limits = self._transitions.limits
         self.responders: tuple[Responder, ...] = (
-            FailOver(run, put_aside),
-            StopWithoutNeeded(put_aside),
-            Actions(run, put_aside, limits, self._policies),
-            TakeBack(run, put_aside),
+            FailOver(run, suspensions),
+            StopWithoutNeeded(suspensions),
+            Actions(run, suspensions, limits, self._policies),
+            ResumeSuspended(run, suspensions),
             Replan(self._transitions),
             UseAgain(self._transitions),
         )
@@ -80,12 +80,12 @@ class Adaptation:
         self._reported: dict[Key, _Reported] = {}
         self.deviations: tuple[Deviation, ...] = ()
 
-    def look(self) -> None:
+    def adapt(self) -> None:
         """Look at the robot once, and let the first responder act that wants to."""
         situation = self._analysed(self._situation())
         tick = self._run.tick
         tick.run("report symptoms", partial(self._report, situation.symptoms))
-        tick.run("see what is put aside", self._put_aside.look)
+        tick.run("see what is put aside", self._suspensions.record)
         if self._acts:
             for responder in self.responders:
                 respond = partial(self._respond, responder, situation)
@@ -101,8 +101,8 @@ class Adaptation:
         now, read = situation.now, cache(partial(values_of, situation))
         if self._keep is not None:
             self._keep(Seen.by(read, now))
-        symptoms = self._policies.look(read, now)
-        missing = frozenset(self._needs.look(situation, now))
+        symptoms = self._policies.evaluate(read, now)
+        missing = frozenset(self._needs.evaluate(situation, now))
         return replace(situation, symptoms=symptoms, missing=missing)
 
     def _respond(self, responder: Responder, situation: Situation) -> bool:
@@ -119,9 +119,9 @@ class Adaptation:
         self, move: float, *, dry: bool
     ) -> tuple[Proposal, TransitionReport | None]:
         """Change the placement for a person who asks, whatever it gains."""
-        situation = self._situation().of_what_runs()
+        situation = self._situation().of_running_components()
         if not dry:
-            self._put_aside.forgive()
+            self._suspensions.release()
         proposal = propose(situation, situation.robot, move)
         if dry or not proposal.steps:
             return proposal, None

@@ -89,7 +89,7 @@ def alternatives(situation: Situation) -> tuple[Alternative, ...]:
 
     None when some component can run nowhere.
     """
-    situation = situation.of_what_runs()
+    situation = situation.of_running_components()
     left = with_present_demands(situation.robot_left(), situation.demand_estimates)
     robot = replace(left, computers=situation.robot.computers)
     now = situation.placement
@@ -118,7 +118,13 @@ def alternatives(situation: Situation) -> tuple[Alternative, ...]:
     stays, *moves = _single_moves(left, now)
     moves.sort(key=lambda move: move[0])
     found = [work_out(*move) for move in moves[:_MOST_TRIED]]
-    found.sort(key=lambda each: (bool(each.breaks), each.short, each.total))
+    found.sort(
+        key=lambda alternative: (
+            bool(alternative.breaks),
+            alternative.short,
+            alternative.total,
+        )
+    )
     return (work_out(*stays), *found[:_MOST_KEPT])
 
 
@@ -127,7 +133,7 @@ def _single_moves(
 ) -> Iterator[tuple[float, TransitionStep | None]]:
     """Yield what CPU is missing [cores]: as it is, and after each move."""
     demands = {c.name: c.demand.get("cpu", 0.0) for c in robot.components()}
-    left = {name: each["cpu"] for name, each in residue(robot, now).items()}
+    left = {name: amounts["cpu"] for name, amounts in residue(robot, now).items()}
     short = sum(max(0.0, -amount) for amount in left.values())
     yield short, None
     allowed = allowed_computers(robot)

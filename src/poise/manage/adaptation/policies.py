@@ -189,30 +189,30 @@ class Policies:
         for _, function in self._functions:
             function.close()
 
-    def look(self, read: Read, now: float, *, waits: bool = False) -> Symptoms:
+    def evaluate(self, read: Read, now: float, *, waits: bool = False) -> Symptoms:
         """Return the symptoms that have been there at every look for long enough.
 
         `waits`: whether to wait for functions; else what they said last counts.
         """
-        found = {
-            _key(policy, each): (policy, each)
+        holding = {
+            _key(policy, subject): (policy, subject)
             for policy, holds in self._policies
             if policy.for_each is not None
-            for each in read(policy.for_each)
-            if holds(each)
+            for subject in read(policy.for_each)
+            if holds(subject)
         }
-        found |= self._by_functions(read, now, waits=waits)
-        self.since = {key: self.since.get(key, now) for key in found}
+        holding |= self._by_functions(read, now, waits=waits)
+        self.since = {key: self.since.get(key, now) for key in holding}
         return tuple(
-            Symptom(policy=policy, what=_what(policy, each), values=each)
-            for key, (policy, each) in found.items()
+            Symptom(policy=policy, what=_what(policy, subject), values=subject)
+            for key, (policy, subject) in holding.items()
             if now - self.since[key] >= _or(policy.lasts, LASTS)
         )
 
     def _by_functions(
         self, read: Read, now: float, *, waits: bool
     ) -> dict[Key, tuple[Policy, Values]]:
-        found = {}
+        wanted = {}
         seen = Seen.by(read, now) if self._functions else Seen(at=now)
         for policy, function in self._functions:
             actions = function.answer(seen) if waits else function.ask(seen)
@@ -222,21 +222,21 @@ class Policies:
                     text = f"'{policy.call}' names no subject '{action.about}'"
                     function.trouble = f"{text} for '{action.do}'"
                 else:
-                    found[_key(whole, values)] = whole, values
-        return found
+                    wanted[_key(whole, values)] = whole, values
+        return wanted
 
     def due(self, symptoms: Iterable[Symptom], now: float) -> tuple[Symptom, ...]:
         """Return the symptoms about which something may be done: none cools down."""
         return tuple(
-            each
-            for each in symptoms
-            if now - self._acted.get(each.key, float("-inf"))
-            >= _or(each.policy.cool_down, COOL_DOWN)
+            symptom
+            for symptom in symptoms
+            if now - self._acted.get(symptom.key, float("-inf"))
+            >= _or(symptom.policy.cool_down, COOL_DOWN)
         )
 
     def note_acted(self, symptoms: Iterable[Symptom], now: float) -> None:
         """Remember that something was done about symptoms."""
-        self._acted |= {each.key: now for each in symptoms}
+        self._acted |= {symptom.key: now for symptom in symptoms}
 
 
 def _resolved(

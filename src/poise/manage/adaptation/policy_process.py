@@ -68,11 +68,11 @@ def _answer(
     function: Callable[[Seen], Iterable[object] | None], seen: Seen
 ) -> FunctionAnswer:
     try:
-        found = tuple(function(seen) or ())
+        answers = tuple(function(seen) or ())
     except Exception:  # noqa: BLE001, it is the user's code
         return FunctionAnswer(error=traceback.format_exc())
-    actions = [each for each in found if isinstance(each, PolicyAction)]
-    if wrong := [each for each in found if not isinstance(each, PolicyAction)]:
+    actions = [action for action in answers if isinstance(action, PolicyAction)]
+    if wrong := [action for action in answers if not isinstance(action, PolicyAction)]:
         return FunctionAnswer(error=f"it returned {wrong[0]!r}, not a PolicyAction")
     return FunctionAnswer(tuple(actions))
 

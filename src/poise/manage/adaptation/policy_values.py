@@ -39,9 +39,9 @@ def _computers(situation: Situation) -> Iterator[Values]:
             full=load is not None and load.is_full,
             starved=max(
                 (
-                    each.estimate.starved
-                    for each in situation.demand_estimates
-                    if each.computer == computer.name
+                    demand.estimate.starved
+                    for demand in situation.demand_estimates
+                    if demand.computer == computer.name
                 ),
                 default=0.0,
             ),
@@ -70,7 +70,9 @@ def _components(situation: Situation) -> Iterator[Values]:
         for computer, status in situation.statuses.items()
         for health in status.health
     }
-    demands = {each.component: each.estimate for each in situation.demand_estimates}
+    demands = {
+        demand.component: demand.estimate for demand in situation.demand_estimates
+    }
     for architecture in situation.robot.architectures:
         for entry in architecture.components:
             if (computer := situation.placement.get(entry.name)) is None:
@@ -97,15 +99,19 @@ def _components(situation: Situation) -> Iterator[Values]:
 
 def _containers(situation: Situation) -> Iterator[Values]:
     demands = {
-        each.name: each.demand.get("memory", 0.0)
-        for each in situation.robot.components()
+        component.name: component.demand.get("memory", 0.0)
+        for component in situation.robot.components()
     }
     for computer, status in situation.statuses.items():
-        inside = {each.name: each.components for each in status.containers}
+        inside = {
+            container.name: container.components for container in status.containers
+        }
         for health in status.health:
             components = inside.get(health.name, ())
             # what a component allocates in `configure` is no leak
-            is_starting = any(each.state == "unconfigured" for each in components)
+            is_starting = any(
+                component.state == "unconfigured" for component in components
+            )
             yield ContainerValues(
                 name=health.name,
                 computer=computer,
@@ -114,8 +120,10 @@ def _containers(situation: Situation) -> Iterator[Values]:
                 restarts_lately=health.restarts_lately,
                 cpu=health.cpu,
                 memory=health.memory,
-                components=", ".join(each.name for each in components),
-                expected=sum(demands.get(each.name, 0.0) for each in components),
+                components=", ".join(component.name for component in components),
+                expected=sum(
+                    demands.get(component.name, 0.0) for component in components
+                ),
                 growth=0.0 if is_starting else health.growth,
                 limit=health.limit,
                 full_in=health.full_in,
@@ -123,19 +131,19 @@ def _containers(situation: Situation) -> Iterator[Values]:
 
 
 def _chains(situation: Situation) -> Iterator[Values]:
-    for each in situation.chains:
+    for chain in situation.chains:
         yield ChainValues(
-            name=each.chain,
-            component=each.last,
-            computer=each.computers[each.slowest],
-            age=each.ages[each.last],
-            deadline=each.deadline,
-            used=each.used,
-            missed=each.missed,
-            share=each.missed / each.used,
-            over=each.seconds,
-            late=each.is_late,
-            steps=str(each),
+            name=chain.chain,
+            component=chain.last,
+            computer=chain.computers[chain.slowest],
+            age=chain.ages[chain.last],
+            deadline=chain.deadline,
+            used=chain.used,
+            missed=chain.missed,
+            share=chain.missed / chain.used,
+            over=chain.seconds,
+            late=chain.is_late,
+            steps=str(chain),
         )
 
 
@@ -143,9 +151,11 @@ def _robots(situation: Situation) -> Iterator[Values]:
     yield RobotValues(
         name=situation.robot.name,
         lost=len(situation.lost),
-        late=sum(each.late for each in situation.misses),
+        late=sum(timer.late for timer in situation.misses),
         used=sum(load.used for load in situation.loads.values()),
-        calls=sum(each.calls + each.messages for each in situation.traffic.values()),
+        calls=sum(
+            traffic.calls + traffic.messages for traffic in situation.traffic.values()
+        ),
     )
 
 

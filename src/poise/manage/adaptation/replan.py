@@ -120,13 +120,13 @@ def _others(situation: Situation) -> str:
 def late(situation: Situation) -> str:
     """Return what each late timer and chain needs and gets, for people."""
     timers = [
-        f"timer '{each.timer}' of component '{each.component}' must end within "
-        f"{format_seconds(each.deadline)}, and its runs take "
-        f"{format_seconds(each.takes)} (p99)"
-        for each in situation.misses
-        if each.late
+        f"timer '{timer.timer}' of component '{timer.component}' must end within "
+        f"{format_seconds(timer.deadline)}, and its runs take "
+        f"{format_seconds(timer.takes)} (p99)"
+        for timer in situation.misses
+        if timer.late
     ]
-    chains = [_sentence(each) for each in situation.chains if each.is_late]
+    chains = [_sentence(chain) for chain in situation.chains if chain.is_late]
     return "".join(f"{sentence}; " for sentence in (*timers, *chains))
 
 
@@ -239,7 +239,7 @@ def share_what_is_left(
     price
         What F grows by for each core that is short, of the lowest priority.
     """
-    late = {each.computer for each in situation.misses if each.late}
+    late = {timer.computer for timer in situation.misses if timer.late}
     rooms = {c.name: _room(c, situation.loads.get(c.name)) for c in problem.computers}
     limits = {
         name: room.usable if name in late else room.all for name, room in rooms.items()
@@ -303,17 +303,17 @@ def _shifted(
 ) -> Iterator[tuple[str, PresentDemand]]:
     """Give the demands that are not what was counted with: shifted, or too small."""
     components = {c.name: c for c in robot.components()}
-    for each in demand_estimates:
-        now, component = each.estimate, components.get(each.component)
+    for need in demand_estimates:
+        now, component = need.estimate, components.get(need.component)
         if component is None or now.error is None:
             continue
         demand = component.demand.get("cpu", 0.0)
         if now.drift is None and now.mean - now.error <= demand:
             continue
-        needed = shifted_cpu_demand(demand, each.expected, now)
+        needed = shifted_cpu_demand(demand, need.expected, now)
         most = max(_most(component, computer) for computer in robot.computers)
         yield (
-            each.component,
+            need.component,
             PresentDemand(
                 mean=now.mean,
                 error=now.error,

@@ -87,7 +87,7 @@ class MoveLimits:
         self._left: dict[tuple[str, str], tuple[float, float]] = {}
         self._in_vain: tuple[float, Amounts] | None = None
 
-    def rests(self, now: float, amounts: Amounts | None = None) -> bool:
+    def is_backing_off(self, now: float, amounts: Amounts | None = None) -> bool:
         """Return whether nothing is done yet, after a transition or in vain.
 
         `amounts`: what is thought about; when it is another than that in which nothing
@@ -96,7 +96,7 @@ class MoveLimits:
         if self._in_vain is not None and amounts is not None:
             at, before = self._in_vain
             if now >= at + CHANGED_AFTER and has_changed(before, amounts):
-                self.forget_nothing()
+                self.reset_backoff()
                 return False
         return now < self._rests_until
 
@@ -106,7 +106,7 @@ class MoveLimits:
             self._moves.popleft()
         return len(self._moves) + number <= BUDGET
 
-    def barred(self, now: float) -> dict[str, set[str]]:
+    def quarantined(self, now: float) -> dict[str, set[str]]:
         """Return component -> computers to which it may not return yet."""
         found: dict[str, set[str]] = {}
         for (component, computer), (until, _) in self._left.items():
@@ -114,20 +114,20 @@ class MoveLimits:
                 found.setdefault(component, set()).add(computer)
         return found
 
-    def note_nothing(self, now: float, amounts: Amounts | None = None) -> None:
+    def start_backoff(self, now: float, amounts: Amounts | None = None) -> None:
         """Remember that nothing could be done about what is wrong."""
         self._in_vain = None if amounts is None else (now, amounts)
         self._rests_until = now + self._think_again
         self._think_again = min(2 * self._think_again, LONGEST_REST)
 
-    def forget_nothing(self) -> None:
+    def reset_backoff(self) -> None:
         """Think at once about what goes wrong next: nothing is wrong now."""
         self._think_again = THINK_AGAIN
         self._in_vain = None
 
     def note(self, steps: Iterable[TransitionStep], now: float) -> None:
         """Remember a transition, whether it went well or not."""
-        self.forget_nothing()
+        self.reset_backoff()
         self._rests_until = now + REST
         steps = tuple(steps)
         self._moves.extend(now for step in steps if step.target)

@@ -47,7 +47,7 @@ class Situation(Struct, frozen=True, kw_only=True):
 
     def about(self, do: Do) -> tuple[Symptom, ...]:
         """Return the symptoms about which something is to be done."""
-        return tuple(each for each in self.symptoms if each.policy.do == do)
+        return tuple(symptom for symptom in self.symptoms if symptom.policy.do == do)
 
     def within_reach(self) -> Situation:
         """Return the same without what is out of reach: nothing moves from or to it."""
@@ -64,7 +64,7 @@ class Situation(Struct, frozen=True, kw_only=True):
             placement={n: at for n, at in self.placement.items() if at not in lost},
         )
 
-    def of_what_runs(self) -> Situation:
+    def of_running_components(self) -> Situation:
         """Return the same without what is out of reach, and what runs nowhere else."""
         here = self.within_reach()
         if not self.lost:

@@ -30,7 +30,7 @@ from poise.manage.deploy.desired import Desired
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.migration.migration_report import TransitionReport, TransitionStep
 from poise.manage.migration.transition_run import transit
-from poise.manage.shortages.suspension import CALM, PutAside
+from poise.manage.shortages.suspension import CALM, Suspensions
 
 FORGET_AFTER = 600.0
 """After so long without a symptom [s] what was lost before counts no more."""
@@ -125,14 +125,14 @@ class Transitions:
     """
 
     def __init__(
-        self, run: RunningComponents, policies: Policies, put_aside: PutAside
+        self, run: RunningComponents, policies: Policies, suspensions: Suspensions
     ) -> None:
         self.run = run
         self.limits = MoveLimits()
         self.downtimes: dict[str, float] = {}
         self.loss = LossSuffered()
         self._policies = policies
-        self._put_aside = put_aside
+        self._suspensions = suspensions
 
     def due(self, symptoms: tuple[Symptom, ...], now: float) -> tuple[Symptom, ...]:
         """Return the symptoms about which something may be done now."""
@@ -140,7 +140,7 @@ class Transitions:
 
     def began(self, symptoms: tuple[Symptom, ...], now: float) -> float:
         """Return when the first of the symptoms was seen first."""
-        return min(self._policies.since.get(each.key, now) for each in symptoms)
+        return min(self._policies.since.get(symptom.key, now) for symptom in symptoms)
 
     def carry_out(
         self, steps: tuple[TransitionStep, ...], now: float
@@ -172,7 +172,7 @@ class Transitions:
         self.loss.note_change(decision.undone, decision.gain, now)
         report = self.carry_out(proposal.steps if proposal else (), now)
         if report.committed and proposal:
-            self._put_aside.note(proposal.aside, decision.why, now)
+            self._suspensions.note_suspended(proposal.aside, decision.why, now)
 
     def why_not(self, decision: Decision, now: float) -> str:
         """Return why a decision is not carried out; empty: it is."""
@@ -199,16 +199,21 @@ class Replan:
         limits, now = self._transitions.limits, situation.now
         bad = situation.about("replan")
         self._said = {
-            each.key: self._said.get(each.key, "") for each in situation.symptoms
+            symptom.key: self._said.get(symptom.key, "")
+            for symptom in situation.symptoms
         }
         if not bad:
-            limits.forget_nothing()
+            limits.reset_backoff()
             self._transitions.loss.end(now)
             return None
         links = (s.values.name for s in bad if s.policy.for_each == "link")
         situation = replace(situation, bad_links=frozenset(links))
         due = self._transitions.due(bad, now)
-        if not due or now < self._think_at or limits.rests(now, situation.amounts()):
+        if (
+            not due
+            or now < self._think_at
+            or limits.is_backing_off(now, situation.amounts())
+        ):
             return None
         began = self._transitions.began(bad, now)
         loss = self._transitions.loss
@@ -223,7 +228,7 @@ class Replan:
                 return self._transitions.change(decision, due, situation)
             self._think_at = min(earned_at, now + _THINK_EVERY)
             return None
-        limits.note_nothing(now, situation.amounts())
+        limits.start_backoff(now, situation.amounts())
         self._say_why_not(why_not, decision, situation)
         return None
 
@@ -259,7 +264,7 @@ class UseAgain:
             for name, at in self._back.items()
             if now - at >= CALM and name not in situation.lost
         ]
-        if not back or situation.about("replan") or limits.rests(now):
+        if not back or situation.about("replan") or limits.is_backing_off(now):
             return None
         for name in back:
             del self._back[name]

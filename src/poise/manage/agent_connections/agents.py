@@ -213,8 +213,10 @@ class Agents(AgentReports):
         """
         deployments = {}
         if not self._claimed:
-            seen = [each.manager for each in self.statuses().values() if each.manager]
-            last = max((each.term for each in seen), default=0)
+            seen = [
+                status.manager for status in self.statuses().values() if status.manager
+            ]
+            last = max((manager.term for manager in seen), default=0)
             self.manager = replace(self.manager, term=last + 1)
         for computer in sorted(computers):
             answer = self._claim(computer, take_over=take_over)
@@ -299,7 +301,7 @@ class Agents(AgentReports):
         self, requests: Mapping[str, Request], limit: float
     ) -> dict[str, Answer | None]:
         """Return the answers of agents by computer; None: none within `limit` [s]."""
-        asked = {name: (name, each, limit) for name, each in requests.items()}
+        asked = {name: (name, request, limit) for name, request in requests.items()}
         return dict(self._requests.answers(asked))
 
     def keep_checkpoint(self, computer: str, copy: CheckpointCopy) -> str:

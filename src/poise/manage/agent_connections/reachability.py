@@ -39,7 +39,7 @@ class _Silence:
         self.seconds = 0.0
         self.last = float("-inf")
 
-    def look(self, sign: float, now: float, counted: float) -> None:
+    def measure(self, sign: float, now: float, counted: float) -> None:
         """Take in when the last sign came, so far as is known now.
 
         That another agent heard is known to a few milliseconds, which differ each time:
@@ -83,7 +83,7 @@ class Reachability:
         """Note that an agent is gone since `now` [s], as another connection says."""
         self._ended_at[computer] = now
 
-    def look(self, computers: Collection[str], now: float) -> None:
+    def measure(self, computers: Collection[str], now: float) -> None:
         """Judge all agents at `now` [s], when all that came was taken in."""
         last = now if self._looked_at is None else self._looked_at
         counted, self._looked_at = min(now - last, _STALLED), now
@@ -98,8 +98,8 @@ class Reachability:
             known = self._agents.get(name)
             if known is None:
                 known = self._agents[name] = _Agent(_Silence(), _Silence())
-            known.direct.look(sign, now, counted)
-            known.any.look(max(sign, relayed[1]) if relayed else sign, now, counted)
+            known.direct.measure(sign, now, counted)
+            known.any.measure(max(sign, relayed[1]) if relayed else sign, now, counted)
 
     def asks(self) -> list[str]:
         """Return whom to ask for a sign of life."""
@@ -159,13 +159,13 @@ class AgentHeartbeats:
         self._lock = threading.Lock()
         self._contacts = Contacts(robot, MANAGER, key)
         self._reachability = Reachability(self._contacts, surely_ended)
-        where = {name: endpoint_of(each) for name, each in endpoints.items()}
+        where = {name: endpoint_of(text) for name, text in endpoints.items()}
         self._computers = tuple(where)
         self._heartbeats = Heartbeats(
             clock,
             self._hear,
             self._next_beat,
-            is_ipv6=any(":" in each.host for each in where.values()),
+            is_ipv6=any(":" in endpoint.host for endpoint in where.values()),
         )
         self._heartbeats.send_to({n: (e.host, e.port) for n, e in where.items()})
         self._has_begun = False
@@ -225,7 +225,7 @@ class AgentHeartbeats:
     def _next_beat(self) -> tuple[Heartbeat, float]:
         now = self._clock.now()
         with self._lock:
-            self._reachability.look(self._computers, now)
+            self._reachability.measure(self._computers, now)
             silent, asks = self._reachability.silent(), self._reachability.asks()
             has_changed, self._silent = silent != self._silent, silent
             beat = self._contacts.next_beat(now, asks=asks, revoked=dict(self._revoked))

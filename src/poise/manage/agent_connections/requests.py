@@ -52,7 +52,7 @@ class Reply:
         self.answer: Answer | None = None
         self.is_done = False
 
-    def take(self, answer: Answer | None) -> None:
+    def set(self, answer: Answer | None) -> None:
         """Store what came first."""
         if not self.is_done:
             self.answer, self.is_done = answer, True
@@ -80,7 +80,7 @@ class AgentRequests:
         reply = Reply(self._tokens.get(computer, 0))
 
         def take(received: zenoh.Reply | None = None) -> None:
-            reply.take(_answer_of(received))
+            reply.set(_answer_of(received))
             self._reports.notify()
 
         self._get(computer, request, ANSWER_LIMIT, take)

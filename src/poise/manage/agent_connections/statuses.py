@@ -86,10 +86,13 @@ def missing(
     states = {(c.name, c.epoch): c.state for c in components_of(statuses)}
     found = [f"computer '{name}' is silent" for name in sorted(silent)]
     found += [
-        f"component '{each.component}' on '{each.computer}' is {state}, not yet "
-        f"{each.goal}{_WORKING.get(state, '')}"
-        for each in wanted
-        if (state := states.get((each.component, each.epoch), "not there")) != each.goal
+        f"component '{incarnation.component}' on '{incarnation.computer}' is {state}, "
+        f"not yet {incarnation.goal}{_WORKING.get(state, '')}"
+        for incarnation in wanted
+        if (
+            state := states.get((incarnation.component, incarnation.epoch), "not there")
+        )
+        != incarnation.goal
     ]
     found += [
         f"connector '{connector.name}' is not joined"
@@ -102,11 +105,11 @@ def missing(
 def containers_left(statuses: Statuses, computers: Iterable[str]) -> list[str]:
     """Return the containers that may still run on computers, in words."""
     left = sorted(computers)
-    return [f"everything on '{each}'" for each in left if each not in statuses] + [
-        f"container '{container.name}' on '{each}'"
-        for each in left
-        if each in statuses
-        for container in statuses[each].containers
+    return [f"everything on '{name}'" for name in left if name not in statuses] + [
+        f"container '{container.name}' on '{name}'"
+        for name in left
+        if name in statuses
+        for container in statuses[name].containers
     ]
 
 

@@ -50,7 +50,7 @@ class NoManager(RunError):
 
 def robots_without_manager(but: Collection[str] = ()) -> dict[str, RobotStatus]:
     """Return the robots that go on without a manager that this computer had."""
-    left = [each for each in noted() if each.robot not in but]
+    left = [addresses for addresses in noted() if addresses.robot not in but]
     with ThreadPoolExecutor(_MOST_AT_ONCE) as pool:
         found = dict(
             zip([e.robot for e in left], pool.map(ask_agents, left), strict=True)
@@ -60,7 +60,7 @@ def robots_without_manager(but: Collection[str] = ()) -> dict[str, RobotStatus]:
 
 def agents_of(robot: str) -> AgentAddresses | None:
     """Return where a robot's agents are, if a manager noted that on this computer."""
-    return next((each for each in noted() if each.robot == robot), None)
+    return next((addresses for addresses in noted() if addresses.robot == robot), None)
 
 
 def ask_agents(addresses: AgentAddresses, why: str = "") -> RobotStatus | None:
@@ -91,12 +91,14 @@ def status_by_agents(
 
     `now`: when they were asked [s since 1970].
     """
-    managers = [each.manager for each in statuses.values() if each.manager is not None]
-    if not managers or not any(each.containers for each in statuses.values()):
+    managers = [
+        status.manager for status in statuses.values() if status.manager is not None
+    ]
+    if not managers or not any(status.containers for status in statuses.values()):
         return None
     # of agents that were out of the last manager's reach, an earlier one
-    manager = max(managers, key=lambda each: each.since)
-    since = [each.unmanaged for each in statuses.values()]
+    manager = max(managers, key=lambda other: other.since)
+    since = [status.unmanaged for status in statuses.values()]
     is_gone = all(since)
     robot = addresses.robot
     if why:
@@ -142,12 +144,12 @@ def _deviations(
         if status.cut_off:
             what = f"movable components on '{name}' are inactive: its lease has ended"
             yield Deviation(what=what, computer=name, since=status.cut_off)
-        for each in status.health:
-            if each.state not in {"running", "stopped"}:
-                what = f"container '{each.name}' on '{name}' is {each.state}"
-                what += f": {each.reason}" if each.reason else ""
+        for health in status.health:
+            if health.state not in {"running", "stopped"}:
+                what = f"container '{health.name}' on '{name}' is {health.state}"
+                what += f": {health.reason}" if health.reason else ""
                 yield Deviation(
-                    what=what, computer=name, container=each.name, since=each.since
+                    what=what, computer=name, container=health.name, since=health.since
                 )
     for name, component in located(statuses):
         if component.state in {"failed", "unresponsive"}:

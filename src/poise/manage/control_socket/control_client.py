@@ -85,7 +85,7 @@ def _find(robot: str | None) -> Path:
         return path_of(managed[0])
     status = left.get(robot or "".join(names))
     if status is not None:
-        is_gone = all(each.unmanaged for each in status.computers.values())
+        is_gone = all(agent.unmanaged for agent in status.computers.values())
         addresses = agents_of(status.robot) if is_gone else None
         raise NoManager(status.deviations[0].what, status, addresses)
     which = f"robot '{robot}' does not run" if robot else "no robot runs"

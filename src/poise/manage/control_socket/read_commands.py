@@ -1,4 +1,4 @@
-"""What those who only look at a robot are told, by whatever keeps it running."""
+"""Answers to commands that change nothing: status, journal, log and taps."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ _ANSWER_LIMIT = 1.0
 _BITS = 62
 
 
-def look(
+def answer(
     run: RunningComponents, status: Callable[[], RobotStatus], command: Command
 ) -> Result | Refusal | None:
     """Return the answer to a command that changes nothing; None: it is another one.
@@ -73,7 +73,7 @@ def status_of(
     out_of_reach = run.agents.out_of_reach()
     return RobotStatus(
         robot=run.robot.name,
-        task=" and ".join(each.name for each in tasks if each.state == "going"),
+        task=" and ".join(task.name for task in tasks if task.state == "going"),
         manager=run.agents.manager,
         placement=run.placement(),
         computers=statuses,
@@ -129,7 +129,7 @@ def _read_log(agents: Agents, command: LogCommand) -> LogReading:
                 after[computer] = answer.lines[-1].at
     lines.sort(key=lambda line: line.at)
     last = lines[-command.most :]
-    silent = [c for c, each in answers.items() if not isinstance(each, OutputLines)]
+    silent = [c for c, answer in answers.items() if not isinstance(answer, OutputLines)]
     omitted += len(lines) - len(last)
     return LogReading(tuple(last), after, omitted, tuple(sorted(silent)))
 
@@ -146,12 +146,12 @@ def _read_tap(agents: Agents, command: TapCommand) -> TapReading:
         items=command.items,
         limit=_ANSWER_LIMIT,
     )
-    answer = agents.ask(computer, asked, _ANSWER_LIMIT)
-    if isinstance(answer, TapReading):
-        return answer
+    reply = agents.ask(computer, asked, _ANSWER_LIMIT)
+    if isinstance(reply, TapReading):
+        return reply
     why = f"no answer within {_ANSWER_LIMIT:g} s"
-    if isinstance(answer, Refused | StepsFailed):
-        why = answer.reason
+    if isinstance(reply, Refused | StepsFailed):
+        why = reply.reason
     raise RunError(f"connector '{connector}' on '{computer}': {why}")
 
 

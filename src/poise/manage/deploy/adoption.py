@@ -1,7 +1,7 @@
 """What a new manager finds at work, and what of it goes on. Pure.
 
 Agents keep what the earlier manager told them last. Of a migration that it left half
-done they know both sides; `counting` says which of them counts.
+done they know both sides; `authoritative` says which of them counts.
 
 A manager that does not reach all agents cannot know what is at work on the others: on
 the far side of a cut another manager may have started there what is inactive here. So
@@ -24,7 +24,7 @@ from poise.model.robot import Robot
 from poise.wire.records.deployment_records import ComponentSpec, Deployment, Goal
 
 
-class Found(Struct, frozen=True, kw_only=True):
+class ReportedIncarnation(Struct, frozen=True, kw_only=True):
     """An incarnation that an agent works towards, as it was told."""
 
     spec: ComponentSpec
@@ -69,10 +69,10 @@ class Adoption(Struct, frozen=True, kw_only=True):
     half_done: tuple[str, ...] = ()
 
 
-def found_in(deployments: Mapping[str, Deployment]) -> list[Found]:
+def found_in(deployments: Mapping[str, Deployment]) -> list[ReportedIncarnation]:
     """Return all incarnations that agents work towards, by their deployments."""
     return [
-        Found(
+        ReportedIncarnation(
             spec=spec,
             computer=computer,
             container=container.name,
@@ -84,7 +84,9 @@ def found_in(deployments: Mapping[str, Deployment]) -> list[Found]:
     ]
 
 
-def as_committed(found: Iterable[Found], statuses: Statuses) -> list[Found]:
+def as_committed(
+    found: Iterable[ReportedIncarnation], statuses: Statuses
+) -> list[ReportedIncarnation]:
     """Return what was found, with targets of moves that work already as active.
 
     Only its manager knew whether such a move was committed. Its target has the state,
@@ -98,27 +100,27 @@ def as_committed(found: Iterable[Found], statuses: Statuses) -> list[Found]:
         if component.state == "active"
     }
     return [
-        structs.replace(each, spec=structs.replace(each.spec, goal="active"))
-        if each.spec.goal == "inactive"
-        and (each.computer, each.name, each.spec.epoch) in working
-        else each
-        for each in found
+        structs.replace(reported, spec=structs.replace(reported.spec, goal="active"))
+        if reported.spec.goal == "inactive"
+        and (reported.computer, reported.name, reported.spec.epoch) in working
+        else reported
+        for reported in found
     ]
 
 
-def is_half_done(found: Sequence[Found], robot: Robot) -> bool:
+def is_half_done(found: Sequence[ReportedIncarnation], robot: Robot) -> bool:
     """Return whether components have two incarnations, or functions two providers."""
-    names = {each.name for each in found}
+    names = {reported.name for reported in found}
     providers = [
-        each.function
-        for each in robot.architectures
-        if not names.isdisjoint(c.name for c in each.components)
+        architecture.function
+        for architecture in robot.architectures
+        if not names.isdisjoint(c.name for c in architecture.components)
     ]
     return len(names) < len(found) or len(set(providers)) < len(providers)
 
 
 def adopt(
-    found: Sequence[Found],
+    found: Sequence[ReportedIncarnation],
     robot: Robot,
     layout: DeploymentPlan,
     planned: Mapping[str, str],
@@ -127,23 +129,27 @@ def adopt(
     keeps: bool = True,
 ) -> Adoption:
     """Return what of it goes on, and what starts."""
-    counts = counting(found, robot, is_committed=is_committed)
+    counts = authoritative(found, robot, is_committed=is_committed)
     if keeps:
         planned = _with_providers(robot, planned, counts)
     restarts = dict(_differences(counts, robot, layout, planned))
-    kept = {n: each for n, each in counts.items() if n in planned and n not in restarts}
+    kept = {
+        n: reported
+        for n, reported in counts.items()
+        if n in planned and n not in restarts
+    }
     return Adoption(
-        kept={name: each.incarnation for name, each in kept.items()},
+        kept={name: reported.incarnation for name, reported in kept.items()},
         restarts=restarts,
-        ends=tuple(sorted({each.name for each in found} - planned.keys())),
+        ends=tuple(sorted({reported.name for reported in found} - planned.keys())),
         starts={name: at for name, at in planned.items() if name not in kept},
         half_done=tuple(_half_done(found, counts)),
     )
 
 
-def counting(
-    found: Sequence[Found], robot: Robot, *, is_committed: bool
-) -> dict[str, Found]:
+def authoritative(
+    found: Sequence[ReportedIncarnation], robot: Robot, *, is_committed: bool
+) -> dict[str, ReportedIncarnation]:
     """Return the one incarnation of each component that counts.
 
     The source of a migration counts until that is committed, and the target from then
@@ -151,20 +157,22 @@ def counting(
     its manager knew of the commit.
     """
     gone = _replaced(found, robot, is_committed=is_committed)
-    counts: dict[str, Found] = {}
-    for each in sorted(found, key=lambda f: f.spec.epoch):
-        before = counts.get(each.name)
-        is_target = before is not None and each.goal == "inactive"
-        if each.name not in gone and (not is_target or is_committed):
-            counts[each.name] = each
+    counts: dict[str, ReportedIncarnation] = {}
+    for reported in sorted(found, key=lambda f: f.spec.epoch):
+        before = counts.get(reported.name)
+        is_target = before is not None and reported.goal == "inactive"
+        if reported.name not in gone and (not is_target or is_committed):
+            counts[reported.name] = reported
     return counts
 
 
-def _replaced(found: Sequence[Found], robot: Robot, *, is_committed: bool) -> set[str]:
+def _replaced(
+    found: Sequence[ReportedIncarnation], robot: Robot, *, is_committed: bool
+) -> set[str]:
     """Return the components of architectures whose function another one provides."""
     goals: dict[str, set[str]] = {}
-    for each in found:
-        goals.setdefault(each.name, set()).add(each.goal)
+    for reported in found:
+        goals.setdefault(reported.name, set()).add(reported.goal)
     best: dict[str, int] = {}
     providers: dict[str, set[str]] = {}
     gone: set[str] = set()
@@ -183,7 +191,7 @@ def _replaced(found: Sequence[Found], robot: Robot, *, is_committed: bool) -> se
 
 
 def _with_providers(
-    robot: Robot, planned: Mapping[str, str], counts: Mapping[str, Found]
+    robot: Robot, planned: Mapping[str, str], counts: Mapping[str, ReportedIncarnation]
 ) -> dict[str, str]:
     """Return the plan with the architectures that run in place of alternatives."""
     chosen = dict(planned)
@@ -203,7 +211,7 @@ def _with_providers(
 
 
 def _differences(
-    counts: Mapping[str, Found],
+    counts: Mapping[str, ReportedIncarnation],
     robot: Robot,
     layout: DeploymentPlan,
     planned: Mapping[str, str],
@@ -212,14 +220,14 @@ def _differences(
     allowed = allowed_computers(robot)
     reasons, stale = {}, {}
     for name in sorted(counts.keys() & planned.keys()):
-        each, now = counts[name], _spec_now(counts[name], layout)
-        if each.computer not in allowed[name]:
-            reasons[name] = f"it may not run on '{each.computer}' any more"
+        reported, now = counts[name], _spec_now(counts[name], layout)
+        if reported.computer not in allowed[name]:
+            reasons[name] = f"it may not run on '{reported.computer}' any more"
             continue
-        has_other_code = _has_other_code(each, now, robot)
+        has_other_code = _has_other_code(reported, now, robot)
         if has_other_code:
-            stale[each.computer, each.container] = name
-        reasons[name] = "; ".join(_changes(each, now, layout))
+            stale[reported.computer, reported.container] = name
+        reasons[name] = "; ".join(_changes(reported, now, layout))
         if has_other_code:
             reasons[name] = reasons[name] or "its code has changed"
     for name, reason in sorted(reasons.items()):
@@ -229,36 +237,45 @@ def _differences(
             yield name, reason or f"it shares a container with '{first}'"
 
 
-def _spec_now(found: Found, layout: DeploymentPlan) -> ComponentSpec:
+def _spec_now(reported: ReportedIncarnation, layout: DeploymentPlan) -> ComponentSpec:
     """Return what the robot file says of it now, with a class that replaced another."""
-    now = layout.component_spec(found.incarnation)
-    if now.instead_of == found.spec.instead_of:
+    now = layout.component_spec(reported.incarnation)
+    if now.instead_of == reported.spec.instead_of:
         return now
-    return layout.component_spec(structs.replace(found.incarnation, implementation=""))
-
-
-def _has_other_code(found: Found, now: ComponentSpec, robot: Robot) -> bool:
-    before, after = (
-        each.implementation.partition(":")[0] for each in (found.spec, now)
+    return layout.component_spec(
+        structs.replace(reported.incarnation, implementation="")
     )
-    is_changed = before == after and found.spec.code != now.code
-    return is_changed or found.folder != robot.folder
 
 
-def _changes(found: Found, now: ComponentSpec, layout: DeploymentPlan) -> Iterator[str]:
+def _has_other_code(
+    reported: ReportedIncarnation, now: ComponentSpec, robot: Robot
+) -> bool:
+    before, after = (
+        spec.implementation.partition(":")[0] for spec in (reported.spec, now)
+    )
+    is_changed = before == after and reported.spec.code != now.code
+    return is_changed or reported.folder != robot.folder
+
+
+def _changes(
+    reported: ReportedIncarnation, now: ComponentSpec, layout: DeploymentPlan
+) -> Iterator[str]:
     for what in ("implementation", "command", "parameters", "devices"):
-        before, after = getattr(found.spec, what), getattr(now, what)
+        before, after = getattr(reported.spec, what), getattr(now, what)
         if before != after:
             yield f"its {what} was {before!r}, and is {after!r} now"
-    container = layout.container_of(found.name)
-    if found.container != container:
-        yield f"its container was '{found.container}', and is '{container}' now"
+    container = layout.container_of(reported.name)
+    if reported.container != container:
+        yield f"its container was '{reported.container}', and is '{container}' now"
 
 
-def _half_done(found: Sequence[Found], counts: Mapping[str, Found]) -> Iterator[str]:
-    for name in sorted({each.name for each in found}):
+def _half_done(
+    found: Sequence[ReportedIncarnation], counts: Mapping[str, ReportedIncarnation]
+) -> Iterator[str]:
+    for name in sorted({reported.name for reported in found}):
         incarnations = sorted(
-            (each for each in found if each.name == name), key=lambda f: f.spec.epoch
+            (reported for reported in found if reported.name == name),
+            key=lambda f: f.spec.epoch,
         )
         if len(incarnations) > 1 and name in counts:
             source, target = incarnations[0], incarnations[-1]
@@ -269,16 +286,16 @@ def _half_done(found: Sequence[Found], counts: Mapping[str, Found]) -> Iterator[
 
 def components_to_hold(
     robot: Robot,
-    found: Sequence[Found],
+    found: Sequence[ReportedIncarnation],
     claimed: Collection[str],
     fenced: Collection[str],
 ) -> frozenset[str]:
     """Return the components that may be at work on a computer that is not claimed."""
     missing = {computer.name for computer in robot.computers} - set(claimed)
     goals: dict[str, set[str]] = {}
-    for each in found:
-        goal = "inactive" if each.computer in fenced else each.spec.goal
-        goals.setdefault(each.name, set()).add(goal)
+    for reported in found:
+        goal = "inactive" if reported.computer in fenced else reported.spec.goal
+        goals.setdefault(reported.name, set()).add(goal)
     allowed = allowed_computers(robot)
     return frozenset(
         name
@@ -307,7 +324,7 @@ def where_held(
 def joined_by(
     desired: Desired,
     robot: Robot,
-    found: Iterable[Found],
+    found: Iterable[ReportedIncarnation],
     claimed: Collection[str],
     missing: Collection[str],
     fenced: Collection[str],
@@ -326,22 +343,24 @@ def joined_by(
         if not placed.keys().isdisjoint(c.name for c in a.components)
     }
     allowed = allowed_computers(robot)
-    for each in sorted(found, key=lambda f: f.spec.epoch):
-        before = placed.get(each.name)
+    for reported in sorted(found, key=lambda f: f.spec.epoch):
+        before = placed.get(reported.name)
         # of what is only held here, the later incarnation counts; what was to start
         # on a computer that was not claimed is not there
         is_later = before is not None and (
             before.computer not in claimed
-            or (each.name in held and each.spec.epoch > before.epoch)
+            or (reported.name in held and reported.spec.epoch > before.epoch)
         )
         is_lacking = (
             before is None
-            and each.computer in allowed.get(each.name, ())
-            and robot.architecture_of(each.name).function not in provided
+            and reported.computer in allowed.get(reported.name, ())
+            and robot.architecture_of(reported.name).function not in provided
         )
-        if each.goal == "active" and (is_later or is_lacking):
-            placed[each.name] = each.incarnation
-            is_fenced = each.spec.held or (each.computer in fenced and each.spec.leased)
-            (held.add if is_fenced else held.discard)(each.name)
+        if reported.goal == "active" and (is_later or is_lacking):
+            placed[reported.name] = reported.incarnation
+            is_fenced = reported.spec.held or (
+                reported.computer in fenced and reported.spec.leased
+            )
+            (held.add if is_fenced else held.discard)(reported.name)
     freed = {name for name in held if allowed[name].isdisjoint(missing)}
     return replace(desired, placed=placed, held=frozenset(held - freed))

@@ -70,7 +70,11 @@ def _deactivate(run: RunningComponents, leads: Leads) -> Iterator[set[str]]:
 def _are_inactive(run: RunningComponents, names: Collection[str]) -> bool:
     run.reconcile()
     run.raise_on_lost()
-    places = [each for each in run.placed.values() if each.component in names]
+    places = [
+        incarnation
+        for incarnation in run.placed.values()
+        if incarnation.component in names
+    ]
     return not maybe_active(places, run.computers(), run.current())
 
 
@@ -83,10 +87,10 @@ def maybe_active(
     """
     active = {c.name for c in components_of(current) if c.state == "active"}
     return [
-        each.component
-        for each in places
-        if each.computer in reached
-        and (each.computer not in current or each.component in active)
+        incarnation.component
+        for incarnation in places
+        if incarnation.computer in reached
+        and (incarnation.computer not in current or incarnation.component in active)
     ]
 
 

@@ -120,7 +120,10 @@ class DeploymentPlan:
                     weight=self._weights[container].weight,
                     nice=self._weights[container].nice,
                     spare=spare.get(computer, 0.0)
-                    if all(each.unjoined and each.gently for each in inside)
+                    if all(
+                        incarnation.unjoined and incarnation.gently
+                        for incarnation in inside
+                    )
                     else 0.0,
                     repository=self._robot.repository,
                     components=tuple(map(self.component_spec, inside)),
@@ -207,9 +210,9 @@ class DeploymentPlan:
         self, placed: tuple[Incarnation, ...]
     ) -> dict[tuple[str, str], list[Incarnation]]:
         groups: dict[tuple[str, str], list[Incarnation]] = {}
-        for each in placed:
-            key = (each.computer, self._containers[each.component])
-            groups.setdefault(key, []).append(each)
+        for incarnation in placed:
+            key = (incarnation.computer, self._containers[incarnation.component])
+            groups.setdefault(key, []).append(incarnation)
         return groups
 
     def component_spec(self, incarnation: Incarnation) -> ComponentSpec:
@@ -265,9 +268,9 @@ class DeploymentPlan:
     ) -> Iterator[ConnectorSpec]:
         """Yield the connectors with an end at one of `inside`."""
         by_name: dict[str, list[Incarnation]] = {}
-        for each in placed:
-            if not each.unjoined:
-                by_name.setdefault(each.component, []).append(each)
+        for incarnation in placed:
+            if not incarnation.unjoined:
+                by_name.setdefault(incarnation.component, []).append(incarnation)
         for connector in self._joinable:
             first, second = connector.between
             for source in by_name.get(first.component, ()):

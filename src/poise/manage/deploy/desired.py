@@ -51,7 +51,7 @@ class Desired(Struct, frozen=True, kw_only=True):
     prepared: Mapping[str, Incarnation] = {}
     held: frozenset[str] = frozenset()
     # computer -> CPU for what is being prepared there [cores]
-    spare: Mapping[str, float] = {}
+    preparation_cpu: Mapping[str, float] = {}
     # what the next manager needs to go on with the tasks; agents keep it
     tasks: bytes = b""
     generation: int = 0
@@ -62,27 +62,33 @@ class Desired(Struct, frozen=True, kw_only=True):
         """Return all that should be in some container."""
         if self.is_stopped:
             return ()
-        busy = self.placed.keys() | {each.component for each in self.coming}
-        idle = (each for name, each in self.prepared.items() if name not in busy)
+        busy = self.placed.keys() | {
+            incarnation.component for incarnation in self.coming
+        }
+        idle = (
+            incarnation
+            for name, incarnation in self.prepared.items()
+            if name not in busy
+        )
         wanted = (*self.placed.values(), *self.coming, *self.configured_ahead, *idle)
         return tuple(
-            replace(each, goal="inactive", held=each.goal == "active")
-            if each.component in self.held
-            else each
-            for each in wanted
+            replace(incarnation, goal="inactive", held=incarnation.goal == "active")
+            if incarnation.component in self.held
+            else incarnation
+            for incarnation in wanted
         )
 
     def placement(self) -> dict[str, str]:
         """Return component -> computer of what is authoritative."""
-        return {name: each.computer for name, each in self.placed.items()}
+        return {name: incarnation.computer for name, incarnation in self.placed.items()}
 
     def settled(self) -> dict[str, Incarnation]:
         """Return the components that no change is about."""
-        changing = {each.component for each in self.coming}
+        changing = {incarnation.component for incarnation in self.coming}
         return {
-            name: each
-            for name, each in self.placed.items()
-            if each.goal == "active" and name not in changing | self.held
+            name: incarnation
+            for name, incarnation in self.placed.items()
+            if incarnation.goal == "active" and name not in changing | self.held
         }
 
     def starting(self, coming: Iterable[Incarnation]) -> Desired:
@@ -96,13 +102,13 @@ class Desired(Struct, frozen=True, kw_only=True):
 
     def configured(self, targets: Iterable[Incarnation]) -> Desired:
         """Return this without targets of a migration that begins, or never will."""
-        keys = {(each.component, each.epoch) for each in targets}
+        keys = {(incarnation.component, incarnation.epoch) for incarnation in targets}
         ahead = (e for e in self.configured_ahead if (e.component, e.epoch) not in keys)
         return replace(self, configured_ahead=tuple(ahead))
 
     def placing(self, incarnations: Iterable[Incarnation]) -> Desired:
         """Return this with incarnations that are authoritative from now on."""
-        new = {each.component: each for each in incarnations}
+        new = {incarnation.component: incarnation for incarnation in incarnations}
         return replace(
             self,
             placed={**self.placed, **new},
@@ -121,14 +127,14 @@ class Desired(Struct, frozen=True, kw_only=True):
 
     def preparing(self, incarnations: Iterable[Incarnation]) -> Desired:
         """Return this with incarnations that are idle from now on."""
-        new = {each.component: each for each in incarnations}
+        new = {incarnation.component: incarnation for incarnation in incarnations}
         return replace(self, prepared={**self.prepared, **new})
 
     def aiming(self, goal: Goal, components: Collection[str]) -> Desired:
         """Return this with another goal for placed components."""
         placed = {
-            name: each.with_goal(goal) if name in components else each
-            for name, each in self.placed.items()
+            name: incarnation.with_goal(goal) if name in components else incarnation
+            for name, incarnation in self.placed.items()
         }
         return replace(self, placed=placed)
 
@@ -144,14 +150,17 @@ def difference(before: Desired, after: Desired) -> list[str]:
     if before.is_stopped != after.is_stopped:
         return ["nothing is to run" if after.is_stopped else "all is to run"]
     old, new = (
-        {(each.component, each.epoch): each for each in record.incarnations()}
+        {
+            (incarnation.component, incarnation.epoch): incarnation
+            for incarnation in record.incarnations()
+        }
         for record in (before, after)
     )
-    gone = (f"- {each}" for key, each in old.items() if key not in new)
-    come = (f"+ {each}" for key, each in new.items() if key not in old)
+    gone = (f"- {incarnation}" for key, incarnation in old.items() if key not in new)
+    come = (f"+ {incarnation}" for key, incarnation in new.items() if key not in old)
     aims = (
-        f"{old[key]} -> {each.goal}"
-        for key, each in new.items()
-        if key in old and old[key].goal != each.goal
+        f"{old[key]} -> {incarnation.goal}"
+        for key, incarnation in new.items()
+        if key in old and old[key].goal != incarnation.goal
     )
     return [*gone, *come, *aims]

@@ -175,7 +175,7 @@ class DesiredState:
                     self.desired.incarnations(),
                     self.desired.generation,
                     now[1],
-                    self.desired.spare,
+                    self.desired.preparation_cpu,
                 ).items()
             }
             self._deployed_for = now
@@ -187,29 +187,33 @@ class DesiredState:
 
     def _note_claimed(self, computer: str, answer: Claimed) -> None:
         """Take in what an agent works towards that was claimed."""
-        found = answer.deployment or Deployment(generation=0, containers=())
+        deployment = answer.deployment or Deployment(generation=0, containers=())
         if computer in self.claimed:  # this manager knows what runs there
-            found = structs.replace(found, containers=())
-        self._joining[computer] = structs.replace(answer, deployment=found)
+            deployment = structs.replace(deployment, containers=())
+        self._joining[computer] = structs.replace(answer, deployment=deployment)
 
     def _join_found(self) -> None:
         """Adopt what is at work on computers that were claimed for the first time."""
-        found = {n: a.deployment for n, a in self._joining.items() if a.deployment}
+        deployments = {
+            n: a.deployment for n, a in self._joining.items() if a.deployment
+        }
         fenced = {n for n, answer in self._joining.items() if answer.is_cut_off}
-        at_work = as_committed(found_in(found), self.agents.statuses())
-        for each in at_work:
-            self._epochs[each.name] = max(
-                self._epochs.get(each.name, self._last_epoch), each.spec.epoch
+        at_work = as_committed(found_in(deployments), self.agents.statuses())
+        for reported in at_work:
+            self._epochs[reported.name] = max(
+                self._epochs.get(reported.name, self._last_epoch), reported.spec.epoch
             )
-        names = ", ".join(f"'{name}'" for name in sorted(found))
-        missing = {c.name for c in self.robot.computers} - self.claimed - found.keys()
+        names = ", ".join(f"'{name}'" for name in sorted(deployments))
+        missing = (
+            {c.name for c in self.robot.computers} - self.claimed - deployments.keys()
+        )
         desired = joined_by(
             self.desired, self.robot, at_work, self.claimed, missing, fenced
         )
-        last = max(each.generation for each in found.values())
+        last = max(deployment.generation for deployment in deployments.values())
         desired = structs.replace(
             desired, generation=max(last, self.desired.generation) + 1
         )
-        self.claimed |= found.keys()
+        self.claimed |= deployments.keys()
         self._joining = {}
         self.commit(desired, f"what is at work on {names} goes on there")

@@ -119,7 +119,11 @@ class LostComputers:
 
         run.agents.wait_news(are_back, _MOMENT)
         back = lost - self._lost_at.keys()
-        here = [each for each in run.placed.values() if each.computer in back]
+        here = [
+            incarnation
+            for incarnation in run.placed.values()
+            if incarnation.computer in back
+        ]
         with contextlib.suppress(RunError):  # the command itself says so
             run.wait(here, _MOMENT)
 
@@ -166,4 +170,4 @@ class LostComputers:
 
 def _pids(run: RunningComponents) -> dict[str, int]:
     """Return the processes of the agents, by computer."""
-    return {name: each.pid for name, each in run.agents.statuses().items()}
+    return {name: status.pid for name, status in run.agents.statuses().items()}

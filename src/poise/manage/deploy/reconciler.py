@@ -1,4 +1,4 @@
-"""Brings agents to what should run, whatever they were told before.
+"""Brings agents to what should run, whatever they were sent before.
 
 Each step compares what every agent reports with what should run on its computer, and
 takes the smallest step: it claims an agent that does not obey, or tells one what has
@@ -22,7 +22,7 @@ from poise.wire.records.status_records import AgentStatus
 
 APPLY_LIMIT = 1.0
 """It reports within this time that it works towards what it accepted [s]; else it is
-told again, which is harmless."""
+sent again, which is harmless."""
 TRY_AGAIN = 1.0
 """An agent that refused or did not answer is asked again after this time [s]."""
 
@@ -59,9 +59,9 @@ class _AskedAgent:
     """What was asked of one agent."""
 
     def __init__(self) -> None:
-        self.told: Deployment | None = None
+        self.sent: Deployment | None = None
         self.pid = 0
-        self.told_at = self.again_at = float("-inf")
+        self.sent_at = self.again_at = float("-inf")
         self.reply: Reply | None = None
         self.is_claim = False
         self.trouble = ""
@@ -91,16 +91,16 @@ class Reconciler:
     def troubles(self) -> dict[str, str]:
         """Return computer -> what its agent refuses or does not answer, for people."""
         known = self._known.copy()
-        return {name: each.trouble for name, each in known.items() if each.trouble}
+        return {name: agent.trouble for name, agent in known.items() if agent.trouble}
 
     def is_current(self, computer: str, status: AgentStatus) -> bool:
-        """Return whether a status speaks of what its agent was told last."""
+        """Return whether a status speaks of what its agent was sent last."""
         agent = self._known.get(computer)
-        told = agent.told if agent else None
-        return told is not None and status.generation >= told.generation
+        sent = agent.sent if agent else None
+        return sent is not None and status.generation >= sent.generation
 
     def refusal(self, computer: str) -> str:
-        """Return why an agent refuses what it was told last; empty: it does not."""
+        """Return why an agent refuses what it was sent last; empty: it does not."""
         agent = self._known.get(computer)
         return agent.refusal if agent else ""
 
@@ -112,48 +112,48 @@ class Reconciler:
             agent = self._known[computer] = _AskedAgent()
         if agent.reply is not None and self._take(computer, agent, now):
             return  # what should run may be different, now that it was claimed
-        if status is None:  # it is told when it is back
+        if status is None:  # it is sent when it is back
             agent.trouble = agent.refusal = ""
-            agent.told = None
+            agent.sent = None
             return
         if not self._agents.obey(computer):
-            agent.told = None
+            agent.sent = None
             if agent.reply is None and now >= agent.again_at:
                 agent.reply = self._agents.begin_claim(computer)
-                agent.is_claim, agent.told_at = True, now
+                agent.is_claim, agent.sent_at = True, now
             return
         if agent.is_claim and agent.reply is not None:
             return
         if self.is_current(computer, status) and not agent.refusal:
             agent.trouble = ""  # it took what it did not answer
-        if self._is_told(agent, wanted, status, now) or (
-            agent.told is not None
+        if self._is_sent(agent, wanted, status, now) or (
+            agent.sent is not None
             and now < agent.again_at
-            and _same(agent.told, wanted)
+            and _same(agent.sent, wanted)
         ):
             return
-        agent.told, agent.pid, agent.told_at = wanted, status.pid, now
+        agent.sent, agent.pid, agent.sent_at = wanted, status.pid, now
         agent.refusal = ""
         agent.reply = self._agents.begin_deploy(computer, wanted)
         agent.is_claim = False
         self._take(computer, agent, now)
 
-    def _is_told(
+    def _is_sent(
         self, agent: _AskedAgent, wanted: Deployment, status: AgentStatus, now: float
     ) -> bool:
-        told = agent.told
-        if told is None or agent.pid != status.pid or not _same(told, wanted):
+        sent = agent.sent
+        if sent is None or agent.pid != status.pid or not _same(sent, wanted):
             return False
         if agent.reply is not None:
             return True
         if agent.refusal:
             return False
-        return status.generation >= told.generation or now < agent.told_at + APPLY_LIMIT
+        return status.generation >= sent.generation or now < agent.sent_at + APPLY_LIMIT
 
     def _take(self, computer: str, agent: _AskedAgent, now: float) -> bool:
         """Take in an answer, if it is there or late; return whether it is claimed."""
         reply = agent.reply
-        is_late = now >= agent.told_at + ANSWER_LIMIT
+        is_late = now >= agent.sent_at + ANSWER_LIMIT
         if reply is None or not (reply.is_done or is_late):
             return False
         agent.reply = None
@@ -177,6 +177,6 @@ class Reconciler:
         return False
 
 
-def _same(told: Deployment, wanted: Deployment) -> bool:
+def _same(sent: Deployment, wanted: Deployment) -> bool:
     """Return whether two deployments say the same, whenever that is."""
-    return structs.replace(told, generation=wanted.generation) == wanted
+    return structs.replace(sent, generation=wanted.generation) == wanted

@@ -204,14 +204,14 @@ class RunningComponents(DesiredState):
     def unresponsive(self, incarnations: Iterable[Incarnation]) -> list[str]:
         """Return which of their containers do not respond, and why, in words."""
         known = {
-            (computer, each.name): each
+            (computer, health.name): health
             for computer, status in self.agents.statuses().items()
-            for each in status.health
-            if each.state == "unresponsive"
+            for health in status.health
+            if health.state == "unresponsive"
         }
         places = dict.fromkeys(
-            (each.computer, self.layout.container_of(each.component))
-            for each in incarnations
+            (incarnation.computer, self.layout.container_of(incarnation.component))
+            for incarnation in incarnations
         )
         return [
             f"container '{place[1]}' on '{place[0]}' does not respond: "
@@ -224,7 +224,11 @@ class RunningComponents(DesiredState):
         """Return what `wait` still waits for, in words."""
         statuses = self.current()
         silent = self._involved(wanted) & (self.computers() - statuses.keys())
-        new = {each.component: each for each in wanted if not each.unjoined}
+        new = {
+            incarnation.component: incarnation
+            for incarnation in wanted
+            if not incarnation.unjoined
+        }
         placed = {**self.placed, **new}
         unreached = self.unreached_connectors(placed)
         joins = {
@@ -232,31 +236,31 @@ class RunningComponents(DesiredState):
             for connector in self.layout.connectors_at(new, placed)
             if str(connector) not in unreached
         }
-        found = missing(wanted, statuses, silent, joins)
-        found += self.unresponsive(wanted) if found else []
-        faults = faults_after(self._faults_before_commit, statuses) if found else ()
-        return found + [fault_sentence(computer, fault) for computer, fault in faults]
+        unmet = missing(wanted, statuses, silent, joins)
+        unmet += self.unresponsive(wanted) if unmet else []
+        faults = faults_after(self._faults_before_commit, statuses) if unmet else ()
+        return unmet + [fault_sentence(computer, fault) for computer, fault in faults]
 
     def unreached_connectors(self, placed: Mapping[str, Incarnation]) -> dict[str, str]:
         """Return the connectors whose ends do not reach each other, and why."""
         cut = cut_links(self.agents.statuses())
         away = set(self.agents.out_of_reach())
-        found = {}
+        unreached = {}
         for connector in self.layout.connectors(placed):
             ends = [placed[end.component] for end in connector.between]
-            between = sorted({each.computer for each in ends})
+            between = sorted({incarnation.computer for incarnation in ends})
             if lost := away.intersection(between):
-                found[str(connector)] = f"computer '{min(lost)}' is out of reach"
+                unreached[str(connector)] = f"computer '{min(lost)}' is out of reach"
             elif frozenset(between) in cut:
-                found[str(connector)] = f"link '{'-'.join(between)}' is cut"
+                unreached[str(connector)] = f"link '{'-'.join(between)}' is cut"
             elif frozen := self.unresponsive(ends):
-                found[str(connector)] = "; ".join(frozen)
-        return found
+                unreached[str(connector)] = "; ".join(frozen)
+        return unreached
 
     def _involved(self, wanted: Iterable[Incarnation]) -> set[str]:
         """Return the computers of incarnations, and of what is joined to them."""
         wanted = tuple(wanted)
-        names = {each.component for each in wanted}
+        names = {incarnation.component for incarnation in wanted}
         where = self.placement()
         peers = {
             where[end.component]
@@ -266,7 +270,7 @@ class RunningComponents(DesiredState):
             if end.component in where
         }
         sources = {where[name] for name in names & where.keys()}
-        return peers | sources | {each.computer for each in wanted}
+        return peers | sources | {incarnation.computer for incarnation in wanted}
 
     def _running(self) -> list[str]:
         """Return the containers that still run, for all that is known."""
@@ -277,7 +281,7 @@ class RunningComponents(DesiredState):
         for sentence in self.agents.take_refused():
             self.journal.note("wrong", sentence)
 
-    def look(self) -> None:
+    def poll(self) -> None:
         """Look around while agents are waited for; raise RunError to end that."""
         self.note_refused()
         self.check()
@@ -287,11 +291,11 @@ class RunningComponents(DesiredState):
         self.raise_on_lost()
 
     def _raise_on_trouble(self) -> bool:
-        self.look()
+        self.poll()
         desired = self.desired
         judged = {
-            (each.component, each.epoch)
-            for each in (*desired.placed.values(), *desired.coming)
+            (incarnation.component, incarnation.epoch)
+            for incarnation in (*desired.placed.values(), *desired.coming)
         }
         for computer, component in located(self.agents.statuses()):
             is_judged = (component.name, component.epoch) in judged
@@ -305,29 +309,35 @@ class RunningComponents(DesiredState):
         """Raise RunError when one failed, or its container does not respond."""
         if stuck := self.unresponsive(incarnations):
             raise RunError("; ".join(stuck))
-        where = {(each.component, each.epoch): each.computer for each in incarnations}
-        for each in components_of(self.current()):
-            computer = where.get((each.name, each.epoch))
-            if computer is not None and each.state == "failed":
+        where = {
+            (incarnation.component, incarnation.epoch): incarnation.computer
+            for incarnation in incarnations
+        }
+        for component in components_of(self.current()):
+            computer = where.get((component.name, component.epoch))
+            if computer is not None and component.state == "failed":
                 raise RunError(
-                    f"component '{each.name}' cannot be configured on '{computer}':\n"
-                    f"{each.error}"
+                    f"component '{component.name}' cannot be configured on "
+                    f"'{computer}':\n{component.error}"
                 )
 
     def raise_on_unreached(self, incarnations: Iterable[Incarnation]) -> None:
         """Raise RunError when one is on a computer that is out of reach."""
         unreached = self.unreached()
-        for each in incarnations:
-            if each.computer in unreached:
-                raise RunError(unreached[each.computer])
+        for incarnation in incarnations:
+            if incarnation.computer in unreached:
+                raise RunError(unreached[incarnation.computer])
 
     def _raise_on_refusal(self, incarnations: Iterable[Incarnation]) -> None:
         """Raise RunError when an agent refuses what should run there, or it is held."""
         incarnations = tuple(incarnations)
-        for each in incarnations:
-            if each.goal == "active" and each.component in self.desired.held:
-                raise RunError(self.why_held(each.component))
-        for computer in sorted({each.computer for each in incarnations}):
+        for incarnation in incarnations:
+            if (
+                incarnation.goal == "active"
+                and incarnation.component in self.desired.held
+            ):
+                raise RunError(self.why_held(incarnation.component))
+        for computer in sorted({incarnation.computer for incarnation in incarnations}):
             if refusal := self.reconciler.refusal(computer):
                 raise RunError(refusal)
 

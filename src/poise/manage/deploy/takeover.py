@@ -13,7 +13,7 @@ from poise.manage.adaptation.situation import Situation
 from poise.manage.agent_connections.requests import LOOK_EVERY
 from poise.manage.deploy.adoption import (
     Adoption,
-    Found,
+    ReportedIncarnation,
     adopt,
     as_committed,
     components_to_hold,
@@ -58,8 +58,8 @@ def start_or_take_over(
     statuses = run.agents.statuses()
     before = [status.manager for status in statuses.values()]
     deployments, unclaimed = _claim(run, by_force=by_force)
-    found = as_committed(found_in(deployments), run.agents.statuses())
-    if not found:
+    reported = as_committed(found_in(deployments), run.agents.statuses())
+    if not reported:
         away = {computer.name for computer in run.robot.computers} - run.claimed
         if away:
             run.leave()  # what runs there may be another manager's
@@ -76,9 +76,9 @@ def start_or_take_over(
     if not by_force:
         statuses = run.agents.statuses()  # a lease may have ended meanwhile
         fenced = {name for name, status in statuses.items() if status.cut_off}
-        held = components_to_hold(run.robot, found, run.claimed, fenced)
+        held = components_to_hold(run.robot, reported, run.claimed, fenced)
     try:
-        _take_over(run, deployments, unclaimed, found, held, is_rule=is_rule)
+        _take_over(run, deployments, unclaimed, reported, held, is_rule=is_rule)
     except Exception:
         run.leave()  # no error of a new manager ends a robot that is at work
         raise
@@ -88,7 +88,7 @@ def _take_over(
     run: RunningComponents,
     deployments: Mapping[str, Deployment],
     unclaimed: Mapping[str, str],
-    found: Sequence[Found],
+    reported: Sequence[ReportedIncarnation],
     held: frozenset[str],
     *,
     is_rule: bool,
@@ -102,12 +102,12 @@ def _take_over(
     planned = run.placement()
     if tasks and not is_rule:
         # the tasks go on where they are, and say themselves what they need
-        planned = _at_work(run, found)
-    is_committed = is_half_done(found, run.robot) and _is_committed(
-        run, found, deployments
+        planned = _at_work(run, reported)
+    is_committed = is_half_done(reported, run.robot) and _is_committed(
+        run, reported, deployments
     )
     adoption = adopt(
-        found,
+        reported,
         run.robot,
         run.layout,
         planned,
@@ -116,17 +116,19 @@ def _take_over(
     )
     _note(run, adoption)
     starts = where_held(run.robot, adoption.starts, held, run.claimed)
-    run.adopt(adoption.kept, _last_epochs(found), tasks, held)
+    run.adopt(adoption.kept, _last_epochs(reported), tasks, held)
     for sentence in (*unclaimed.values(), *run.unreached().values()):
         run.journal.note("wrong", sentence)
     seconds = time.monotonic() - began
     run.journal.note("done", "took over", placement=run.placement(), seconds=seconds)
-    _start(run, adoption, found, starts)
+    _start(run, adoption, reported, starts)
     if is_rule:
         _move(run, planned)
 
 
-def _at_work(run: RunningComponents, found: Sequence[Found]) -> dict[str, str]:
+def _at_work(
+    run: RunningComponents, reported: Sequence[ReportedIncarnation]
+) -> dict[str, str]:
     """Return what works, with what its architectures lack, and layers that never stop.
 
     What works stays where it is, if it still may. What is lacking may be at work on a
@@ -135,7 +137,7 @@ def _at_work(run: RunningComponents, found: Sequence[Found]) -> dict[str, str]:
     """
     allowed, planned = allowed_computers(run.robot), run.placement()
     away = {c.name for c in run.robot.computers} - run.claimed
-    works = {e.name: e.computer for e in found if e.goal != "inactive"}
+    works = {e.name: e.computer for e in reported if e.goal != "inactive"}
     homes: dict[str, tuple[str, ...]] = {}
     for architecture in run.robot.architectures:
         names = [component.name for component in architecture.components]
@@ -163,7 +165,7 @@ def _at_work(run: RunningComponents, found: Sequence[Found]) -> dict[str, str]:
 
 def _is_committed(
     run: RunningComponents,
-    found: Sequence[Found],
+    reported: Sequence[ReportedIncarnation],
     deployments: Mapping[str, Deployment],
 ) -> bool:
     """Return whether a half-done migration was committed; nothing of it goes on then.
@@ -189,7 +191,7 @@ def _is_committed(
         if not asked or run.clock.now() >= until:
             break
         run.clock.sleep(LOOK_EVERY)
-    asked &= _targets(found)
+    asked &= _targets(reported)
     for where in sorted(asked):
         why = f"{unknown[where]}: it is ended, for it may have gone on with the move"
         run.journal.note("decided", f"amid a migration, {why}")
@@ -212,9 +214,9 @@ def _halted(
         yield by_number[outcome.number], outcome
 
 
-def _targets(found: Sequence[Found]) -> set[tuple[str, str]]:
+def _targets(reported: Sequence[ReportedIncarnation]) -> set[tuple[str, str]]:
     """Return the containers of targets: nothing goes on there before the commit."""
-    return {(e.computer, e.container) for e in found if e.goal == "inactive"}
+    return {(e.computer, e.container) for e in reported if e.goal == "inactive"}
 
 
 def _end_containers(
@@ -243,10 +245,10 @@ def _end_containers(
         raise RunError(f"{names} still runs {STOP_LIMIT:g} s after it was to end")
 
 
-def _last_epochs(found: Sequence[Found]) -> dict[str, int]:
+def _last_epochs(found: Sequence[ReportedIncarnation]) -> dict[str, int]:
     epochs: dict[str, int] = {}
-    for each in found:
-        epochs[each.name] = max(each.spec.epoch, epochs.get(each.name, 0))
+    for reported in found:
+        epochs[reported.name] = max(reported.spec.epoch, epochs.get(reported.name, 0))
     return epochs
 
 
@@ -264,7 +266,7 @@ def _note(run: RunningComponents, adoption: Adoption) -> None:
 def _start(
     run: RunningComponents,
     adoption: Adoption,
-    found: Sequence[Found],
+    reported: Sequence[ReportedIncarnation],
     where: Mapping[str, str],
 ) -> None:
     """Start what does not go on; what cannot start is a deviation from then on."""
@@ -273,14 +275,14 @@ def _start(
         for name, computer in where.items()
     ]
     # what is out of reach starts elsewhere, if it may, or once it is reached
-    new = [each for each in starts if each.computer in run.claimed]
+    new = [incarnation for incarnation in starts if incarnation.computer in run.claimed]
     if not starts:
         return
     try:
-        for each in found:
-            if each.name in adoption.restarts:
-                run.wait_ended(each.incarnation)
-        inactive = [each.with_goal("inactive") for each in new]
+        for old in reported:
+            if old.name in adoption.restarts:
+                run.wait_ended(old.incarnation)
+        inactive = [incarnation.with_goal("inactive") for incarnation in new]
         run.bring(inactive, READY_LIMIT, "start what is missing")
         run.bring(new, ACTIVE_LIMIT, "activate what is missing")
         if new:

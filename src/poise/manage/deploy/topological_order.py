@@ -17,7 +17,7 @@ def levels(names: Collection[str], leads: Iterable[tuple[str, str]]) -> list[lis
     for source, target in leads:
         following.setdefault(source, set()).add(target)
     reached = {name: _reached(name, following) for name in names}
-    left, found = list(names), []
+    left, ordered = list(names), []
     while left:
         level = [
             name
@@ -26,17 +26,17 @@ def levels(names: Collection[str], leads: Iterable[tuple[str, str]]) -> list[lis
                 name not in reached[other] or other in reached[name] for other in left
             )
         ]
-        found.append(level)
+        ordered.append(level)
         left = [name for name in left if name not in level]
-    return found
+    return ordered
 
 
 def _reached(name: str, following: dict[str, set[str]]) -> set[str]:
-    found: set[str] = set()
+    reached: set[str] = set()
     waiting = [name]
     while waiting:
         for target in following.get(waiting.pop(), ()):
-            if target not in found:
-                found.add(target)
+            if target not in reached:
+                reached.add(target)
                 waiting.append(target)
-    return found
+    return reached

@@ -69,8 +69,10 @@ class Migration:
         self._report = report
         self._sources = sources
         self._targets = targets
-        gone = {each.component for each in sources}
-        self._others = {n: each for n, each in run.placed.items() if n not in gone}
+        gone = {incarnation.component for incarnation in sources}
+        self._others = {
+            n: incarnation for n, incarnation in run.placed.items() if n not in gone
+        }
         self._away = run.agents.out_of_reach().keys()
         self._dropped: dict[str, str] = {}
         self._number = 0
@@ -126,7 +128,7 @@ class Migration:
                 raise RunError(f"component '{source.component}' was changed meanwhile")
         raise_on_cut_state(run, self._sources, self._targets)
         late = late_connectors(run, self._sources, self._others)
-        self._dropped = {name: each.why for name, each in late.items()}
+        self._dropped = {name: connector.why for name, connector in late.items()}
         return MigrationPlan(
             run.layout,
             self._sources,
@@ -134,7 +136,7 @@ class Migration:
             self._others,
             calling_ports(run.agents.statuses()),
             run.gateways(),
-            late={name: each.keep for name, each in late.items()},
+            late={name: connector.keep for name, connector in late.items()},
             away=self._away,
         )
 
@@ -146,7 +148,7 @@ class Migration:
         stall = Stall(self._run, self._targets)
 
         def trouble() -> bool:
-            stall.look()
+            stall.check()
             return self._raise_on_failed()
 
         self._run.wait(self._targets, PREPARE_LIMIT, trouble)
@@ -171,7 +173,9 @@ class Migration:
         self._phases.enter("commit")
         # nothing rolls back any more; sources redirect until agents are told
         desired = self._run.desired.without(self._names)
-        desired = desired.placing(each.with_goal("active") for each in self._targets)
+        desired = desired.placing(
+            incarnation.with_goal("active") for incarnation in self._targets
+        )
         self._run.commit(desired, f"{self._what} is committed", tell_later=True)
         self._phases.enter("resume")
         self._resume(plan.resume())
@@ -213,7 +217,7 @@ class Migration:
         route only, and sends there what it buffered.
         """
         failed = self._tell_all(steps, self._note_failure)
-        self._late = [each for each in failed if each[1].name == "release to targets"]
+        self._late = [step for step in failed if step[1].name == "release to targets"]
 
     def _tell_all(
         self,
@@ -277,7 +281,7 @@ class Migration:
 
     def _raise_on_failed(self) -> bool:
         run = self._run
-        run.look()
+        run.poll()
         ends = [*self._sources, *self._targets]
         run.raise_on_unreached(ends)
         run.raise_on_broken(ends)

@@ -45,8 +45,8 @@ class MigrationPlan:
         self._gateways = gateways
         self._others = others
         self._calls = calls
-        self._sources = {each.component: each for each in sources}
-        self._targets = {each.component: each for each in targets}
+        self._sources = {incarnation.component: incarnation for incarnation in sources}
+        self._targets = {incarnation.component: incarnation for incarnation in targets}
         self._is_move = self._sources.keys() == self._targets.keys()
         self._before = layout.connectors({*others, *self._sources})
         into_sources = self._into(self._before, self._sources)

@@ -185,7 +185,7 @@ def _placed(run: RunningComponents, component: str) -> Incarnation:
 def _check_target(
     run: RunningComponents, component: str, computer: str, *, force: bool
 ) -> None:
-    known = [each.name for each in run.robot.computers]
+    known = [computer.name for computer in run.robot.computers]
     if computer not in known:
         raise UsageError(f"no computer '{computer}' (there are {', '.join(known)})")
     layer = run.robot.architecture_of(component).layer
@@ -257,7 +257,7 @@ def plan_architecture_replacement(
     report = MigrationReport(
         what=architecture,
         by=by,
-        before={each.component: each.computer for each in sources},
+        before={incarnation.component: incarnation.computer for incarnation in sources},
         after=where,
     )
     return Planned(
@@ -279,11 +279,11 @@ def _checked(
             f"architecture '{by}' provides '{new.function}', not '{old.function}': "
             f"it is no alternative to '{name}'"
         )
-    for each in (old, new):
-        if each.layer != "sequencing":
+    for architecture in (old, new):
+        if architecture.layer != "sequencing":
             raise UsageError(
-                f"architecture '{each.name}' is in the {each.layer} layer, which stays "
-                "as it is: stop the robot to change it"
+                f"architecture '{architecture.name}' is in the {architecture.layer} "
+                "layer, which stays as it is: stop the robot to change it"
             )
     if any(c.name in run.placed for c in new.components):
         raise UsageError(f"architecture '{by}' runs already")
@@ -316,7 +316,9 @@ def _check_callers(
 ) -> None:
     """Raise UsageError when a caller of `old` could not call `new`."""
     layout = run.layout
-    olds, news = ({c.name for c in each.components} for each in (old, new))
+    olds, news = (
+        {c.name for c in architecture.components} for architecture in (old, new)
+    )
     others = run.placed.keys() - olds
     offered = {
         layout.slot_of(connector)
@@ -369,7 +371,7 @@ def _placement(
 def _architecture(robot: Robot, name: str) -> Architecture:
     with contextlib.suppress(KeyError):
         return robot.architecture(name)
-    known = ", ".join(each.name for each in robot.architectures)
+    known = ", ".join(architecture.name for architecture in robot.architectures)
     text = f"robot '{robot.name}' has no architecture '{name}' ({known})"
     if name in {component.name for component in robot.components()}:
         text += "; to swap this component, name its new class, as package.module:Class"

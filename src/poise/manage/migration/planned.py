@@ -43,7 +43,7 @@ class Stall:
         self._clock = clock
         self._since = clock()
 
-    def look(self) -> None:
+    def check(self) -> None:
         """Raise RunError when nothing came nearer for `STALL_LIMIT`.
 
         Users' code that is imported or configured may take longer.
@@ -61,7 +61,7 @@ class Stall:
         wanted = {(t.component, t.epoch) for t in self._targets}
         places = {(t.computer, container_of(t.component)) for t in self._targets}
         states = {(c.name, c.epoch): c.state for c in components_of(current)}
-        return any(states.get(each) == "unconfigured" for each in wanted) or any(
+        return any(states.get(key) == "unconfigured" for key in wanted) or any(
             health.state == "starting" and (computer, health.name) in places
             for computer, status in current.items()
             for health in status.health
@@ -81,7 +81,7 @@ def late_connectors(
     others: Mapping[str, Incarnation],
 ) -> dict[str, LateConnector]:
     """Return the connectors of components that migrate over which data is late."""
-    moving = {each.component: each for each in sources}
+    moving = {incarnation.component: incarnation for incarnation in sources}
     placed = {**others, **moving}
     unreached = run.unreached_connectors(placed)
     keeps = keeping_ports(run.agents.statuses())
@@ -107,7 +107,7 @@ def raise_on_cut_state(
 ) -> None:
     """Raise RunError when a state would have to cross a link that is cut."""
     cut = cut_links(run.agents.statuses())
-    to = {each.component: each.computer for each in targets}
+    to = {incarnation.component: incarnation.computer for incarnation in targets}
     for source in sources:
         between = sorted({source.computer, to.get(source.component, source.computer)})
         if frozenset(between) in cut:
@@ -189,5 +189,5 @@ class Planned:
             text = f"not there within {PREPARE_LIMIT:g} s: {'; '.join(missing)}"
             raise RunError(text)
         if missing and self._stall is not None:
-            self._stall.look()
+            self._stall.check()
         return not missing

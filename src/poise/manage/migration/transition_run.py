@@ -43,18 +43,18 @@ def start_together(
         )
         for name, computer in placement.items()
     ]
-    new = [_with_checkpoint(run, each) for each in new]
+    new = [_with_checkpoint(run, incarnation) for incarnation in new]
     old = [run.placed[name] for name in sorted(placement.keys() & run.placed.keys())]
-    lost = {each.computer for each in old}.intersection(lost)
+    lost = {incarnation.computer for incarnation in old}.intersection(lost)
     # one of the lost that comes back meanwhile must keep what it has
-    ends = [each for each in old if each.computer not in lost]
-    desired = run.desired.without([each.component for each in ends])
-    inactive = [each.with_goal("inactive") for each in new]
+    ends = [incarnation for incarnation in old if incarnation.computer not in lost]
+    desired = run.desired.without([incarnation.component for incarnation in ends])
+    inactive = [incarnation.with_goal("inactive") for incarnation in new]
     try:
         run.commit(desired.starting(inactive), "start components together")
         run.wait(inactive, READY_LIMIT)
-        for each in ends:
-            run.wait_ended(each)
+        for incarnation in ends:
+            run.wait_ended(incarnation)
         _revoke_leases(run, lost)
     except RunError as error:
         run.journal.note("failed", f"components did not start: {error}")
@@ -69,7 +69,7 @@ def start_together(
     except RunError as error:
         run.journal.note("failed", f"components did not start: {error}")
         if not lost:
-            names = [each.component for each in new]
+            names = [incarnation.component for incarnation in new]
             run.commit(run.desired.without(names), "components did not start")
         return False
     run.journal.note("done", "they are at work", placement=run.placement())
@@ -80,7 +80,7 @@ def _revoke_leases(run: RunningComponents, lost: Collection[str]) -> None:
     """Wait until nothing of lost computers can be active there any more."""
 
     def is_back() -> bool:
-        run.look()
+        run.poll()
         return not run.computers().isdisjoint(lost)
 
     deadline = time.monotonic() + LEASE_LIMIT
@@ -125,7 +125,7 @@ def transit(
     )
     transition = _Transition(run)
     for number, step in enumerate(steps):
-        reason = transition.take(step)
+        reason = transition.execute(step)
         if reason:
             reason = f"step '{step}' failed: {reason}"
             reason += transition.roll_back(steps[:number])
@@ -149,7 +149,7 @@ class _Transition:
         # what is started again may have been replaced since the robot began
         self._implementations: dict[str, str] = {}
 
-    def take(self, step: TransitionStep) -> str:
+    def execute(self, step: TransitionStep) -> str:
         """Take a step; return why it failed, or an empty text."""
         try:
             if not step.source:
@@ -168,7 +168,7 @@ class _Transition:
         """Undo the steps that were taken, last first; return what went wrong there."""
         troubles = ""
         for step in reversed(taken):
-            reason = self.take(step.inverse())
+            reason = self.execute(step.inverse())
             if reason:
                 troubles += f"; rolling back '{step}' failed: {reason}"
         return troubles

@@ -103,7 +103,7 @@ class ChainReader:
     """Reads from statuses how old the data of a robot's chains was."""
 
     def __init__(self, robot: Robot) -> None:
-        self._chains = [(each, _ends(robot, each)) for each in robot.chains]
+        self._chains = [(chain, _ends(robot, chain)) for chain in robot.chains]
 
     def reports(self, statuses: Statuses) -> tuple[ChainReport, ...]:
         """Return the chains all of whose components run, in the robot file's order."""
@@ -148,22 +148,22 @@ def _report(
 
 
 def _own(component: ComponentStatus, chain: str) -> ChainStatus:
-    for each in component.chains:
-        if each.name == chain:
-            return each
+    for status in component.chains:
+        if status.name == chain:
+            return status
     return ChainStatus(name=chain)
 
 
 def _ends(robot: Robot, chain: Chain) -> list[tuple[str, tuple[str, Side]]]:
     """Return each component and the end of a connector where data may come to it."""
-    steps, found = set(pairwise(chain.through)), list[tuple[str, tuple[str, Side]]]()
+    steps, ends = set(pairwise(chain.through)), list[tuple[str, tuple[str, Side]]]()
     for connector in robot.all_connectors():
         source, target = (end.component for end in connector.between)
         if (source, target) in steps:
-            found.append((target, (connector.name, "target")))
+            ends.append((target, (connector.name, "target")))
         elif (target, source) in steps:
-            found.append((source, (connector.name, "source")))
-    return found
+            ends.append((source, (connector.name, "source")))
+    return ends
 
 
 _Sums = tuple[tuple[int, float], ...]
@@ -178,12 +178,14 @@ class ChainAges:
     def __init__(self) -> None:
         self._totals: dict[object, deque[_Totals]] = {}
 
-    def look(self, reports: Iterable[ChainReport], now: float) -> tuple[ChainAge, ...]:
+    def measure(
+        self, reports: Iterable[ChainReport], now: float
+    ) -> tuple[ChainAge, ...]:
         """Return the chains whose data was used lately.
 
         `now`: a time that never goes back [s].
         """
-        found, before = [], self._totals
+        measured, before = [], self._totals
         self._totals = {}
         for report in reports:
             # what moved counts from 0 again
@@ -197,7 +199,7 @@ class ChainAges:
             began, used, missed, ages_before, wires_before = totals[0]
             if report.age.count > used:
                 names = [hop.component for hop in report.hops]
-                found.append(
+                measured.append(
                     ChainAge(
                         chain=report.name,
                         deadline=report.deadline,
@@ -209,7 +211,7 @@ class ChainAges:
                         computers={h.component: h.computer for h in report.hops},
                     )
                 )
-        return tuple(found)
+        return tuple(measured)
 
 
 def _forget(totals: deque[_Totals], now: float) -> None:
@@ -222,7 +224,7 @@ def _forget(totals: deque[_Totals], now: float) -> None:
 
 
 def _sums(summaries: Iterable[Summary]) -> _Sums:
-    return tuple((each.count, each.count * each.mean) for each in summaries)
+    return tuple((summary.count, summary.count * summary.mean) for summary in summaries)
 
 
 def _means(names: Iterable[str], after: _Sums, before: _Sums) -> dict[str, float]:
@@ -252,12 +254,12 @@ class DeadlineMisses:
     def __init__(self) -> None:
         self._totals: dict[tuple[str, int, str], deque[tuple[float, int, int]]] = {}
 
-    def look(self, statuses: Statuses, now: float) -> tuple[TimerValues, ...]:
+    def measure(self, statuses: Statuses, now: float) -> tuple[TimerValues, ...]:
         """Return the timers with a deadline that were due lately.
 
         `now`: a time that never goes back [s].
         """
-        found, before = [], self._totals
+        measured, before = [], self._totals
         self._totals = {}
         for computer, component in located(statuses):
             for timer in component.timers:
@@ -268,7 +270,7 @@ class DeadlineMisses:
                 seconds = max(OVER, 2 * timer.period)
                 released, missed = _count(totals, timer, now, seconds)
                 if released:
-                    found.append(
+                    measured.append(
                         TimerValues(
                             name=f"{component.name}.{timer.name}",
                             timer=timer.name,
@@ -283,7 +285,7 @@ class DeadlineMisses:
                             late=is_late(released, missed),
                         )
                     )
-        return tuple(found)
+        return tuple(measured)
 
 
 def _count(

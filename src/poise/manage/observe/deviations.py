@@ -69,7 +69,9 @@ def find_deviations(
 ) -> Iterator[Deviation]:
     """Yield what differs between the placement and what the agents reported."""
     for computer, status in sorted(statuses.items()):
-        here = [each for each in settled if each.computer == computer]
+        here = [
+            incarnation for incarnation in settled if incarnation.computer == computer
+        ]
         yield from _of_components(here, layout, status, now)
         names = {
             layout.container_of(e.component) for e in wanted if e.computer == computer
@@ -85,7 +87,7 @@ def find_unjoined(
     now: float,
 ) -> Iterator[tuple[str, Deviation]]:
     """Yield the connectors whose source does not reach its target, by name."""
-    computers = {each.component: each.computer for each in settled}
+    computers = {incarnation.component: incarnation.computer for incarnation in settled}
     unready = {
         connector.name
         for connector in connectors_of(statuses)
@@ -107,17 +109,17 @@ def _of_components(
     now: float,
 ) -> Iterator[Deviation]:
     there = {(c.name, c.epoch): c for c in components_of({status.computer: status})}
-    health = {each.name: each for each in status.health}
-    for each in settled:
-        found = there.get((each.component, each.epoch))
-        if found is None or found.state != each.goal:
-            container = health.get(layout.container_of(each.component))
-            has_failed = found is not None and found.state == "failed"
+    health = {health.name: health for health in status.health}
+    for incarnation in settled:
+        reported = there.get((incarnation.component, incarnation.epoch))
+        if reported is None or reported.state != incarnation.goal:
+            container = health.get(layout.container_of(incarnation.component))
+            has_failed = reported is not None and reported.state == "failed"
             is_fault = container and container.last_fault and not has_failed
             yield Deviation(
-                what=explain(each, found, container),
+                what=explain(incarnation, reported, container),
                 computer=status.computer,
-                component=each.component,
+                component=incarnation.component,
                 container=container.name if container and is_fault else "",
                 since=now,
             )
@@ -138,9 +140,9 @@ def _of_containers(wanted: AbstractSet[str], status: AgentStatus) -> Iterator[st
             yield f"on '{status.computer}' {running.trouble}"
         if running.name not in wanted:
             yield f"container '{running.name}' runs on '{status.computer}', unwanted"
-    for each in status.health:
-        if each.name in wanted and each.restarts_lately >= _CRASH_LOOP:
-            where = f"container '{each.name}' on '{status.computer}'"
+    for health in status.health:
+        if health.name in wanted and health.restarts_lately >= _CRASH_LOOP:
+            where = f"container '{health.name}' on '{status.computer}'"
             yield (
                 f"{where} is in a crash loop: restarted at least {_CRASH_LOOP} times "
                 "within a minute"
@@ -149,20 +151,20 @@ def _of_containers(wanted: AbstractSet[str], status: AgentStatus) -> Iterator[st
 
 def explain(
     wanted: Incarnation,
-    found: ComponentStatus | None,
+    reported: ComponentStatus | None,
     container: ContainerHealth | None,
 ) -> str:
     """Return what is known of an incarnation that is not as it should be."""
     what = f"component '{wanted.component}' on '{wanted.computer}'"
-    if found is None:
+    if reported is None:
         is_restarting = container is not None and container.state == "restarting"
         return f"{what} does not run" + (
             ": its container is being restarted" if is_restarting else ""
         )
-    if found.state == "unresponsive" and container:
+    if reported.state == "unresponsive" and container:
         return f"{what} does not respond: {container.reason}"
-    last = found.error.rstrip().rpartition("\n")[2]
-    return f"{what} is {found.state}" + (f": {last}" if last else "")
+    last = reported.error.rstrip().rpartition("\n")[2]
+    return f"{what} is {reported.state}" + (f": {last}" if last else "")
 
 
 Numbers = Mapping[str, int]
@@ -214,8 +216,8 @@ class FaultFilter:
         for computer, fault in faults_after(self._known, statuses):
             self.count += not fault.is_over
             known = self._of.setdefault((computer, fault.container), _Faults())
-            more = known.take(fault, now)
-            if known.is_told:
+            more = known.add(fault, now)
+            if known.is_reported:
                 yield fault_sentence(computer, fault) + more, fault
         self._known = {**self._known, **last_numbers(statuses)}
 
@@ -225,30 +227,32 @@ class FaultFilter:
         if known is None or known.is_over:
             return False
         known.is_over = True
-        return known.is_told
+        return known.is_reported
 
 
 class _Faults:
     """The latest faults of one container."""
 
     def __init__(self) -> None:
-        self.is_told = self.is_over = False
+        self.is_reported = self.is_over = False
         self._moments: deque[float] = deque(maxlen=_FIRST)
-        self._told_at = float("-inf")
-        self._untold = 0
+        self._reported_at = float("-inf")
+        self._unreported = 0
 
-    def take(self, fault: Fault, now: float) -> str:
+    def add(self, fault: Fault, now: float) -> str:
         """Decide whether to report a fault, and return what to add to its sentence."""
         self.is_over = fault.is_over
         if fault.is_over:  # reported like the fault before, which it ends
             return ""
-        self.is_told = not self._is_many(now) or now - self._told_at >= _WINDOW
+        self.is_reported = not self._is_many(now) or now - self._reported_at >= _WINDOW
         self._moments.append(now)
-        if not self.is_told:
-            self._untold += 1
+        if not self.is_reported:
+            self._unreported += 1
             return ""
-        more = f"; {self._untold} more since the last line" if self._untold else ""
-        self._told_at, self._untold = now, 0
+        more = (
+            f"; {self._unreported} more since the last line" if self._unreported else ""
+        )
+        self._reported_at, self._unreported = now, 0
         return more + ("; from now on one line a minute" if self._is_many(now) else "")
 
     def _is_many(self, now: float) -> bool:

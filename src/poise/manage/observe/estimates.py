@@ -67,7 +67,7 @@ class Loads:
         self._totals: dict[str, deque[_Total]] = {}
         self._lock = threading.Lock()
 
-    def take(self, sample: AgentSample) -> None:
+    def add(self, sample: AgentSample) -> None:
         """Take a sample; one that does not tell the computer's CPU time is ignored."""
         if sample.busy is None or sample.computer not in self._capacities:
             return
@@ -75,8 +75,12 @@ class Loads:
             sample.at,
             sample.busy,
             sample.cpu,
-            {each.pid: _used(each) for each in sample.containers},
-            {c.name: c.cpu for each in sample.containers for c in each.components},
+            {container.pid: _used(container) for container in sample.containers},
+            {
+                c.name: c.cpu
+                for container in sample.containers
+                for c in container.components
+            },
         )
         with self._lock:
             totals = self._totals.setdefault(sample.computer, deque())
@@ -120,7 +124,7 @@ class Loads:
 
 def _used(container: ContainerSample) -> float:
     """Return a container's CPU time, with that of the commands that it runs [s]."""
-    return max(container.cpu, sum(each.cpu for each in container.components))
+    return max(container.cpu, sum(component.cpu for component in container.components))
 
 
 _COUNT_OVER = 2.0
@@ -166,14 +170,14 @@ class Estimates:
         self.loads = Loads(robot, emulated=emulated)
         self._lock = threading.Lock()
         self._followed: dict[str, _Followed] = {}
-        self.resting: Collection[tuple[str, int]] = ()
+        self.idle: Collection[tuple[str, int]] = ()
         """Components and epochs that are not at work: what they use is no demand."""
         self._ends: dict[tuple[str, str], tuple[float, ConnectorSample]] = {}
         self._traffic: dict[str, tuple[str, ConnectorProfile]] = {}
 
-    def take(self, sample: AgentSample) -> list[tuple[str, Drift]]:
+    def add(self, sample: AgentSample) -> list[tuple[str, Drift]]:
         """Take a sample; return the components whose demand has shifted by it."""
-        self.loads.take(sample)
+        self.loads.add(sample)
         drifts = []
         with self._lock:
             for container in sample.containers:
@@ -189,7 +193,7 @@ class Estimates:
     def demand_estimates(self) -> list[DemandEstimate]:
         """Return how every component stands, by name."""
         with self._lock:
-            found = [
+            known_estimates = [
                 (name, known, known.running.estimate())
                 for name, known in sorted(self._followed.items())
             ]
@@ -201,7 +205,7 @@ class Estimates:
                 demand=self._demands.get(name, 0.0),
                 estimate=estimate,
             )
-            for name, known, estimate in found
+            for name, known, estimate in known_estimates
             if estimate is not None
         ]
 
@@ -220,7 +224,7 @@ class Estimates:
             return None  # the incarnation that a move leaves behind
         if component.epoch != known.epoch:
             known.running.skip_to_next()  # the counters are another incarnation's
-        if (component.name, component.epoch) in self.resting:
+        if (component.name, component.epoch) in self.idle:
             known.running.skip_to_next()
             return None
         known.epoch, known.computer = component.epoch, computer
@@ -251,10 +255,10 @@ class Estimates:
         if seconds < _COUNT_OVER:
             return
         self._ends[key, now.name] = (at, now)
-        found = traffic_between(before, now, seconds)
+        traffic = traffic_between(before, now, seconds)
         teller, _ = self._traffic.get(now.name, ("", None))
-        if found.rate or teller == key:
-            self._traffic[now.name] = key, found
+        if traffic.rate or teller == key:
+            self._traffic[now.name] = key, traffic
 
 
 def traffic_between(
@@ -289,7 +293,7 @@ def culprit_on(
     """
     if load is None:
         return ""
-    usual = {each.component: each.usual for each in demand_estimates}
+    usual = {demand.component: demand.usual for demand in demand_estimates}
     excesses = {
         name: used - usual.get(name, 0.0)
         for name, used in load.components.items()

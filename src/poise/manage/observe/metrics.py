@@ -59,14 +59,14 @@ def kind_of(name: str) -> Literal["counter", "gauge", "summary"]:
 
 def samples(estimates: Estimates, statuses: Statuses) -> Iterator[Sample]:
     """Yield the present values; while a component moves, one may come twice."""
-    for each in estimates.demand_estimates():
-        labels = {"component": each.component, "computer": each.computer}
-        now = each.estimate
+    for demand in estimates.demand_estimates():
+        labels = {"component": demand.component, "computer": demand.computer}
+        now = demand.estimate
         yield "poise_component_cpu_cores", labels, now.mean
         yield "poise_component_cpu_p95_cores", labels, now.p95
         yield "poise_component_starved_share", labels, now.starved
-        if each.expected is not None:
-            yield "poise_component_cpu_expected_cores", labels, each.expected
+        if demand.expected is not None:
+            yield "poise_component_cpu_expected_cores", labels, demand.expected
     for name, flow in estimates.traffic().items():
         labels = {"connector": name}
         yield "poise_connector_calls_per_second", labels, flow.calls

@@ -50,7 +50,7 @@ class Recording:
         what = "came while the manager was busy, and are lost"
         return f"{counted(missing, 'sample')} of agents {what}" if missing else ""
 
-    def take(self) -> list[AgentSample]:
+    def drain(self) -> list[AgentSample]:
         """Return what was kept since the last time, oldest first, and forget it."""
         with self._lock:
             taken = list(self._samples)

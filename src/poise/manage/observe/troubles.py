@@ -61,7 +61,7 @@ class ManagerTroubles:
         self._watched = (journal, *others)
         self._troubles: dict[int, Deviation] = {}
 
-    def look(self) -> None:
+    def check(self) -> None:
         """Journal a jump of the clock; call it several times a second."""
         ahead, now = self._wall() - self._now(), self._now()
         jump, self._ahead = ahead - self._ahead, ahead
@@ -75,8 +75,8 @@ class ManagerTroubles:
             self._journal.note("wrong", what, seconds=jump)
         if self._jumped is not None and now - self._jumped[0] > _SHOWN:
             self._jumped = None
-        for number, each in enumerate(self._watched):
-            self._note(number, each.trouble)
+        for number, part in enumerate(self._watched):
+            self._note(number, part.trouble)
 
     def deviations(self) -> list[Deviation]:
         """Return what is wrong now; from any thread."""
@@ -126,7 +126,7 @@ class CodeErrors:
         self._coming: dict[tuple[str, str], tuple[Deviation, int, float]] = {}
         """What goes wrong now, how often it did so, and when it did last."""
 
-    def look(self, statuses: Statuses, now: float) -> None:
+    def record(self, statuses: Statuses, now: float) -> None:
         """Note what is new in `statuses`, and what came no more until `now` [s]."""
         for computer, status in statuses.items():
             for container in status.containers:
@@ -168,7 +168,7 @@ class CodeErrors:
 
 
 def _raised(component: ComponentStatus, computer: str) -> _Counts:
-    found: dict[str, tuple[int, Deviation]] = {}
+    counts: dict[str, tuple[int, Deviation]] = {}
     name = component.name
     for error in component.error_counts if component.state != "failed" else ():
         text = error.text.rstrip().rpartition("\n")[2]
@@ -179,9 +179,9 @@ def _raised(component: ComponentStatus, computer: str) -> _Counts:
             since=error.first,
         )
         kind = f"{error.where} {text.partition(':')[0]}"
-        count, said = found.get(kind, (0, said))
-        found[kind] = count + error.count, said
-    return found
+        count, said = counts.get(kind, (0, said))
+        counts[kind] = count + error.count, said
+    return counts
 
 
 def refused(container: ContainerStatus) -> Iterator[tuple[str, int]]:
@@ -227,10 +227,10 @@ class ThreadFailures:
         )
         text = "".join(traceback.format_exception(error))
         self._journal.note("failed", what, traceback=text)
-        shown = {name: each for name, each in self._fresh() if name != thread}
-        found = Deviation(what=what, computer="", since=wall_time())
+        shown = {name: entry for name, entry in self._fresh() if name != thread}
+        deviation = Deviation(what=what, computer="", since=wall_time())
         self._shown = dict(
-            [*shown.items(), (thread, (self._now(), found))][-_MOST_THREADS:]
+            [*shown.items(), (thread, (self._now(), deviation))][-_MOST_THREADS:]
         )
 
     def deviations(self) -> list[Deviation]:
@@ -239,7 +239,9 @@ class ThreadFailures:
 
     def _fresh(self) -> list[tuple[str, tuple[float, Deviation]]]:
         since = self._now() - SHOWN_FOR
-        return [(name, each) for name, each in self._shown.items() if each[0] >= since]
+        return [
+            (name, entry) for name, entry in self._shown.items() if entry[0] >= since
+        ]
 
 
 FIRST_PAUSE = 1.0
@@ -299,8 +301,8 @@ class SupervisedTick:
     def deviations(self) -> list[Deviation]:
         """Return what does not work now; from any thread."""
         return [
-            Deviation(what=each.what, computer="", since=each.since)
-            for each in list(self._failures.values())
+            Deviation(what=failure.what, computer="", since=failure.since)
+            for failure in list(self._failures.values())
         ]
 
     def _note(self, part: str, error: Exception, *, changes: bool) -> None:

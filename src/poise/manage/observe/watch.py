@@ -37,7 +37,7 @@ class Watch:
         """How many faults there were since the start."""
         return self._faults.count
 
-    def look(self) -> None:
+    def record(self) -> None:
         """Journal each deviation, fault and error when it begins, and when it ends.
 
         The entry of a container's fault covers the deviation that it caused. A move
@@ -48,18 +48,18 @@ class Watch:
         self._note_faults()
         reached = run.computers()
         statuses = {c: status for c, status in run.current().items() if c in reached}
-        before = {each.key: each for each in self.deviations}
-        found = self._found(statuses, before)
-        for key, each in found.items():
-            if key in before and before[key].what == each.what:
-                found[key] = before[key]
-            elif not each.container:
-                run.journal.note("wrong", each.what)
-        for key in sorted(before.keys() - found.keys()):
+        before = {deviation.key: deviation for deviation in self.deviations}
+        deviations = self._found(statuses, before)
+        for key, deviation in deviations.items():
+            if key in before and before[key].what == deviation.what:
+                deviations[key] = before[key]
+            elif not deviation.container:
+                run.journal.note("wrong", deviation.what)
+        for key in sorted(before.keys() - deviations.keys()):
             if not before[key].container:
                 run.journal.note("right", before[key].end())
-        self.deviations = tuple(found.values())
-        self.code_errors.look(statuses, time.monotonic())
+        self.deviations = tuple(deviations.values())
+        self.code_errors.record(statuses, time.monotonic())
         self._note_recoveries(statuses)
 
     def _found(
@@ -69,15 +69,15 @@ class Watch:
         run, now = self._run, wall_time()
         wanted, settled = run.desired.incarnations(), run.desired.settled()
         moving = run.placed.keys() - settled.keys()
-        found = {key: before[key] for key in sorted(before.keys() & moving)}
+        current = {key: before[key] for key in sorted(before.keys() & moving)}
         deviations = find_deviations(
             settled.values(), wanted, run.layout, statuses, now
         )
-        found |= {each.key: each for each in deviations}
+        current |= {deviation.key: deviation for deviation in deviations}
         there = [
-            each
-            for name, each in settled.items()
-            if name not in found and each.computer in statuses
+            incarnation
+            for name, incarnation in settled.items()
+            if name not in current and incarnation.computer in statuses
         ]
         began = time.monotonic()
         joined = run.layout.connectors(run.placed) if self._unjoined else ()
@@ -88,12 +88,12 @@ class Watch:
             and any(end.component in moving for end in connector.between)
         }
         self._unjoined = still | {
-            name: self._unjoined.get(name, (each, began))
-            for name, each in find_unjoined(there, run.layout, statuses, now)
+            name: self._unjoined.get(name, (deviation, began))
+            for name, deviation in find_unjoined(there, run.layout, statuses, now)
         }
-        return found | {
-            each.key: each
-            for each, since in self._unjoined.values()
+        return current | {
+            deviation.key: deviation
+            for deviation, since in self._unjoined.values()
             if began - since >= _JOIN_WITHIN
         }
 
@@ -109,13 +109,13 @@ class Watch:
         """Journal which containers run as they should again after a fault."""
         run = self._run
         deviating = {
-            run.layout.container_of(each.component)
-            for each in self.deviations
-            if each.component
+            run.layout.container_of(deviation.component)
+            for deviation in self.deviations
+            if deviation.component
         }
         for computer, status in statuses.items():
-            for each in status.health:
-                is_well = each.state == "running" and each.name not in deviating
-                if is_well and self._faults.close(computer, each.name):
-                    what = f"container '{each.name}' on '{computer}'"
+            for health in status.health:
+                is_well = health.state == "running" and health.name not in deviating
+                if is_well and self._faults.close(computer, health.name):
+                    what = f"container '{health.name}' on '{computer}'"
                     run.journal.note("right", f"{what} runs as it should again")

@@ -19,7 +19,7 @@ from poise.manage.migration.migration_report import TransitionStep
 from poise.manage.migration.transition_plan import plan_transition
 from poise.manage.migration.transition_run import start_together, transit
 from poise.manage.shortages.free_room import placed_beside
-from poise.manage.shortages.suspension import PutAside
+from poise.manage.shortages.suspension import Suspensions
 from poise.model.check.allowed_computers import allowed_computers, pinned_components
 from poise.model.robot import Architecture
 
@@ -42,9 +42,9 @@ class FailOver:
 
     purpose = "restart what was on lost computers"
 
-    def __init__(self, run: RunningComponents, put_aside: PutAside) -> None:
+    def __init__(self, run: RunningComponents, suspensions: Suspensions) -> None:
         self._run = run
-        self._put_aside = put_aside
+        self._suspensions = suspensions
         self._limits = MoveLimits()
         self._missing: set[str] = set()
         self._tries_again = float("inf")
@@ -52,39 +52,41 @@ class FailOver:
     def respond(self, situation: Situation, desired: Desired) -> Change | None:
         """Return where components restart, and what makes room for them."""
         now = situation.now
-        if self._limits.rests(now):
+        if self._limits.is_backing_off(now):
             return None
-        lost = {each.values.name for each in situation.about("fail over")}
+        lost = {symptom.values.name for symptom in situation.about("fail over")}
         stranded = {n for n, c in situation.placement.items() if c in lost}
         self._missing &= stranded
         if stranded <= self._missing and now < self._tries_again:
             return None
-        found = fail_over(situation, lost)
-        before, self._missing = self._missing, set(found.missing)
-        self._tries_again = now + _ROOM_EVERY if found.waits_for_room else float("inf")
-        for name, why in sorted(found.missing.items()):
+        failover = fail_over(situation, lost)
+        before, self._missing = self._missing, set(failover.missing)
+        self._tries_again = (
+            now + _ROOM_EVERY if failover.waits_for_room else float("inf")
+        )
+        for name, why in sorted(failover.missing.items()):
             if name not in before:
                 where = desired.placed[name].computer
                 what = f"component '{name}' of '{where}' is missing: {why}"
                 self._run.journal.note("wrong", what)
-        if not found.placement and not found.aside:
+        if not failover.placement and not failover.aside:
             return None
         return Change(
-            why=_sentence(found.placement) if found.placement else "",
-            facts={"placement": found.placement, "moves": found.steps},
-            carry_out=partial(self._restart, found, lost, now),
+            why=_sentence(failover.placement) if failover.placement else "",
+            facts={"placement": failover.placement, "moves": failover.steps},
+            carry_out=partial(self._restart, failover, lost, now),
         )
 
-    def _restart(self, found: Failover, lost: Collection[str], now: float) -> None:
-        if found.aside:
+    def _restart(self, failover: Failover, lost: Collection[str], now: float) -> None:
+        if failover.aside:
             why = "components of a lost computer that have a higher priority need room"
-            self._put_aside.put(found.aside, why, now)
-        if found.placement:
-            is_room = not found.steps or transit(self._run, found.steps).committed
-            if is_room and start_together(self._run, found.placement, lost):
-                self._limits.forget_nothing()
+            self._suspensions.suspend(failover.aside, why, now)
+        if failover.placement:
+            is_room = not failover.steps or transit(self._run, failover.steps).committed
+            if is_room and start_together(self._run, failover.placement, lost):
+                self._limits.reset_backoff()
             else:
-                self._limits.note_nothing(now)
+                self._limits.start_backoff(now)
 
 
 def _sentence(placement: Mapping[str, str]) -> str:
@@ -125,7 +127,9 @@ def fail_over(situation: Situation, lost: Collection[str]) -> Failover:
         has_room = plan.evaluate(problem, {**works, **where}).feasible
         then = works if has_room else {name: result.placement[name] for name in works}
         with contextlib.suppress(RobotError):  # no way leads there
-            robot = situation.of_what_runs().robot  # no way leads over what is lost
+            robot = (
+                situation.of_running_components().robot
+            )  # no way leads over what is lost
             steps = plan_transition(robot, works, then, shares_cpu=True)
             return Failover(placement=where, missing=missing, steps=steps)
     kept = {name: (at,) for name, at in works.items()}

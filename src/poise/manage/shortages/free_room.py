@@ -95,7 +95,8 @@ def _what_is_left(
         computers=computers,
         links=tuple(k for k in robot.links if names.issuperset(k.between)),
         architectures=tuple(
-            replace(each, layer="sequencing") for each in kept.architectures
+            replace(architecture, layer="sequencing")
+            for architecture in kept.architectures
         ),
         tasks=(),
     )

@@ -46,7 +46,7 @@ class _Aside(Struct):
     since: float  # [s since 1970]
 
 
-class PutAside:
+class Suspensions:
     """What a robot's task needs, but does not run. Times are those of one clock [s]."""
 
     def __init__(
@@ -60,10 +60,10 @@ class PutAside:
         self._crashed: dict[str, str] = {}
         self._look_at_code = 0.0
         self._has_news = False
-        self.held: set[str] = set()
+        self.suspended_with_task: set[str] = set()
         """The architectures that stopped because their task lacks another function."""
 
-    def put(self, names: Iterable[str], why: str, now: float) -> bool:
+    def suspend(self, names: Iterable[str], why: str, now: float) -> bool:
         """Stop architectures; return whether that went well.
 
         Their state is lost.
@@ -87,16 +87,16 @@ class PutAside:
             components |= here
         committed = self._stop(components)
         if committed:
-            self.note(names, why, now)
+            self.note_suspended(names, why, now)
         return committed
 
-    def note(self, names: Iterable[str], why: str, now: float) -> None:
+    def note_suspended(self, names: Iterable[str], why: str, now: float) -> None:
         """Remember and say that architectures were stopped."""
         for name in names:
             self._stay(name, now, first=FIRST)
             self._add(name, why)
 
-    def hold(
+    def suspend_with_task(
         self,
         architectures: Iterable[Architecture],
         components: Mapping[str, str],
@@ -106,23 +106,23 @@ class PutAside:
         """Stop architectures until what their task lacks is back."""
         if self._stop(components):
             for architecture in architectures:
-                self.held.add(architecture.name)
+                self.suspended_with_task.add(architecture.name)
                 self._stay(architecture.name, now, first=0.0)
                 self._add(architecture.name, why)
 
-    def note_started(self, names: Iterable[str], now: float) -> None:
+    def note_resumed(self, names: Iterable[str], now: float) -> None:
         """Remember that architectures run again."""
-        self.held.difference_update(names)
+        self.suspended_with_task.difference_update(names)
         for name in names:
             stay = self._stays.get(name, (now, FIRST / 2))[1]
             self._stays[name] = now, stay
 
-    def bar(self, name: str) -> None:
-        """Take an architecture that crashes back only with other code, or `forgive`."""
+    def quarantine(self, name: str) -> None:
+        """Take an architecture that crashes back only with other code, or `release`."""
         architecture = self._run.robot.architecture(name)
         self._crashed[name] = self._code_of(architecture)
 
-    def forgive(self) -> None:
+    def release(self) -> None:
         """Take back soon what fits, also what crashed: a person asked for it."""
         for name in self._crashed:
             what = f"architecture '{name}' may start again, though it crashed"
@@ -131,9 +131,11 @@ class PutAside:
         self._stays.clear()
         self._has_news = True
 
-    def look(self) -> None:
+    def record(self) -> None:
         """Note what does not run, and what runs again."""
-        aside = {each.name: each.function for each in self._aside()}
+        aside = {
+            architecture.name: architecture.function for architecture in self._aside()
+        }
         for name in sorted(self._known.keys() - aside.keys()):
             del self._known[name]
             self._run.journal.note("right", f"architecture '{name}' runs again")
@@ -152,8 +154,10 @@ class PutAside:
     def deviations(self) -> tuple[Deviation, ...]:
         """Return what is aside; from any thread."""
         return tuple(
-            Deviation(what=_sentence(name, each.why), computer="", since=each.since)
-            for name, each in sorted(self._known.copy().items())
+            Deviation(
+                what=_sentence(name, suspended.why), computer="", since=suspended.since
+            )
+            for name, suspended in sorted(self._known.copy().items())
         )
 
     def due(self, now: float) -> list[Architecture]:
@@ -161,7 +165,7 @@ class PutAside:
         self._forgive_mended(now)
         return [a for a in self._aside() if self._is_due(a.name, now)]
 
-    def take_news(self) -> bool:
+    def pop_news(self) -> bool:
         """Return whether something may start since the last time that could not."""
         has_news, self._has_news = self._has_news, False
         return has_news
@@ -239,7 +243,7 @@ def _sentence(name: str, why: str) -> str:
     return f"architecture '{name}' is put aside: {why}"
 
 
-class Needs:
+class NeededFunctions:
     """The functions that a task needs or uses, and since when some are missing [s]."""
 
     def __init__(self, journal: Journal) -> None:
@@ -247,7 +251,7 @@ class Needs:
         self._since: dict[str, float] = {}
         self._said: dict[str, Deviation] = {}
 
-    def look(self, situation: Situation, now: float) -> AbstractSet[str]:
+    def evaluate(self, situation: Situation, now: float) -> AbstractSet[str]:
         """Say what is missing or back; return what is needed and is missing.
 
         What comes back within moments, as by a fail-over, does not count.
@@ -306,8 +310,8 @@ class StopWithoutNeeded:
 
     purpose = "stop a task that lacks what it needs"
 
-    def __init__(self, put_aside: PutAside) -> None:
-        self._put_aside = put_aside
+    def __init__(self, suspensions: Suspensions) -> None:
+        self._suspensions = suspensions
         self._again_at = 0.0
 
     def respond(self, situation: Situation, _desired: Desired) -> Change | None:
@@ -329,10 +333,14 @@ class StopWithoutNeeded:
         self._again_at = now + _TRY_AGAIN
         where = {c.name: there[c.name] for a in stops for c in a.components}
         why = lacking(situation.task, situation.missing)
-        return Change(carry_out=partial(self._put_aside.hold, stops, where, why, now))
+        return Change(
+            carry_out=partial(
+                self._suspensions.suspend_with_task, stops, where, why, now
+            )
+        )
 
 
-class TakeBack:
+class ResumeSuspended:
     """Starts what fits again beside what runs, the highest priority first.
 
     What runs stays where it is.
@@ -340,9 +348,9 @@ class TakeBack:
 
     purpose = "start again what was put aside"
 
-    def __init__(self, run: RunningComponents, put_aside: PutAside) -> None:
+    def __init__(self, run: RunningComponents, suspensions: Suspensions) -> None:
         self._run = run
-        self._put_aside = put_aside
+        self._suspensions = suspensions
         self._try_at = 0.0
         self._try_again = _TRY_AGAIN
         self._lost: frozenset[str] = frozenset()
@@ -358,8 +366,8 @@ class TakeBack:
             self._calm_since = now if is_calm else None
         if self._calm_since is None or now - self._calm_since < CALM:
             return None
-        due = self._put_aside.due(now)
-        if self._put_aside.take_news():
+        due = self._suspensions.due(now)
+        if self._suspensions.pop_news():
             self._try_at = now
         if not due or now < self._try_at:
             return None
@@ -389,8 +397,11 @@ class TakeBack:
         While needed functions are missing, that is nothing but all of them.
         """
         if not missing:
-            held = [a for a in due if a.name in self._put_aside.held]
-            return [*([held] if held else []), *([each] for each in due)]
+            held = [a for a in due if a.name in self._suspensions.suspended_with_task]
+            return [
+                *([held] if held else []),
+                *([architecture] for architecture in due),
+            ]
         needed = sorted((a for a in due if a.function in missing), key=_function)
         of_each = [list(group) for _, group in groupby(needed, _function)]
         if len(of_each) < len(missing):
@@ -399,9 +410,9 @@ class TakeBack:
 
     def _start(self, names: list[str], where: Mapping[str, str], now: float) -> None:
         if start_together(self._run, where):
-            self._put_aside.note_started(names, now)
+            self._suspensions.note_resumed(names, now)
         else:
-            self._put_aside.note(names, "it could not be started", now)
+            self._suspensions.note_suspended(names, "it could not be started", now)
 
 
 def _function(architecture: Architecture) -> str:

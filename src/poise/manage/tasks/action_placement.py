@@ -20,7 +20,7 @@ from poise.manage.migration.transition_plan import plan_transition, residue
 from poise.manage.tasks.component_reports import Serving
 from poise.manage.tasks.concurrent_tasks import Tasks
 from poise.manage.tasks.learned_choice import conditions_of
-from poise.manage.tasks.task_progress import TaskRecord, Try
+from poise.manage.tasks.task_progress import Attempt, TaskRecord
 from poise.model.robot import Robot
 
 MOVE = 0.01
@@ -126,7 +126,7 @@ PLAN_FOR = 0.3
 """The phases of a task are placed within this time [s], when it is planned first."""
 
 
-class Likely(Struct, frozen=True, kw_only=True):
+class LikelyAction(Struct, frozen=True, kw_only=True):
     """Components that may be needed soon."""
 
     task: str
@@ -176,28 +176,30 @@ class PlanOverTime:
 
 
 def likely_next(
-    ahead: Iterable[tuple[TaskRecord, Try, float]],
+    ahead: Iterable[tuple[TaskRecord, Attempt, float]],
     plans: PlanOverTime,
     running: Mapping[str, str],
     resting: Mapping[str, str],
-) -> list[Likely]:
+) -> list[LikelyAction]:
     """Return what may be needed next and does not run, the most probable first."""
-    found = []
-    for record, each, probability in ahead:
-        placement = plans.placement(record.name, (each.name,), each.action.functions)
+    actions = []
+    for record, attempt, probability in ahead:
+        placement = plans.placement(
+            record.name, (attempt.name,), attempt.action.functions
+        )
         missing = {
             n: resting.get(n, at) for n, at in placement.items() if n not in running
         }
         if missing:
-            found.append(
-                Likely(
+            actions.append(
+                LikelyAction(
                     task=record.name,
-                    action=each.name,
+                    action=attempt.name,
                     placement=missing,
                     probability=probability,
                 )
             )
-    return sorted(found, key=lambda each: -each.probability)
+    return sorted(actions, key=lambda action: -action.probability)
 
 
 class Admission:
@@ -211,10 +213,10 @@ class Admission:
         self._plans = plans
         self._serving = Serving(run)
 
-    def look(
+    def admit(
         self,
         situation: Situation,
-        new: Iterable[tuple[TaskRecord, Try]],
+        new: Iterable[tuple[TaskRecord, Attempt]],
         aside: AbstractSet[str],
         *,
         explore: bool,
@@ -227,7 +229,7 @@ class Admission:
         new = tuple(new)
         robot = learned(
             situation.robot,
-            [each.action for _, each in new],
+            [attempt.action for _, attempt in new],
             conditions=conditions_of(situation),
             explore=explore,
             seed=self._tasks.saved.number,
@@ -235,16 +237,18 @@ class Admission:
         situation = replace(situation, robot=robot)
         left_out = aside | self._serving.broken(situation.lost)
         planned: dict[str, str] = {}
-        for record, each in new:
+        for record, attempt in new:
             names = tuple(t.name for t in self._tasks.tries(record))
-            planned |= self._plans.placement(record.name, names, each.action.functions)
+            planned |= self._plans.placement(
+                record.name, names, attempt.action.functions
+            )
         going = self._tasks.going()
         whole = self._beside(situation, going, left_out, planned)
         if not whole.why:
             return whole
         for count in range(len(going) - 1, 0, -1):
             if not self._beside(situation, going[:count], left_out, planned).why:
-                others = " and ".join(f"'{each.name}'" for each in going[:count])
+                others = " and ".join(f"'{record.name}'" for record in going[:count])
                 for record in going[count:]:
                     text = f"task {others} uses the room that it needs: {whole.why}"
                     self._tasks.block(record.name, text)
@@ -255,9 +259,11 @@ class Admission:
     def _end_or_block(self, record: TaskRecord, why: str) -> None:
         """End the actions that do not fit though no other task runs."""
         now = boot_time()
-        for each in self._tasks.tries(record):
-            if each.progress.since is None:
-                self._tasks.end(each.number, now, f"it does not fit: {why}", done=False)
+        for attempt in self._tasks.tries(record):
+            if attempt.progress.since is None:
+                self._tasks.end(
+                    attempt.number, now, f"it does not fit: {why}", done=False
+                )
                 return
         self._tasks.block(record.name, f"it does not fit any more: {why}")
 

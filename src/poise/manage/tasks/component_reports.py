@@ -13,7 +13,7 @@ from poise.model.robot import Architecture
 from poise.wire.records.status_records import TaskWish
 
 
-class Heard(Struct, frozen=True):
+class EndReport(Struct, frozen=True):
     """What was said at a port that ends an action: by which epoch, how often, what."""
 
     epoch: int = 0
@@ -28,19 +28,21 @@ class ComponentReports:
         self._run = run
         self._wishes: dict[tuple[str, int], int] = {}
 
-    def ends(self) -> Mapping[str, Heard]:
+    def ends(self) -> Mapping[str, EndReport]:
         """Return what was said at each port that ends an action, as component.port."""
         placed, prepared = self._run.placed, self._run.prepared
         return {
-            f"{each.name}.{end.port}": Heard(each.epoch, end.count, end.done)
-            for each in components_of(self._run.current())
-            if each.ends
-            and (known := placed.get(each.name) or prepared.get(each.name))
-            and known.epoch == each.epoch
-            for end in each.ends
+            f"{component.name}.{end.port}": EndReport(
+                component.epoch, end.count, end.done
+            )
+            for component in components_of(self._run.current())
+            if component.ends
+            and (known := placed.get(component.name) or prepared.get(component.name))
+            and known.epoch == component.epoch
+            for end in component.ends
         }
 
-    def wishes(self) -> Iterator[tuple[str, TaskWish]]:
+    def requests(self) -> Iterator[tuple[str, TaskWish]]:
         """Yield what components want done with tasks, and which component does."""
         for component in components_of(self._run.current()):
             key = component.name, component.epoch

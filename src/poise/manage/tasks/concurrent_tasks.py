@@ -15,13 +15,13 @@ from poise.errors import UsageError
 from poise.manage.tasks.task_progress import (
     OVER,
     ActionEnded,
+    Attempt,
     Choose,
     Progress,
     Saved,
     Steps,
     TaskRecord,
     TaskState,
-    Try,
 )
 from poise.model.robot import Robot
 from poise.model.tasks.exclusive import clashes
@@ -55,7 +55,7 @@ class Tasks:
         wall: Callable[[float], float] = wall_time_at,
     ) -> None:
         self._robot = robot
-        self._tasks = {each.name: each for each in robot.tasks}
+        self._tasks = {task.name: task for task in robot.tasks}
         self._say = say
         self._wall = wall
         self._steps = {
@@ -130,7 +130,7 @@ class Tasks:
             raise self._no_such(name)
         raise UsageError(f"task '{name}' does not run; `poise task start {name}`")
 
-    def tries(self, record: TaskRecord) -> tuple[Try, ...]:
+    def tries(self, record: TaskRecord) -> tuple[Attempt, ...]:
         """Return the actions of a task that are its turn now."""
         return self._steps[record.name].tries(record.progress)
 
@@ -144,9 +144,9 @@ class Tasks:
         A task waits while another of higher priority, or of the same that is at work,
         uses what only one may use; or while `block` says so.
         """
-        granted: list[tuple[TaskRecord, Try]] = []
+        granted: list[tuple[TaskRecord, Attempt]] = []
         for record in self._by_rank():
-            mine = [(record, each) for each in self.tries(record)]
+            mine = [(record, attempt) for attempt in self.tries(record)]
             why = self._blocked.get(record.name, "") or self._clash(granted, mine)
             if why:
                 self._rest(record, now)
@@ -175,20 +175,20 @@ class Tasks:
 
     def began(self, number: int, now: float) -> None:
         """Note that an action's functions work."""
-        for record, each in self._all_tries():
-            if each.number == number and each.progress.since is None:
-                each.progress.since = now
-                how = "goes on" if each.progress.spent else "begins"
-                self._say(f"action '{each.name}' of task '{record.name}' {how}")
+        for record, attempt in self._all_tries():
+            if attempt.number == number and attempt.progress.since is None:
+                attempt.progress.since = now
+                how = "goes on" if attempt.progress.spent else "begins"
+                self._say(f"action '{attempt.name}' of task '{record.name}' {how}")
 
     def end(self, number: int, now: float, why: str, *, done: bool) -> None:
         """Note that an action has ended, and begin what comes next."""
-        for record, each in list(self._all_tries()):
-            if each.number == number:
-                self._end(record, each, why, done=done)
+        for record, attempt in list(self._all_tries()):
+            if attempt.number == number:
+                self._end(record, attempt, why, done=done)
                 self._settle(record, now)
 
-    def look(self, now: float, holds: Callable[[Until], bool]) -> None:
+    def end_due(self, now: float, holds: Callable[[Until], bool]) -> None:
         """End actions whose time is over, and what conditions end."""
         for record in self.going():
             for until, progress in list(
@@ -196,42 +196,42 @@ class Tasks:
             ):
                 if progress.state == "going" and holds(until):
                     self._end_by(record, until, progress)
-            for each in self.tries(record):
-                limit, worked = each.action.limit, self.worked(each, now)
+            for attempt in self.tries(record):
+                limit, worked = attempt.action.limit, self.worked(attempt, now)
                 if limit is not None and worked >= limit:
-                    self._end(record, each, f"{limit:g} s are over", done=False)
+                    self._end(record, attempt, f"{limit:g} s are over", done=False)
             self._settle(record, now)
 
     def due(self, now: float) -> float | None:
         """Return in how long the next limit is over [s]; None: there is none."""
         left = [
-            each.action.limit - self.worked(each, now)
+            attempt.action.limit - self.worked(attempt, now)
             for record in self.going()
-            for each in self.tries(record)
-            if each.action.limit is not None and each.progress.since is not None
+            for attempt in self.tries(record)
+            if attempt.action.limit is not None and attempt.progress.since is not None
         ]
         return min(left, default=None)
 
-    def worked(self, each: Try, now: float) -> float:
+    def worked(self, attempt: Attempt, now: float) -> float:
         """Return for how long an action's functions have worked [s]."""
-        since = each.progress.since
-        return each.progress.spent + (0.0 if since is None else now - since)
+        since = attempt.progress.since
+        return attempt.progress.spent + (0.0 if since is None else now - since)
 
     def functions_of(self, records: Iterable[TaskRecord]) -> set[str]:
         """Return the functions that tasks use while the actions work that are next."""
         return {
             function
             for record in records
-            for each in self.tries(record)
-            for function in each.action.functions
+            for attempt in self.tries(record)
+            for function in attempt.action.functions
         }
 
-    def next_actions(self) -> list[tuple[TaskRecord, Try, float]]:
+    def next_actions(self) -> list[tuple[TaskRecord, Attempt, float]]:
         """Return the actions that may come next, with their probabilities."""
         return [
-            (record, each, probability)
+            (record, attempt, probability)
             for record in self._by_rank()
-            for each, probability in self._next_of(record)
+            for attempt, probability in self._next_of(record)
         ]
 
     def take_ended(self) -> list[ActionEnded]:
@@ -246,9 +246,9 @@ class Tasks:
             f"{what}{did_you_mean(name, self._tasks)}; its tasks: {names}"
         )
 
-    def _next_of(self, record: TaskRecord) -> Iterable[tuple[Try, float]]:
+    def _next_of(self, record: TaskRecord) -> Iterable[tuple[Attempt, float]]:
         if record.state != "going":  # it goes on where it was
-            return [(each, 1.0) for each in self.tries(record)]
+            return [(attempt, 1.0) for attempt in self.tries(record)]
         return self._steps[record.name].next_actions(record.progress)
 
     def _by_rank(self) -> list[TaskRecord]:
@@ -262,20 +262,21 @@ class Tasks:
         return records
 
     def _is_at_work(self, record: TaskRecord) -> bool:
-        return any(each.progress.since is not None for each in self.tries(record))
+        return any(attempt.progress.since is not None for attempt in self.tries(record))
 
     def _clash(
         self,
-        granted: list[tuple[TaskRecord, Try]],
-        mine: list[tuple[TaskRecord, Try]],
+        granted: list[tuple[TaskRecord, Attempt]],
+        mine: list[tuple[TaskRecord, Attempt]],
     ) -> str:
         """Return what a task cannot share with those before it; empty: nothing."""
         actions = {
-            f"{record.name}.{each.name}": record.name for record, each in granted + mine
+            f"{record.name}.{attempt.name}": record.name
+            for record, attempt in granted + mine
         }
         renamed = [
-            replace(each.action, name=f"{record.name}.{each.name}")
-            for record, each in granted + mine
+            replace(attempt.action, name=f"{record.name}.{attempt.name}")
+            for record, attempt in granted + mine
         ]
         for clash in clashes(self._robot, renamed):
             # that of a task with itself is for `poise check`
@@ -288,26 +289,28 @@ class Tasks:
 
     def _rest(self, record: TaskRecord, now: float) -> None:
         """Stop the clocks of a task's actions: their functions do not work for it."""
-        for each in self.tries(record):
-            each.progress.spent = self.worked(each, now)
-            each.progress.since = None
+        for attempt in self.tries(record):
+            attempt.progress.spent = self.worked(attempt, now)
+            attempt.progress.since = None
 
     def _end_by(self, record: TaskRecord, until: Until, progress: Progress) -> None:
-        for each in self.tries(record):
-            if each.progress is progress:
-                self._end(record, each, f"{until.when} holds", done=True)
+        for attempt in self.tries(record):
+            if attempt.progress is progress:
+                self._end(record, attempt, f"{until.when} holds", done=True)
                 return
         progress.state = "done"
         progress.inside = []
         self._say(f"task '{record.name}': a repetition is done: {until.when} holds")
 
-    def _end(self, record: TaskRecord, each: Try, why: str, *, done: bool) -> None:
-        progress = each.progress
+    def _end(
+        self, record: TaskRecord, attempt: Attempt, why: str, *, done: bool
+    ) -> None:
+        progress = attempt.progress
         progress.state = "done" if done else "ended"
-        progress.why = "" if done else f"action '{each.name}' failed: {why}"
+        progress.why = "" if done else f"action '{attempt.name}' failed: {why}"
         how = "is done" if done else "has failed"
-        self._say(f"action '{each.name}' of task '{record.name}' {how}: {why}")
-        self._ended.append(ActionEnded(each.action, done))
+        self._say(f"action '{attempt.name}' of task '{record.name}' {how}: {why}")
+        self._ended.append(ActionEnded(attempt.action, done))
 
     def _settle(self, record: TaskRecord, now: float) -> None:
         steps = self._steps[record.name]
@@ -333,11 +336,11 @@ class Tasks:
         why = f": {record.why}" if record.why else ""
         self._say(f"task '{record.name}' {what}{why}")
 
-    def _all_tries(self) -> Iterator[tuple[TaskRecord, Try]]:
+    def _all_tries(self) -> Iterator[tuple[TaskRecord, Attempt]]:
         for record in self.records:
             if record.state not in OVER:
-                for each in self.tries(record):
-                    yield record, each
+                for attempt in self.tries(record):
+                    yield record, attempt
 
     def _next(self) -> int:
         self.saved.number += 1
@@ -369,8 +372,8 @@ class TaskReport(Struct, frozen=True, kw_only=True):
 
 def task_reports(
     tasks: Tasks,
-    ahead: Collection[tuple[TaskRecord, Try, float]],
-    serving: Callable[[Try], tuple[str, ...]],
+    ahead: Collection[tuple[TaskRecord, Attempt, float]],
+    serving: Callable[[Attempt], tuple[str, ...]],
     now: float,  # [s], by the clock of `Progress.since`
 ) -> tuple[TaskReport, ...]:
     """Return how all tasks are, the first started first."""
@@ -384,15 +387,15 @@ def task_reports(
             since=record.since,
             actions=tuple(
                 ActionReport(
-                    name=each.name,
-                    functions=each.action.functions,
-                    architectures=serving(each),
-                    worked=tasks.worked(each, now),
-                    is_at_work=each.progress.since is not None,
+                    name=attempt.name,
+                    functions=attempt.action.functions,
+                    architectures=serving(attempt),
+                    worked=tasks.worked(attempt, now),
+                    is_at_work=attempt.progress.since is not None,
                 )
-                for each in tasks.tries(record)
+                for attempt in tasks.tries(record)
             ),
-            next=tuple(each.name for of, each, _ in ahead if of is record),
+            next=tuple(attempt.name for of, attempt, _ in ahead if of is record),
         )
         for record in list(tasks.records)
     )

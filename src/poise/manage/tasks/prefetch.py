@@ -13,7 +13,7 @@ from poise.manage.deploy.desired import Incarnation
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.migration.transition_plan import residue
 from poise.manage.observe.estimates import Load
-from poise.manage.tasks.action_placement import Likely
+from poise.manage.tasks.action_placement import LikelyAction
 from poise.manage.tasks.prefetch_report import PrefetchReport
 from poise.manage.tasks.switch import drop, prepare
 from poise.model.hardware import fits
@@ -36,7 +36,7 @@ class PrefetchPlan(Struct, frozen=True, kw_only=True):
 def choose(
     robot: Robot,
     running: Mapping[str, str],
-    likely: Iterable[Likely],
+    likely: Iterable[LikelyAction],
     *,
     cpu: Mapping[str, float],
     held: Mapping[str, str],
@@ -58,10 +58,10 @@ def choose(
     placement: dict[str, str] = {}
     why_not: dict[tuple[str, str], str] = {}
     rest = [_resting(n, computer) for n, computer in held.items()]
-    for each in [*sorted(likely, key=lambda each: -each.probability), *rest]:
+    for action in [*sorted(likely, key=lambda action: -action.probability), *rest]:
         wanted = {
             name: computer
-            for name, computer in each.placement.items()
+            for name, computer in action.placement.items()
             if name not in running
             and name not in placement
             and in_use.isdisjoint(components[name].devices)
@@ -69,7 +69,7 @@ def choose(
         new = {computer for n, computer in wanted.items() if held.get(n) != computer}
         why = _without_cpu(new, cpu) or _without_room(wanted, left, components)
         if why:
-            why_not[each.action, each.task] = why
+            why_not[action.action, action.task] = why
             continue
         for name, computer in wanted.items():
             for resource, amount in _held_by(components[name]):
@@ -78,8 +78,8 @@ def choose(
     return PrefetchPlan(placement=placement, why_not=why_not)
 
 
-def _resting(component: str, computer: str) -> Likely:
-    return Likely(
+def _resting(component: str, computer: str) -> LikelyAction:
+    return LikelyAction(
         task="", action=component, placement={component: computer}, probability=0.0
     )
 
@@ -149,7 +149,7 @@ class Prefetcher:
         self._clock = clock
         self._chosen_at = float("-inf")
         self._chosen_for: object = None
-        self._barred: dict[str, float] = {}
+        self._backed_off: dict[str, float] = {}
         self._why_not: Mapping[tuple[str, str], str] = {}
         self._begun: dict[_Key, Incarnation] = {}
         self._restarts: dict[_Key, int] = {}
@@ -168,7 +168,9 @@ class Prefetcher:
             wasted=self._wasted,
         )
 
-    def look(self, likely: Collection[Likely], loads: Mapping[str, Load]) -> None:
+    def update(
+        self, likely: Collection[LikelyAction], loads: Mapping[str, Load]
+    ) -> None:
         """Note how preparations go, and prepare what is likely next."""
         self._note_failures()
         self._note_ready()
@@ -179,15 +181,21 @@ class Prefetcher:
         if situation == self._chosen_for and now < self._chosen_at + LOOK_EVERY:
             return
         self._chosen_at = now
-        likely = [each for each in likely if not self._is_barred(each)]
+        likely = [action for action in likely if not self._is_backed_off(action)]
         cpu = self._cpu_left(placement, loads)
-        held = {name: each.computer for name, each in self._run.prepared.items()}
+        held = {
+            name: incarnation.computer
+            for name, incarnation in self._run.prepared.items()
+        }
         choice = choose(self._run.robot, placement, likely, cpu=cpu, held=held)
         self._go_to(choice, likely, cpu)
         self._chosen_for = [*likely], placement, [*self._run.prepared], cpu.keys()
 
     def _go_to(
-        self, choice: PrefetchPlan, likely: Collection[Likely], cpu: Mapping[str, float]
+        self,
+        choice: PrefetchPlan,
+        likely: Collection[LikelyAction],
+        cpu: Mapping[str, float],
     ) -> None:
         run, note = self._run, self._run.journal.note
         for (action, task), why in choice.why_not.items():
@@ -195,50 +203,63 @@ class Prefetcher:
                 note("seen", f"nothing is prepared for {_named(action, task)}: {why}")
         self._why_not = choice.why_not
         wanted = choice.placement
-        held = {name: each.computer for name, each in run.prepared.items()}
+        held = {
+            name: incarnation.computer for name, incarnation in run.prepared.items()
+        }
         drops = [name for name in held if wanted.get(name) != held[name]]
-        drops += self._let_rest(likely, drops)
+        drops += self._make_idle(likely, drops)
         begins = {n: at for n, at in wanted.items() if held.get(n) != at}
         if not drops and not begins:
             return
         if drops:
             note("decided", f"{_list(drops)} not prepared any more")
             drop(run, drops)
-        for each in likely:
-            mine = {n: at for n, at in begins.items() if each.placement.get(n) == at}
+        for likely_action in likely:
+            mine = {
+                n: at
+                for n, at in begins.items()
+                if likely_action.placement.get(n) == at
+            }
             if mine:
-                what = f"{_named(each.action, each.task)} is likely next"
+                what = (
+                    f"{_named(likely_action.action, likely_action.task)} is likely next"
+                )
                 note(
                     "decided",
                     f"{what}: {_list(mine)} prepared",
                     placement=mine,
-                    probability=each.probability,
+                    probability=likely_action.probability,
                 )
         if begins:
             prepare(run, begins, {at: cpu[at] for at in begins.values()})
         new = [
             run.prepared[name] for name in sorted(begins.keys() & run.prepared.keys())
         ]
-        self._begun |= {(each.component, each.epoch): each for each in new}
+        self._begun |= {
+            (incarnation.component, incarnation.epoch): incarnation
+            for incarnation in new
+        }
         restarts = {
             (computer, health.name): health.restarts
             for computer, status in run.agents.statuses().items()
             for health in status.health
         }
         self._restarts = {
-            key: self._restarts.get(key, restarts.get(self._container(each), 0))
-            for key, each in self._begun.items()
+            key: self._restarts.get(key, restarts.get(self._container(incarnation), 0))
+            for key, incarnation in self._begun.items()
         }
 
-    def _let_rest(self, likely: Iterable[Likely], drops: Collection[str]) -> list[str]:
+    def _make_idle(
+        self, likely: Iterable[LikelyAction], drops: Collection[str]
+    ) -> list[str]:
         """Let what no action is likely to need rest; return what is not ready yet."""
         run, unready, ready = self._run, list[str](), list[Incarnation]()
-        needed = {name for each in likely for name in each.placement}
-        for name, each in run.prepared.items():
-            if not each.gently or name in needed or name in drops:
+        needed = {name for action in likely for name in action.placement}
+        for name, incarnation in run.prepared.items():
+            if not incarnation.gently or name in needed or name in drops:
                 continue
-            if (name, each.epoch) in self._ready:
-                ready.append(replace(each, gently=False))
+            if (name, incarnation.epoch) in self._ready:
+                ready.append(replace(incarnation, gently=False))
             else:
                 unready.append(name)
         if ready:
@@ -249,15 +270,15 @@ class Prefetcher:
         self, placement: Mapping[str, str], loads: Mapping[str, Load]
     ) -> dict[str, float]:
         """Return computer -> CPU that may be used there to prepare [cores]."""
-        robot, found = self._run.robot, {}
+        robot, cpu = self._run.robot, {}
         unplaced = residue(robot, placement)
         for name in self._run.computers():
             left = unplaced[name]["cpu"]
             if name in loads:
                 left = min(left, loads[name].capacity - loads[name].used)
             speed = max(1.0, robot.computer(name).speed)
-            found[name] = max(0.0, robot.prefetch.cpu * left / speed)
-        return found
+            cpu[name] = max(0.0, robot.prefetch.cpu * left / speed)
+        return cpu
 
     def _note_failures(self) -> None:
         """Drop what cannot be prepared, and say why: its action may still begin."""
@@ -266,12 +287,12 @@ class Prefetcher:
         run = self._run
         failed: dict[str, str] = {}
         statuses = run.current()
-        for name, each in run.prepared.items():
-            status = statuses.get(each.computer)
-            if status is None or (name, each.epoch) not in self._begun:
+        for name, incarnation in run.prepared.items():
+            status = statuses.get(incarnation.computer)
+            if status is None or (name, incarnation.epoch) not in self._begun:
                 continue
-            before = self._restarts.get((name, each.epoch), 0)
-            why = _failure(status, each, run.layout.container_of(name), before)
+            before = self._restarts.get((name, incarnation.epoch), 0)
+            why = _failure(status, incarnation, run.layout.container_of(name), before)
             if why:
                 failed[name] = why
         for name, why in failed.items():
@@ -280,7 +301,7 @@ class Prefetcher:
             text = f"{where}, and starts only with its action: {why}"
             run.journal.note("failed", text)
         if failed:
-            self._bar(failed)
+            self._back_off(failed)
             drop(run, failed)
 
     def _note_ready(self) -> None:
@@ -289,16 +310,18 @@ class Prefetcher:
         here = {(n, e.epoch) for n, e in run.prepared.items()}
         at_work = {(n, e.epoch) for n, e in run.placed.items()}
         used = {
-            self._container(each)
-            for each in (*run.prepared.values(), *run.placed.values())
+            self._container(incarnation)
+            for incarnation in (*run.prepared.values(), *run.placed.values())
         }
         gone = {
-            self._container(each)
-            for key, each in self._begun.items()
+            self._container(incarnation)
+            for key, incarnation in self._begun.items()
             if key not in here | at_work
         }
         self._wasted += sum(self._memory.get(key, 0) for key in gone - used)
-        self._begun = {k: each for k, each in self._begun.items() if k in here}
+        self._begun = {
+            k: incarnation for k, incarnation in self._begun.items() if k in here
+        }
         self._ready &= self._begun.keys()
         statuses, waiting = run.current(), map(self._container, run.prepared.values())
         self._memory = {
@@ -308,32 +331,34 @@ class Prefetcher:
             for health in statuses[key[0]].health
             if health.name == key[1]
         }
-        found = [
+        ready = [
             component
             for component in components_of(statuses)
             if (component.name, component.epoch) in self._begun.keys() - self._ready
             and component.state == "inactive"
         ]
-        if found:
-            self._ready |= {(each.name, each.epoch) for each in found}
-            seconds = max(each.start for each in found)
-            names = _list([each.name for each in found])
+        if ready:
+            self._ready |= {(component.name, component.epoch) for component in ready}
+            seconds = max(component.start for component in ready)
+            names = _list([component.name for component in ready])
             run.journal.note("done", f"{names} prepared within {seconds:.2f} s")
 
-    def _container(self, each: Incarnation) -> tuple[str, str]:
-        return each.computer, self._run.layout.container_of(each.component)
+    def _container(self, incarnation: Incarnation) -> tuple[str, str]:
+        return incarnation.computer, self._run.layout.container_of(
+            incarnation.component
+        )
 
-    def _bar(self, components: Iterable[str]) -> None:
+    def _back_off(self, components: Iterable[str]) -> None:
         until = self._clock() + TRY_AGAIN
-        self._barred |= dict.fromkeys(components, until)
+        self._backed_off |= dict.fromkeys(components, until)
 
-    def _is_barred(self, each: Likely) -> bool:
+    def _is_backed_off(self, action: LikelyAction) -> bool:
         now = self._clock()
-        return any(now < self._barred.get(name, now) for name in each.placement)
+        return any(now < self._backed_off.get(name, now) for name in action.placement)
 
 
 def _failure(
-    status: AgentStatus, each: Incarnation, container: str, restarts: int
+    status: AgentStatus, incarnation: Incarnation, container: str, restarts: int
 ) -> str:
     """Return why something that is prepared fails; empty: it does not."""
     health = next((h for h in status.health if h.name == container), None)
@@ -342,7 +367,7 @@ def _failure(
     ):
         return health.last_fault.message if health.last_fault else "it ended"
     states = {(c.name, c.epoch): c for c in components_of({status.computer: status})}
-    component = states.get((each.component, each.epoch))
+    component = states.get((incarnation.component, incarnation.epoch))
     if component is None or component.state != "failed":
         return ""
     return component.error.rstrip().rpartition("\n")[2] or "it failed"

@@ -41,8 +41,11 @@ def prepare(
         for name, computer in placement.items()
         if name not in run.placed
     ]
-    spare = {**run.desired.spare, **cpu}
-    run.commit(replace(run.desired, spare=spare).preparing(new), "prepare what is next")
+    spare = {**run.desired.preparation_cpu, **cpu}
+    run.commit(
+        replace(run.desired, preparation_cpu=spare).preparing(new),
+        "prepare what is next",
+    )
 
 
 def drop(run: RunningComponents, components: Iterable[str]) -> None:
@@ -68,7 +71,7 @@ def switch(
         replace(_prepared(run, name, at), unjoined=False, gently=False)
         for name, at in begins.items()
     ]
-    active = [each.with_goal("active") for each in new]
+    active = [incarnation.with_goal("active") for incarnation in new]
     desired = run.desired.without([*ends, *begins]).preparing(idle)
     try:
         run.commit(desired.starting(new), "switch to the next action")
@@ -86,9 +89,9 @@ def _are_ready(run: RunningComponents, components: Mapping[str, str]) -> bool:
     """Return whether all of some components are prepared where they are to work."""
     states = _states(run)
     return all(
-        (each := run.prepared.get(name)) is not None
-        and each.computer == computer
-        and states.get((name, each.epoch)) == "inactive"
+        (idle := run.prepared.get(name)) is not None
+        and idle.computer == computer
+        and states.get((name, idle.epoch)) == "inactive"
         for name, computer in components.items()
     )
 
@@ -121,10 +124,10 @@ def _wait(
     run: RunningComponents, wanted: Collection[Incarnation], limit: float
 ) -> None:
     """Wait until components are at their goals; others' troubles do not count."""
-    mine = {(each.component, each.epoch) for each in wanted}
+    mine = {(incarnation.component, incarnation.epoch) for incarnation in wanted}
 
     def trouble() -> bool:
-        run.look()
+        run.poll()
         for component in components_of(run.agents.statuses()):
             is_mine = (component.name, component.epoch) in mine
             if is_mine and component.state == "failed":
@@ -142,14 +145,14 @@ _START = 0.3
 """A start takes so long where it was not measured [s]."""
 
 
-class Resting:
+class IdleComponents:
     """The components that rest after their actions, and since when."""
 
     def __init__(self, run: RunningComponents) -> None:
         self._run = run
         self._since: dict[str, float] = {}
 
-    def look(self, kept: Collection[str]) -> None:
+    def drop_expired(self, kept: Collection[str]) -> None:
         """End what has rested for too long."""
         run, now = self._run, time.monotonic()
         rests = {n for n, e in run.prepared.items() if not e.gently}
@@ -187,8 +190,8 @@ class Resting:
         start = max(starts, default=0.0) or _START
         capacity = {c.name: c.capacity.get("memory", 0.0) for c in run.robot.computers}
         share = sum(
-            c.demand.get("memory", 0.0) / capacity[each.computer]
+            c.demand.get("memory", 0.0) / capacity[idle.computer]
             for c in architecture.components
-            if (each := run.prepared.get(c.name)) and capacity.get(each.computer)
+            if (idle := run.prepared.get(c.name)) and capacity.get(idle.computer)
         )
         return min(LONGEST, max(SHORTEST, start / share)) if share else LONGEST

@@ -23,17 +23,23 @@ from poise.manage.journal import Journal
 from poise.manage.migration.transition_run import transit
 from poise.manage.tasks.action_placement import (
     Admission,
-    Likely,
+    LikelyAction,
     PlanOverTime,
     Room,
     beyond_memory,
     likely_next,
 )
-from poise.manage.tasks.component_reports import ComponentReports, Heard, Serving
+from poise.manage.tasks.component_reports import ComponentReports, EndReport, Serving
 from poise.manage.tasks.concurrent_tasks import TaskReport, Tasks, task_reports
 from poise.manage.tasks.learned_choice import choose, conditions_of, note_ending
-from poise.manage.tasks.switch import Resting, switch
-from poise.manage.tasks.task_progress import OVER, ActionEnded, Saved, TaskRecord, Try
+from poise.manage.tasks.switch import IdleComponents, switch
+from poise.manage.tasks.task_progress import (
+    OVER,
+    ActionEnded,
+    Attempt,
+    Saved,
+    TaskRecord,
+)
 from poise.model.policy.condition import parse_condition
 from poise.model.policy.policy import SUBJECTS
 from poise.model.robot import Architecture
@@ -45,7 +51,7 @@ as long, up to this, until something changes."""
 _MOST_ROUNDS = 50
 """So many times in one look something may end or begin at once."""
 
-Turn = tuple[TaskRecord, Try]
+DueAction = tuple[TaskRecord, Attempt]
 """An action whose turn it is, and its task."""
 
 
@@ -70,19 +76,19 @@ class TaskManager:
         self.tasks.saved.boot = boot_id()
         self._room = Admission(run, self.tasks, self._plans)
         self._component_reports = ComponentReports(run)
-        self._resting = Resting(run)
+        self._idle = IdleComponents(run)
         self._room_at, self._room_again = 0.0, _ROOM_AGAIN
         self._lost: AbstractSet[str] = frozenset()
         self._aside: AbstractSet[str] = frozenset()
         self._unlearned: list[tuple[ActionEnded, list[str]]] = []
         self._since = boot_time()
-        self._ahead: list[tuple[TaskRecord, Try, float]] = []
+        self._ahead: list[tuple[TaskRecord, Attempt, float]] = []
         self.reports = self._reported()
 
     def now(self) -> Task:
         """Return what runs now, as a task of one phase."""
         going = self.tasks.going()
-        actions = [each.action for _, each in self._turns()]
+        actions = [attempt.action for _, attempt in self._due_actions()]
         used = {function for action in actions for function in action.functions}
         if fixed := self._serving.fixed():
             actions.append(Action(name="always", functions=tuple(sorted(fixed))))
@@ -91,10 +97,12 @@ class TaskManager:
         name = "' and '".join(task.name for task in tasks) or "none"
         return Task(name=name, actions=tuple(actions), needs=tuple(needs))
 
-    def likely_next(self) -> list[Likely]:
+    def likely_next(self) -> list[LikelyAction]:
         """Return what may be needed next and does not run, the most probable first."""
         run = self._run
-        rest = {name: each.computer for name, each in run.prepared.items()}
+        rest = {
+            name: incarnation.computer for name, incarnation in run.prepared.items()
+        }
         self._ahead = self.tasks.next_actions()
         return likely_next(self._ahead, self._plans, run.placement(), rest)
 
@@ -102,14 +110,14 @@ class TaskManager:
         """Return whether no task runs, waits or is paused any more."""
         return all(record.state in OVER for record in self.tasks.records)
 
-    def look(self, aside: Iterable[str] = ()) -> None:
+    def advance(self, aside: Iterable[str] = ()) -> None:
         """Look at the tasks once: end, begin and rest what is due."""
         self._aside = frozenset(aside)
-        self._hear()
-        self.tasks.look(boot_time(), self._holds)
+        self._process_reports()
+        self.tasks.end_due(boot_time(), self._condition_holds)
         self._note_ended()
         self._go_on()
-        self._resting.look(self._kept())
+        self._idle.drop_expired(self._kept())
         self._save()
 
     def report(self, task: str) -> TaskReport:
@@ -118,7 +126,7 @@ class TaskManager:
 
     def has_news(self) -> bool:
         """Return whether a component says that an action has ended."""
-        return bool(self._said_to_end())
+        return bool(self._reported_ends())
 
     def command(self, verb: str, name: str, priority: int | None = None) -> None:
         """Start, pause, resume or cancel a task, and do what follows."""
@@ -131,9 +139,11 @@ class TaskManager:
         self._go_on()
         self._save()
 
-    def _turns(self) -> list[Turn]:
+    def _due_actions(self) -> list[DueAction]:
         """Return the actions that should work now, of the first task first."""
-        return [(r, each) for r in self.tasks.going() for each in self.tasks.tries(r)]
+        return [
+            (r, attempt) for r in self.tasks.going() for attempt in self.tasks.tries(r)
+        ]
 
     def _go_on(self) -> None:
         """Let what should run now run, until nothing changes by that."""
@@ -156,20 +166,22 @@ class TaskManager:
         """Rest what no action needs, and begin what some do; whether all is anew."""
         wanted = self.tasks.functions_of(self.tasks.going())
         ends = [a for a in self._serving.moving() if a.function not in wanted]
-        new = [turn for turn in self._turns() if turn[1].progress.since is None]
+        new = [turn for turn in self._due_actions() if turn[1].progress.since is None]
         if not ends and not new:
             return False
         room = Room()
         there = self._serving.functions() | self._serving.broken(self._lost)
         if wanted - there - self._aside:
             situation = self._situation()
-            room = self._room.look(situation, new, self._aside, explore=self._explore)
+            room = self._room.admit(situation, new, self._aside, explore=self._explore)
         if room.why:
             self._note_ended()
             return True
         return self._switch(new, ends, room)
 
-    def _switch(self, new: list[Turn], ends: list[Architecture], room: Room) -> bool:
+    def _switch(
+        self, new: list[DueAction], ends: list[Architecture], room: Room
+    ) -> bool:
         """Carry a switch out; return whether an action has ended by that."""
         run = self._run
         stops = [c.name for a in ends for c in a.components if c.name in run.placed]
@@ -185,12 +197,12 @@ class TaskManager:
             return True
         served = self._serving.functions() | self._aside
         began = [turn for turn in new if served.issuperset(turn[1].action.functions)]
-        for record, each in began:
-            said = heard.get(str(each.action.ends), Heard())
-            each.progress.heard = said.epoch, said.count
-            self.tasks.began(each.number, boot_time())
+        for record, attempt in began:
+            said = heard.get(str(attempt.action.ends), EndReport())
+            attempt.progress.heard = said.epoch, said.count
+            self.tasks.began(attempt.number, boot_time())
             if begins:
-                self._note_switch(record, each, is_hit=is_hit)
+                self._note_switch(record, attempt, is_hit=is_hit)
         return False
 
     def _with_turns(self) -> Desired:
@@ -199,16 +211,19 @@ class TaskManager:
         Also those that start again.
         """
         run, begins = self._run, list[Incarnation]()
-        for _, each in self._turns():
-            end = each.action.ends
-            if end is None or each.progress.since is None:
+        for _, attempt in self._due_actions():
+            end = attempt.action.ends
+            if end is None or attempt.progress.since is None:
                 continue
             placed = run.placed.get(end.component)
-            if placed is not None and placed.turn < each.number:
+            if placed is not None and placed.turn < attempt.number:
                 begins.append(
-                    replace(placed, turn=each.number, action=each.action.name)
+                    replace(placed, turn=attempt.number, action=attempt.action.name)
                 )
-        placed_now = {**run.placed, **{each.component: each for each in begins}}
+        placed_now = {
+            **run.placed,
+            **{incarnation.component: incarnation for incarnation in begins},
+        }
         return replace(run.desired, placed=placed_now)
 
     def _make_room(
@@ -224,7 +239,7 @@ class TaskManager:
         rest = {n: e.computer for n, e in run.prepared.items() if n not in begins}
         rest |= {n: run.placed[n].computer for n in stops if n not in begins}
         works = {n: at for n, at in run.placement().items() if n not in rest}
-        order = self._resting.oldest_first(rest)
+        order = self._idle.oldest_first(rest)
         gone = beyond_memory(run.robot, {**works, **begins}, rest, order)
         if gone:
             names = ", ".join(gone)
@@ -235,27 +250,27 @@ class TaskManager:
             run.commit(run.desired.without(gone), why)
         return [name for name in stops if name not in gone]
 
-    def _fail(self, new: list[Turn], begins: Iterable[str], why: str) -> None:
+    def _fail(self, new: list[DueAction], begins: Iterable[str], why: str) -> None:
         """End the actions that cannot begin; the others stay as they are."""
         self._run.journal.note("failed", f"an action cannot begin: {why}")
         functions = self._serving.functions_of(begins)
         # of a traceback the last line says most
         short = " ".join(dict.fromkeys([why.splitlines()[0], why.splitlines()[-1]]))
-        for _, each in new:
-            if not functions or functions.intersection(each.action.functions):
+        for _, attempt in new:
+            if not functions or functions.intersection(attempt.action.functions):
                 what = f"it cannot begin: {short}"
-                self.tasks.end(each.number, boot_time(), what, done=False)
+                self.tasks.end(attempt.number, boot_time(), what, done=False)
         self._note_ended()
 
-    def _hear(self) -> None:
+    def _process_reports(self) -> None:
         """End the actions whose components say so, and do what components wish."""
         now = boot_time()
-        for each, said in self._said_to_end():
-            what = f"'{each.action.ends}' said so"
-            self.tasks.end(each.number, now, what, done=said.done)
+        for attempt, said in self._reported_ends():
+            what = f"'{attempt.action.ends}' said so"
+            self.tasks.end(attempt.number, now, what, done=said.done)
         self._note_ended()
         note = self._run.journal.note
-        for component, wish in self._component_reports.wishes():
+        for component, wish in self._component_reports.requests():
             what = f"component '{component}' asks to {wish.verb} task '{wish.task}'"
             note("seen", what)
             try:
@@ -263,15 +278,20 @@ class TaskManager:
             except UsageError as error:
                 note("wrong", f"{what}: {error}")
 
-    def _said_to_end(self) -> list[tuple[Try, Heard]]:
+    def _reported_ends(self) -> list[tuple[Attempt, EndReport]]:
         """Return the actions that are at work, and that a component says to end."""
-        turns = [each for _, each in self._turns() if each.may_be_ended()]
-        heard, found = self._component_reports.ends() if turns else {}, []
-        for each in turns:
-            said, (epoch, count) = heard.get(str(each.action.ends)), each.progress.heard
+        turns = [
+            attempt for _, attempt in self._due_actions() if attempt.may_be_ended()
+        ]
+        heard, ended = self._component_reports.ends() if turns else {}, []
+        for attempt in turns:
+            said, (epoch, count) = (
+                heard.get(str(attempt.action.ends)),
+                attempt.progress.heard,
+            )
             if said and said.count > (count if said.epoch == epoch else 0):
-                found.append((each, said))
-        return found
+                ended.append((attempt, said))
+        return ended
 
     def _note_ended(self) -> None:
         """Remember what has ended, with the architectures that served it."""
@@ -294,12 +314,12 @@ class TaskManager:
             )
         self._unlearned.clear()
 
-    def _holds(self, until: Until) -> bool:
+    def _condition_holds(self, until: Until) -> bool:
         condition = parse_condition(until.when, SUBJECTS[until.subject])
         return any(
-            condition(each)
-            for each in values_of(self._situation(), until.subject)
-            if not until.name or each.name == until.name
+            condition(subject)
+            for subject in values_of(self._situation(), until.subject)
+            if not until.name or subject.name == until.name
         )
 
     def _choose(self, choice: Choice, is_ahead: bool) -> int:  # noqa: FBT001
@@ -321,11 +341,13 @@ class TaskManager:
         rests = (r for r in self.tasks.records if r.state in {"waiting", "paused"})
         return self._run.robot.components_for(self.tasks.functions_of(rests))
 
-    def _note_switch(self, record: TaskRecord, each: Try, *, is_hit: bool) -> None:
+    def _note_switch(
+        self, record: TaskRecord, attempt: Attempt, *, is_hit: bool
+    ) -> None:
         seconds = boot_time() - self._since
         self._run.switches.note(seconds, is_hit=is_hit)
         how = "it was prepared" if is_hit else "it was not prepared"
-        text = f"switched to action '{each.name}' in {seconds:.3f} s: {how}"
+        text = f"switched to action '{attempt.name}' in {seconds:.3f} s: {how}"
         self._run.journal.note(
             "done", text, task=record.name, is_hit=is_hit, seconds=seconds
         )
@@ -339,8 +361,8 @@ class TaskManager:
             run.commit(desired, "tasks go on")
 
     def _reported(self) -> tuple[TaskReport, ...]:
-        def serving(each: Try) -> tuple[str, ...]:
-            return tuple(self._serving.architectures(each.action.functions))
+        def serving(attempt: Attempt) -> tuple[str, ...]:
+            return tuple(self._serving.architectures(attempt.action.functions))
 
         return task_reports(self.tasks, self._ahead, serving, boot_time())
 
@@ -364,7 +386,7 @@ def goes_on_with(run: RunningComponents, asked: Tasks, journal: Journal) -> Save
     tasks = Tasks(run.robot, lambda text: note("decided", text), saved=saved)
     for record in list(tasks.records):
         if record.state not in OVER:
-            names = ", ".join(f"'{each.name}'" for each in tasks.tries(record))
+            names = ", ".join(f"'{attempt.name}'" for attempt in tasks.tries(record))
             note("decided", f"task '{record.name}' goes on with {names}")
     if saved.boot != boot_id():
         _begin_clocks(tasks, journal)
@@ -378,14 +400,14 @@ def _begin_clocks(tasks: Tasks, journal: Journal) -> None:
     """Let actions at work begin now, for another computer's clock says nothing here."""
     now = boot_time()
     for record in tasks.records:
-        for each in tasks.tries(record):
-            if each.progress.since is not None:
-                each.progress.since = now
-                if each.action.limit is not None:
+        for attempt in tasks.tries(record):
+            if attempt.progress.since is not None:
+                attempt.progress.since = now
+                if attempt.action.limit is not None:
                     journal.note(
                         "decided",
-                        f"action '{each.name}' of task '{record.name}' has its limit "
-                        f"of {each.action.limit:g} s from now on, less "
-                        f"{each.progress.spent:g} s: its manager ran on another "
-                        "computer, or before this one was started again",
+                        f"the limit of {attempt.action.limit:g} s of action "
+                        f"'{attempt.name}' of task '{record.name}' counts from now on, "
+                        f"less {attempt.progress.spent:g} s: its manager ran on "
+                        "another computer, or before this computer was restarted",
                     )

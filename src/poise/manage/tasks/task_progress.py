@@ -48,7 +48,7 @@ class Progress(Struct, kw_only=True, omit_defaults=True):
     inside: list[Progress] = []
 
 
-class Try(Struct, frozen=True, kw_only=True):
+class Attempt(Struct, frozen=True, kw_only=True):
     """An action that is to run now."""
 
     name: str  # as in phases: with the name of the other task whose step it is
@@ -114,10 +114,10 @@ class Steps:
         """Return the progress of a task that begins."""
         return self._begin(self._whole)
 
-    def tries(self, whole: Progress) -> tuple[Try, ...]:
+    def tries(self, whole: Progress) -> tuple[Attempt, ...]:
         """Return the actions that run now."""
         return tuple(
-            Try(name=prefix + step.name, action=step, progress=progress)
+            Attempt(name=prefix + step.name, action=step, progress=progress)
             for step, progress, prefix in self._walk(self._whole, whole)
             if isinstance(step, Action)
         )
@@ -133,17 +133,17 @@ class Steps:
             if isinstance(step, Repeat | Action) and step.until and is_at_work:
                 yield step.until, progress
 
-    def next_actions(self, whole: Progress) -> list[tuple[Try, float]]:
+    def next_actions(self, whole: Progress) -> list[tuple[Attempt, float]]:
         """Return the actions that may come next, with their probabilities.
 
         What may come next are the first actions behind each one that runs, taken to be
         done. Which branch of a choice comes is what would be chosen now.
         """
-        running = {each.name for each in self.tries(whole)}
+        running = {attempt.name for attempt in self.tries(whole)}
         after = self._after(self._whole, whole)
-        first = [each for each in after if each.name not in running]
-        found = {each.name: (each, 1.0 / len(first)) for each in first}
-        return list(found.values())
+        first = [attempt for attempt in after if attempt.name not in running]
+        attempts = {attempt.name: (attempt, 1.0 / len(first)) for attempt in first}
+        return list(attempts.values())
 
     def _of(self, step: Step) -> tuple[Step, ...]:
         """Return what a step does one after another; empty: something else."""
@@ -159,7 +159,7 @@ class Steps:
             case Action():
                 return Progress(number=self._number())
             case Parallel(steps=steps):
-                return Progress(inside=[self._begin(each) for each in steps])
+                return Progress(inside=[self._begin(step) for step in steps])
             case Choice(steps=steps):
                 index = self._choose(step, False)
                 return Progress(index=index, inside=[self._begin(steps[index])])
@@ -189,15 +189,15 @@ class Steps:
         """
         if progress.state != "going":
             return []
-        found = [(step, progress, prefix)]
+        nodes = [(step, progress, prefix)]
         if isinstance(step, Action):
             if not progress.inside:
-                return found
-            found = []
+                return nodes
+            nodes = []
         prefix = self._prefix(step, prefix)
         for inner, inside in self._pairs(step, progress):
-            found += self._walk(inner, inside, prefix)
-        return found
+            nodes += self._walk(inner, inside, prefix)
+        return nodes
 
     def _prefix(self, step: Step, prefix: str) -> str:
         """Return what the names of actions inside a step begin with."""
@@ -262,20 +262,20 @@ class Steps:
             return
         progress.state = state
         if state == "failed" and not progress.why:
-            whys = [each.why for each in progress.inside if each.state == "failed"]
+            whys = [inner.why for inner in progress.inside if inner.state == "failed"]
             progress.why = "; ".join(filter(None, whys))
         progress.inside = []
 
-    def _after(self, step: Step, progress: Progress, prefix: str = "") -> list[Try]:
+    def _after(self, step: Step, progress: Progress, prefix: str = "") -> list[Attempt]:
         """Return the actions with which it may go on once those inside are done."""
         if progress.state != "going":
             return []
         prefix = self._prefix(step, prefix)
-        found: list[Try] = []
+        attempts: list[Attempt] = []
         for inner, inside in self._pairs(step, progress):
-            found += self._after(inner, inside, prefix)
-        if found:
-            return found
+            attempts += self._after(inner, inside, prefix)
+        if attempts:
+            return attempts
         steps = self._of(step)
         if not steps:
             return []
@@ -286,12 +286,14 @@ class Steps:
         )
         return self._first(steps[0], prefix) if goes_on else []
 
-    def _first(self, step: Step, prefix: str) -> list[Try]:
+    def _first(self, step: Step, prefix: str) -> list[Attempt]:
         match step:
             case Action():
-                return [Try(name=prefix + step.name, action=step, progress=Progress())]
+                return [
+                    Attempt(name=prefix + step.name, action=step, progress=Progress())
+                ]
             case Parallel(steps=steps):
-                return [t for each in steps for t in self._first(each, prefix)]
+                return [t for step in steps for t in self._first(step, prefix)]
             case Choice(steps=steps):
                 ahead = self._choose(step, True)
                 return self._first(steps[ahead], prefix)

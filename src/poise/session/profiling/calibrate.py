@@ -187,9 +187,9 @@ def _costs(
     ) as up:
         up.watch(_WARM_UP)
         up.computers.begin()
-        recording.take()
+        recording.drain()
         up.watch(seconds)
-        samples = recording.take()
+        samples = recording.drain()
         busy = up.computers.end()
     # the CPU time of an emulated computer is this machine's
     speeds = {c.name: c.speed if c.address else 1.0 for c in robot.computers}

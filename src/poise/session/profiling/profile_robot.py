@@ -319,10 +319,10 @@ def measure_alone(
     try:
         with started(rig.robot, rig.placement, journal, nothing, sampling, check) as up:
             _watch(up, warm_up, tick)
-            recording.take()
+            recording.drain()
             up.computers.begin()
             _watch(up, seconds, tick)
-            samples = recording.take()
+            samples = recording.drain()
             invalid = up.computers.end(rig.computer)
             working = up.run.agents.statuses()
             up.run.reach("inactive", ACTIVE_LIMIT)

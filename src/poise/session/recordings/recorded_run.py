@@ -225,7 +225,7 @@ class RecordedRun:
         began = min((sample.at for sample in samples), default=0.0)
 
         for sample in sorted(samples, key=lambda each: each.at):
-            for name, drift in estimates.take(sample):
+            for name, drift in estimates.add(sample):
                 say(
                     f"{sample.at - began:.1f} s: '{name}' needs {drift.after:.1%} "
                     f"of a core, {drift.before:.1%} before"
@@ -308,7 +308,7 @@ def test_policies(
     try:
         for seen in messages_of(Path(recording), SEEN, Seen):
             began = seen.at if began is None else began
-            due = policies.due(policies.look(seen.of, seen.at, waits=True), seen.at)
+            due = policies.due(policies.evaluate(seen.of, seen.at, waits=True), seen.at)
             policies.note_acted(due, seen.at)
             for trouble in set(policies.troubles()) - troubles:
                 say(trouble)

@@ -37,8 +37,8 @@ class History:
         if now < self._next:
             return
         self._next = now + self._every
-        timers = self._timers.look(statuses, now)
-        chains = self._chains.look(chain_reports(self._robot, statuses), now)
+        timers = self._timers.measure(statuses, now)
+        chains = self._chains.measure(chain_reports(self._robot, statuses), now)
         missed = {t.name: t.share for t in timers if t.missed}
         missed |= {c.chain: c.missed / c.used for c in chains if c.missed}
         shares = cpu_shares(self._robot, self._before, statuses, self._faster)

@@ -15,7 +15,7 @@ from poise.manage.control_socket.commands import Command, Refusal, Result, Robot
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.deploy.takeover import start_or_take_over
 from poise.manage.journal import Journal, JournalEntry
-from poise.manage.manager import LOOK_EVERY, Manager
+from poise.manage.manager import TICK, Manager
 from poise.manage.observe.estimates import Estimates
 from poise.manage.observe.sample_recording import Recording
 from poise.manage.tasks.concurrent_tasks import Tasks
@@ -150,7 +150,7 @@ class SimulatedManager:
             self.on_up()
             try:
                 while not self.manager.is_stopping:
-                    self.manager.work(LOOK_EVERY)
+                    self.manager.work(TICK)
             except TakenOver as error:
                 self.error = error
                 self.manager.end()

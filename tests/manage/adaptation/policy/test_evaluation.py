@@ -31,7 +31,7 @@ def seen(situation: Situation, *names: str) -> list[str]:
         for policy in shipped()
         if policy.name in names
     ]
-    found = Policies(policies).look(partial(values_of, situation), 0.0)
+    found = Policies(policies).evaluate(partial(values_of, situation), 0.0)
     return [symptom.what for symptom in found]
 
 
@@ -120,7 +120,7 @@ LATE = Policy(name="p", for_each="timer", when="late", do="replan", say="{name}"
 
 def look(policies: Policies, situation: Situation, now: float) -> tuple[Symptom, ...]:
     """Look once."""
-    return policies.look(partial(values_of, situation), now)
+    return policies.evaluate(partial(values_of, situation), now)
 
 
 def test_only_what_lasts_counts(situation: Make) -> None:

@@ -108,7 +108,7 @@ def test_an_action_about_nobody_is_said(tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_text(CODE, encoding="utf-8")
     policies = Policies([Policy(name="own", call="mine:stranger")], str(tmp_path))
     try:
-        assert policies.look(SEEN.of, 0.0, waits=True) == ()
+        assert policies.evaluate(SEEN.of, 0.0, waits=True) == ()
         (trouble,) = policies.troubles()
         assert trouble == (
             "policy 'own': 'mine:stranger' names no subject 'nobody' for 'restart'"

@@ -64,7 +64,7 @@ class Crashing(Robbed):
         """Let the loop look so many times."""
         for _ in range(times):
             self.now += every
-            self.loop.look()
+            self.loop.adapt()
 
     def wrong(self) -> list[str]:
         """Return what the journal says is wrong."""

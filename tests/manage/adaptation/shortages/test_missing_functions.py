@@ -8,7 +8,7 @@ import pytest
 from msgspec.structs import replace
 
 from poise.manage.adaptation.loop import Adaptation
-from poise.manage.shortages.suspension import FIRST, Needs, missing_functions
+from poise.manage.shortages.suspension import FIRST, NeededFunctions, missing_functions
 from poise.model.robot import Computer, Robot
 from tests.manage.adaptation.shortages.test_put_aside import (
     BOTH,
@@ -55,7 +55,7 @@ class Loop:
         """Look five times a second; return the placement then."""
         self.lost = frozenset(lost)
         while self.now < until:
-            self._loop.look()
+            self._loop.adapt()
             self.now += 0.2
         return dict(self.robbed.run.placement())
 
@@ -121,7 +121,7 @@ def test_a_task_stops_when_what_it_needs_is_put_aside_and_all_of_that_comes_back
 ):
     loop = Loop("high", "low")
     loop.look(1.0)
-    loop.robbed.aside.put(["low-task"], "it crashes", loop.now)
+    loop.robbed.aside.suspend(["low-task"], "it crashes", loop.now)
     assert loop.look(3.0) == {}
     assert loop.look(FIRST) == {}
     assert loop.look(FIRST + 9.0) == APART
@@ -166,8 +166,8 @@ def test_a_function_is_there_when_all_of_an_architecture_is(
 
 def test_what_is_missing_is_said_once() -> None:
     robbed = Robbed(robot_with(), HIGH)
-    needs = Needs(robbed.journal)
+    needs = NeededFunctions(robbed.journal)
     for now in range(10):
-        assert not needs.look(robbed.situation(), float(now))
+        assert not needs.evaluate(robbed.situation(), float(now))
     entries = [e.what for e in robbed.journal.entries()]
     assert entries.count("task 'work' goes on without function 'low'") == 1

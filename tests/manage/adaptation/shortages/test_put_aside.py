@@ -21,8 +21,8 @@ from poise.manage.shortages.failover import fail_over
 from poise.manage.shortages.suspension import (
     CALM,
     FIRST,
-    PutAside,
-    TakeBack,
+    ResumeSuspended,
+    Suspensions,
     not_running,
 )
 from poise.model.policy.policy import ComputerValues, Policy, TimerValues
@@ -78,8 +78,8 @@ class Robbed:
         agents = cast("Agents", self.agents)
         self.run = RunningComponents(robot, placement, agents, self.journal, "/run")
         self.run.start()
-        self.aside = PutAside(self.run, lambda: robot.task("work"), "not all fits")
-        self.taking_back = TakeBack(self.run, self.aside)
+        self.aside = Suspensions(self.run, lambda: robot.task("work"), "not all fits")
+        self.taking_back = ResumeSuspended(self.run, self.aside)
 
     def situation(self, background: float = 0.0, *late: str) -> Situation:
         """Return situation with a load of other programs, and late components."""
@@ -103,7 +103,7 @@ class Robbed:
 
     def take_back(self, now: float, background: float = 0.0) -> bool:
         """Look, and take back what fits."""
-        self.aside.look()
+        self.aside.record()
         return self.respond(self.taking_back, self.situation(background), now)
 
     def respond(self, responder: Responder, situation: Situation, now: float) -> bool:
@@ -123,7 +123,7 @@ class Robbed:
 
 def test_what_is_put_aside_stops_and_is_said() -> None:
     robbed = Robbed(robot_with())
-    assert robbed.aside.put(["low-task"], "it crashes", 0.0)
+    assert robbed.aside.suspend(["low-task"], "it crashes", 0.0)
     assert robbed.run.placement() == HIGH
     (deviation,) = robbed.aside.deviations()
     assert deviation.what == "architecture 'low-task' is put aside: it crashes"
@@ -132,12 +132,12 @@ def test_what_is_put_aside_stops_and_is_said() -> None:
 
 def test_it_is_taken_back_when_there_is_room_and_nothing_is_wrong() -> None:
     robbed = Robbed(robot_with())
-    robbed.aside.put(["low-task"], "it crashes", 0.0)
+    robbed.aside.suspend(["low-task"], "it crashes", 0.0)
     assert not robbed.take_back(FIRST - CALM)  # since now nothing is wrong
     assert not robbed.take_back(FIRST - 0.1)
     assert robbed.take_back(FIRST)
     assert robbed.run.placement() == BOTH
-    robbed.aside.look()
+    robbed.aside.record()
     assert not robbed.aside.deviations()
     assert robbed.sentences()[-1] == "architecture 'low-task' runs again"
 
@@ -160,7 +160,7 @@ def test_other_programs_count_for_more_before_it_is_taken_back() -> None:
 
 def test_nothing_is_taken_back_while_something_is_wrong() -> None:
     robbed = Robbed(robot_with(), HIGH)
-    robbed.aside.look()
+    robbed.aside.record()
     bad = Symptom(
         policy=Policy(name="p", for_each="computer", when="full", do="replan"),
         what="it is full",
@@ -175,17 +175,17 @@ def test_nothing_is_taken_back_while_something_is_wrong() -> None:
 
 def test_what_is_put_aside_again_stays_aside_for_longer() -> None:
     robbed = Robbed(robot_with())
-    robbed.aside.put(["low-task"], "it crashes", 0.0)
+    robbed.aside.suspend(["low-task"], "it crashes", 0.0)
     robbed.take_back(1.0)
     assert robbed.take_back(FIRST)
-    robbed.aside.put(["low-task"], "it crashes", 20.0)
+    robbed.aside.suspend(["low-task"], "it crashes", 20.0)
     assert not robbed.take_back(20.0 + FIRST)
     assert robbed.take_back(20.0 + 2 * FIRST)
 
 
 def test_what_is_aside_from_the_start_is_said() -> None:
     robbed = Robbed(robot_with(), HIGH)
-    robbed.aside.look()
+    robbed.aside.record()
     assert robbed.sentences() == ["architecture 'low-task' is put aside: not all fits"]
 
 
@@ -195,7 +195,7 @@ def test_other_layers_are_never_put_aside(layer: str) -> None:
     with pytest.raises(
         UsageError, match=f"{layer} layer, which Poise never puts aside"
     ):
-        robbed.aside.put(["low-task"], "it crashes", 0.0)
+        robbed.aside.suspend(["low-task"], "it crashes", 0.0)
     assert robbed.run.placement() == BOTH
     assert not_running(robbed.run.robot, "work", HIGH) == []
 
@@ -237,7 +237,7 @@ def test_of_alternatives_the_best_that_fits_is_taken_back() -> None:
     robbed.take_back(0.0)
     assert robbed.take_back(CALM)
     assert robbed.run.placement() == BOTH
-    robbed.aside.look()
+    robbed.aside.record()
     assert not robbed.aside.deviations()
 
 
