@@ -32,8 +32,8 @@ import msgspec
 
 from benchmarks.synthetic import robots
 from benchmarks.synthetic.workers import RATE
-from poise.estimate.overhead import kinds_together, overhead_of
-from poise.estimate.profile import Profile
+from poise.estimate.demands import kinds_together, overhead_of
+from poise.estimate.profiles import Profile
 from poise.manage.journal import Journal
 from poise.manage.observe.estimates import Estimates
 from poise.manage.observe.sample_recording import Recording

@@ -26,7 +26,7 @@ from typing import Any
 from msgspec.structs import replace
 
 import poise
-from poise.model.tasks.steps import Prefetch, Repeat, Task, actions_of
+from poise.model.steps import Prefetch, Repeat, Task, actions_of
 
 CODE = """
 import time

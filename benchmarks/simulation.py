@@ -26,8 +26,13 @@ from msgspec import Struct
 
 import poise
 from poise.estimate.demands import with_profile
-from poise.estimate.profile import ComponentProfile, ConnectorProfile, Profile
-from poise.estimate.profile.profile_records import Distribution, TimerProfile
+from poise.estimate.profiles import (
+    ComponentProfile,
+    ConnectorProfile,
+    Distribution,
+    Profile,
+    TimerProfile,
+)
 from poise.model.robot import (
     Action,
     Architecture,

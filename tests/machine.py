@@ -18,7 +18,7 @@ from pathlib import Path
 import pytest
 
 from poise.emulate import look, sweep
-from poise.emulate.owner import Owner
+from poise.emulate.processes import Owner
 from poise.emulate.registry import FOLDER
 
 _CLONE_NEWNET = 0x40000000

@@ -26,7 +26,7 @@ from poise.model.robot import (
     ConnectorEnd,
     Robot,
 )
-from poise.model.tasks.steps import Task
+from poise.model.steps import Task
 from poise.plan import _core
 from poise.plan.phases.phase_search import Unit, merged, weighted
 from poise.plan.problem.arrays import Arrays, Placed, arrays_of

@@ -14,7 +14,7 @@ from concurrent.futures import Future
 
 from poise.errors import UsageError
 from poise.estimate.online import Estimate
-from poise.estimate.profile import ConnectorProfile
+from poise.estimate.profiles import ConnectorProfile
 from poise.manage.control_socket.commands import (
     Command,
     JournalCommand,

@@ -15,7 +15,7 @@ from examples.demo.overload import Deadlines
 from examples.demo.waiting import wait_until
 from poise.manage.tasks.prefetch_report import PrefetchReport
 from poise.model.robot import Robot
-from poise.model.tasks.steps import Prefetch
+from poise.model.steps import Prefetch
 from poise.session.callbacks import Check, Say
 from poise.session.running_robots.running import Running
 from poise.session.up import up

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from poise.errors import Timeout as Timeout
     from poise.errors import Unavailable as Unavailable
     from poise.errors import UsageError as UsageError
-    from poise.estimate.success import Conditions as Conditions
-    from poise.estimate.success.learning import note_outcome as note_outcome
+    from poise.estimate.success_rates import Conditions as Conditions
+    from poise.estimate.success_rates import note_outcome as note_outcome
     from poise.manage.journal import JournalEntry as JournalEntry
     from poise.manage.journal import read_journal as read_journal
     from poise.model.policy.policy import PolicyAction as PolicyAction
@@ -103,7 +103,7 @@ else:
         "RunReport": "session.reports.run_report",
         "Running": "session.running_robots.running",
         "Seen": "model.policy.policy",
-        "Conditions": "estimate.success",
+        "Conditions": "estimate.success_rates",
         "SimulatedFault": "simulation.faults",
         "Simulation": "session.simulating.simulate",
         "SimulationComparison": "session.simulating.simulate",
@@ -121,7 +121,7 @@ else:
         "every": "runtime.component.ports",
         "load": "session.robot_file",
         "loan": "wire.connections.blocks",
-        "note_outcome": "estimate.success.learning",
+        "note_outcome": "estimate.success_rates",
         "oneway": "runtime.component.ports",
         "place": "session.placing.placement",
         "profile": "session.profiling.profile_robot",

@@ -12,8 +12,7 @@ from typer.testing import CliRunner
 from poise.cli.command_table import build
 from poise.emulate.usage import StarvationWatch
 from poise.errors import RunError
-from poise.estimate.profile import Costs, KindCosts
-from poise.estimate.profile.profile_files import Store
+from poise.estimate.profiles import Costs, KindCosts, Store
 from poise.session.profiling import calibrate as calibration
 from poise.session.profiling.calibrate import ComputerSpeed
 from poise.session.profiling.stored_profiles import STORE

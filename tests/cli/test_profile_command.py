@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 from poise.cli.command_table import build
 from poise.errors import UsageError
-from poise.estimate.profile import profile_files as profile_file
+from poise.estimate import profiles as profile_file
 from poise.model import load
 from tests.command import Poise
 

@@ -7,9 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from poise.estimate.profile import Profile
-from poise.estimate.profile import profile_files as profile_file
-from poise.estimate.profile.profile_files import Store
+from poise.estimate import profiles as profile_file
+from poise.estimate.profiles import Profile, Store
 from tests.command import Poise
 
 ROBOT = """\

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from poise.estimate.profile import profile_files as profile_file
+from poise.estimate import profiles as profile_file
 from poise.runtime.component.implementation import find_type
 from poise.runtime.connectors.interface import methods
 from poise.wire.recording_file import inputs_of

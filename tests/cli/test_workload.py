@@ -9,7 +9,7 @@ import pytest
 from msgspec.structs import replace
 
 from poise.errors import UsageError
-from poise.estimate.profile import profile_files as profile_file
+from poise.estimate import profiles as profile_file
 from poise.model import load
 from poise.model.robot import Generated, Robot, Workload
 from poise.session.profiling.rig import OTHERS, PLAYER, played, rig_of

@@ -15,11 +15,10 @@ import pytest
 
 from poise.cgroup_mounts import mounts
 from poise.emulate import Emulation, look, sweep
-from poise.emulate.cgroup.groups import Group, Groups
-from poise.emulate.cgroup.versions import V2
+from poise.emulate.cgroups import Group, Groups
 from poise.emulate.layout import EmulationLayout
 from poise.emulate.limits import Limits
-from poise.emulate.probe import Probe
+from poise.emulate.probe import V2, Probe
 from poise.emulate.registry import FOLDER, registered
 from poise.errors import RobotError, RunError, UsageError
 from poise.model.robot import Computer, Robot

@@ -8,7 +8,7 @@ import subprocess
 import msgspec
 import pytest
 
-from poise.emulate.owner import Owner, _started
+from poise.emulate.processes import Owner, _started
 
 
 def test_this_process_lives() -> None:

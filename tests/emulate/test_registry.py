@@ -9,7 +9,7 @@ import pytest
 from msgspec.structs import replace
 
 from poise.emulate import registry, sweep
-from poise.emulate.cgroup.groups import Groups
+from poise.emulate.cgroups import Groups
 from poise.emulate.layout import EmulationLayout, lay_out
 from poise.emulate.probe import Probe
 from poise.errors import RunError

@@ -1,14 +1,14 @@
 import pytest
 
-from poise.estimate.profile import (
+from poise.estimate.profiles import (
     ComponentProfile,
     ConnectorProfile,
     Costs,
+    Distribution,
     KindCosts,
     Profile,
     TimerProfile,
 )
-from poise.estimate.profile.profile_records import Distribution
 from poise.model.robot import (
     Architecture,
     ComponentEntry,

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from msgspec.structs import replace
 
-from poise.estimate.architecture_hash import hash_of
+from poise.estimate.code_version import hash_of
 from poise.model.robot import Architecture, ComponentEntry
 
 EYE = ComponentEntry(name="eye", implementation="sight:Eye", parameters={"gain": 1})

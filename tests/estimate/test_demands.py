@@ -2,7 +2,7 @@ import pytest
 from msgspec.structs import replace
 
 from poise.estimate.demands import missing, with_profile
-from poise.estimate.profile import Profile
+from poise.estimate.profiles import Profile
 from poise.model.robot import ComponentEntry, Robot
 
 

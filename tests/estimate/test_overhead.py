@@ -1,8 +1,8 @@
 import pytest
 from msgspec.structs import replace
 
-from poise.estimate.overhead import kinds_together, overhead_of, overheads
-from poise.estimate.profile import ConnectorProfile, Costs, KindCosts, Profile
+from poise.estimate.demands import kinds_together, overhead_of, overheads
+from poise.estimate.profiles import ConnectorProfile, Costs, KindCosts, Profile
 from poise.model.robot import ComponentEntry, Connector, ConnectorEnd, Robot
 from tests.estimate.conftest import JOINED
 

@@ -1,9 +1,9 @@
 """The solvers of the C++ core, one by one, as the tests call them."""
 
 from poise.plan._core import Core
+from poise.plan.portfolio import UNLIMITED
 from poise.plan.problem.arrays import Arrays, Placed
 from poise.plan.result_records import Answer
-from poise.plan.solvers.portfolio import UNLIMITED
 
 
 class Native:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from poise.plan.solvers import portfolio
-from poise.plan.solvers.portfolio import BUSY, Budget
+from poise.plan import portfolio
+from poise.plan.portfolio import BUSY, Budget
 
 
 def test_counts_cpu_time_and_a_share_of_what_it_waited(

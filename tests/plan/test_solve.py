@@ -12,11 +12,10 @@ from msgspec.structs import replace
 from benchmarks.random_robots import random_robot
 from poise import plan
 from poise.errors import UsageError
-from poise.plan import Problem
+from poise.plan import Problem, portfolio
 from poise.plan._core import Core
+from poise.plan.portfolio import Effort
 from poise.plan.problem.snapshot import Snapshot
-from poise.plan.solvers import portfolio
-from poise.plan.solvers.portfolio import Effort
 from tests.waiting import LONG
 
 

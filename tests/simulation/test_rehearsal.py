@@ -5,8 +5,13 @@ from __future__ import annotations
 import pytest
 from msgspec import structs
 
-from poise.estimate.profile import ComponentProfile, ConnectorProfile, Profile
-from poise.estimate.profile.profile_records import Distribution, TimerProfile
+from poise.estimate.profiles import (
+    ComponentProfile,
+    ConnectorProfile,
+    Distribution,
+    Profile,
+    TimerProfile,
+)
 from poise.model.hardware import Link
 from poise.model.robot import Chain, Robot
 from poise.simulation.faults import SimulatedFault

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from msgspec import structs
 
-from poise.estimate.profile import Costs, KindCosts, Profile
+from poise.estimate.profiles import Costs, KindCosts, Profile
 from poise.model.robot import Robot
 from poise.model.software import CodeTimer, ComponentCode
 from poise.simulation.workload import SimulatedWork, workload_of

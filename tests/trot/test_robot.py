@@ -8,8 +8,8 @@ import pytest
 from msgspec.structs import replace
 
 import poise
+from poise.estimate import profiles as profile_file
 from poise.estimate.demands import with_profile
-from poise.estimate.profile import profile_files as profile_file
 from poise.model import load
 
 FILE = Path(__file__).parents[2] / "examples" / "trot" / "robot.yaml"

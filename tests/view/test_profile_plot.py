@@ -6,13 +6,13 @@ from xml.etree import ElementTree as ET
 import pytest
 
 from poise.errors import UsageError
-from poise.estimate.profile import (
+from poise.estimate.profiles import (
     ComponentProfile,
     ConnectorProfile,
+    Distribution,
     Profile,
     TimerProfile,
 )
-from poise.estimate.profile.profile_records import Distribution
 from poise.view.profile_plot import plot_profile
 
 pytest.importorskip("matplotlib")

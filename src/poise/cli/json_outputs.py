@@ -15,7 +15,7 @@ import msgspec
 from poise.cli.commands.demo_command import demo_module
 from poise.cli.commands.emulate_command import ListedSet
 from poise.errors import FileProblem
-from poise.estimate.profile import Profile
+from poise.estimate.profiles import Profile
 from poise.manage.adaptation.proposals import WhatIf
 from poise.manage.control_socket.commands import Rebalanced, RobotStatus
 from poise.manage.journal import JournalEntry

@@ -10,7 +10,7 @@ from typing import IO
 
 import msgspec
 
-from poise.emulate.cgroup.groups import Files, Group
+from poise.emulate.cgroups import Files, Group
 from poise.emulate.emulated_network import NAMESPACES
 from poise.emulate.layout import ComputerLayout
 from poise.emulate.processes import MARK, stop

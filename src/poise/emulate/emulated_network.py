@@ -18,7 +18,7 @@ from pathlib import Path
 
 from msgspec import Struct
 
-from poise.emulate.owner import PREFIX, Owner
+from poise.emulate.processes import PREFIX, Owner
 from poise.errors import RobotError, RunError
 from poise.model.robot import Link
 

@@ -11,9 +11,9 @@ from typing import Self
 from msgspec.structs import replace
 
 from poise.clock import wall_time
+from poise.emulate import cgroups as cgroup_files
 from poise.emulate import emulated_network, processes
-from poise.emulate.cgroup import groups as cgroup_files
-from poise.emulate.cgroup.groups import Groups
+from poise.emulate.cgroups import Groups
 from poise.emulate.computer import EmulatedComputer
 from poise.emulate.emulated_network import NetworkPlan
 from poise.emulate.layout import EmulationLayout, KeptSet, lay_out

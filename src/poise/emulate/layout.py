@@ -14,8 +14,8 @@ from msgspec import Struct
 
 from poise.emulate.emulated_network import NetworkPlan, Shape, plan_network
 from poise.emulate.limits import Limits, share_out
-from poise.emulate.owner import Owner
 from poise.emulate.probe import Probe
+from poise.emulate.processes import Owner
 from poise.errors import UsageError
 from poise.model.robot import Robot
 

@@ -2,16 +2,148 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import shutil
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from pathlib import Path
 
 from msgspec import Struct
 
 from poise.cgroup_mounts import Mount, mounts
-from poise.emulate.cgroup.groups import Groups
-from poise.emulate.cgroup.versions import V1, V2
+from poise.emulate.cgroups import PROGRAMS, Files, Group, Groups, Settings
 from poise.emulate.emulated_network import NAMESPACES
+from poise.emulate.limits import Limits
+
+_SHARES = 262144
+"""The kernel's maximum: other processes on the CPU hardly count."""
+_REAL_TIME = 0.2
+"""The share of each CPU that a group's real-time threads may use beside its quota. On
+the robot these control threads would not wait for components either."""
+_REAL_TIME_PERIOD = 0.1
+"""The period of this share [s]."""
+
+
+class V1(Groups):
+    """Makes a group in each version 1 hierarchy that it may write to.
+
+    A version 2 hierarchy is often mounted beside them, without controllers. Groups are
+    made there too, because only there the kernel reports CPU pressure.
+    """
+
+    def __init__(self, mounts: Iterable[Mount], files: Files | None = None) -> None:
+        super().__init__(files)
+        self._bases: dict[str, Path] = {}
+        for mount in mounts:
+            wanted = mount.controllers & {"cpu", "cpuacct", "cpuset", "memory"}
+            names = {"pressure"} if mount.version > 1 else wanted
+            if os.access(mount.own, os.W_OK):
+                self._bases |= dict.fromkeys(names, mount.own)
+        self.controls = frozenset(self._bases) & {"cpu", "cpuset", "memory"}
+
+    def homes(self, name: str) -> dict[str, Path]:
+        """Return controller -> the folder of the group called `name`."""
+        return {controller: base / name for controller, base in self._bases.items()}
+
+    def make(self, name: str, limits: Limits) -> Group:
+        """Make a group, and allow real-time threads if the kernel limits them.
+
+        Otherwise all threads of the group share its quota.
+        """
+        group = super().make(name, limits)
+        file = self.homes(name).get("cpu", Path()) / "cpu.rt_runtime_us"
+        if file.exists():
+            period = round(_REAL_TIME_PERIOD * 1e6)
+            with suppress(OSError):  # other groups use all of it
+                self._files.write(file.with_name("cpu.rt_period_us"), period)
+                self._files.write(file, round(_REAL_TIME * period))
+        return group
+
+    def settings(self, homes: Mapping[str, Path], limits: Limits) -> Settings:
+        """Yield files of a group, and what they must contain."""
+        if cpu := homes.get("cpu"):
+            yield cpu / "cpu.cfs_period_us", limits.period_us
+            yield cpu / "cpu.cfs_quota_us", limits.quota_us or -1
+            yield cpu / "cpu.shares", _SHARES
+        if cpuset := homes.get("cpuset"):
+            mems = self._files.read(self._bases["cpuset"] / "cpuset.mems")
+            yield cpuset / "cpuset.mems", mems.strip()
+            yield cpuset / "cpuset.cpus", limits.cpu_list
+        if (memory := homes.get("memory")) and limits.memory:
+            yield memory / "memory.limit_in_bytes", limits.memory
+            if (memory / "memory.memsw.limit_in_bytes").exists():
+                yield memory / "memory.memsw.limit_in_bytes", limits.memory
+
+
+_WEIGHT = 10000
+"""The kernel's maximum: other processes on the CPU hardly count."""
+_TRIES = 5
+"""How often processes are moved aside, because they may start others meanwhile."""
+
+
+class V2(Groups):
+    """Makes groups below the topmost folder (root), or below its own (delegated)."""
+
+    def __init__(self, mount: Mount, files: Files | None = None) -> None:
+        super().__init__(files)
+        self._base = mount.top if os.access(mount.top, os.W_OK) else mount.own
+        available = self._files.read(self._base / "cgroup.controllers").split()
+        self.controls = frozenset(available) & {"cpu", "cpuset", "memory"}
+
+    def homes(self, name: str) -> dict[str, Path]:
+        """Return controller -> the one folder of the group called `name`."""
+        controllers = ("cpu", "cpuset", "memory", "pressure")
+        return dict.fromkeys(controllers, self._base / name)
+
+    def aside(self, name: str) -> tuple[Path, ...]:
+        """Return where `prepare` moves processes that are in the way."""
+        return (self._base / f"{name}-aside",)
+
+    def prepare(self, name: str) -> None:
+        """Enable the controllers for the future groups."""
+        control = self._base / "cgroup.subtree_control"
+        missing = self.controls - set(self._files.read(control).split())
+        enable = " ".join(f"+{controller}" for controller in sorted(missing))
+        for _ in range(_TRIES) if missing else ():
+            try:
+                self._files.write(control, enable)
+            except OSError as error:
+                if error.errno != errno.EBUSY:
+                    raise
+                self._put_aside(*self.aside(name))
+            else:
+                return
+        if missing:
+            self._files.write(control, enable)
+
+    def _put_aside(self, folder: Path) -> None:
+        self._files.make(folder)
+        for pid in self._files.read(self._base / "cgroup.procs").split():
+            with suppress(ProcessLookupError):
+                self._files.write(folder / "cgroup.procs", pid)
+
+    def make(self, name: str, limits: Limits) -> Group:
+        """Make a group in which an agent may make others."""
+        super().make(name, limits)
+        folder = self._base / name
+        if "cpu" in self.controls:
+            self._files.write(folder / "cgroup.subtree_control", "+cpu")
+            self._files.make(folder / PROGRAMS)
+        return Group(name, self.homes(name), len(limits.cpus), self._files)
+
+    def settings(self, homes: Mapping[str, Path], limits: Limits) -> Settings:
+        """Yield files of a group, and what they must contain."""
+        folder = homes["cpu"]
+        if "cpu" in self.controls:
+            yield folder / "cpu.max", f"{limits.quota_us or 'max'} {limits.period_us}"
+            yield folder / "cpu.weight", _WEIGHT
+        if "cpuset" in self.controls:
+            yield folder / "cpuset.cpus", limits.cpu_list
+        if "memory" in self.controls and limits.memory:
+            yield folder / "memory.max", limits.memory
+            yield folder / "memory.swap.max", 0
+
 
 _NAMES = {"cpu": "quota", "cpuset": "CPU set in a cgroup", "memory": "memory limit"}
 

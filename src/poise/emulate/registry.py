@@ -16,11 +16,10 @@ from pathlib import Path
 
 import msgspec
 
+from poise.emulate import cgroups as cgroup_files
 from poise.emulate import emulated_network
-from poise.emulate.cgroup import groups as cgroup_files
 from poise.emulate.layout import EmulationLayout
-from poise.emulate.owner import PREFIX, Owner
-from poise.emulate.processes import marked, stop
+from poise.emulate.processes import PREFIX, Owner, marked, stop
 from poise.errors import PoiseError, RunError, UsageError
 
 FOLDER = "POISE_EMULATIONS"

@@ -2,20 +2,72 @@
 
 CPU demand is the 95th percentile over two seconds plus its part of the container, plus
 5 %. Memory demand is the peak plus its part of the container, plus 10 %. The overhead
-of a connector is the measured cost of being apart (`poise.estimate.overhead`). Values
+of a connector is the measured cost of being apart (`poise.estimate.demands`). Values
 in the robot file win over measured ones.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
 import msgspec
 
 from poise.estimate.online import Estimate
-from poise.estimate.overhead import declared, kinds_together, overhead_of
-from poise.estimate.profile import ComponentProfile, ConnectorProfile, Profile
+from poise.estimate.profiles import (
+    ComponentProfile,
+    ConnectorProfile,
+    KindCosts,
+    Profile,
+)
 from poise.model.robot import ComponentEntry, Connector, Robot
+
+_HUNDREDTHS = 100
+_MEGABYTE = 1e6
+
+
+def overhead_of(
+    connector: ConnectorProfile, together: str, costs: Mapping[str, KindCosts]
+) -> float:
+    """Return the relative overhead of a connector, >= 0; `costs` is by its kind."""
+    if "remote" not in costs:
+        return connector.traffic / _MEGABYTE
+    less = costs.get(together, KindCosts()).load(connector)
+    return _HUNDREDTHS * max(0.0, costs["remote"].load(connector) - less)
+
+
+def overheads(robot: Robot, profile: Profile) -> dict[str, float]:
+    """Return the relative overhead of each measured connector."""
+    kinds = kinds_together(robot)
+    return {
+        name: overhead_of(each, kinds[name], profile.costs)
+        for name, each in profile.connectors.items()
+        if name in kinds
+    }
+
+
+def kinds_together(robot: Robot) -> dict[str, str]:
+    """Return connector -> its kind when both ends are on one computer.
+
+    The components of one architecture share a container, unless one is isolated or a
+    command.
+    """
+    found = {str(connector): "local" for connector in robot.connectors}
+    for architecture in robot.architectures:
+        alone = {c.name for c in architecture.components if _is_alone(c)}
+        for connector in architecture.connectors:
+            ends = {end.component for end in connector.between}
+            found[str(connector)] = "local" if ends & alone else "direct"
+    return found
+
+
+def declared(connector: Connector) -> ConnectorProfile:
+    """Return the traffic in the robot file, which does not distinguish calls."""
+    return ConnectorProfile(messages=connector.rate, size=connector.message)
+
+
+def _is_alone(component: ComponentEntry) -> bool:
+    return component.isolated or bool(component.command)
+
 
 CPU_HEADROOM = 0.05
 MEMORY_HEADROOM = 0.10

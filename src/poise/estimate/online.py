@@ -23,7 +23,7 @@ from poise.estimate.demand_windows import (
     demand_in,
     window_between,
 )
-from poise.estimate.profile.profile_records import error_of_mean, quantile
+from poise.estimate.profiles import error_of_mean, quantile
 
 SPAN = 30.0
 """An estimate covers this time [s]."""

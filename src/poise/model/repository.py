@@ -21,7 +21,7 @@ from msgspec.structs import replace
 from poise.errors import FileProblem
 from poise.model.file_keys import by_name, says
 from poise.model.robot import Architecture, Robot
-from poise.model.tasks.steps import Action, walk
+from poise.model.steps import Action, walk
 from poise.model.yaml.include import read_file
 from poise.model.yaml.tree import Location, Node
 from poise.model.yaml.validate import validate

@@ -39,7 +39,7 @@ from poise.model.software import (
     Layer,
     WhenCutOff,
 )
-from poise.model.tasks.steps import PREFETCH, Action, Prefetch, Task, actions_of
+from poise.model.steps import PREFETCH, Action, Prefetch, Task, actions_of
 
 __all__ = [
     "Action",

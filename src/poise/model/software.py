@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from functools import cached_property
 from typing import Annotated, Any, Literal
 
@@ -153,7 +153,7 @@ class Connector(Struct, frozen=True, kw_only=True, dict=True):
     """Joins two ports.
 
     A calibrated profile provides the `overhead` that a file does not give
-    (`poise.estimate.overhead`); without both it is the traffic [MB/s] (the paper's
+    (`poise.estimate.demands`); without both it is the traffic [MB/s] (the paper's
     "system-dependent value"). `record` is a folder in which messages or calls are
     recorded, set by `poise run --record`; empty: none.
     """
@@ -201,8 +201,7 @@ class Architecture(Struct, frozen=True, kw_only=True):
 
     Several architectures may provide the same function. `file` and `package` say where
     one from the repository is from; both are empty for the robot file's own. `success`
-    is the share of actions that succeed with it, as learned (`poise.estimate.success`);
-    it weighs its quality.
+    is the share of actions that succeed with it, as learned; it weighs its quality.
     """
 
     name: str
@@ -250,3 +249,20 @@ class Architecture(Struct, frozen=True, kw_only=True):
     file: str = ""
     package: str = ""
     success: float = 1.0
+
+
+STEP = 10.0
+"""How many times more CPU the next higher priority gets, when both want all."""
+RANGE = 100.0
+"""How many times more the highest gets than the lowest, at most."""
+
+
+def importance(priorities: Iterable[int]) -> dict[int, float]:
+    """Return priority -> how many times more it counts than the lowest, >= 1.
+
+    Only the order of priorities counts.
+    """
+    ranked = sorted(set(priorities))
+    steps = len(ranked) - 1
+    step = min(STEP, RANGE ** (1 / steps)) if steps > 0 else 1.0
+    return {priority: step**rank for rank, priority in enumerate(ranked)}

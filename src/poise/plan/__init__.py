@@ -1,19 +1,18 @@
 """Where each component runs: the objective, the greedy, search, proof, explanation."""
 
-from poise.model.terms import Terms
 from poise.plan.phases.phase_problem import (
     PhasedProblem,
     PhaseProblem,
     phased_problem_of,
 )
 from poise.plan.phases.phase_result import PhasedResult, PhaseMove
-from poise.plan.phases.solve_phases import solve_phases
+from poise.plan.phases.phase_search import solve_phases
 from poise.plan.planner import Overload, Planner, evaluate, solve
+from poise.plan.problem.changed_problem import add, keep_components, scale, without
 from poise.plan.problem.from_robot import problem_of, static
-from poise.plan.problem.problem import Bundle, Edge, Item, Problem, SoftLimit
-from poise.plan.problem.problem_file import load, schema
+from poise.plan.problem.items import Bundle, Edge, Hop, Item, Run, SoftLimit, TimeLimit
+from poise.plan.problem.problem import Problem, load, schema
 from poise.plan.problem.share_cpu import PRICE, Margin, share_cpu
-from poise.plan.problem.time_limit import Hop, Run, TimeLimit
 from poise.plan.result import Result
 from poise.plan.result_records import (
     ComputerTried,
@@ -21,12 +20,12 @@ from poise.plan.result_records import (
     GreedyStep,
     More,
     Shortage,
+    Terms,
     Tightest,
     TimeTaken,
 )
-from poise.plan.what_if.changed_problem import add, keep_components, scale, without
-from poise.plan.what_if.fewest_computers import Smallest, smallest
 from poise.plan.why.explain import Explanation, Option, Rejection, explain
+from poise.plan.why.fewest_computers import Smallest, smallest
 
 __all__ = [
     "PRICE",

@@ -10,14 +10,15 @@ from typing import Literal, get_args
 from msgspec.structs import replace
 
 from poise.errors import UsageError
-from poise.plan.problem.problem import Item, Problem
+from poise.plan import alternatives, portfolio
+from poise.plan.portfolio import METHODS, UNLIMITED, Effort
+from poise.plan.problem.changed_problem import keep_components, scale_of
+from poise.plan.problem.items import Item
+from poise.plan.problem.problem import Problem
 from poise.plan.problem.share_cpu import share_cpu
 from poise.plan.problem.snapshot import Snapshot
 from poise.plan.result import Result
 from poise.plan.result_records import Ask
-from poise.plan.solvers import alternatives, portfolio
-from poise.plan.solvers.portfolio import METHODS, UNLIMITED, Effort
-from poise.plan.what_if.changed_problem import keep_components, scale_of
 from poise.suggest import unknown
 
 LONGEST = 1e9

@@ -9,7 +9,6 @@ from typing import NamedTuple, TypedDict, cast
 
 import msgspec
 
-from poise.model.terms import Terms
 from poise.plan.problem.arrays import Placed
 from poise.plan.problem.problem import Problem
 from poise.plan.problem.snapshot import Snapshot
@@ -19,12 +18,12 @@ from poise.plan.result_records import (
     GreedyStep,
     Shortage,
     Stopped,
+    Terms,
     Tightest,
     TimeTaken,
 )
-from poise.plan.times import seconds
-from poise.plan.violations import loads, shortages, tightest, violations
 from poise.plan.why.conflict import conflict
+from poise.plan.why.violations import loads, seconds, shortages, tightest, violations
 
 LONGEST_TRACE = 2_000
 """How many trials (components x computers) a trace is worked out for."""

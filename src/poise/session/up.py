@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Self
 from poise import threads
 from poise.emulate import EmulatedComputer, set_for
 from poise.errors import RunError, UsageError
-from poise.estimate.success.learning import actions_in, learned
+from poise.estimate.success_rates import actions_in, learned
 from poise.manage.control_socket.commands import StopCommand
 from poise.manage.control_socket.control_server import ControlServer
 from poise.manage.deploy.takeover import start_or_take_over

@@ -16,7 +16,7 @@ from random import Random
 
 from msgspec import Struct
 
-from poise.estimate.overhead import kinds_together
+from poise.estimate.demands import kinds_together
 from poise.manage.deploy.deployment_plan import DeploymentPlan
 from poise.manage.deploy.desired import Incarnation
 from poise.model.robot import Chain, Robot

@@ -11,7 +11,7 @@ from functools import partial
 from msgspec import Struct
 
 from poise.errors import RunError
-from poise.estimate.profile import Profile
+from poise.estimate.profiles import Profile
 from poise.manage.control_socket.commands import (
     MoveCommand,
     Refusal,

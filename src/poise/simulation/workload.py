@@ -17,8 +17,7 @@ from statistics import NormalDist
 
 from msgspec import Struct, structs
 
-from poise.estimate.profile import ConnectorProfile, Profile
-from poise.estimate.profile.profile_records import WINDOW
+from poise.estimate.profiles import WINDOW, ConnectorProfile, Profile
 from poise.manage.deploy.deployment_plan import DeploymentPlan
 from poise.model.robot import ComponentEntry, Connector, Robot
 from poise.model.software import ComponentCode

@@ -8,7 +8,7 @@ from typing import Any
 
 from poise.errors import UsageError
 from poise.estimate.demands import cpu_demand, memory_demand
-from poise.estimate.profile import Profile
+from poise.estimate.profiles import Profile
 
 FORMATS = (".svg", ".png", ".pdf")
 _MIB = 2**20

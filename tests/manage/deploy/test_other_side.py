@@ -7,7 +7,7 @@ from typing import cast
 import pytest
 from msgspec.structs import replace
 
-from poise.estimate.profile.code_version import version_of
+from poise.estimate.code_version import version_of
 from poise.manage.agent_connections.agents import Agents
 from poise.manage.deploy.adoption import authoritative, found_in, joined_by
 from poise.manage.deploy.deployment_plan import DeploymentPlan

@@ -8,7 +8,7 @@ import pytest
 from msgspec import structs
 
 from poise.errors import TakenOver
-from poise.estimate.profile.code_version import version_of
+from poise.estimate.code_version import version_of
 from poise.manage.agent_connections.agents import Agents
 from poise.manage.deploy.deployment_plan import DeploymentPlan
 from poise.manage.deploy.desired import Incarnation

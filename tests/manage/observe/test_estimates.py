@@ -7,8 +7,7 @@ import msgspec
 import pytest
 
 from poise.errors import RunError, UsageError
-from poise.estimate.profile import ComponentProfile, Profile
-from poise.estimate.profile.profile_records import Distribution
+from poise.estimate.profiles import ComponentProfile, Distribution, Profile
 from poise.manage.observe.estimates import Estimates
 from poise.manage.observe.metrics import MetricsServer, to_prometheus
 from poise.manage.observe.sample_recording import Recording

@@ -10,7 +10,7 @@ from msgspec.structs import replace
 from poise.manage.tasks.action_placement import LikelyAction
 from poise.manage.tasks.prefetch import PrefetchPlan, choose
 from poise.model.robot import Architecture, ComponentEntry, Computer, Device, Robot
-from poise.model.tasks.steps import Prefetch
+from poise.model.steps import Prefetch
 
 MB = 1 << 20
 FREE = {"left": 0.2, "right": 0.2}

@@ -5,7 +5,7 @@ from __future__ import annotations
 from poise.manage.tasks.action_placement import PlanOverTime, likely_next
 from poise.manage.tasks.concurrent_tasks import Tasks, task_reports
 from poise.model.robot import Architecture, ComponentEntry, Computer, Robot
-from poise.model.tasks.steps import Action, Task
+from poise.model.steps import Action, Task
 
 
 def test_the_components_of_the_next_action_are_likely_where_they_are_planned() -> None:

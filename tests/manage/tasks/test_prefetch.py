@@ -17,7 +17,7 @@ from poise.manage.tasks.action_placement import LikelyAction
 from poise.manage.tasks.prefetch import TRY_AGAIN, Prefetcher
 from poise.manage.tasks.switch import switch
 from poise.model.robot import Robot
-from poise.model.tasks.steps import Prefetch
+from poise.model.steps import Prefetch
 from poise.wire.records.status_records import ComponentStatus, ContainerHealth, Fault
 from tests.manage.conftest import FakeAgents
 

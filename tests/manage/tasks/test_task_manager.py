@@ -12,7 +12,7 @@ from msgspec.structs import replace
 
 from poise.clock import boot_id
 from poise.errors import UsageError
-from poise.estimate.success.learning import beliefs_about
+from poise.estimate.success_rates import beliefs_about
 from poise.manage.adaptation.situation import Situation
 from poise.manage.agent_connections.agents import Agents
 from poise.manage.deploy.running_components import RunningComponents
@@ -29,7 +29,7 @@ from poise.model.robot import (
     Robot,
     Task,
 )
-from poise.model.tasks.steps import Choice, Step
+from poise.model.steps import Choice, Step
 from poise.wire.records.status_records import (
     ActionEnd,
     AgentStatus,

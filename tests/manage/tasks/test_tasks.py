@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from poise.errors import UsageError
 from poise.manage.tasks.concurrent_tasks import Tasks
 from poise.manage.tasks.task_progress import OVER, Saved, TaskRecord
+from poise.model.phases import clashes
 from poise.model.robot import Architecture, ComponentEntry, Computer, Device, Robot
-from poise.model.tasks.exclusive import clashes
-from poise.model.tasks.steps import (
+from poise.model.steps import (
     Action,
     Choice,
     Parallel,

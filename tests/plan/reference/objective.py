@@ -11,9 +11,9 @@ The paper's eq. 1 is the case of scale ``paper``, one resource and no linear cos
 
 from __future__ import annotations
 
-from poise.model.terms import Terms
 from poise.plan.problem.arrays import Arrays, Placed
-from poise.plan.violations import loads
+from poise.plan.result_records import Terms
+from poise.plan.why.violations import loads
 from tests.plan.reference import time
 
 

@@ -3,8 +3,7 @@ from functools import partial
 import pytest
 from msgspec.structs import replace
 
-from poise.estimate.profile import ConnectorProfile
-from poise.estimate.profile.profile_records import Distribution
+from poise.estimate.profiles import ConnectorProfile, Distribution
 from poise.model.robot import (
     Architecture,
     ComponentEntry,

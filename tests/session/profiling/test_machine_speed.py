@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 from msgspec.structs import replace
 
-from poise.estimate.profile import Profile
-from poise.estimate.profile import profile_files as profile_file
+from poise.estimate import profiles as profile_file
+from poise.estimate.profiles import Profile
 from poise.model.robot import Computer, Robot
 from poise.session.profiling import stored_profiles
 from poise.session.profiling.stored_profiles import as_when_profiled

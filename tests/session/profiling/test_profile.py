@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from poise.errors import UsageError
-from poise.estimate.profile import profile_files as profile_file
+from poise.estimate import profiles as profile_file
 from poise.session.profiling.profile_robot import profile
 from poise.session.robot_file import load_bare
 

@@ -4,10 +4,9 @@ import pytest
 from msgspec.structs import replace
 
 from poise.errors import RobotError
-from poise.estimate.profile import ComponentProfile, Profile
-from poise.estimate.profile import profile_files as profile_file
-from poise.estimate.profile.code_version import version_of
-from poise.estimate.profile.profile_records import Distribution
+from poise.estimate import profiles as profile_file
+from poise.estimate.code_version import version_of
+from poise.estimate.profiles import ComponentProfile, Distribution, Profile
 from poise.model import load
 from poise.model.robot import Robot
 from poise.session.profiling.stored_profiles import profiled, stale, write_demands

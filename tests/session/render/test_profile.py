@@ -8,10 +8,8 @@ import pytest
 from msgspec.structs import replace
 from rich.console import Console
 
-from poise.estimate.profile import ComponentProfile, Profile
-from poise.estimate.profile import profile_files as profile_file
-from poise.estimate.profile.profile_files import Store
-from poise.estimate.profile.profile_records import Distribution
+from poise.estimate import profiles as profile_file
+from poise.estimate.profiles import ComponentProfile, Distribution, Profile, Store
 from poise.model import load
 from poise.session.render.profile_tables import history_table
 from tests.command import Poise

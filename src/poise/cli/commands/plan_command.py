@@ -14,8 +14,7 @@ from poise import plan, units
 from poise.cli.interrupts import Interrupts
 from poise.cli.options import AsJson, busy, in_file, print_json
 from poise.errors import UsageError
-from poise.estimate.success import Conditions
-from poise.estimate.success.learning import actions_in, learned
+from poise.estimate.success_rates import Conditions, actions_in, learned
 from poise.model import load
 from poise.model.robot import Computer, Robot
 from poise.session.placing.by_time import DecidedByTime, decide_by_time

@@ -16,8 +16,8 @@ from rich.table import Table
 from poise.cli.interrupts import Interrupts
 from poise.cli.options import AsJson, RobotFile, parse_option, print_json
 from poise.errors import RobotError, RunError
-from poise.estimate.overhead import overheads
-from poise.estimate.profile import Profile
+from poise.estimate.demands import overheads
+from poise.estimate.profiles import Profile
 from poise.model.robot import Robot
 from poise.session.profiling.calibrate import Calibration, calibrate
 from poise.session.profiling.profile_robot import Profiling, Tick, profile

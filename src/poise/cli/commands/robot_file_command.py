@@ -15,7 +15,7 @@ from rich.markup import escape
 
 from poise.cli.options import AsJson, RobotFile, busy, print_json
 from poise.errors import FileProblem, UsageError
-from poise.estimate.success.learning import Belief, beliefs_about, forget
+from poise.estimate.success_rates import Belief, beliefs_about, forget
 from poise.model.load import load
 from poise.model.policy.policy import Policy
 from poise.model.policy.shipped import policies_of
@@ -226,16 +226,13 @@ def _show_architecture(row: Listed, beliefs: list[Belief], console: Console) -> 
     if not beliefs:
         console.print("nothing is learned of its success yet")
         return
-    shown = table(
-        "action", "conditions", "success", "90 % between", "of", "hash", folds=1
-    )
+    shown = table("action", "conditions", "success", "of", "hash", folds=1)
     for each in beliefs:
         shown.add_row(
             each.action,
             str(each.conditions),
             f"{each.mean:.0%} ± {each.deviation:.0%}",
-            f"{each.low:.0%} and {each.high:.0%}",
-            str(each.done + each.failed),
+            f"{each.done + each.failed:.0f}",
             each.hash if each.is_present else f"{each.hash}, before",
         )
     console.print(shown)

@@ -15,7 +15,7 @@ from poise.cli.commands.dashboard_command import check_dashboard, dashboard_besi
 from poise.cli.interrupts import Interrupts
 from poise.cli.options import AnyMethod, RobotFile
 from poise.errors import UsageError
-from poise.model.tasks.steps import Prefetch
+from poise.model.steps import Prefetch
 from poise.session.launch.printer import Printer, log_printer
 from poise.session.robot_file import load, task_of
 from poise.session.state_folder import to_write

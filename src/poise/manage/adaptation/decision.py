@@ -40,8 +40,8 @@ from poise.manage.agent_connections.statuses import components_of
 from poise.manage.migration.migration_report import TransitionStep
 from poise.manage.migration.transition_plan import missing_cpu
 from poise.model.check.allowed_computers import allowed_computers
-from poise.model.priorities import importance
 from poise.model.robot import Robot
+from poise.model.software import importance
 from poise.units import counted, format_cores
 
 HORIZON = 30.0

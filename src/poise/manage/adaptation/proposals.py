@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from msgspec import Struct
 
 from poise.manage.migration.migration_report import TransitionStep
-from poise.model.terms import Terms
+from poise.plan.result_records import Terms
 
 
 class PresentDemand(Struct, frozen=True, kw_only=True):

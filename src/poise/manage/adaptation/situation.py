@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from msgspec import Struct
 from msgspec.structs import replace
 
-from poise.estimate.profile import ConnectorProfile
+from poise.estimate.profiles import ConnectorProfile
 from poise.manage.adaptation.policies import Symptom
 from poise.manage.observe.chains import ChainAge
 from poise.manage.observe.estimates import DemandEstimate, Load

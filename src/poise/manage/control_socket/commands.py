@@ -8,7 +8,7 @@ from typing import Literal
 from msgspec import Struct
 
 from poise.errors import PoiseError, RobotError, RunError, UsageError
-from poise.estimate.profile import ConnectorProfile
+from poise.estimate.profiles import ConnectorProfile
 from poise.manage.adaptation.proposals import Proposal, WhatIf
 from poise.manage.journal import JournalEntry
 from poise.manage.migration.migration_report import MigrationReport, TransitionReport

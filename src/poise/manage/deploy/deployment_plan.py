@@ -12,7 +12,6 @@ from msgspec import Struct, structs
 
 from poise.manage.deploy.desired import Incarnation
 from poise.model.check.allowed_computers import leased_components
-from poise.model.priorities import importance
 from poise.model.robot import (
     Action,
     Architecture,
@@ -21,7 +20,8 @@ from poise.model.robot import (
     ConnectorEnd,
     Robot,
 )
-from poise.model.tasks.steps import actions_of, walk
+from poise.model.software import importance
+from poise.model.steps import actions_of, walk
 from poise.wire.records.deployment_records import (
     ChainPart,
     ComponentSpec,

@@ -13,7 +13,7 @@ from functools import partial
 from msgspec import structs
 
 from poise.clock import Clock, SystemClock
-from poise.estimate.profile.code_version import version_of
+from poise.estimate.code_version import version_of
 from poise.manage.agent_connections.agents import Agents
 from poise.manage.agent_connections.statuses import gateways
 from poise.manage.deploy.adoption import as_committed, found_in, joined_by

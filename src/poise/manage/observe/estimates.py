@@ -10,7 +10,7 @@ from msgspec import Struct
 
 from poise.estimate.demand_windows import Reading
 from poise.estimate.online import Drift, Estimate, RunningEstimate
-from poise.estimate.profile import ConnectorProfile, Profile
+from poise.estimate.profiles import ConnectorProfile, Profile
 from poise.model.robot import Robot
 from poise.units import format_cores
 from poise.wire.records.sample_records import (

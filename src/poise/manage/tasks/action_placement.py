@@ -11,7 +11,7 @@ from msgspec.structs import replace
 from poise import plan
 from poise.clock import boot_time
 from poise.errors import PoiseError, RobotError
-from poise.estimate.success.learning import learned
+from poise.estimate.success_rates import learned
 from poise.manage.adaptation.replan import SOLVE_FOR, with_present_demands
 from poise.manage.adaptation.situation import Situation
 from poise.manage.deploy.running_components import RunningComponents

@@ -23,9 +23,9 @@ from poise.manage.tasks.task_progress import (
     TaskRecord,
     TaskState,
 )
+from poise.model.phases import clashes
 from poise.model.robot import Robot
-from poise.model.tasks.exclusive import clashes
-from poise.model.tasks.steps import Until
+from poise.model.steps import Until
 from poise.suggest import did_you_mean
 
 _SAYINGS = {

@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 
 from poise.errors import PoiseError
-from poise.estimate.success import Conditions, Ending
-from poise.estimate.success.learning import learned, note_outcome
+from poise.estimate.success_rates import Conditions, Ending, learned, note_outcome
 from poise.manage.adaptation.decision import shortages_of
 from poise.manage.adaptation.situation import Situation
 from poise.manage.journal import Journal
+from poise.model.phases import first_action, promise_of
 from poise.model.robot import Robot
-from poise.model.tasks.phases import first_action, promise_of
-from poise.model.tasks.steps import Choice
+from poise.model.steps import Choice
 
 
 def choose(

@@ -43,7 +43,7 @@ from poise.manage.tasks.task_progress import (
 from poise.model.policy.condition import parse_condition
 from poise.model.policy.policy import SUBJECTS
 from poise.model.robot import Architecture
-from poise.model.tasks.steps import Action, Choice, Task, Until
+from poise.model.steps import Action, Choice, Task, Until
 
 _ROOM_AGAIN, _ROOM_AT_MOST = 2.0, 60.0
 """A task that waits for room is looked at again after this time [s], then after twice

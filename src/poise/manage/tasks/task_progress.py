@@ -11,7 +11,7 @@ from typing import Literal
 
 from msgspec import Struct
 
-from poise.model.tasks.steps import (
+from poise.model.steps import (
     Action,
     Choice,
     Parallel,

@@ -18,7 +18,7 @@ using namespace poise;
 
 namespace {
 
-constexpr double kLeast = 1e-30, kMost = 1e30;  // as in poise.plan.problem.problem_check
+constexpr double kLeast = 1e-30, kMost = 1e30;  // as in poise.plan.problem.problem
 
 const char* named(Reason reason) {
   switch (reason) {

@@ -18,7 +18,7 @@ namespace nb = nanobind;
 
 // Reads fields of `poise.plan.problem.arrays.Arrays`, and refuses what would make the solvers
 // read where nothing is. Whether numbers make sense has been looked at by
-// `poise.plan.problem.problem_check`.
+// `poise.plan.problem.problem`.
 struct Fields {
   nb::handle arrays;
 

@@ -7,11 +7,10 @@ from collections.abc import Callable, Mapping
 from msgspec import Struct
 from msgspec.structs import force_setattr, replace
 
+from poise.model.phases import assumed, phases_of
 from poise.model.robot import Computer, Robot
-from poise.model.tasks.phases import assumed, phases_of
-from poise.plan.problem.arrays import arrays_of
+from poise.plan.problem.arrays import arrays_of, overhead_scale
 from poise.plan.problem.from_robot import MEGABYTE, check_task, problem_of
-from poise.plan.problem.overhead_scale import overhead_scale
 from poise.plan.problem.problem import Problem
 
 MOVE = 0.3

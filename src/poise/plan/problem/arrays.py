@@ -14,8 +14,8 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from poise.errors import UsageError
-from poise.plan.problem.overhead_scale import overhead_scale
-from poise.plan.problem.problem import Edge, Item, Problem, SoftLimit
+from poise.plan.problem.items import Edge, Item, SoftLimit
+from poise.plan.problem.problem import Problem
 from poise.plan.problem.time_arrays import Times, times_of
 
 Placed = list[int]
@@ -351,3 +351,26 @@ def _apart(problem: Problem, unit: dict[str, int]) -> list[tuple[int, int]]:
             for j in units[x + 1 :]:
                 pairs[min(i, j), max(i, j)] = None
     return list(pairs)
+
+
+LEAST_LINK_USE = 0.1
+"""What communication counts for at least, however little of the links it takes: a
+message between computers costs time on both of them, too."""
+
+
+def overhead_scale(problem: Problem, overhead: float, traffic: float) -> float:
+    """Return what a unit of overhead counts for in the communication term.
+
+    In the normalised scale all overhead together counts for the share of the narrowest
+    link that all traffic together would take, between a tenth and 1; for 1 where no
+    bandwidth or no traffic is known.
+    """
+    if problem.objective.scale == "paper":
+        return 1.0
+    if problem.overhead_scale is not None:
+        return problem.overhead_scale
+    if overhead <= 0:
+        return 0.0
+    narrowest = min((link.bandwidth for link in problem.links), default=inf)
+    use = traffic / narrowest if traffic > 0 and 0 < narrowest < inf else 1.0
+    return min(1.0, max(LEAST_LINK_USE, use)) / overhead

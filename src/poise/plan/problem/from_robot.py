@@ -7,10 +7,10 @@ from itertools import combinations, pairwise
 
 from poise.errors import RobotError, UsageError
 from poise.model import robot as model
-from poise.model.tasks.exclusive import needs_device
-from poise.plan.problem.problem import Bundle, Edge, Item, Problem
-from poise.plan.problem.time_limit import Hop, TimeLimit
-from poise.plan.solvers.alternatives import needs, part
+from poise.model.phases import needs_device
+from poise.plan.alternatives import needs, part
+from poise.plan.problem.items import Bundle, Edge, Hop, Item, TimeLimit
+from poise.plan.problem.problem import Problem
 
 LATE = 10.0
 """What F grows by when data takes twice as long as its deadline says: more than all

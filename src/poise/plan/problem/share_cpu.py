@@ -3,7 +3,7 @@
 CPU can be shared: what gets less of it does less. Memory and devices cannot, so their
 limits stay hard. Where components of several priorities share a computer, the higher
 ones get what they need first; so work that is not done is counted by how much each
-priority counts (`poise.model.priorities`), and the shortage of a priority is what it
+priority counts (`poise.model.software`), and the shortage of a priority is what it
 and all above it need together beyond what there is, less that of those above alone.
 """
 
@@ -15,8 +15,9 @@ from typing import NamedTuple
 
 from msgspec.structs import replace
 
-from poise.model.priorities import importance
-from poise.plan.problem.problem import Problem, SoftLimit
+from poise.model.software import importance
+from poise.plan.problem.items import SoftLimit
+from poise.plan.problem.problem import Problem
 
 PRICE = 1000.0
 """What F grows by for each core that is short, of the lowest priority: far more than

@@ -7,12 +7,11 @@ from functools import cached_property
 from msgspec.structs import replace
 
 from poise.errors import UsageError
-from poise.model.terms import Terms
 from poise.plan import _core
 from poise.plan.problem.arrays import Arrays, Placed, arrays_of
 from poise.plan.problem.problem import Problem
-from poise.plan.result_records import ComputerTried, GreedyStep
-from poise.plan.violations import late, obstacle
+from poise.plan.result_records import ComputerTried, GreedyStep, Terms
+from poise.plan.why.violations import late, obstacle
 
 
 class Snapshot:

@@ -8,8 +8,7 @@ from math import isqrt
 from msgspec import Struct
 
 from poise.model.robot import Computer
-from poise.plan.problem.problem import Problem
-from poise.plan.problem.problem_check import LEAST
+from poise.plan.problem.problem import LEAST, Problem
 
 MOST_CORES = 1024
 """More cores count as 1024: with as many, runs never wait for long."""

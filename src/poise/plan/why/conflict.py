@@ -12,10 +12,9 @@ from poise.model.hardware import fits
 from poise.model.robot import Objective
 from poise.plan import _core
 from poise.plan.problem.arrays import Arrays, arrays_of
+from poise.plan.problem.changed_problem import keep_components
 from poise.plan.problem.problem import Problem
 from poise.plan.result_records import Ask, Conflict
-from poise.plan.violations import Late, amount_of, late
-from poise.plan.what_if.changed_problem import keep_components
 from poise.plan.why.relaxation import (
     Limit,
     Relaxation,
@@ -25,6 +24,7 @@ from poise.plan.why.relaxation import (
     relaxed,
     rises,
 )
+from poise.plan.why.violations import Late, amount_of, late
 
 STEPS = 100_000
 """How many nodes, and how many search moves, one question may take."""

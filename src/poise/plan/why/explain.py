@@ -7,13 +7,14 @@ from collections.abc import Mapping
 from msgspec import Struct
 
 from poise.errors import UsageError
-from poise.model.terms import Terms
+from poise.plan.alternatives import chosen_by, part
 from poise.plan.planner import evaluate, solve
 from poise.plan.problem.arrays import Placed
-from poise.plan.problem.problem import Bundle, Problem
+from poise.plan.problem.items import Bundle
+from poise.plan.problem.problem import Problem
 from poise.plan.problem.snapshot import Snapshot
-from poise.plan.solvers.alternatives import chosen_by, part
-from poise.plan.violations import obstacle
+from poise.plan.result_records import Terms
+from poise.plan.why.violations import obstacle
 
 
 class Option(Struct, frozen=True, kw_only=True):

@@ -9,11 +9,9 @@ from typing import NamedTuple, Protocol
 from msgspec.structs import replace
 
 from poise.model.robot import Computer
-from poise.plan.problem.problem import Problem
-from poise.plan.problem.problem_check import LEAST, MOST
+from poise.plan.problem.problem import LEAST, MOST, Problem
 from poise.plan.result_records import More
-from poise.plan.times import longest
-from poise.plan.violations import amount_of
+from poise.plan.why.violations import amount_of, longest
 from poise.units import format_seconds
 
 NEAR = 5e-3

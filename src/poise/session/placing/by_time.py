@@ -18,7 +18,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from poise import plan
-from poise.estimate.overhead import kinds_together
+from poise.estimate.demands import kinds_together
 from poise.manage.deploy.deployment_plan import DeploymentPlan
 from poise.model.robot import Chain, Connector, Robot
 from poise.plan import Hop, Run, TimeLimit

@@ -10,15 +10,15 @@ from msgspec import Struct
 from poise import plan
 from poise.clock import boot_time
 from poise.errors import FileProblem, RobotError
-from poise.estimate.architecture_hash import hash_of
-from poise.estimate.success.learning import WELL, Belief, hash_in
+from poise.estimate.code_version import hash_of
+from poise.estimate.success_rates import WELL, Belief, hash_in
 from poise.manage.journal import Journal
 from poise.manage.tasks.concurrent_tasks import Tasks
 from poise.manage.tasks.learned_choice import choose
 from poise.model.load import load_source
 from poise.model.repository import search
 from poise.model.robot import Architecture, Layer, Robot
-from poise.plan.solvers.portfolio import METHODS as SOLVERS
+from poise.plan.portfolio import METHODS as SOLVERS
 from poise.session.callbacks import Say
 from poise.session.placing.placement import Placement, place
 

@@ -13,10 +13,9 @@ from rich.console import RenderableType
 
 from poise import plan
 from poise.errors import UsageError
-from poise.estimate.success import Conditions
-from poise.estimate.success.learning import WELL, actions_in, learned
+from poise.estimate.success_rates import WELL, Conditions, actions_in, learned
 from poise.model.robot import Robot
-from poise.plan.solvers.portfolio import METHODS as SOLVERS
+from poise.plan.portfolio import METHODS as SOLVERS
 from poise.session.pages.picture import planned_picture
 from poise.session.placing.by_time import decide_by_time
 from poise.session.render.plan_tables import plan_parts

@@ -9,8 +9,8 @@ import msgspec
 from msgspec import Struct
 
 from poise.errors import RunError, UsageError
-from poise.estimate.profile import KindCosts
-from poise.estimate.profile import profile_files as profile_file
+from poise.estimate import profiles as profile_file
+from poise.estimate.profiles import KindCosts
 from poise.manage.agent_connections.statuses import Statuses, located
 from poise.manage.journal import Journal
 from poise.manage.observe.sample_recording import Recording

@@ -20,7 +20,7 @@ import msgspec
 from msgspec import Struct
 
 from poise.errors import RunError
-from poise.estimate.profile import Costs, KindCosts
+from poise.estimate.profiles import Costs, KindCosts
 from poise.model.robot import (
     Architecture,
     ComponentEntry,

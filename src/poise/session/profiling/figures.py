@@ -10,8 +10,13 @@ import msgspec
 from msgspec import Struct, structs
 
 from poise.estimate.demand_windows import Reading, window_between
-from poise.estimate.profile import ComponentProfile, ConnectorProfile, TimerProfile
-from poise.estimate.profile.profile_records import Distribution, distribution_of
+from poise.estimate.profiles import (
+    ComponentProfile,
+    ConnectorProfile,
+    Distribution,
+    TimerProfile,
+    distribution_of,
+)
 from poise.manage.agent_connections.statuses import (
     Statuses,
     components_of,

@@ -13,10 +13,9 @@ import msgspec
 from msgspec import Struct
 
 from poise.errors import RunError, UsageError
-from poise.estimate.profile import Profile
-from poise.estimate.profile import profile_files as profile_file
-from poise.estimate.profile.code_version import version_of
-from poise.estimate.profile.profile_records import WINDOW
+from poise.estimate import profiles as profile_file
+from poise.estimate.code_version import version_of
+from poise.estimate.profiles import WINDOW, Profile
 from poise.manage.agent_connections.statuses import components_of
 from poise.manage.deploy.running_components import ACTIVE_LIMIT
 from poise.manage.journal import Journal

@@ -10,14 +10,13 @@ from msgspec.structs import replace
 
 from poise.emulate import full_speed
 from poise.errors import RobotError
+from poise.estimate import profiles as profile_file
+from poise.estimate.code_version import version_of
 from poise.estimate.demands import cpu_demand, memory_demand, missing, with_profile
-from poise.estimate.profile import ComponentProfile, Profile
-from poise.estimate.profile import profile_files as profile_file
-from poise.estimate.profile.code_version import version_of
-from poise.estimate.profile.profile_files import Store
+from poise.estimate.profiles import ComponentProfile, Profile, Store
 from poise.model.load import load_source
 from poise.model.robot import Robot
-from poise.model.yaml.edit import with_values
+from poise.model.yaml.tree import with_values
 from poise.runtime.workload.calibration import score
 from poise.session.state_folder import to_write
 

@@ -7,9 +7,8 @@ from collections.abc import Mapping, Sequence
 from rich.console import Console
 from rich.table import Table
 
-from poise.estimate.demands import cpu_demand, memory_demand
-from poise.estimate.overhead import overheads
-from poise.estimate.profile import ComponentProfile, ConnectorProfile, Profile
+from poise.estimate.demands import cpu_demand, memory_demand, overheads
+from poise.estimate.profiles import ComponentProfile, ConnectorProfile, Profile
 from poise.model.robot import Robot
 from poise.session.profiling.figures import AGREE_CORES, AGREE_SHARE
 from poise.session.render.tables import NamedRows, table

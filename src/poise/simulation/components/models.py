@@ -7,7 +7,7 @@ from typing import Literal
 
 from msgspec import Struct
 
-from poise.estimate.profile import ConnectorProfile, KindCosts
+from poise.estimate.profiles import ConnectorProfile, KindCosts
 from poise.runtime.component.ports import Timer
 from poise.simulation._engine import Connector, Engine, Handler, Model
 from poise.simulation.schedule.choices import Choices

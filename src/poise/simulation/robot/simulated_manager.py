@@ -9,7 +9,7 @@ from msgspec import Struct
 
 from poise.clock import SystemClock
 from poise.errors import PoiseError, TakenOver
-from poise.estimate.profile import Profile
+from poise.estimate.profiles import Profile
 from poise.manage.agent_connections.agents import Agents
 from poise.manage.control_socket.commands import Command, Refusal, Result, RobotStatus
 from poise.manage.deploy.running_components import RunningComponents

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 
-from poise.estimate.overhead import kinds_together
+from poise.estimate.demands import kinds_together
 from poise.manage.journal import JournalEntry
 from poise.runtime.execution.timers import release_offset
 from poise.simulation._engine import Connector, Model

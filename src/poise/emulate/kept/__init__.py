@@ -1,1 +1,0 @@
-"""Emulated computers that a process keeps for others, and faults to rehearse there."""

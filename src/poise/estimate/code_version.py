@@ -1,0 +1,143 @@
+"""The version of a component's code, as a fingerprint."""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+import importlib.util
+import shutil
+from collections.abc import Iterable, Iterator
+from functools import cache
+from itertools import islice
+from pathlib import Path
+
+import msgspec
+from msgspec.structs import replace
+
+from poise.model.robot import Architecture, ComponentEntry
+
+_MOST_FILES = 2000
+
+
+def version_of(component: ComponentEntry, *folders: str) -> str:
+    """Return a fingerprint that changes when the component's code does.
+
+    It covers the parameters, the implementation's module and all modules that it
+    imports from these folders, the robot's and the repository's; of a command, the
+    program and its arguments that are files. Installed packages are not covered.
+    """
+    digest = hashlib.sha256()
+    digest.update(component.implementation.encode())
+    digest.update(msgspec.json.encode([component.command, component.parameters]))
+    for folder in folders:
+        for file in sorted(_files(component, Path(folder))):
+            digest.update(file.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def _files(component: ComponentEntry, folder: Path) -> set[Path]:
+    if component.command:
+        words = [shutil.which(component.command[0]) or "", *component.command[1:]]
+        return {folder / word for word in words if word and (folder / word).is_file()}
+    found: set[Path] = set()
+    waiting = [component.implementation.partition(":")[0]]
+    while waiting and len(found) < _MOST_FILES:
+        for file in _sources(waiting.pop(), folder):
+            if file not in found:
+                found.add(file)
+                waiting += _imports(file, folder)
+    return found
+
+
+def _sources(module: str, folder: Path) -> Iterator[Path]:
+    """Yield the files of a module and of the packages around it, in the folder."""
+    parts = module.split(".")
+    for end in range(1, len(parts) + 1):
+        base = folder.joinpath(*parts[:end])
+        for file in (base / "__init__.py", base.with_suffix(".py")):
+            if file.is_file():
+                yield file
+
+
+def _imports(file: Path, folder: Path) -> Iterator[str]:
+    """Yield the modules that a file may import; none if it cannot be parsed."""
+    for node in _import_statements(file, file.stat().st_mtime_ns):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            base = _base(node, file, folder)
+            # a name imported from a package may be a module
+            yield from (f"{base}.{alias.name}".strip(".") for alias in node.names)
+
+
+@cache
+def _import_statements(
+    file: Path, _changed: int
+) -> tuple[ast.Import | ast.ImportFrom, ...]:
+    try:
+        tree = ast.parse(file.read_bytes())
+    except (SyntaxError, ValueError):
+        return ()
+    found = (ast.Import, ast.ImportFrom)
+    return tuple(node for node in ast.walk(tree) if isinstance(node, found))
+
+
+def _base(node: ast.ImportFrom, file: Path, folder: Path) -> str:
+    if not node.level:
+        return node.module or ""
+    package = file.parent.relative_to(folder).parts
+    package = package[: len(package) - node.level + 1]
+    return ".".join([*package, *([node.module] if node.module else [])])
+
+
+_MOST_FILES = 2000
+
+
+def hash_of(architecture: Architecture, folders: Iterable[str]) -> str:
+    """Return 12 hexadecimal digits that change when what it runs does.
+
+    They cover its components with their parameters and code, and its connectors. What
+    only the planner reads (demands, states, traffic, quality, priority, home) is not
+    covered, so a new profile changes nothing. Of an architecture in an installed
+    package, the version and the Python files of that package are covered.
+    """
+    digest, folders = hashlib.sha256(), tuple(folders)
+    digest.update(msgspec.json.encode(_what_runs(architecture), order="deterministic"))
+    for component in architecture.components:
+        digest.update(version_of(component, *folders).encode())
+    if architecture.package:
+        for file in _installed_files(architecture):
+            digest.update(file.read_bytes())
+    return digest.hexdigest()[:12]
+
+
+def _what_runs(architecture: Architecture) -> Architecture:
+    return replace(
+        architecture,
+        priority=0,
+        quality=1.0,
+        success=1.0,
+        home=None,
+        file="",
+        components=tuple(
+            replace(component, demand={}, state=0.0, only=())
+            for component in architecture.components
+        ),
+        connectors=tuple(
+            replace(connector, overhead=None, message=0.0, rate=0.0, record="")
+            for connector in architecture.connectors
+        ),
+    )
+
+
+def _installed_files(architecture: Architecture) -> Iterator[Path]:
+    """Yield the Python files of the packages that implement an architecture."""
+    tops = {
+        c.implementation.partition(":")[0].split(".")[0]
+        for c in architecture.components
+        if c.implementation
+    }
+    for top in sorted(tops):
+        spec = importlib.util.find_spec(top)
+        for folder in (spec and spec.submodule_search_locations) or ():
+            yield from islice(sorted(Path(folder).rglob("*.py")), _MOST_FILES)

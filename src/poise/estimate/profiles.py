@@ -1,0 +1,351 @@
+"""The records of a profile: measurements of components and connectors.
+
+A profile belongs to one robot, one kind of computer and one version of the code. CPU is
+in cores of the reference computer.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+
+import msgspec
+import yaml
+from msgspec import Struct
+
+from poise.errors import RobotError
+from poise.estimate.sqlite_file import SqliteFile
+
+WINDOW = 0.1
+"""CPU is measured over windows of this length [s]."""
+SUSTAINED = 2.0
+"""[s] A computer must provide the demand over windows of this length. Shorter bursts of
+components on one computer rarely coincide."""
+BATCHES = 10
+# Student's t for a two-sided 95 % interval and 1, 2, ... degrees of freedom
+_T95 = (12.71, 4.30, 3.18, 2.78, 2.57, 2.45, 2.36, 2.31, 2.26)
+
+
+class Distribution(Struct, frozen=True, kw_only=True):
+    """A measurement over windows of `WINDOW`, in its own unit (cores, for CPU).
+
+    Parameters
+    ----------
+    sustained
+        The 95th percentile over windows of `SUSTAINED`.
+    error
+        Half the width of the mean's 95 % confidence interval; None for too few windows.
+    windows
+        How many there were.
+    """
+
+    mean: float = 0.0
+    p95: float = 0.0
+    p99: float = 0.0
+    peak: float = 0.0
+    sustained: float = 0.0
+    error: float | None = None
+    windows: int = 0
+
+
+def quantile(values: Sequence[float], share: float) -> float:
+    """Return the smallest value that at least `share` (0 to 1) do not exceed."""
+    ordered = sorted(values)
+    # share * n of 0.95 * 20 is 19.000000000000004 in floating point
+    rank = math.ceil(share * len(ordered) - 1e-9)
+    return ordered[max(rank, 1) - 1]
+
+
+def error_of_mean(values: Sequence[float]) -> float | None:
+    """Return half the width of the 95 % confidence interval of a series' mean.
+
+    Neighbouring windows are correlated, so the series is cut into `BATCHES` batches,
+    whose means are nearly independent (method of batch means). None for fewer than four
+    values.
+    """
+    num = min(BATCHES, len(values) // 2)
+    if num <= 1:
+        return None
+    size = len(values) // num
+    means = [sum(values[i * size : (i + 1) * size]) / size for i in range(num)]
+    centre = sum(means) / num
+    variance = sum((mean - centre) ** 2 for mean in means) / (num - 1)
+    return _T95[num - 2] * math.sqrt(variance / num)
+
+
+def distribution_of(values: Sequence[float], window: float = WINDOW) -> Distribution:
+    """Return the distribution of a series over windows of `window` [s]."""
+    if not values:
+        return Distribution()
+    return Distribution(
+        mean=sum(values) / len(values),
+        p95=quantile(values, 0.95),
+        p99=quantile(values, 0.99),
+        peak=max(values),
+        sustained=quantile(rolling_means(values, round(SUSTAINED / window)), 0.95),
+        error=error_of_mean(values),
+        windows=len(values),
+    )
+
+
+def rolling_means(values: Sequence[float], size: int) -> list[float]:
+    """Return the mean of every `size` values that follow each other.
+
+    The mean of all when there are fewer.
+    """
+    size = max(1, min(size, len(values)))
+    total = sum(values[:size])
+    means = [total / size]
+    for last, first in zip(values[size:], values, strict=False):
+        total += last - first
+        means.append(total / size)
+    return means
+
+
+class TimerProfile(Struct, frozen=True, kw_only=True):
+    """A timer's execution time [s], and the share of releases that were missed."""
+
+    period: float
+    median: float
+    p99: float
+    maximum: float
+    missed: float = 0.0
+
+
+class ComponentProfile(Struct, frozen=True, kw_only=True):
+    """Measurements of a component whose architecture ran alone.
+
+    Parameters
+    ----------
+    version
+        Fingerprint of its implementation and parameters (`version_of`).
+    cpu
+        Its own CPU [cores].
+    share
+        Its equal part of the container's own CPU: transports, status, the interpreter's
+        threads [cores].
+    memory
+        Peak of the memory that it adds to a container [bytes].
+    base
+        Its equal part of an empty container's memory [bytes].
+    state
+        Size of its snapshot [bytes].
+    start
+        Time from the request to start its container until it is ready [s].
+    repeat
+        Largest difference between the means of repeated measurements [cores].
+    stable
+        Whether repeated measurements agree.
+    """
+
+    version: str
+    cpu: Distribution
+    share: float = 0.0
+    memory: float = 0.0
+    base: float = 0.0
+    state: float = 0.0
+    start: float = 0.0
+    timers: Mapping[str, TimerProfile] = {}
+    repeat: float = 0.0
+    stable: bool = True
+
+
+class ConnectorProfile(Struct, frozen=True, kw_only=True):
+    """Traffic of a connector.
+
+    Parameters
+    ----------
+    calls, messages
+        Per second [1/s].
+    size
+        Mean size of a call, both ways, or of a message, when encoded [bytes].
+    median, p99, largest
+        Of these sizes; 0 where they were not counted [bytes].
+    """
+
+    calls: float = 0.0
+    messages: float = 0.0
+    size: float = 0.0
+    median: float = 0.0
+    p99: float = 0.0
+    largest: float = 0.0
+
+    @property
+    def rate(self) -> float:
+        """Calls and messages per second [1/s]."""
+        return self.calls + self.messages
+
+    @property
+    def traffic(self) -> float:
+        """Its traffic when its ends are apart [bytes/s]."""
+        return self.rate * self.size
+
+
+class Costs(Struct, frozen=True, kw_only=True):
+    """CPU time that one end of a connector costs its computer.
+
+    `call` and `message` in CPU time each [s], `byte` in CPU time per byte [s/byte].
+    """
+
+    call: float = 0.0
+    message: float = 0.0
+    byte: float = 0.0
+
+    def load(self, connector: ConnectorProfile) -> float:
+        """Return the CPU of this end for a connector's traffic [cores]."""
+        return (
+            self.call * connector.calls
+            + self.message * connector.messages
+            + self.byte * connector.traffic
+        )
+
+
+class KindCosts(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Costs of connectors of one kind, at the source and at the target.
+
+    Both ends of a direct connector are in one process: all counts for its source.
+    """
+
+    source: Costs = Costs()
+    target: Costs = Costs()
+
+    def load(self, connector: ConnectorProfile) -> float:
+        """Return the CPU of both ends [cores]."""
+        return self.source.load(connector) + self.target.load(connector)
+
+
+class Profile(Struct, frozen=True, kw_only=True):
+    """Measurements of a robot's software on one kind of computer.
+
+    Parameters
+    ----------
+    poise
+        The version of Poise.
+    computer
+        The computer on which it was measured, and its `speed`.
+    loops
+        Work that a CPU second did on the machine that emulated it [loops/s]; 0: it was
+        a real computer.
+    seconds
+        How long each architecture was measured each time [s].
+    agent
+        CPU of an agent [cores of the reference computer].
+    costs
+        ``direct``, ``local`` and ``remote`` -> what such connectors cost, as `poise
+        calibrate` measured it; empty: it did not.
+    """
+
+    robot: str
+    poise: str
+    computer: str
+    speed: float
+    at: str
+    seconds: float
+    loops: float = 0.0
+    agent: float = 0.0
+    components: Mapping[str, ComponentProfile] = {}
+    connectors: Mapping[str, ConnectorProfile] = {}
+    costs: Mapping[str, KindCosts] = {}
+
+
+_HEAD = """\
+# Written by `poise profile`; do not edit it.
+# CPU in cores of the reference computer, memory and sizes in bytes, times in seconds.
+"""
+_DIGITS = 4
+_LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+"""The quick one is not everywhere."""
+
+
+def to_text(profile: Profile) -> str:
+    """Return the profile as YAML; numbers keep `_DIGITS` digits."""
+    plain = _rounded(msgspec.to_builtins(profile))
+    return _HEAD + yaml.safe_dump(plain, sort_keys=False, default_flow_style=None)
+
+
+def from_text(text: str, file: str) -> Profile:
+    """Return the profile in a YAML text."""
+    try:
+        return msgspec.convert(yaml.load(text, _LOADER), Profile)  # noqa: S506 - both are safe
+    except yaml.YAMLError as error:
+        raise RobotError(f"{file}: not YAML: {error}") from error
+    except msgspec.ValidationError as error:
+        raise RobotError(
+            f"{file}: not a profile: {error}. Write it again with `poise profile`"
+        ) from error
+
+
+def read(path: Path) -> Profile:
+    """Return the profile in a file; raises as `from_text`, or if it is unreadable."""
+    try:
+        text = path.read_text("utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise RobotError(
+            f"profile {path} cannot be read: {error}. `poise profile` writes it"
+        ) from error
+    return from_text(text, str(path))
+
+
+def _rounded(value: object) -> object:
+    if isinstance(value, dict):
+        return {key: _rounded(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [_rounded(entry) for entry in value]
+    return float(f"{value:.{_DIGITS}g}") if isinstance(value, float) else value
+
+
+_SCHEMA = """
+CREATE TABLE IF NOT EXISTS measurements (
+    id INTEGER PRIMARY KEY,
+    robot TEXT NOT NULL,
+    kind TEXT NOT NULL,  -- profile, or costs of connectors
+    json TEXT NOT NULL
+)
+"""
+
+
+class Store(SqliteFile):
+    """Profiles and calibrations by robot; all remain."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path, _SCHEMA, "profiles")
+
+    def add(self, profile: Profile) -> None:
+        """Add a profile."""
+        self._add(profile.robot, "profile", profile)
+
+    def all(self, robot: str) -> list[Profile]:
+        """Return every profile of a robot, newest first."""
+        profiles = self._newest_first(robot, "profile")
+        return [msgspec.json.decode(text, type=Profile) for text in profiles]
+
+    def latest(self, robot: str) -> Profile | None:
+        """Return the newest profile of a robot."""
+        return next(iter(self.all(robot)), None)
+
+    def add_costs(self, robot: str, costs: Mapping[str, KindCosts]) -> None:
+        """Add the costs of connectors on a robot's computers."""
+        self._add(robot, "costs", costs)
+
+    def latest_costs(self, robot: str) -> dict[str, KindCosts]:
+        """Return the costs of connectors by the last calibration; empty without one."""
+        text = next(self._newest_first(robot, "costs"), "{}")
+        return msgspec.json.decode(text, type=dict[str, KindCosts])
+
+    def _add(self, robot: str, kind: str, measured: object) -> None:
+        self.execute(
+            "INSERT INTO measurements (robot, kind, json) VALUES (?, ?, ?)",
+            robot,
+            kind,
+            msgspec.json.encode(measured).decode(),
+        )
+
+    def _newest_first(self, robot: str, kind: str) -> Iterator[str]:
+        rows = self.execute(
+            "SELECT json FROM measurements WHERE robot = ? AND kind = ?"
+            " ORDER BY id DESC",
+            robot,
+            kind,
+        )
+        return (text for (text,) in rows)

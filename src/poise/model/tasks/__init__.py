@@ -1,1 +1,0 @@
-"""Tasks: their steps, the phases that they go through, and what excludes what."""

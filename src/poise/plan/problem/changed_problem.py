@@ -1,0 +1,165 @@
+"""A problem changed in one way: fewer components, other computers, other capacities.
+
+Where something is left out, overhead counts for as much as in the whole.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+
+from msgspec.structs import replace
+
+from poise.errors import UsageError
+from poise.model.robot import Computer
+from poise.plan.problem.arrays import Arrays, arrays_of, overhead_scale
+from poise.plan.problem.items import Item
+from poise.plan.problem.problem import Problem
+from poise.suggest import unknown
+
+
+def keep_components(
+    problem: Problem, names: Collection[str], *, arrays: Arrays | None = None
+) -> Problem:
+    """Return the problem with only the components called `names`.
+
+    Of the time limits, those that others have a part in are left out.
+
+    Parameters
+    ----------
+    arrays
+        The numbers of the problem, where they are there already.
+    """
+    if all(c.name in names for c in problem.components):
+        return problem
+
+    def group(members: tuple[str, ...]) -> tuple[str, ...]:
+        return tuple(name for name in members if name in names)
+
+    return replace(
+        problem,
+        components=tuple(c for c in problem.components if c.name in names),
+        connectors=tuple(
+            k for k in problem.connectors if all(end in names for end in k.between)
+        ),
+        together=tuple(group(members) for members in problem.together),
+        apart=tuple(group(members) for members in problem.apart),
+        architectures=tuple(
+            a for a in problem.architectures if all(n in names for n in a.components)
+        ),
+        soft_limits=tuple(
+            each
+            if each.components is None
+            else replace(each, components=group(each.components))
+            for each in problem.soft_limits
+        ),
+        time_limits=tuple(
+            each
+            for each in problem.time_limits
+            if all(name in names for name in each.components)
+        ),
+        overhead_scale=scale_of(problem, arrays),
+    )
+
+
+def scale_of(problem: Problem, arrays: Arrays | None = None) -> float | None:
+    """Return the overhead scale that parts of a problem take over."""
+    if problem.overhead_scale is not None or problem.objective.scale == "paper":
+        return problem.overhead_scale
+    arrays = arrays or arrays_of(problem)
+    return overhead_scale(problem, arrays.overhead, arrays.traffic)
+
+
+def without(problem: Problem, names: Collection[str]) -> Problem:
+    """Return the problem without the computers called `names`.
+
+    Raises
+    ------
+    UsageError
+        When there is no such computer, or a component may run on no other.
+    """
+    _check_computers(problem, names)
+    stranded = [
+        c.name for c in problem.components if c.only and set(c.only) <= set(names)
+    ]
+    if stranded:
+        raise UsageError(
+            f"without {', '.join(sorted(names))}, these can run nowhere: "
+            f"{', '.join(stranded)}"
+        )
+    return replace(
+        problem,
+        components=tuple(_without(c, names) for c in problem.components),
+        computers=tuple(h for h in problem.computers if h.name not in names),
+        links=tuple(
+            link
+            for link in problem.links
+            if not any(name in names for name in link.between)
+        ),
+        soft_limits=tuple(
+            replace(s, limits={h: x for h, x in s.limits.items() if h not in names})
+            for s in problem.soft_limits
+        ),
+        overhead_scale=scale_of(problem),
+    )
+
+
+def add(problem: Problem, computer: Computer) -> Problem:
+    """Return the problem with one more computer, at distance 1 from all others.
+
+    Raises
+    ------
+    UsageError
+        When there is a computer of that name.
+    """
+    if any(h.name == computer.name for h in problem.computers):
+        raise UsageError(f"there is a computer called {computer.name!r} already")
+    return replace(problem, computers=(*problem.computers, computer))
+
+
+def scale(problem: Problem, factors: Mapping[str, float]) -> Problem:
+    """Return the problem with capacities multiplied.
+
+    Each key of `factors` is a computer (all its capacities) or a resource (of every
+    computer), in any case of letters; each value is finite and >= 0.
+
+    Raises
+    ------
+    UsageError
+        When a name is neither.
+    """
+    computers = {h.name.lower(): h.name for h in problem.computers}
+    resources = {r.lower(): r for r in problem.resources}
+    for name in factors:
+        if name.lower() not in {**computers, **resources}:
+            choices = ", ".join([*computers.values(), *resources.values()])
+            raise UsageError(f"{name!r} is no computer or resource ({choices})")
+    lower = {name.lower(): factor for name, factor in factors.items()}
+    return replace(
+        problem,
+        computers=tuple(
+            replace(
+                h,
+                capacity={
+                    r: amount
+                    * lower.get(r.lower(), 1.0)
+                    * lower.get(h.name.lower(), 1.0)
+                    for r, amount in h.capacity.items()
+                },
+            )
+            for h in problem.computers
+        ),
+    )
+
+
+def _without(component: Item, names: Collection[str]) -> Item:
+    only = tuple(h for h in component.only if h not in names)
+    present = None if component.present in names else component.present
+    cost = {h: x for h, x in component.cost.items() if h not in names}
+    return replace(component, only=only, present=present, cost=cost)
+
+
+def _check_computers(problem: Problem, names: Collection[str]) -> None:
+    known = [h.name for h in problem.computers]
+    for name in names:
+        if name not in known:
+            raise UsageError(unknown("computer", name, known))

@@ -1,1 +1,0 @@
-"""Which solver when, and which of several architectures."""

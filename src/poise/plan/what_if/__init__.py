@@ -1,1 +1,0 @@
-"""Questions about other robots: other computers, other capacities, fewer computers."""

@@ -1,0 +1,56 @@
+from pathlib import Path
+
+import pytest
+
+from poise.estimate.code_version import version_of
+from poise.model.robot import ComponentEntry
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    package = tmp_path / "pkg"
+    package.mkdir()
+    (package / "__init__.py").write_text("")
+    (package / "eye.py").write_text("import math\nfrom pkg import lens\n")
+    (package / "lens.py").write_text("from .glass import Glass\n")
+    (package / "glass.py").write_text("class Glass: ...\n")
+    (package / "other.py").write_text("")
+    return tmp_path
+
+
+EYE = ComponentEntry(name="eye", implementation="pkg.eye:Eye", parameters={"rate": 1})
+
+
+@pytest.mark.parametrize("module", ["eye", "lens", "glass", "__init__"])
+def test_changes_with_the_module_and_what_it_imports(folder: Path, module: str) -> None:
+    before = version_of(EYE, str(folder))
+    file = folder / "pkg" / f"{module}.py"
+    file.write_text(file.read_text() + "x = 1\n")
+    assert version_of(EYE, str(folder)) != before
+
+
+def test_does_not_change_with_other_modules(folder: Path) -> None:
+    before = version_of(EYE, str(folder))
+    (folder / "pkg" / "other.py").write_text("y = 2\n")
+    assert version_of(EYE, str(folder)) == before
+
+
+def test_changes_with_the_parameters(folder: Path) -> None:
+    other = ComponentEntry(
+        name="eye", implementation="pkg.eye:Eye", parameters={"rate": 2}
+    )
+    assert version_of(other, str(folder)) != version_of(EYE, str(folder))
+
+
+def test_covers_a_command_and_the_files_it_names(folder: Path) -> None:
+    script = folder / "run.sh"
+    script.write_text("true\n")
+    component = ComponentEntry(name="c", command=("sh", "run.sh", "-v"))
+    before = version_of(component, str(folder))
+    script.write_text("false\n")
+    assert version_of(component, str(folder)) != before
+
+
+def test_survives_code_that_is_no_python(folder: Path) -> None:
+    (folder / "pkg" / "eye.py").write_text("def (")
+    assert version_of(EYE, str(folder))

@@ -1,0 +1,37 @@
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from poise.errors import RobotError
+from poise.estimate import profiles as profile_file
+from poise.estimate.profiles import Profile
+
+
+def test_reads_what_it_wrote(profile: Profile) -> None:
+    assert profile_file.from_text(profile_file.to_text(profile), "p.yaml") == profile
+
+
+def test_keeps_four_digits(profile: Profile) -> None:
+    exact = msgspec.structs.replace(profile, agent=0.0123456789)
+    read = profile_file.from_text(profile_file.to_text(exact), "p.yaml")
+    assert read.agent == 0.01235
+
+
+@pytest.mark.parametrize("text", ["[1, 2]", "robot: [", "robot: r\n", ""])
+def test_says_which_file_is_no_profile(text: str) -> None:
+    with pytest.raises(RobotError, match=r"p\.yaml: not"):
+        profile_file.from_text(text, "p.yaml")
+
+
+def test_says_what_writes_a_file_that_is_not_there(tmp_path: Path) -> None:
+    with pytest.raises(RobotError, match="`poise profile` writes it"):
+        profile_file.read(tmp_path / "none.yaml")
+
+
+def test_refuses_costs_of_an_older_kind(profile: Profile) -> None:
+    """They did not tell the ends apart; read as nothing, all overheads would be 0."""
+    text = profile_file.to_text(msgspec.structs.replace(profile, costs={}))
+    older = text.replace("costs: {}", "costs: {remote: {call: 1.0e-3}}")
+    with pytest.raises(RobotError, match="unknown field `call`"):
+        profile_file.from_text(older, "p.yaml")

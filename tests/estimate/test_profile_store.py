@@ -1,0 +1,28 @@
+from pathlib import Path
+
+from msgspec.structs import replace
+
+from poise.estimate.profiles import Profile, Store
+
+
+def test_gives_back_the_newest(tmp_path: Path, profile: Profile) -> None:
+    newer = replace(profile, at="2026-02-01T00:00:00+00:00")
+    path = tmp_path / "deep" / "profiles.sqlite"
+    with Store(path) as store:
+        for each in (profile, newer):
+            store.add(each)
+    with Store(path) as store:
+        assert store.latest("r") == newer
+        assert store.all("r") == [newer, profile]
+        assert store.latest("another") is None
+
+
+def test_keeps_what_connectors_cost(tmp_path: Path, profile: Profile) -> None:
+    path = tmp_path / "profiles.sqlite"
+    with Store(path) as store:
+        assert store.latest_costs("r") == {}
+        store.add_costs("r", {})
+        store.add_costs("r", profile.costs)
+        store.add_costs("another", {})
+    with Store(path) as store:
+        assert store.latest_costs("r") == profile.costs
