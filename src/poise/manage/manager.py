@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import queue
 import threading
-import time
 import traceback
 from collections.abc import Callable
 from concurrent.futures import Future
@@ -20,10 +19,8 @@ from typing import TypeVar
 from msgspec import structs
 
 from poise.errors import PoiseError, RunError, TakenOver
-from poise.manage.adaptation.bad_links import check_links
 from poise.manage.adaptation.loop import Adaptation
-from poise.manage.adaptation.move_forecast import check_move
-from poise.manage.adaptation.situation import Situation
+from poise.manage.adaptation.situation import Situation, SituationReader
 from poise.manage.control_socket.commands import (
     Command,
     JournalCommand,
@@ -50,7 +47,6 @@ from poise.manage.migration.move import (
     plan_replacement,
 )
 from poise.manage.migration.planned import Planned
-from poise.manage.observe.chains import ChainAges, ChainReader, DeadlineMisses
 from poise.manage.observe.deviations import Deviation
 from poise.manage.observe.estimates import Estimates
 from poise.manage.observe.sample_recording import Recording, RecordingFile
@@ -106,8 +102,7 @@ class Manager:
         )
         self.failures = ThreadFailures(run.journal)
         self._lost = LostComputers(run)
-        self._misses = DeadlineMisses()
-        self._chains, self._ages = ChainReader(run.robot), ChainAges()
+        self._reader = SituationReader(run, estimates, self._lost)
         self.tasks = TaskManager(run, tasks, self._situation)
         self._suspensions = Suspensions(run, self.tasks.now, aside)
         if aside:
@@ -117,9 +112,7 @@ class Manager:
         self._adaptation = Adaptation(
             run, self._situation, self._suspensions, acts=adapts, keep=keep
         )
-        run.check = (
-            self._observe
-        )  # moves wait long: what breaks meanwhile is said at once
+        run.check = self._observe  # also while it waits for a move, which may take long
 
     @property
     def is_stopping(self) -> bool:
@@ -222,9 +215,7 @@ class Manager:
     def _take_samples(self) -> None:
         """Estimate from samples, keep them, and say which demands have shifted."""
         prepared = self._run.prepared.items()
-        self._estimates.idle = {
-            (name, incarnation.epoch) for name, incarnation in prepared
-        }
+        self._estimates.idle = {(name, idle.epoch) for name, idle in prepared}
         for sample in self._samples.drain():
             if self._estimates_end:
                 return
@@ -311,11 +302,7 @@ class Manager:
             case MoveCommand(component, computer, dry=True):
                 return self._adaptation.what_if(component, computer)
             case MoveCommand(component, computer, force):
-                situation = self._situation()
-                check_links(situation, component, computer)
-                if not force:
-                    check_move(situation, component, computer)
-                self._adaptation.note_asked(component, computer)
+                self._adaptation.check_asked(component, computer, force=force)
                 planned = plan_move(run, component, computer, force=force)
                 return planned.begin()
             case ReplaceCommand(component, by, adapt, fresh) if ":" in by:
@@ -334,25 +321,7 @@ class Manager:
         raise AssertionError(command)
 
     def _situation(self) -> Situation:
-        run, now, moment = self._run, self.tasks.now(), time.monotonic()
-        statuses = run.current()
-        return Situation(
-            robot=structs.replace(run.robot, tasks=(now,)),
-            task=now.name,
-            placement={
-                name: at
-                for name, at in run.placement().items()
-                if name not in run.desired.held
-            },
-            lost=self._lost.computers(),
-            loads=self._estimates.loads.loads(),
-            misses=self._misses.measure(statuses, moment),
-            chains=self._ages.measure(self._chains.reports(statuses), moment),
-            demand_estimates=tuple(self._estimates.demand_estimates()),
-            statuses=statuses,
-            traffic=self._estimates.traffic(),
-            solve_steps=run.solve_steps,
-        )
+        return self._reader.read(self.tasks.now())
 
     def _raise_on_successor(self) -> None:
         successor = self._run.agents.successor()

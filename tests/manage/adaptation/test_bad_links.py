@@ -13,8 +13,8 @@ from poise.manage.adaptation.bad_links import check_links
 from poise.manage.adaptation.decision import decide
 from poise.manage.adaptation.policies import Policies
 from poise.manage.adaptation.policy_values import values_of
-from poise.manage.adaptation.responder import MoveLimits
 from poise.manage.adaptation.situation import Situation
+from poise.manage.adaptation.transitions import MoveLimits
 from poise.model.policy.policy import LinkValues
 from poise.model.policy.shipped import policies_of
 from poise.model.robot import Computer, Connector, ConnectorEnd, Link, Robot

@@ -7,7 +7,7 @@ import random
 import pytest
 
 from poise.manage.adaptation.decision import decide
-from poise.manage.adaptation.responder import BUDGET, REST, MoveLimits
+from poise.manage.adaptation.transitions import BUDGET, SETTLE, MoveLimits
 from poise.manage.migration.migration_report import TransitionStep
 from tests.manage.adaptation.conftest import Make
 
@@ -18,8 +18,8 @@ def test_it_rests_until_what_has_changed_is_measured() -> None:
     move_limits = MoveLimits()
     for now in (0.0, 10.0, 20.0):
         move_limits.note([AWAY], now)
-        assert move_limits.is_backing_off(now + 0.9 * REST)
-        assert not move_limits.is_backing_off(now + REST)
+        assert move_limits.is_backing_off(now + 0.9 * SETTLE)
+        assert not move_limits.is_backing_off(now + SETTLE)
 
 
 def test_a_component_may_not_return_for_some_time() -> None:

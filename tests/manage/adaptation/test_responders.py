@@ -5,8 +5,7 @@ from __future__ import annotations
 import pytest
 
 from poise.manage.adaptation.loop import Adaptation
-from poise.manage.adaptation.responder import Change, Responder
-from poise.manage.adaptation.situation import Situation
+from poise.manage.adaptation.situation import Change, Responder, Situation
 from poise.manage.deploy.desired import Desired
 from poise.testing.virtual_clock import VirtualClock
 from tests.manage.adaptation.shortages.test_put_aside import Robbed, robot_with

@@ -8,15 +8,15 @@ computer, then suspended; what is pinned stays, and its agent goes on restarting
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
 
 from poise.errors import PoiseError, RunError, UsageError
 from poise.manage.adaptation.bad_links import check_links
 from poise.manage.adaptation.move_forecast import check_move
-from poise.manage.adaptation.policies import Policies, Symptom
-from poise.manage.adaptation.responder import Change, MoveLimits
-from poise.manage.adaptation.situation import Situation
+from poise.manage.adaptation.policies import Policies, Symptom, saw
+from poise.manage.adaptation.situation import Change, Situation
+from poise.manage.adaptation.transitions import MoveLimits
 from poise.manage.deploy.desired import Desired
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.migration.migration_report import (
@@ -144,13 +144,6 @@ class Actions:
                 if component.name == _component(symptom) or name == inside:
                     return architecture
         raise UsageError(f"no architecture has '{name}'")
-
-
-def saw(symptoms: Iterable[Symptom]) -> list[dict[str, object]]:
-    """Return policies and the values that they saw, for the journal."""
-    return [
-        {"policy": symptom.policy.name, "saw": symptom.values} for symptom in symptoms
-    ]
 
 
 def _raise_on_failure(report: MigrationReport | TransitionReport) -> None:

@@ -17,14 +17,14 @@ from msgspec.structs import replace
 
 from poise.clock import wall_time
 from poise.errors import PoiseError
-from poise.manage.adaptation.actions import Actions, saw
-from poise.manage.adaptation.move_forecast import alternatives, what_if
-from poise.manage.adaptation.policies import Key, Policies, Symptom
+from poise.manage.adaptation.actions import Actions
+from poise.manage.adaptation.bad_links import check_links
+from poise.manage.adaptation.move_forecast import alternatives, check_move, what_if
+from poise.manage.adaptation.policies import Key, Policies, Symptom, saw
 from poise.manage.adaptation.policy_values import values_of
 from poise.manage.adaptation.proposals import Proposal, WhatIf
 from poise.manage.adaptation.replan import propose
-from poise.manage.adaptation.responder import Responder
-from poise.manage.adaptation.situation import Situation
+from poise.manage.adaptation.situation import Responder, Situation
 from poise.manage.adaptation.transitions import Replan, Transitions, UseAgain
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.migration.migration_report import TransitionReport
@@ -139,9 +139,15 @@ class Adaptation:
         """Return what a move would change, for a person who asks."""
         return what_if(self._situation(), component, computer)
 
-    def note_asked(self, component: str, computer: str) -> None:
-        """Journal that a person asks for a move, and what else could be done."""
+    def check_asked(self, component: str, computer: str, *, force: bool) -> None:
+        """Check a move that a person asks for; journal it, and what else could be done.
+
+        Raises UsageError when a cut link or, unless `force`, a limit forbids it.
+        """
         situation = self._situation()
+        check_links(situation, component, computer)
+        if not force:
+            check_move(situation, component, computer)
         try:
             change = what_if(situation, component, computer)
         except PoiseError:  # the move itself says why not

@@ -239,6 +239,13 @@ class Policies:
         self._acted |= {symptom.key: now for symptom in symptoms}
 
 
+def saw(symptoms: Iterable[Symptom]) -> list[dict[str, object]]:
+    """Return policies and the values that they saw, for the journal."""
+    return [
+        {"policy": symptom.policy.name, "saw": symptom.values} for symptom in symptoms
+    ]
+
+
 def _resolved(
     policy: Policy, action: PolicyAction, seen: Seen
 ) -> tuple[Policy, Values | None]:

@@ -1,18 +1,23 @@
-"""What the manager knows of a running robot at one moment."""
+"""What the manager knows of a running robot at one moment, and what answers to it."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import time
+from collections.abc import Callable, Mapping
+from typing import Protocol
 
 from msgspec import Struct
 from msgspec.structs import replace
 
 from poise.estimate.profiles import ConnectorProfile
 from poise.manage.adaptation.policies import Symptom
-from poise.manage.observe.chains import ChainAge
-from poise.manage.observe.estimates import DemandEstimate, Load
+from poise.manage.deploy.desired import Desired
+from poise.manage.deploy.lost_computers import LostComputers
+from poise.manage.deploy.running_components import RunningComponents
+from poise.manage.observe.chains import ChainAge, ChainAges, ChainReader, DeadlineMisses
+from poise.manage.observe.estimates import DemandEstimate, Estimates, Load
 from poise.model.policy.policy import Do, TimerValues
-from poise.model.robot import Computer, Robot
+from poise.model.robot import Computer, Robot, Task
 from poise.wire.records.status_records import AgentStatus
 
 Homes = Mapping[str, tuple[str, ...]]
@@ -115,3 +120,57 @@ def _less_background(
     wanted = load.background * times
     cores = computer.capacity.get("cpu", 0.0) - wanted / computer.speed
     return replace(computer, capacity={**computer.capacity, "cpu": max(0.0, cores)})
+
+
+class SituationReader:
+    """Reads what the manager knows of its robot, for one moment at a time."""
+
+    def __init__(
+        self, run: RunningComponents, estimates: Estimates, lost: LostComputers
+    ) -> None:
+        self._run = run
+        self._estimates = estimates
+        self._lost = lost
+        self._misses = DeadlineMisses()
+        self._chains, self._ages = ChainReader(run.robot), ChainAges()
+
+    def read(self, task: Task) -> Situation:
+        """Return the situation now, while `task` runs."""
+        run, moment = self._run, time.monotonic()
+        statuses = run.current()
+        held = run.desired.held
+        placement = {n: at for n, at in run.placement().items() if n not in held}
+        return Situation(
+            robot=replace(run.robot, tasks=(task,)),
+            task=task.name,
+            placement=placement,
+            lost=self._lost.computers(),
+            loads=self._estimates.loads.loads(),
+            misses=self._misses.measure(statuses, moment),
+            chains=self._ages.measure(self._chains.reports(statuses), moment),
+            demand_estimates=tuple(self._estimates.demand_estimates()),
+            statuses=statuses,
+            traffic=self._estimates.traffic(),
+            solve_steps=run.solve_steps,
+        )
+
+
+class Change(Struct, frozen=True, kw_only=True):
+    """What a responder wants done; nothing of it has happened yet."""
+
+    carry_out: Callable[[], object]
+    why: str = ""  # the decision, for the journal; empty: what carries it out says it
+    facts: Mapping[str, object] = {}  # what led to it, for the journal
+
+
+class Responder(Protocol):
+    """Reacts to one kind of trouble. Changes nothing by itself, and never waits."""
+
+    @property
+    def purpose(self) -> str:
+        """Return what it is there for."""
+        ...
+
+    def respond(self, situation: Situation, desired: Desired) -> Change | None:
+        """Return what should change; None: nothing, so the next responder is asked."""
+        ...

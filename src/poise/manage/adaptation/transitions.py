@@ -15,22 +15,127 @@ gains only every other time comes to rest.
 
 from __future__ import annotations
 
+from collections import deque
+from collections.abc import Iterable, Mapping
 from functools import partial
 from typing import NamedTuple
 
 from msgspec.structs import replace
 
-from poise.manage.adaptation.actions import saw
 from poise.manage.adaptation.decision import HORIZON, Decision, decide
 from poise.manage.adaptation.move_forecast import alternatives
-from poise.manage.adaptation.policies import Key, Policies, Symptom
-from poise.manage.adaptation.responder import Change, MoveLimits
-from poise.manage.adaptation.situation import Situation
+from poise.manage.adaptation.policies import Key, Policies, Symptom, saw
+from poise.manage.adaptation.situation import Change, Situation
 from poise.manage.deploy.desired import Desired
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.migration.migration_report import TransitionReport, TransitionStep
 from poise.manage.migration.transition_run import transit
 from poise.manage.shortages.suspension import CALM, Suspensions
+
+SETTLE = 2.0
+"""The loop waits so long after a transition [s]: loads are means over a second."""
+LONGEST_BACKOFF = 300.0
+"""The longest time until the loop thinks again when nothing can be done [s]."""
+FORGET_QUARANTINE = 600.0
+"""After this time [s] a component stays away for the first, shortest time again."""
+STAY_AWAY = 300.0
+"""A component does not return to a computer for this time [s]; then twice as long."""
+BUDGET = 60
+"""The most components that move within a minute."""
+FIRST_BACKOFF = 2.0
+"""The first such time [s]; it doubles up to `LONGEST_BACKOFF`."""
+CHANGED_AFTER = 0.5
+"""The backoff ends after this time [s] when the amounts have changed."""
+_MINUTE = 60.0
+
+
+Amounts = Mapping[str, float]
+"""What a decision depends on: an amount for each thing [cores]."""
+_CHANGED = 0.1
+"""It is another one when an amount has changed by this share, and `_NOTICEABLE`."""
+_NOTICEABLE = 0.05
+"""[cores]"""
+
+
+def has_changed(before: Amounts, now: Amounts) -> bool:
+    """Return whether a decision may be another one now."""
+    return before.keys() != now.keys() or any(
+        abs(now[name] - amount) > max(_NOTICEABLE, _CHANGED * max(amount, now[name]))
+        for name, amount in before.items()
+    )
+
+
+class MoveLimits:
+    """What the loop did lately, and so whether it may act now; times are in [s]."""
+
+    def __init__(self) -> None:
+        self._idle_until = 0.0
+        self._backoff = FIRST_BACKOFF
+        self._moves: deque[float] = deque()
+        self._left: dict[tuple[str, str], tuple[float, float]] = {}
+        self._in_vain: tuple[float, Amounts] | None = None
+
+    def is_backing_off(self, now: float, amounts: Amounts | None = None) -> bool:
+        """Return whether to wait: a transition settles, or nothing could be done.
+
+        The second ends when `amounts` have changed since.
+        """
+        if self._in_vain is not None and amounts is not None:
+            at, before = self._in_vain
+            if now >= at + CHANGED_AFTER and has_changed(before, amounts):
+                self.reset_backoff()
+                return False
+        return now < self._idle_until
+
+    def may_move(self, number: int, now: float) -> bool:
+        """Return whether `number` components may move within the budget."""
+        while self._moves and now - self._moves[0] >= _MINUTE:
+            self._moves.popleft()
+        return len(self._moves) + number <= BUDGET
+
+    def quarantined(self, now: float) -> dict[str, set[str]]:
+        """Return component -> computers to which it may not return yet."""
+        away: dict[str, set[str]] = {}
+        for (component, computer), (until, _) in self._left.items():
+            if now < until:
+                away.setdefault(component, set()).add(computer)
+        return away
+
+    def start_backoff(self, now: float, amounts: Amounts | None = None) -> None:
+        """Remember that nothing could be done about what is wrong."""
+        self._in_vain = None if amounts is None else (now, amounts)
+        self._idle_until = now + self._backoff
+        self._backoff = min(2 * self._backoff, LONGEST_BACKOFF)
+
+    def reset_backoff(self) -> None:
+        """Think at once about what goes wrong next: nothing is wrong now."""
+        self._backoff = FIRST_BACKOFF
+        self._in_vain = None
+
+    def note(self, steps: Iterable[TransitionStep], now: float) -> None:
+        """Remember a transition, whether it went well or not."""
+        self.reset_backoff()
+        self._idle_until = now + SETTLE
+        steps = tuple(steps)
+        self._moves.extend(now for step in steps if step.target)
+        for component, (source, target) in _paths(steps).items():
+            if not source or not target or source == target:
+                continue
+            key = component, source
+            until, stay = self._left.get(key, (0.0, STAY_AWAY / 2))
+            forgotten = now - until >= FORGET_QUARANTINE
+            stay = STAY_AWAY if forgotten else 2 * stay
+            self._left[key] = now + stay, stay
+
+
+def _paths(steps: Iterable[TransitionStep]) -> dict[str, tuple[str, str]]:
+    """Return from where to where components go; a cold move is a stop and a start."""
+    moves: dict[str, tuple[str, str]] = {}
+    for step in steps:
+        source, _ = moves.get(step.component, (step.source, ""))
+        moves[step.component] = source, step.target
+    return moves
+
 
 FORGET_AFTER = 600.0
 """After so long without a symptom [s] what was lost before counts no more."""

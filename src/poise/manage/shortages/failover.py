@@ -11,8 +11,8 @@ from msgspec import Struct
 from poise import plan
 from poise.errors import RobotError
 from poise.manage.adaptation.replan import explain
-from poise.manage.adaptation.responder import Change, MoveLimits
-from poise.manage.adaptation.situation import Homes, Situation
+from poise.manage.adaptation.situation import Change, Homes, Situation
+from poise.manage.adaptation.transitions import MoveLimits
 from poise.manage.deploy.desired import Desired
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.migration.migration_report import TransitionStep

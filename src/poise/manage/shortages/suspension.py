@@ -17,8 +17,7 @@ from msgspec import Struct, structs
 from poise.clock import wall_time
 from poise.errors import UsageError
 from poise.estimate.code_version import version_of
-from poise.manage.adaptation.responder import Change
-from poise.manage.adaptation.situation import Situation
+from poise.manage.adaptation.situation import Change, Situation
 from poise.manage.deploy.desired import Desired
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.journal import Journal

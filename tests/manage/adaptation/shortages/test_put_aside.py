@@ -11,8 +11,7 @@ from msgspec.structs import replace
 from poise.errors import UsageError
 from poise.manage.adaptation.decision import decide
 from poise.manage.adaptation.policies import Symptom
-from poise.manage.adaptation.responder import Responder
-from poise.manage.adaptation.situation import Situation
+from poise.manage.adaptation.situation import Responder, Situation
 from poise.manage.agent_connections.agents import Agents
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.journal import Journal
