@@ -73,7 +73,7 @@ class RunError(PoiseError):
 
 
 class TakenOver(RunError):
-    """Another manager has taken the robot over, which goes on."""
+    """Another manager has taken over the robot, which keeps running."""
 
     exit_code = 3
 

@@ -96,7 +96,7 @@ def test_a_kill_is_one_line_and_its_end_another(up: Path) -> None:
         "container 'working' on 'small' was killed by SIGKILL; the state of 'other', "
         "'worker' is gone: they restart"
     )
-    assert right.what == "container 'working' on 'small' runs as it should again"
+    assert right.what == "container 'working' on 'small' is healthy again"
     done = run_poise("status", "--robot", NAME)
     assert done.returncode == 0, done.stdout
     assert (

@@ -164,8 +164,8 @@ def test_a_run_ends_with_a_report_and_prints_nothing_else(tmp_path: Path) -> Non
     assert {c["name"] for c in told["components"]} == {"counter", "printer"}
     assert told["faults"] == []
     assert (report / "journal.jsonl").exists()
-    assert "everything runs" in [entry["what"] for entry in told["journal"]]
-    assert "everything runs" in (report / "report.html").read_text()
+    assert "all components run" in [entry["what"] for entry in told["journal"]]
+    assert "all components run" in (report / "report.html").read_text()
     if not told["invalid"]:
         assert "printer has 10" in result.stderr
 
@@ -216,7 +216,7 @@ def test_errors_of_a_component_that_goes_on_are_told_and_can_be_allowed(
 def test_an_agent_that_is_killed_is_said_at_once(robot: Write) -> None:
     code, said = run(robot(implementation("Murderous")), "--task", "work")
     assert code == 1
-    assert re.search(r"computer .\w+. is out of reach since", said)
+    assert re.search(r"computer .\w+. has been out of reach since", said)
 
 
 def test_a_run_goes_on_when_an_agent_is_killed(robot: Write) -> None:

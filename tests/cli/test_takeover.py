@@ -65,7 +65,7 @@ def test_a_killed_manager_is_succeeded_by_one_that_touches_nothing(
     assert after["placement"] == before["placement"]
     wait_long(lambda: not status()["deviations"])
     log = (tmp_path / "poise" / f"{NAME}.log").read_text()
-    assert "2 components go on as they run" in log
+    assert "2 components keep running" in log
 
     refused = run_poise("up", "--detach", file)
     assert refused.returncode == 2
@@ -97,7 +97,7 @@ def test_a_manager_that_is_replaced_leaves_the_robot_and_says_by_whom(
         assert done.returncode == 0, done.stderr
         said = first.communicate()[0]
         assert first.returncode == 3
-        assert "has taken the robot over, which goes on" in said
+        assert "has taken over the robot, which keeps running" in said
         assert containers(status()) == containers(before)
 
 

@@ -152,7 +152,7 @@ def test_a_move_to_a_computer_that_is_out_of_reach_is_refused_at_once(
     managed.agents.gone.add("left")
     managed.manager.work(0.0)  # from here on the manager goes on without it
     sentences = managed.sentences_of_move()
-    assert "computer 'left' is out of reach since" in sentences[-1]
+    assert "computer 'left' has been out of reach since" in sentences[-1]
 
 
 def test_a_bug_in_a_command_is_refused_and_the_robot_goes_on(
@@ -198,7 +198,9 @@ def test_a_lost_computer_is_told_once(managed: Managed) -> None:
     managed.agents.lose_when_told = "right"
     sentences = managed.sentences_of_move()
     managed.manager.work(0.0)
-    said = [s for s in sentences if s.startswith("computer 'right' is out of reach")]
+    said = [
+        s for s in sentences if s.startswith("computer 'right' has been out of reach")
+    ]
     assert len(said) == 1
 
 

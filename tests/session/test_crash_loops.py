@@ -114,12 +114,14 @@ def test_it_runs_on_the_other_computer_and_is_put_aside_when_it_crashes_there(
         shaky.wait_more()
 
         shaky.crash("everywhere")
-        wait_long(lambda: any("put aside" in d.what for d in robot.status().deviations))
+        wait_long(
+            lambda: any("is suspended" in d.what for d in robot.status().deviations)
+        )
         assert "shaky" not in robot.status().placement
         done = run_poise("status", "--robot", emulated.robot)
         assert done.returncode == 1
         said = " ".join(done.stdout.split())
-        assert "architecture 'shaky' is put aside: container 'shaky' crashes" in said
+        assert "architecture 'shaky' is suspended: container 'shaky' crashes" in said
         assert "exit code 3" in said
         steady.wait_more()
         assert steady.now()[1] == neighbour

@@ -121,7 +121,7 @@ def test_what_makes_room_for_higher_priorities_comes_back_when_there_is_room(
         emulated.crash(before["high"])
         wait_long(lambda: robot.status().placement.get("high") == before["low"])
         assert "low" not in robot.status().placement
-        wait_long(lambda: is_said(robot, "architecture 'low' is put aside"))
+        wait_long(lambda: is_said(robot, "architecture 'low' is suspended"))
         emulated.boot(before["high"])
         wait_long(lambda: robot.status().placement.get("low") == before["high"])
         wait_long(lambda: is_well(robot))
@@ -180,4 +180,4 @@ def test_an_error_amid_a_takeover_leaves_the_robot_at_work(
         poise.up(robot, task="drive", say=said.append).__enter__()
     monkeypatch.undo()
     with poise.up(robot, task="drive", say=said.append):
-        assert any("3 components go on as they run" in each for each in said)
+        assert any("3 components keep running" in each for each in said)

@@ -209,7 +209,7 @@ class Manager:
         """Take no more samples: without a simulated world sensors are silent."""
         if not self._estimates_end:
             self._estimates_end = True
-            what = "the simulated world has ended: estimates stay as they are"
+            what = "the simulated world has ended: estimates are frozen"
             self._run.journal.note("seen", what)
 
     def _take_samples(self) -> None:
@@ -293,7 +293,7 @@ class Manager:
         what = f"{command} ended by a bug of Poise: {type(error).__name__}: {error}"
         self._run.journal.note("failed", what, traceback=traceback.format_exc())
         self._run.release(what)
-        return Refusal(f"{what}. The robot goes on as it was placed", "RunError")
+        return Refusal(f"{what}. The robot keeps its placement", "RunError")
 
     def _done(self, command: Command) -> Result | Planned:
         run = self._run
@@ -326,7 +326,7 @@ class Manager:
     def _raise_on_successor(self) -> None:
         successor = self._run.agents.successor()
         if successor is not None:
-            text = f"{successor} has taken the robot over, which goes on"
+            text = f"{successor} has taken over the robot, which keeps running"
             self._run.journal.note("seen", text)
             self._run.leave()
             self._has_successor = True

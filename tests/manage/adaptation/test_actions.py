@@ -48,7 +48,7 @@ def test_the_architecture_of_a_component_is_put_aside() -> None:
     take(robbed, about("low", do="put aside"))
     assert robbed.run.placement() == HIGH
     (deviation,) = robbed.aside.deviations()
-    assert deviation.what.startswith("architecture 'low-task' is put aside: ")
+    assert deviation.what.startswith("architecture 'low-task' is suspended: ")
 
 
 def test_of_a_computer_the_lowest_priority_is_put_aside() -> None:
@@ -96,7 +96,7 @@ def test_a_move_keeps_the_budget_and_does_not_return_too_soon() -> None:
     limits, policy = MoveLimits(), about("low", do="move", to="right")
     back = TransitionStep("low", "right", "left")
     limits.note([back], 0.0)
-    with pytest.raises(RunError, match="'low' left 'right' only lately"):
+    with pytest.raises(RunError, match="'low' left 'right' only recently"):
         take(robbed_of_two(), policy, limits, 1.0)
     limits.note([back] * BUDGET, 1.0)
     with pytest.raises(RunError, match="over the budget of a minute"):

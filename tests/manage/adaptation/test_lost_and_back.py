@@ -54,7 +54,9 @@ def test_what_runs_well_is_not_disturbed() -> None:
     back.look(1.0 + CALM)
     back.look(100.0)
     assert back.run.placement() == BOTH
-    assert back.said() == ["'right' may be used again: all that runs has what it needs"]
+    assert back.said() == [
+        "'right' may be used again; every running component has what it needs"
+    ]
 
 
 def test_what_restarts_without_the_state_that_was_to_be_kept_is_said() -> None:

@@ -60,7 +60,7 @@ def test_a_migration_that_was_not_committed_is_rolled_back(robot: Robot) -> None
     adoption = adopted(robot, *found)
     assert adoption.kept["thinker"] == THINKER
     (sentence,) = adoption.half_done
-    assert "'thinker' from 'right' to 'left' was half done, and is rolled" in sentence
+    assert "'thinker' from 'right' to 'left' was interrupted, and is rolled" in sentence
 
 
 def test_a_migration_that_was_committed_is_finished(robot: Robot) -> None:

@@ -112,7 +112,7 @@ def test_a_lost_computer_is_said_at_once(robot: Robot, agents: FakeAgents) -> No
     run.start()
     agents.gone.add("right")
     with pytest.raises(
-        RunError, match=r"'right' is out of reach since .*thinker stops"
+        RunError, match=r"'right' has been out of reach since .*thinker stops"
     ):
         run.watch(100.0)
 
@@ -142,7 +142,7 @@ def test_a_stop_says_what_still_runs_out_of_reach(
     agents.gone.add("right")
     agents.refusing.add("right")
     with pytest.raises(
-        RunError, match=r"'right' is out of reach since .* thinker stops"
+        RunError, match=r"'right' has been out of reach since .* thinker stops"
     ):
         stop(run)
     assert not agents.statuses()["left"].containers
@@ -228,7 +228,7 @@ def test_what_is_out_of_reach_has_not_surely_ended(
     old = run.placed["thinker"]
     agents.gone.add("right")
     run.commit(run.desired.without(["thinker"]), "a test")
-    with pytest.raises(RunError, match="computer 'right' is out of reach"):
+    with pytest.raises(RunError, match="computer 'right' has been out of reach"):
         run.wait_ended(old)
 
 
@@ -275,6 +275,6 @@ def test_a_stop_ends_what_is_back_though_not_all_is(
     run.start()
     agents.gone |= {"right", "third"}
     agents.back = "right"
-    with pytest.raises(RunError, match="computer 'third' is out of reach"):
+    with pytest.raises(RunError, match="computer 'third' has been out of reach"):
         stop(run)
     assert not agents.statuses()["right"].containers

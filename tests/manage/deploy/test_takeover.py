@@ -54,7 +54,7 @@ def test_starts_everything_where_nothing_runs(robot: Robot) -> None:
     start_or_take_over(run, by_force=False)
     assert run.placement() == PLACEMENT
     assert not agents.is_forced
-    assert sentences(journal)[-1] == "everything runs"
+    assert sentences(journal)[-1] == "all components run"
 
 
 def test_goes_on_with_what_runs_and_says_so(robot: Robot) -> None:
@@ -149,4 +149,4 @@ def test_a_manager_that_has_a_successor_leaves_the_robot_as_it_is(
         manager.work(0.0)
     manager.stop()
     assert all(status.containers for status in agents.statuses().values())
-    assert "has taken the robot over" in sentences(journal)[-1]
+    assert "has taken over the robot" in sentences(journal)[-1]

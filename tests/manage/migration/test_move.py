@@ -750,7 +750,7 @@ def test_goes_on_when_the_targets_agent_dies(
     # what had answered before it could be told that all have done so stays gone
     assert report.committed == (before == "resume")
     if before != "resume":
-        assert "computer 'right' is out of reach since" in report.reason
+        assert "computer 'right' has been out of reach since" in report.reason
         assert run.placement()["counter"] == "left"
         mortal.works()
         assert mortal.told("sink")[1] == 0

@@ -60,7 +60,7 @@ class Preparation:
 def test_a_preparation_without_progress_ends_and_says_what_is_missing() -> None:
     preparation = Preparation()
     preparation.look_after(STALL_LIMIT)
-    with pytest.raises(RunError, match=r"since 2 s: connector 'a.out-mid.in' is not"):
+    with pytest.raises(RunError, match=r"for 2 s: connector 'a.out-mid.in' is not"):
         preparation.look_after(0.1)
 
 

@@ -95,7 +95,7 @@ def test_names_a_container_that_nobody_wants(robot: Robot) -> None:
     )
     plan = DeploymentPlan(robot, "")
     (found,) = find_deviations([], [], plan, {"a": status}, 5.0)
-    assert found.what == "container 'odd' runs on 'a', unwanted"
+    assert found.what == "container 'odd' runs on 'a' but should not"
 
 
 @pytest.mark.parametrize(
@@ -137,6 +137,6 @@ def test_an_error_of_an_agents_own_code_is_shown_with_its_part(robot: Robot) -> 
     (found,) = find_deviations([], [], plan, {"a": status}, 5.0)
     assert found.computer == "a"
     assert found.what == (
-        "agent of 'a': an error of Poise in its part \"container 'see'\": KeyError: "
+        "agent of 'a': an internal error in part \"container 'see'\": KeyError: "
         "'a bug' (traceback in its log); the rest goes on"
     )

@@ -136,5 +136,5 @@ def test_of_too_many_samples_the_last_wait_and_it_is_said(
     assert [each.at for each in waiting.drain()] == [3, 4]
     assert waiting.drain() == []
     assert waiting.trouble == (
-        "3 samples of agents came while the manager was busy, and are lost"
+        "3 samples of agents arrived while the manager was busy, and were dropped"
     )

@@ -119,7 +119,7 @@ def test_a_preparation_that_fails_is_said_and_dropped(rig: Rig) -> None:
     rig.look(NEXT)
     assert rig.said("failed") == [
         (
-            "component 'thinker' cannot be prepared on 'right', and starts only with "
+            "component 'thinker' cannot be prepared on 'right'; it starts only with "
             "its action: KeyError: 'map'"
         )
     ]
@@ -144,7 +144,7 @@ def test_a_container_that_crashes_as_it_is_prepared_is_not_tried_on(rig: Rig) ->
     assert not rig.run.prepared
     assert rig.said("failed") == [
         (
-            "component 'thinker' cannot be prepared on 'right', and starts only with "
+            "component 'thinker' cannot be prepared on 'right'; it starts only with "
             "its action: was killed by SIGSEGV"
         )
     ]
@@ -187,7 +187,7 @@ def test_what_is_dropped_unused_counts_as_wasted(rig: Rig, robot: Robot) -> None
     rig.look(NEXT)
     rig.look(NEXT)
     assert not rig.run.prepared
-    assert rig.said("decided")[-1] == "'thinker' not prepared any more"
+    assert rig.said("decided")[-1] == "'thinker' no longer prepared"
     assert rig.prefetch.report().wasted == 7_000_000
 
 

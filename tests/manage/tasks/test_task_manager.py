@@ -188,7 +188,10 @@ def test_what_no_action_needs_ends_after_its_linger() -> None:
     rig.end("seeer")
     rig.manager.advance()
     assert rig.resting() == set()
-    assert "architecture 'see-arch' ends: no action needed it for 0.0 s" in rig.said()
+    assert (
+        "stopping architecture 'see-arch': no action has needed it for 0.0 s"
+        in rig.said()
+    )
 
 
 def test_the_task_of_higher_priority_gets_the_room_and_the_other_goes_on_later() -> (
@@ -202,7 +205,7 @@ def test_the_task_of_higher_priority_gets_the_room_and_the_other_goes_on_later()
     assert rig.resting() == {"seeer", "goer"}
     state, why = rig.states()["low"]
     assert state == "waiting"
-    assert why.startswith("task 'high' uses the room that it needs: ")
+    assert why.startswith("task 'high' uses capacity that it needs: ")
     rig.end("sayer")
     assert rig.active() == {"seeer", "goer"}
     assert rig.run.placed["goer"].epoch == before  # it kept its state
@@ -248,7 +251,7 @@ def test_what_rests_gives_way_when_its_memory_is_needed() -> None:
     assert rig.resting() == {"seeer"}
     rig.end("goer")
     assert (rig.active(), rig.resting()) == ({"sayer"}, {"goer"})
-    assert "there is no memory to let seeer rest" in rig.said()
+    assert "there is not enough memory to keep seeer idle" in rig.said()
 
 
 def test_a_paused_task_rests_and_keeps_its_state() -> None:

@@ -168,7 +168,7 @@ def test_a_limit_counts_only_while_the_action_works() -> None:
     played.work()
     assert played.after(3.9) == ["a"]
     assert played.after(0.2) == []
-    assert "10 s are over" in played.tasks.records[0].why
+    assert "its limit of 10 s is over" in played.tasks.records[0].why
 
 
 def test_a_condition_ends_an_action_as_done() -> None:
@@ -286,7 +286,7 @@ def test_a_task_that_the_robot_file_has_no_more_is_given_up_and_said() -> None:
     played = Played(task("t", act("a")))
     said: list[str] = []
     Tasks(robot_with(), said.append, saved=played.tasks.saved)
-    assert said == ["task 't' is given up: the robot file has it no more"]
+    assert said == ["task 't' is dropped: the robot file no longer has it"]
 
 
 def test_what_comes_next_is_known_with_its_probability() -> None:

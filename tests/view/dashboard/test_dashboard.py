@@ -115,7 +115,7 @@ def test_shows_a_robot_its_log_asks_what_if_moves_and_undoes(
         on(page, "left", "counter").wait_for()
         on(page, "right", "printer").wait_for()
         page.get_by_role("cell", name="counter.tick").wait_for()
-        page.get_by_text("everything runs").first.wait_for()
+        page.get_by_text("all components run").first.wait_for()
 
         # what if, by dragging; nothing happens
         printer = on(page, "right", "printer")

@@ -3,7 +3,7 @@
 No action breaks a pin, a layer or a limit of a computer, moves more than the budget, or
 returns too soon, unless its policy says `force`; nothing at all moves a component to a
 computer where it may not run. A container in a crash loop is tried once on each
-computer, then suspended; what is pinned stays, and its agent goes on restarting it.
+computer, then suspended; what is pinned stays, and its agent keeps restarting it.
 """
 
 from __future__ import annotations
@@ -98,7 +98,7 @@ class Actions:
             if not self._limits.may_move(1, now):
                 raise RunError("the move is over the budget of a minute")
             if target in self._limits.quarantined(now).get(component, ()):
-                raise RunError(f"'{component}' left '{target}' only lately")
+                raise RunError(f"'{component}' left '{target}' only recently")
             check_move(situation, component, target)
         self._limits.note([TransitionStep(component, source, target)], now)
         _raise_on_failure(move(run, component, target))
@@ -198,11 +198,11 @@ class CrashLoops:
         names = components_in(run, symptom)
         pinned = _pinned(run.robot)
         if not names:
-            raise RunError("it is not there any more")
+            raise RunError("it no longer runs")
         for name in names:
             if name in pinned:
                 stays = f"component '{name}' stays on '{symptom.computer}'"
-                goes_on = "its agent goes on restarting it"
+                goes_on = "its agent keeps restarting it"
                 raise RunError(f"{stays}: {pinned[name]}; {goes_on}")
         before = _crashed_before(container, situation, now) | self._crashed.get(
             container, {}
@@ -238,7 +238,7 @@ class CrashLoops:
         container = symptom.values.name
         health = situation.statuses[symptom.computer].health
         fault = next((h.last_fault for h in health if h.name == container), None)
-        way_out = "it is taken back when its code has changed, or by `poise balance`"
+        way_out = "it is resumed when its code changes, or by `poise balance`"
         said = f" (the last time: {fault.message})" if fault else ""
         why = f"container '{container}' crashes again and again on {computers}{said}"
         architecture = self._run.robot.architecture_of(names[0])

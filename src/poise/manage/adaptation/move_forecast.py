@@ -171,7 +171,7 @@ def check_move(situation: Situation, component: str, computer: str) -> None:
     if new := _new_breaks(robot, situation.placement, component, computer):
         raise UsageError(
             f"component '{component}' does not fit on '{computer}' ({'; '.join(new)}); "
-            "`--force` moves it nevertheless"
+            "`--force` moves it anyway"
         )
 
 

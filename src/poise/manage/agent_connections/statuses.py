@@ -126,17 +126,19 @@ def unreached(
     sentences = {}
     for computer, since in sorted(out_of_reach.items()):
         began = time.strftime("%H:%M:%S", time.localtime(since))
-        sentences[computer] = f"computer '{computer}' is out of reach since {began}"
+        sentences[computer] = (
+            f"computer '{computer}' has been out of reach since {began}"
+        )
         inside = sorted(name for name, at in placement.items() if at == computer)
         other = heard_by.get(computer)
         if inside and other:
             names = ", ".join(inside)
-            sentences[computer] += f"; '{other}' hears it: its components {names} go on"
+            sentences[computer] += f"; '{other}' still reaches it: {names} keep running"
             continue
         stop = ", ".join(name for name in inside if name in leased)
         stay = ", ".join(name for name in inside if name not in leased)
         if stop:
             sentences[computer] += f"; {stop} stops there when its lease ends"
         if stay:
-            sentences[computer] += f"; {stay} may run on there"
+            sentences[computer] += f"; {stay} may still run there"
     return sentences

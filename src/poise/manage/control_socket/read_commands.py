@@ -98,8 +98,10 @@ def _silent(
 ) -> Iterator[Deviation]:
     for name, age in sorted(ages.items()):
         if age > STALE and name not in out_of_reach:
-            what = f"the agent of '{name}' is there, but has stopped to report: what "
-            what += "runs there is not known; see its process and the load there"
+            what = (
+                f"the agent of '{name}' is connected, but has stopped reporting: what "
+            )
+            what += "runs there is unknown; check its process and the load there"
             yield Deviation(what=what, computer=name, since=now - age)
 
 
@@ -165,7 +167,9 @@ def begin_of(statuses: Statuses, asked: str) -> tuple[str, str, str]:
         listed = "; ".join(sorted(found)) or "none"
         raise UsageError(f"no connector '{asked}' (there are: {listed})")
     if names == targets and len(names) > 1:
-        raise UsageError(f"several lead to '{asked}': {'; '.join(sorted(names))}")
+        raise UsageError(
+            f"several connectors end at '{asked}': {'; '.join(sorted(names))}"
+        )
     return (names[0], *found[names[0]])
 
 

@@ -216,7 +216,7 @@ def _differences(
     layout: DeploymentPlan,
     planned: Mapping[str, str],
 ) -> Iterator[tuple[str, str]]:
-    """Yield the components that cannot go on as they run, and why."""
+    """Yield the components that cannot keep running, and why."""
     allowed = allowed_computers(robot)
     reasons, stale = {}, {}
     for name in sorted(counts.keys() & planned.keys()):
@@ -281,7 +281,7 @@ def _half_done(
             source, target = incarnations[0], incarnations[-1]
             way = f"'{name}' from '{source.computer}' to '{target.computer}'"
             done = "finished" if counts[name] is target else "rolled back"
-            yield f"the migration of {way} was half done, and is {done}"
+            yield f"the migration of {way} was interrupted, and is {done}"
 
 
 def components_to_hold(

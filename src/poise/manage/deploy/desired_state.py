@@ -163,7 +163,7 @@ class DesiredState:
         return (
             f"component '{component}' waits: another manager may run it on {names}, "
             "which this one has not reached. `poise up FILE --take-over` starts it "
-            "nevertheless"
+            "anyway"
         )
 
     def _reconcile(self) -> None:
@@ -216,4 +216,4 @@ class DesiredState:
         )
         self.claimed |= deployments.keys()
         self._joining = {}
-        self.commit(desired, f"what is at work on {names} goes on there")
+        self.commit(desired, f"components on {names} keep running")

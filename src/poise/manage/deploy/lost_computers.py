@@ -144,7 +144,7 @@ class LostComputers:
         pid_before, self._pids[computer] = self._pids.get(computer), status.pid
         what = f"computer '{computer}' is reached again"
         if pid_before is None:
-            what = f"computer '{computer}' is reached; what is at work there goes on"
+            what = f"computer '{computer}' is reached; its components keep running"
         elif pid_before != status.pid:
             adopted = status.adopted
             went_on = counted(adopted, "container") if adopted else "no container"

@@ -81,7 +81,7 @@ class RunningComponents(DesiredState):
         self.agents.claim(self.computers())
         self.claimed |= self.computers()
         if left := containers_left(self.agents.statuses(), self.computers()):
-            text = f"an earlier manager left {', '.join(left)}: it is ended first"
+            text = f"stopping what an earlier manager left: {', '.join(left)}"
             self.journal.note("seen", text)
             placed = self.desired
             self.end_all("an earlier manager left something")
@@ -94,7 +94,7 @@ class RunningComponents(DesiredState):
         self.journal.note("decided", what)
         self.reach("inactive", READY_LIMIT)
         self.reach("active", ACTIVE_LIMIT)
-        self.journal.note("done", "everything runs", placement=self.placement())
+        self.journal.note("done", "all components run", placement=self.placement())
 
     def watch(self, seconds: float) -> None:
         """Let it run for `seconds` [s]; raise RunError when something fails."""
@@ -198,7 +198,7 @@ class RunningComponents(DesiredState):
         if not self.agents.wait_news(has_ended, STOP_LIMIT):
             raise RunError(
                 f"component '{gone.component}' still runs on '{gone.computer}' "
-                f"{STOP_LIMIT:g} s after it was to end"
+                f"{STOP_LIMIT:g} s after the request to stop it"
             )
 
     def unresponsive(self, incarnations: Iterable[Incarnation]) -> list[str]:

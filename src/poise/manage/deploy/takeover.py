@@ -69,7 +69,7 @@ def start_or_take_over(
         run.start_all()
         return
     said = next((f" of {manager}" for manager in before if manager), "")
-    run.journal.note("seen", f"the robot{said} runs: taking over")
+    run.journal.note("seen", f"the robot{said} is running: taking it over")
     if by_force:  # a person says that nobody else runs anything on the others
         run.claimed |= {computer.name for computer in run.robot.computers}
     held = frozenset[str]()
@@ -242,7 +242,9 @@ def _end_containers(
 
     if not run.agents.wait_news(lambda: not still_there(), STOP_LIMIT):
         names = ", ".join(still_there())
-        raise RunError(f"{names} still runs {STOP_LIMIT:g} s after it was to end")
+        raise RunError(
+            f"{names} still runs {STOP_LIMIT:g} s after the request to stop it"
+        )
 
 
 def _last_epochs(found: Sequence[ReportedIncarnation]) -> dict[str, int]:
@@ -258,9 +260,11 @@ def _note(run: RunningComponents, adoption: Adoption) -> None:
     for name, reason in adoption.restarts.items():
         run.journal.note("decided", f"component '{name}' restarts: {reason}")
     for name in adoption.ends:
-        run.journal.note("decided", f"component '{name}' ends: the task needs it not")
+        run.journal.note(
+            "decided", f"stopping component '{name}': the task does not need it"
+        )
     kept = counted(len(adoption.kept), "component")
-    run.journal.note("decided", f"{kept} go on as they run", kept=sorted(adoption.kept))
+    run.journal.note("decided", f"{kept} keep running", kept=sorted(adoption.kept))
 
 
 def _start(
@@ -325,4 +329,4 @@ def _move(run: RunningComponents, wanted: Mapping[str, str]) -> None:
         if steps:
             transit(run, steps)
     except PoiseError as error:
-        run.journal.note("failed", f"the placement stays as it is: {error}")
+        run.journal.note("failed", f"the placement is unchanged: {error}")

@@ -192,7 +192,7 @@ def _check_target(
     if layer != "sequencing" and not force:
         raise UsageError(
             f"component '{component}' is in the {layer} layer, which does not move; "
-            "`--force` moves it nevertheless"
+            "`--force` moves it anyway"
         )
     allowed = allowed_computers(run.robot, layers_stay=False)[component]
     if computer not in allowed:

@@ -52,7 +52,7 @@ class Stall:
         if missing != self._missing or self._is_configuring():
             self._missing, self._since = missing, now
         elif now > self._since + STALL_LIMIT:
-            text = f"nothing goes on since {STALL_LIMIT:g} s"
+            text = f"no progress for {STALL_LIMIT:g} s"
             raise RunError(f"{text}: {'; '.join(missing)}")
 
     def _is_configuring(self) -> bool:

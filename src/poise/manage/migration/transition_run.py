@@ -72,7 +72,7 @@ def start_together(
             names = [incarnation.component for incarnation in new]
             run.commit(run.desired.without(names), "components did not start")
         return False
-    run.journal.note("done", "they are at work", placement=run.placement())
+    run.journal.note("done", "the components run again", placement=run.placement())
     return True
 
 

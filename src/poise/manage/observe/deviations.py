@@ -56,7 +56,7 @@ class Deviation(Struct, frozen=True, kw_only=True):
     def end(self) -> str:
         """Return a sentence for when it is over."""
         if self.component:
-            return f"component '{self.component}' is as it should be again"
+            return f"component '{self.component}' runs as desired again"
         return f"no more: {self.what}"
 
 
@@ -132,14 +132,15 @@ def _of_containers(wanted: AbstractSet[str], status: AgentStatus) -> Iterator[st
     for error in status.errors:
         last = error.text.rstrip().rpartition("\n")[2]
         yield (
-            f"agent of '{status.computer}': an error of Poise in its part "
+            f"agent of '{status.computer}': an internal error in part "
             f'"{error.where}": {last} (traceback in its log); the rest goes on'
         )
     for running in status.containers:
         if running.trouble:
             yield f"on '{status.computer}' {running.trouble}"
         if running.name not in wanted:
-            yield f"container '{running.name}' runs on '{status.computer}', unwanted"
+            where = f"container '{running.name}' runs on '{status.computer}'"
+            yield f"{where} but should not"
     for health in status.health:
         if health.name in wanted and health.restarts_lately >= _CRASH_LOOP:
             where = f"container '{health.name}' on '{status.computer}'"

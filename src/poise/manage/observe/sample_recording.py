@@ -47,7 +47,7 @@ class Recording:
     def trouble(self) -> str:
         """How many there was no room for, in words; empty: for all."""
         missing = self._missing
-        what = "came while the manager was busy, and are lost"
+        what = "arrived while the manager was busy, and were dropped"
         return f"{counted(missing, 'sample')} of agents {what}" if missing else ""
 
     def drain(self) -> list[AgentSample]:

@@ -118,4 +118,4 @@ class Watch:
                 is_well = health.state == "running" and health.name not in deviating
                 if is_well and self._faults.close(computer, health.name):
                     what = f"container '{health.name}' on '{computer}'"
-                    run.journal.note("right", f"{what} runs as it should again")
+                    run.journal.note("right", f"{what} is healthy again")

@@ -239,7 +239,7 @@ def not_running(robot: Robot, task: str, placed: Iterable[str]) -> list[Architec
 
 
 def _sentence(name: str, why: str) -> str:
-    return f"architecture '{name}' is put aside: {why}"
+    return f"architecture '{name}' is suspended: {why}"
 
 
 class NeededFunctions:
@@ -380,7 +380,7 @@ class ResumeSuspended:
                 started = [architecture.name for architecture in architectures]
                 what = " and ".join(f"architecture '{name}'" for name in started)
                 return Change(
-                    why=f"there is room: {what} taken back",
+                    why=f"there is room: resuming {what}",
                     facts={"placement": where},
                     carry_out=partial(self._start, started, where, now),
                 )

@@ -250,7 +250,7 @@ class Admission:
             if not self._beside(situation, going[:count], left_out, planned).why:
                 others = " and ".join(f"'{record.name}'" for record in going[:count])
                 for record in going[count:]:
-                    text = f"task {others} uses the room that it needs: {whole.why}"
+                    text = f"task {others} uses capacity that it needs: {whole.why}"
                     self._tasks.block(record.name, text)
                 return whole
         self._end_or_block(going[0], whole.why)

@@ -69,7 +69,7 @@ class Tasks:
         for record in list(self.saved.records):
             if record.name not in self._tasks:
                 self.saved.records.remove(record)
-                say(f"task '{record.name}' is given up: the robot file has it no more")
+                say(f"task '{record.name}' is dropped: the robot file no longer has it")
 
     @property
     def records(self) -> list[TaskRecord]:
@@ -199,7 +199,9 @@ class Tasks:
             for attempt in self.tries(record):
                 limit, worked = attempt.action.limit, self.worked(attempt, now)
                 if limit is not None and worked >= limit:
-                    self._end(record, attempt, f"{limit:g} s are over", done=False)
+                    self._end(
+                        record, attempt, f"its limit of {limit:g} s is over", done=False
+                    )
             self._settle(record, now)
 
     def due(self, now: float) -> float | None:
@@ -300,7 +302,7 @@ class Tasks:
                 return
         progress.state = "done"
         progress.inside = []
-        self._say(f"task '{record.name}': a repetition is done: {until.when} holds")
+        self._say(f"task '{record.name}': a repetition ends: {until.when} holds")
 
     def _end(
         self, record: TaskRecord, attempt: Attempt, why: str, *, done: bool

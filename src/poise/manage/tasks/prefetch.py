@@ -212,7 +212,7 @@ class Prefetcher:
         if not drops and not begins:
             return
         if drops:
-            note("decided", f"{_list(drops)} not prepared any more")
+            note("decided", f"{_list(drops)} no longer prepared")
             drop(run, drops)
         for likely_action in likely:
             mine = {
@@ -298,7 +298,7 @@ class Prefetcher:
         for name, why in failed.items():
             computer = run.prepared[name].computer
             where = f"component '{name}' cannot be prepared on '{computer}'"
-            text = f"{where}, and starts only with its action: {why}"
+            text = f"{where}; it starts only with its action: {why}"
             run.journal.note("failed", text)
         if failed:
             self._back_off(failed)

@@ -167,8 +167,8 @@ class IdleComponents:
                 continue
             limit = self.limit(architecture)
             if all(now - self._since[name] >= limit for name in names):
-                text = f"architecture '{architecture.name}' ends: no action needed it "
-                run.journal.note("decided", f"{text}for {limit:.1f} s")
+                text = f"stopping architecture '{architecture.name}': no action has "
+                run.journal.note("decided", f"{text}needed it for {limit:.1f} s")
                 drop(run, names)
 
     def oldest_first(self, prepared: Iterable[str]) -> list[str]:

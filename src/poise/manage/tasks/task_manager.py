@@ -243,7 +243,9 @@ class TaskManager:
         gone = beyond_memory(run.robot, {**works, **begins}, rest, order)
         if gone:
             names = ", ".join(gone)
-            run.journal.note("decided", f"there is no memory to let {names} rest")
+            run.journal.note(
+                "decided", f"there is not enough memory to keep {names} idle"
+            )
         gone += [n for n in stops if run.placed[n].computer in away]
         if gone:
             why = "it cannot stay idle: no memory, or its computer is out of reach"
@@ -266,7 +268,7 @@ class TaskManager:
         """End the actions whose components say so, and do what components wish."""
         now = boot_time()
         for attempt, said in self._reported_ends():
-            what = f"'{attempt.action.ends}' said so"
+            what = f"'{attempt.action.ends}' reported its end"
             self.tasks.end(attempt.number, now, what, done=said.done)
         self._note_ended()
         note = self._run.journal.note
@@ -333,7 +335,7 @@ class TaskManager:
                 explore=self._explore,
             )
         except PoiseError as error:
-            note("failed", f"of a choice the first is taken: {error}")
+            note("failed", f"the first option of a choice is taken: {error}")
             return 0
 
     def _kept(self) -> set[str]:
@@ -381,7 +383,10 @@ def goes_on_with(run: RunningComponents, asked: Tasks, journal: Journal) -> Save
     try:
         saved = msgspec.msgpack.decode(run.desired.tasks, type=Saved)
     except msgspec.DecodeError as error:
-        note("failed", f"the tasks of the manager before are given up: {error}")
+        note(
+            "failed",
+            f"the previous manager's tasks cannot be read, and are dropped: {error}",
+        )
         return asked.saved
     tasks = Tasks(run.robot, lambda text: note("decided", text), saved=saved)
     for record in list(tasks.records):

@@ -253,7 +253,7 @@ class Steps:
             "give up"
         ):
             progress.inside = [self._begin(instead)]
-            self._say(f"instead of action '{action.name}' something else is done")
+            self._say(f"action '{action.name}' failed: its alternative begins")
         else:
             progress.state = "failed"
 

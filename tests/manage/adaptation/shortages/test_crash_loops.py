@@ -97,9 +97,9 @@ def test_what_crashes_everywhere_is_put_aside_and_stays_so() -> None:
     assert robbed.run.placement() == HIGH
     (deviation,) = robbed.aside.deviations()
     assert deviation.what == (
-        "architecture 'low-task' is put aside: container 'low-task' crashes again and "
+        "architecture 'low-task' is suspended: container 'low-task' crashes again and "
         "again on 'left' and 'right' (the last time: ended with exit code 3); it is "
-        "taken back when its code has changed, or by `poise balance`"
+        "resumed when its code changes, or by `poise balance`"
     )
     assert robbed.wrong()[-1] == deviation.what
     robbed.crashing = set()
@@ -171,9 +171,7 @@ def test_other_layers_stay_and_that_is_said(layer: str) -> None:
     robbed.look(100)
     assert robbed.run.placement() == {"high": "left", "low": "left"}
     assert robbed.run.placed["low"].epoch == 0
-    said = [
-        what for what in robbed.wrong() if "its agent goes on restarting it" in what
-    ]
+    said = [what for what in robbed.wrong() if "its agent keeps restarting it" in what]
     assert len(said) == 2  # once a minute
     assert (
         f"component 'low' stays on 'left': it belongs to the {layer} layer" in said[0]

@@ -76,7 +76,7 @@ def test_a_task_stops_without_what_it_needs_until_it_is_back() -> None:
     assert loop.look(3.0, "right") == {"low": "right"}  # it is there once that is back
     why = "task 'work' needs function 'low', which is missing"
     assert loop.troubles() == [why]
-    assert loop.robbed.sentences() == [f"architecture 'high-task' is put aside: {why}"]
+    assert loop.robbed.sentences() == [f"architecture 'high-task' is suspended: {why}"]
     assert loop.look(60.0, "right") == {"low": "right"}
     assert loop.look(62.0) == APART
     assert loop.troubles() == []

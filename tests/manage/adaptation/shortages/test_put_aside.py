@@ -125,7 +125,7 @@ def test_what_is_put_aside_stops_and_is_said() -> None:
     assert robbed.aside.suspend(["low-task"], "it crashes", 0.0)
     assert robbed.run.placement() == HIGH
     (deviation,) = robbed.aside.deviations()
-    assert deviation.what == "architecture 'low-task' is put aside: it crashes"
+    assert deviation.what == "architecture 'low-task' is suspended: it crashes"
     assert robbed.sentences() == [deviation.what]
 
 
@@ -185,7 +185,7 @@ def test_what_is_put_aside_again_stays_aside_for_longer() -> None:
 def test_what_is_aside_from_the_start_is_said() -> None:
     robbed = Robbed(robot_with(), HIGH)
     robbed.aside.record()
-    assert robbed.sentences() == ["architecture 'low-task' is put aside: not all fits"]
+    assert robbed.sentences() == ["architecture 'low-task' is suspended: not all fits"]
 
 
 @pytest.mark.parametrize("layer", ["reactive", "deliberative"])
