@@ -8,10 +8,12 @@ from collections.abc import Mapping
 import pytest
 from msgspec.structs import replace
 
+from poise.estimate.online import Estimate
 from poise.manage.adaptation.decision import decide
 from poise.manage.adaptation.situation import Situation
 from poise.manage.migration.transition_plan import missing_cpu
 from poise.manage.observe.chains import ChainAge
+from poise.manage.observe.estimates import DemandEstimate
 from poise.model.robot import (
     Action,
     Architecture,
@@ -61,12 +63,63 @@ APART = {"a": "left", "b": "right"}
 def test_when_all_fits_another_placement_does_not_help(situation: Make) -> None:
     found = decide(situation(missed=("a",)))
     assert not found.acts
-    assert "all components fit where they are: another placement" in found.why
+    assert (
+        "all components have the CPU that they need where they are: another placement"
+        in found.why
+    )
     busy = decide(situation(APART, background={"right": 0.1}, missed=("a",)))
     assert (
-        "all components fit where they are, beside other programs, which take 0.1 "
-        "cores of 'right': another placement would not help"
+        "all components have the CPU that they need where they are, beside other "
+        "programs, which take 0.1 cores of 'right': another placement would not help"
     ) in busy.why
+
+
+def crowded(situation: Make, takes: float) -> Situation:
+    """Return a and b of 0.24 on 0.5 cores, late, with runs that take so long [s]."""
+    seen = situation(robot=robot_of({"a": 0.24, "b": 0.24}), missed=("a", "b"))
+    demands = tuple(
+        DemandEstimate(
+            component=name,
+            computer="left",
+            expected=None,
+            estimate=Estimate(mean=0.24, p95=0.24, error=0.002),
+        )
+        for name in ("a", "b")
+    )
+    misses = tuple(replace(timer, takes=takes) for timer in seen.misses)
+    return replace(seen, demand_estimates=demands, misses=misses)
+
+
+def test_what_is_late_on_a_crowded_computer_moves_though_its_demand_fits(
+    situation: Make,
+) -> None:
+    """0.48 of 0.5 cores are used, and runs take 106 ms of the 100 ms they have."""
+    found = decide(crowded(situation, takes=0.106))
+    assert found.acts
+    assert found.proposal is not None
+    assert len({*found.proposal.placement.values()}) == 2
+
+
+def test_what_is_late_for_another_reason_stays_on_a_crowded_computer(
+    situation: Make,
+) -> None:
+    """Its runs take 30 ms of the 100 ms they have: a deadline is missed elsewhere."""
+    assert not decide(crowded(situation, takes=0.03)).acts
+
+
+def test_what_is_lost_with_its_computer_is_named_where_nothing_helps(
+    situation: Make,
+) -> None:
+    robot = robot_of({"a": 0.1, "eye": 0.1}, computers=3).with_components(
+        lambda c: replace(c, only=("c2",)) if c.name == "eye" else c
+    )
+    seen = situation({"a": "left", "eye": "c2"}, robot=robot, missed=("a",))
+    found = decide(replace(seen, lost=frozenset({"c2"})))
+    assert not found.acts
+    assert "blocked" not in found.why
+    assert found.why.endswith(
+        "Lost with their computers: 'eye' of 'c2'; what needs them waits"
+    )
 
 
 def test_when_nothing_fits_it_says_what_is_missing(situation: Make) -> None:

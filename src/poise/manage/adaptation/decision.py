@@ -55,6 +55,10 @@ STARVED = 0.1
 WORTH = 0.01
 """What a unit of F is worth besides [core-seconds]: it only decides between placements
 that leave the same work undone."""
+_CROWDED = 0.9
+"""A computer is crowded when components need this share of what it has for them."""
+_URGENT, _MOST_URGENT = 1.1, 1.5
+"""A late component on a crowded computer is counted with this many times its CPU."""
 _LEAST = 1e-6
 """A gain below this is none [cores]."""
 
@@ -103,7 +107,8 @@ def decide(
     doubt
         How many times costs count, >= 1.
     """
-    situation = situation.of_running_components()
+    gone = _gone(situation)
+    situation = _with_urgency(situation.of_running_components())
     bad = bad_links(situation)
     quarantined = beyond_cuts(quarantined, situation.placement, bad)
     robot = _without_quarantined(
@@ -115,7 +120,7 @@ def decide(
     in_vain = wasted(situation, robot_now, situation.placement, bad)
     is_old = any(chain.is_late for chain in situation.chains)
     if not short and not in_vain and not is_old:
-        return Decision(acts=False, why=causes + nothing_helps(situation))
+        return Decision(acts=False, why=causes + nothing_helps(situation, gone))
     costs = move_costs(situation, robot_now)
     try:
         proposal = propose(
@@ -149,7 +154,7 @@ def decide(
         if short:
             why = _why_not(situation, robot, causes, costs)
         elif is_old and not proposal.steps:
-            why = causes + nothing_helps(situation)
+            why = causes + nothing_helps(situation, gone)
     return Decision(
         acts=acts,
         why=why,
@@ -157,6 +162,47 @@ def decide(
         gain=gain,
         cost=cost,
         undone=undone,
+    )
+
+
+def _gone(situation: Situation) -> str:
+    """Return which components are lost with their computers; empty: none."""
+    names = [n for n, at in situation.placement.items() if at in situation.lost]
+    return ", ".join(f"'{n}' of '{situation.placement[n]}'" for n in sorted(names))
+
+
+def _with_urgency(situation: Situation) -> Situation:
+    """Return the situation with the CPU that late components need to be in time.
+
+    Utilisation below 1 is not schedulability: on a crowded computer a component whose
+    runs take longer than its deadline needs its CPU by that factor sooner.
+    """
+    robot = with_present_demands(situation.robot, situation.demand_estimates)
+    demands = {c.name: c.demand.get("cpu", 0.0) for c in robot.components()}
+    used = dict.fromkeys((c.name for c in robot.computers), 0.0)
+    for name, at in situation.placement.items():
+        used[at] += demands[name]
+    usable = {c.name: c.usable("cpu") for c in situation.computers_left()}
+    crowded = {name for name, cores in used.items() if cores >= _CROWDED * usable[name]}
+    factors = {
+        timer.component: min(max(timer.takes / timer.deadline, _URGENT), _MOST_URGENT)
+        for timer in situation.misses
+        if timer.late
+        and timer.takes >= _CROWDED * timer.deadline > 0
+        and timer.computer in crowded
+    }
+    return replace(
+        situation,
+        demand_estimates=tuple(
+            replace(
+                need,
+                estimate=replace(
+                    need.estimate,
+                    mean=factors.get(need.component, 1.0) * need.estimate.mean,
+                ),
+            )
+            for need in situation.demand_estimates
+        ),
     )
 
 

@@ -98,13 +98,18 @@ def _measured(
     return replace(limit, fixed=fixed, hops=tuple(hops), price=price)
 
 
-def nothing_helps(situation: Situation) -> str:
-    """Return that no placement helps what is late, for people."""
-    return (
-        f"{late(situation)}by their demands all components fit where they are"
+def nothing_helps(situation: Situation, gone: str = "") -> str:
+    """Return that no placement helps what is late, for people.
+
+    `gone`: the components that were lost with their computers, in words.
+    """
+    what = (
+        f"{late(situation)}all components have the CPU that they need where they are"
         f"{_others(situation)}: another placement would not help. "
-        "Is a component blocked, or its deadline too short for its work?"
     )
+    if gone:
+        return f"{what}Lost with their computers: {gone}; what needs them waits"
+    return f"{what}Is a component blocked, or its deadline too short for its work?"
 
 
 def _others(situation: Situation) -> str:
