@@ -20,7 +20,7 @@ from poise.manage.journal import Journal, check_journal
 from poise.manage.manager import TICK, Manager
 from poise.manage.observe.estimates import Estimates
 from poise.manage.observe.sample_recording import Recording, RecordingFile
-from poise.manage.tasks.task_manager import goes_on_with
+from poise.manage.tasks.saved_tasks import goes_on_with
 from poise.model.robot import Robot
 from poise.session.callbacks import Check, Say, log, nothing
 from poise.session.launch.start import Sampling, Started, started

@@ -18,7 +18,8 @@ from poise.manage.agent_connections.agents import Agents
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.journal import Journal
 from poise.manage.tasks.concurrent_tasks import Tasks
-from poise.manage.tasks.task_manager import TaskManager, goes_on_with
+from poise.manage.tasks.saved_tasks import goes_on_with
+from poise.manage.tasks.task_manager import TaskManager
 from poise.manage.tasks.task_progress import Saved
 from poise.model.robot import (
     Action,
@@ -159,6 +160,40 @@ def test_an_action_ends_by_its_component_and_the_next_one_starts() -> None:
     rig.end("goer")
     assert (rig.active(), rig.resting()) == (set(), {"seeer", "goer"})
     assert rig.states() == {"t": ("done", "")}
+
+
+def test_an_action_fails_at_once_when_an_alternative_lacks_what_ends_it(
+    tmp_path: Path,
+) -> None:
+    """A better alternative provides `see` without the component that reports the end.
+
+    No architecture is to blame, so nothing is learned of any.
+    """
+    robot = robot_with(task("t", act("a", "see", "go", limit=60.0)))
+    better = Architecture(
+        name="quick-see",
+        function="see",
+        components=(
+            ComponentEntry(
+                name="glancer",
+                implementation="a:B",
+                demand={"cpu": 0.1},
+                only=("main",),
+            ),
+        ),
+    )
+    see, *others = robot.architectures
+    architectures = (replace(see, quality=0.5), *others, better)
+    robot = replace(robot, architectures=architectures, folder=str(tmp_path))
+    rig = Rig(robot, "t")
+    state, why = rig.states()["t"]
+    assert state == "failed"
+    assert why == (
+        "action 'a' failed: 'seeer.done' ends it, but architecture 'quick-see' "
+        "provides 'see' without component 'seeer'"
+    )
+    for architecture in ("quick-see", "go-arch"):
+        assert beliefs_about(robot, architecture) == []
 
 
 def test_a_component_learns_once_that_its_action_begins() -> None:

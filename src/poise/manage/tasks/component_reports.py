@@ -9,7 +9,7 @@ from msgspec import Struct
 
 from poise.manage.agent_connections.statuses import components_of
 from poise.manage.deploy.running_components import RunningComponents
-from poise.model.robot import Architecture
+from poise.model.robot import Architecture, ConnectorEnd
 from poise.wire.records.status_records import TaskWish
 
 
@@ -99,6 +99,18 @@ class Serving:
             for a in self._run.robot.architectures
             if any(c.name in names for c in a.components)
         }
+
+    def why_endless(self, end: ConnectorEnd | None) -> str:
+        """Return why nothing can report an action's end; empty: its component runs."""
+        if end is None or end.component in self._run.placed:
+            return ""
+        function = self._run.robot.architecture_of(end.component).function
+        if not (serving := self.architectures([function])):
+            return ""  # it is suspended, or its computer is lost: it may come back
+        return (
+            f"'{end}' ends it, but architecture '{serving[0]}' provides '{function}' "
+            f"without component '{end.component}'"
+        )
 
     def _whole(self) -> list[Architecture]:
         """Return what is placed wholly; computed when the placed components change."""

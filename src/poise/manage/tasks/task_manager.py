@@ -6,7 +6,6 @@ journal; agents keep the state that the next manager needs to go on.
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Callable, Iterable, Mapping
 from collections.abc import Set as AbstractSet
 
@@ -19,7 +18,6 @@ from poise.manage.adaptation.policy_values import values_of
 from poise.manage.adaptation.situation import Situation
 from poise.manage.deploy.desired import Desired, Incarnation
 from poise.manage.deploy.running_components import RunningComponents
-from poise.manage.journal import Journal
 from poise.manage.migration.transition_run import transit
 from poise.manage.tasks.action_placement import (
     Admission,
@@ -203,7 +201,20 @@ class TaskManager:
             self.tasks.began(attempt.number, boot_time())
             if begins:
                 self._note_switch(record, attempt, is_hit=is_hit)
-        return False
+        return self._fail_endless([attempt for _, attempt in began])
+
+    def _fail_endless(self, began: Iterable[Attempt]) -> bool:
+        """End actions whose end would never be reported; return whether there are any.
+
+        An alternative without the component that ends an action provides its function.
+        """
+        endless = False
+        for attempt in began:
+            if why := self._serving.why_endless(attempt.action.ends):
+                endless = True
+                self.tasks.end(attempt.number, boot_time(), why, done=False)
+        self._note_ended()
+        return endless
 
     def _with_turns(self) -> Desired:
         """Return what should run, when components know which actions begin.
@@ -300,6 +311,9 @@ class TaskManager:
         for ended in self.tasks.take_ended():
             self._since = boot_time()
             self._room_at = 0.0
+            end = ended.action.ends
+            if end is not None and end.component not in self._run.placed:
+                continue  # nothing could report its end: no architecture is to blame
             serving = self._serving.architectures(ended.action.functions)
             self._unlearned.append((ended, serving))
 
@@ -370,49 +384,3 @@ class TaskManager:
 
     def _say(self, text: str) -> None:
         self._run.journal.note("decided", text)
-
-
-def goes_on_with(run: RunningComponents, asked: Tasks, journal: Journal) -> Saved:
-    """Return the tasks that go on: those of the manager before, and those asked for.
-
-    `asked`: what this manager was to start; what runs already goes on where it was.
-    """
-    if not run.desired.tasks:
-        return asked.saved
-    note = journal.note
-    try:
-        saved = msgspec.msgpack.decode(run.desired.tasks, type=Saved)
-    except msgspec.DecodeError as error:
-        note(
-            "failed",
-            f"the previous manager's tasks cannot be read, and are dropped: {error}",
-        )
-        return asked.saved
-    tasks = Tasks(run.robot, lambda text: note("decided", text), saved=saved)
-    for record in list(tasks.records):
-        if record.state not in OVER:
-            names = ", ".join(f"'{attempt.name}'" for attempt in tasks.tries(record))
-            note("decided", f"task '{record.name}' goes on with {names}")
-    if saved.boot != boot_id():
-        _begin_clocks(tasks, journal)
-    for record in asked.records:
-        with contextlib.suppress(UsageError):  # it goes on already
-            tasks.start(record.name, boot_time(), record.priority)
-    return tasks.saved
-
-
-def _begin_clocks(tasks: Tasks, journal: Journal) -> None:
-    """Let actions at work begin now, for another computer's clock says nothing here."""
-    now = boot_time()
-    for record in tasks.records:
-        for attempt in tasks.tries(record):
-            if attempt.progress.since is not None:
-                attempt.progress.since = now
-                if attempt.action.limit is not None:
-                    journal.note(
-                        "decided",
-                        f"the limit of {attempt.action.limit:g} s of action "
-                        f"'{attempt.name}' of task '{record.name}' counts from now on, "
-                        f"less {attempt.progress.spent:g} s: its manager ran on "
-                        "another computer, or before this computer was restarted",
-                    )
