@@ -88,20 +88,20 @@ def break_down(*_: object, **__: object) -> None:
 
 
 PARTS: dict[str, Callable[[Buggy], tuple[object, str]]] = {
-    "take samples": lambda b: (b.manager._samples, "take"),
-    "look after tasks": lambda b: (b.manager.tasks, "look"),
-    "prepare the next action": lambda b: (b.manager._prefetch, "look"),
-    "adapt the placement": lambda b: (b.adaptation._needs, "look"),
+    "take samples": lambda b: (b.manager._samples, "drain"),
+    "look after tasks": lambda b: (b.manager.tasks, "advance"),
+    "prepare the next action": lambda b: (b.manager._prefetch, "update"),
+    "adapt the placement": lambda b: (b.adaptation._needs, "evaluate"),
     "wait for news": lambda b: (b.manager.tasks, "has_news"),
     "see who manages the robot": lambda b: (b.manager._run.agents, "successor"),
-    "look at itself": lambda b: (b.manager._troubles, "look"),
+    "look at itself": lambda b: (b.manager._troubles, "check"),
     "bring agents to what should run": lambda b: (b.manager._run, "gateways"),
     "tell the agent of 'left' what should run": lambda b: (
         b.manager._run.reconciler,
         "step",
     ),
     "see which computers are lost": lambda b: (b.manager._lost, "note"),
-    "watch components": lambda b: (b.manager._watch, "look"),
+    "watch components": lambda b: (b.manager._watch, "record"),
     **{
         purpose: lambda b, n=number: (b.adaptation.responders[n], "respond")  # type: ignore[misc]
         for number, purpose in enumerate(
