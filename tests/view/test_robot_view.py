@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import pytest
+from msgspec.structs import replace
 
 from poise.session.running_robots.running import Status
 from poise.view.robot_view import SPAN, ComponentRow, ConnectorRow, Reader, TimerRow
@@ -81,7 +82,7 @@ def seen(
 def test_rates_are_differences_on_the_time_of_the_container() -> None:
     reader = Reader()
     first = reader.take(seen(10.0, cpu=1.0, missed=5, sent=100), now=0.0)
-    assert first.components[0].cpu == 0.0  # nothing to compare with yet
+    assert first.components[0].cpu is None  # nothing to compare with yet
     # the second came late, after 3 s, and the container says that 2 s have passed
     view = reader.take(seen(12.0, cpu=1.5, missed=9, sent=140), now=3.0)
     assert view.components[0] == ComponentRow("eye", "left", "active", 0.25, 2.0, 1)
@@ -109,12 +110,14 @@ def test_what_began_again_has_no_rate_below_nothing() -> None:
     assert view.components[0].cpu == 0.0
     assert view.connectors[0].rate == 0.0
     view = reader.take(seen(12.0, cpu=0.2, missed=0, sent=3, epoch=1), 2.0)
-    assert view.components[0].cpu == 0.0
+    assert view.components[0].cpu is None  # not yet known, and not 0 %
 
 
 def test_what_is_missing_is_shown_as_missing() -> None:
     view = Reader().take(seen(1.0, cpu=0.0, missed=0, sent=0), 0.0)
-    assert view.components[1] == ComponentRow("mind", "left", "not there", 0, 0, 0)
+    assert view.components[1] == ComponentRow(
+        "mind", "left", "not there", None, None, 0
+    )
     left, right = view.computers
     assert (left.name, left.cpu, left.cores, left.components) == ("left", 0.5, 2.0, 2)
     assert left.is_reached
@@ -125,3 +128,22 @@ def test_components_of_a_computer_out_of_reach_are_unknown() -> None:
     status = seen(1.0, cpu=0.0, missed=0, sent=0)
     lost = shown(status.computers, out_of_reach={"left": 1.0})
     assert Reader().take(lost, 0.0).components[0].state == "unknown"
+
+
+def test_a_stale_end_does_not_say_how_a_connector_is_now() -> None:
+    """The mind was beside the eye on a computer that froze, and was restarted."""
+    status = seen(1.0, cpu=0.0, missed=0, sent=0)
+    old = status.computers["left"].containers[0].connectors
+    there = ConnectorStatus(
+        name="eye.x-mind.x", kind="remote", end="target", ready=True
+    )
+    container = ContainerStatus(name="d", pid=2, at=1.0, connectors=(there,))
+    right = AgentStatus(
+        computer="right", generation=1, uptime=1.0, cpu=0.0, containers=(container,)
+    )
+    now = replace(
+        status, computers={**status.computers, "right": right}, ages={"left": 9.0}
+    )
+    assert {end.kind for end in old} == {"local"}
+    (row,) = Reader().take(now, 0.0).connectors
+    assert (row.kind, row.rate) == ("remote", None)

@@ -12,6 +12,7 @@ from typing import Any, get_args
 
 import msgspec
 from msgspec import Struct
+from msgspec.structs import asdict
 
 from poise.clock import wall_time
 from poise.errors import PoiseError, RunError
@@ -71,9 +72,12 @@ class ChainRow(Struct, frozen=True):
 
 def schema_of(type_: type[Struct]) -> Schema:
     """Return the schema of a record whose fields are numbers, texts and truths."""
-    found = msgspec.json.schema(type_)
+    schema = msgspec.json.schema(type_)["$defs"][type_.__name__]
+    parts = schema["properties"].items()
     return {
-        **found["$defs"][type_.__name__],
+        "type": "object",
+        # what is not known is left out: Foxglove refuses parts that may be null
+        "properties": {name: part.get("anyOf", [part])[0] for name, part in parts},
         "title": f"poise.{type_.__name__.removesuffix('Row')}",
     }
 
@@ -304,7 +308,8 @@ class Recorder:
         }
         for part, rows in parts.items():
             for row in rows:
-                file.add(f"{part}/{row.name}", _SCHEMAS[type(row)], at, row)
+                known = {n: v for n, v in asdict(row).items() if v is not None}
+                file.add(f"{part}/{row.name}", _SCHEMAS[type(row)], at, known)
 
     def _write_entries(
         self, file: McapFile, manager: str, entries: Sequence[JournalEntry]

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterator
-from math import inf
 from typing import NamedTuple
 
 from msgspec import Struct
@@ -28,49 +27,63 @@ SPAN = 3.0
 
 
 class ComputerRow(Struct, frozen=True):
-    """A computer: `cpu` [cores] and `memory` [bytes] of their capacities."""
+    """A computer: `cpu` [cores] and `memory` [bytes] of their capacities.
+
+    Both are None while it is not known how it is; `age` is how old the last news is
+    [s], if it is known.
+    """
 
     name: str
-    cpu: float
+    cpu: float | None
     cores: float
-    memory: float
+    memory: float | None
     most_memory: float
     components: int
     is_reached: bool
+    age: float | None = None
 
 
 class ComponentRow(Struct, frozen=True):
-    """A component: `cpu` [cores], deadlines missed [1/s], and errors so far."""
+    """A component: `cpu` [cores], deadlines missed [1/s], and errors so far.
+
+    What is not known now is None.
+    """
 
     name: str
     computer: str
     state: str
-    cpu: float
-    missed: float
+    cpu: float | None
+    missed: float | None
     errors: int
 
 
 class ConnectorRow(Struct, frozen=True):
-    """A connector: messages and calls [1/s], traffic [bytes/s], drops and errors."""
+    """A connector: messages and calls [1/s], traffic [bytes/s], drops and errors.
+
+    Where no end is known now, the kind is empty, and rate and traffic are None.
+    """
 
     name: str
     kind: str
     is_joined: bool
-    rate: float
-    traffic: float
+    rate: float | None
+    traffic: float | None
     drops: int
     errors: int
 
 
 class TimerRow(Struct, frozen=True):
-    """A timer with a deadline [s]: releases and missed deadlines [1/s]."""
+    """A timer with a deadline [s]: releases and missed deadlines [1/s].
+
+    What is not known now is None.
+    """
 
     name: str
     component: str
     computer: str
     deadline: float
-    rate: float
-    missed: float
+    rate: float | None
+    missed: float | None
 
 
 class RobotView(Struct, frozen=True):
@@ -108,85 +121,106 @@ def _computers(status: Status) -> Iterator[ComputerRow]:
     unknown = status.not_known()
     for name in sorted({*status.computers, *status.capacities, *unknown}):
         agent, capacity = status.computers.get(name), status.capacities.get(name, {})
+        is_known = agent is not None and name not in unknown
         yield ComputerRow(
             name,
-            agent.load if agent else 0.0,
+            agent.load if agent and is_known else None,
             capacity.get("cpu", 0.0),
-            agent.memory if agent else 0,
+            agent.memory if agent and is_known else None,
             capacity.get("memory", 0.0),
             sum(there == name for there in status.placement.values()),
             name not in unknown,
+            status.ages.get(name),
         )
 
 
 def _components(before: Status, now: Status) -> Iterator[ComponentRow]:
     seen, unknown = set(), now.not_known()
-    for computer, each, was, seconds in _components_since(before, now):
-        seen.add(each.name)
+    for computer, component, was, seconds in _components_since(before, now):
+        if computer in unknown and now.placement.get(component.name) != computer:
+            continue  # it is meant to run elsewhere, and nobody knows of this one
+        seen.add(component.name)
+        missed = _missed(component), _missed(was)
         yield ComponentRow(
-            each.name,
+            component.name,
             computer,
-            each.state if computer not in unknown else "unknown",
-            max(0.0, each.cpu - was.cpu) / seconds,
-            max(0, _missed(each) - _missed(was)) / seconds,
-            each.errors,
+            component.state if computer not in unknown else "unknown",
+            _rate(component.cpu, was.cpu, seconds),
+            _rate(*missed, seconds),
+            component.errors,
         )
     for name in sorted(now.placement.keys() - seen):
         state = "unknown" if now.placement[name] in unknown else "not there"
-        yield ComponentRow(name, now.placement[name], state, 0.0, 0.0, 0)
+        yield ComponentRow(name, now.placement[name], state, None, None, 0)
 
 
 def _connectors(before: Status, now: Status) -> Iterator[ConnectorRow]:
-    """Yield each connector as its source counts it, and what both ends gave up."""
-    past = dict(containers(before))
-    ends: dict[str, list[tuple[ConnectorStatus, ConnectorStatus, float]]] = {}
+    """Yield each connector as its source counts it, and what both ends gave up.
+
+    Ends on computers of which nothing is known now count only if there are no others.
+    """
+    past, unknown = dict(containers(before)), now.not_known()
+    ends: dict[str, list[tuple[bool, ConnectorStatus, ConnectorStatus, _Span]]] = {}
     for key, container in containers(now):
         first, seconds = _since(past.get(key), container)
         earlier = {(end.name, end.end): end for end in first.connectors}
         for end in container.connectors:
-            was = earlier.get((end.name, end.end), end)
-            ends.setdefault(end.name, []).append((end, was, seconds))
-    for name, found in sorted(ends.items()):
-        source, was, seconds = min(found, key=lambda each: each[0].end == "target")
+            was = earlier.get((end.name, end.end))
+            is_known = key.computer not in unknown
+            span = seconds if was and is_known else None
+            ends.setdefault(end.name, []).append((is_known, end, was or end, span))
+    for name, both in sorted(ends.items()):
+        known = [each for each in both if each[0]]
+        _, source, was, seconds = min(known or both, key=lambda e: e[1].end == "target")
         yield ConnectorRow(
             name,
-            source.kind,
-            all(end.ready for end, _, _ in found),
-            max(0, _count(source) - _count(was)) / seconds,
-            max(0, _traffic(source) - _traffic(was)) / seconds,
-            sum(end.drops for end, _, _ in found),
-            sum(end.errors for end, _, _ in found),
+            source.kind if known else "",
+            all(end.ready for _, end, _, _ in known),
+            _rate(_count(source), _count(was), seconds),
+            _rate(_traffic(source), _traffic(was), seconds),
+            sum(end.drops for _, end, _, _ in both),
+            sum(end.errors for _, end, _, _ in both),
         )
 
 
 def _timers(before: Status, now: Status) -> Iterator[TimerRow]:
-    for computer, each, was, seconds in _components_since(before, now):
+    for computer, component, was, seconds in _components_since(before, now):
         earlier = {timer.name: timer for timer in was.timers}
-        for timer in each.timers:
+        for timer in component.timers:
             if timer.deadline is None:
                 continue
             first = earlier.get(timer.name, timer)
             yield TimerRow(
-                f"{each.name}.{timer.name}",
-                each.name,
+                f"{component.name}.{timer.name}",
+                component.name,
                 computer,
                 timer.deadline,
-                max(0, timer.releases - first.releases) / seconds,
-                max(0, timer.missed - first.missed) / seconds,
+                _rate(timer.releases, first.releases, seconds),
+                _rate(timer.missed, first.missed, seconds),
             )
+
+
+_Span = float | None
+"""The time between two looks [s]; None: nothing can be said of it."""
+
+
+def _rate(now: float, before: float, seconds: _Span) -> float | None:
+    return None if seconds is None else max(0, now - before) / seconds
 
 
 def _components_since(
     before: Status, now: Status
-) -> Iterator[tuple[str, ComponentStatus, ComponentStatus, float]]:
-    """Yield each component, where it is, how it was earlier, and the time since [s]."""
-    past = dict(containers(before))
+) -> Iterator[tuple[str, ComponentStatus, ComponentStatus, _Span]]:
+    """Yield each component, where it is, how it was earlier, and the time since."""
+    past, unknown = dict(containers(before)), now.not_known()
     for key, container in containers(now):
         first, seconds = _since(past.get(key), container)
         earlier = {(each.name, each.epoch): each for each in first.components}
-        for each in container.components:
-            was = earlier.get((each.name, each.epoch), each)
-            yield key.computer, each, was, seconds
+        for component in container.components:
+            was = earlier.get((component.name, component.epoch))
+            is_known = was is not None and key.computer not in unknown
+            span = seconds if is_known else None
+            yield key.computer, component, was or component, span
 
 
 class _Key(NamedTuple):
@@ -206,13 +240,10 @@ def containers(status: Status) -> Iterator[tuple[_Key, ContainerStatus]]:
 
 def _since(
     first: ContainerStatus | None, now: ContainerStatus
-) -> tuple[ContainerStatus, float]:
-    """Return a container's earlier status, and the time since [s].
-
-    That is infinite where there is nothing to compare with.
-    """
+) -> tuple[ContainerStatus, _Span]:
+    """Return a container's earlier status, and the time since."""
     if first is None or now.at <= first.at:
-        return now, inf
+        return now, None
     return first, now.at - first.at
 
 
@@ -245,8 +276,11 @@ class Look(Struct, frozen=True, kw_only=True):
         Why no manager answers now; empty: one does.
     since
         Since when there is none [s since 1970].
+    at
+        When it was looked at [s since 1970].
     """
 
+    at: float = 0.0
     status: Status | None = None
     entries: tuple[JournalEntry, ...] = ()
     trouble: str = ""
@@ -282,5 +316,5 @@ class LiveReader:
         return self._note(Look(status=status))
 
     def _note(self, look: Look) -> Look:
-        self._look = replace(look, entries=tuple(self._entries))
+        self._look = replace(look, entries=tuple(self._entries), at=wall_time())
         return self._look

@@ -60,6 +60,9 @@ _COLUMNS = {
 _COLOURS = {"wrong": "red", "failed": "red", "right": "green", "decided": "bold"}
 
 
+_UNKNOWN = Text("?", "red", justify="right")
+
+
 class Top(App[None]):
     """Shows a robot until `q`."""
 
@@ -203,6 +206,8 @@ class Top(App[None]):
 
 
 def _order(value: object) -> Any:  # noqa: ANN401, of one type in a column
+    if value is None:  # what is not known comes first
+        return float("-inf")
     return -value if isinstance(value, int | float) else value
 
 
@@ -231,10 +236,12 @@ def computer_cells(row: ComputerRow, bar: int = _BAR) -> tuple[Any, ...]:
     """Return what is shown of a computer."""
     # agents alone do not know what their computers have
     most = f"/{row.cores:.3g}" if row.cores else ""
-    load = _bar(row.cpu, row.cores, f"{row.cpu:.2f}{most}", bar)
+    if row.cpu is None or row.memory is None:
+        age = "" if row.age is None else f", last news {row.age:.0f} s ago"
+        return (row.name, Text(f"not known{age}", "red"), _UNKNOWN, str(row.components))
     return (
         row.name,
-        load if row.is_reached else Text("out of reach", "red"),
+        _bar(row.cpu, row.cores, f"{row.cpu:.2f}{most}", bar),
         _bar(row.memory, row.most_memory, format_bytes(row.memory), bar),
         str(row.components),
     )
@@ -247,18 +254,26 @@ def component_cells(row: ComponentRow) -> tuple[Any, ...]:
         row.name,
         row.computer,
         Text(row.state, "" if is_well else "red"),
-        Text(f"{row.cpu:.1%}", justify="right"),
-        Text(f"{row.missed:.1f}" if row.missed else "", "red", justify="right"),
+        _UNKNOWN if row.cpu is None else Text(f"{row.cpu:.1%}", justify="right"),
+        _UNKNOWN
+        if row.missed is None
+        else Text(f"{row.missed:.1f}" if row.missed else "", "red", justify="right"),
         Text(str(row.errors or ""), "red", justify="right"),
     )
+
+
+def _kind(row: ConnectorRow) -> Text:
+    if not row.kind:
+        return Text("not known", "red")
+    return Text(row.kind) if row.is_joined else Text("not joined", "red")
 
 
 def connector_cells(row: ConnectorRow) -> tuple[Any, ...]:
     """Return what is shown of a connector."""
     return (
         row.name,
-        row.kind if row.is_joined else Text("not joined", "red"),
-        Text(f"{row.rate:.1f}", justify="right"),
+        _kind(row),
+        _UNKNOWN if row.rate is None else Text(f"{row.rate:.1f}", justify="right"),
         Text(format_bytes(row.traffic) if row.traffic else "", justify="right"),
         Text(str(row.drops or ""), "red", justify="right"),
         Text(str(row.errors or ""), "red", justify="right"),

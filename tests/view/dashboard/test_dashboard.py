@@ -122,7 +122,7 @@ def test_shows_a_robot_its_log_asks_what_if_moves_and_undoes(
         printer.drag_to(page.locator('[data-computer="left"]'))
         page.get_by_text("Move printer to left?").wait_for()
         page.get_by_text("core-seconds").wait_for()
-        page.get_by_role("button", name="Cancel").click()
+        page.get_by_role("button", name="Cancel", exact=True).click()
         page.wait_for_selector(".q-dialog", state="detached")
         on(page, "right", "printer").wait_for()
 
@@ -148,6 +148,13 @@ def test_shows_a_robot_its_log_asks_what_if_moves_and_undoes(
             assert table.get_by_role("cell", name="move").count()
             page.get_by_role("button", name="Close").click()
             page.wait_for_selector(".q-dialog", state="detached")
+
+        # the tab says whose it is; a task is paused and goes on; how it was is drawn
+        page.wait_for_function(f"document.title.includes('{name}')")
+        page.get_by_role("button", name="pause task greet").click()
+        page.get_by_role("button", name="resume task greet").click()
+        page.get_by_role("button", name="pause task greet").wait_for()
+        page.locator(".history .line").first.wait_for(state="attached")
         page.wait_for_function(_STILL)  # what fades has no colour of its own
         found = axe.Axe().run(page).response["violations"]
         assert [v["id"] for v in found if v["impact"] in {"serious", "critical"}] == []

@@ -7,6 +7,7 @@ from msgspec.structs import replace
 
 from poise.manage.journal import JournalEntry
 from poise.session.running_robots.running import Status
+from poise.view.dashboard.history import History, Page
 from poise.view.dashboard.state import PageState, Updates, changes, why
 from poise.view.robot_view import Look
 from poise.wire.records.request_records import ManagerId
@@ -139,10 +140,49 @@ def test_a_decision_says_what_its_policy_saw_and_what_it_gains() -> None:
             "proposal": {"now": terms, "then": {**terms, "total": 0.25}},
             "gain": 6.0,
             "cost": 0.31,
+            "acts": True,
         },
     }
     assert why(JournalEntry(0.0, "decided", "1 step", facts)) == (
-        "policy 'overload' saw: name left, share 0.988; F = 0.5 becomes 0.25; "
-        "gain 6.00, cost 0.31 core-seconds"
+        "Policy 'overload' saw of 'left': share 0.988. "
+        "The change costs 0.31 core-seconds of work and gains 6.00: it was done."
     )
     assert not why(JournalEntry(0.0, "seen", "something", {}))
+
+
+def test_nothing_of_a_computer_that_is_silent_counts_as_fine_or_live() -> None:
+    state = PageState()
+    state.of(look(missed=0, releases=10, at=1.0), 0.0)
+    known = look(missed=0, releases=20, at=2.0)
+    assert known.status is not None
+    silent = replace(known, status=replace(known.status, ages={"left": 12.4}))
+    page = state.of(silent, 1.0)
+    assert page["timers"]["arm.tick"]["now"] is None
+    assert not page["timers"]["arm.tick"]["known"]
+    assert page["components"]["arm"]["state"] == "unknown"
+    left = page["computers"]["left"]
+    assert (left["state"], left["age"]) == ("not known", 12)
+    assert "used" not in left
+    (connector,) = page["connectors"].values()
+    assert (connector["kind"], connector["rate"]) == ("unknown", None)
+
+
+def test_the_history_has_a_moment_a_second_for_ten_minutes() -> None:
+    history = History()
+    page: Page = {
+        "computers": {"left": {"used": 1.0, "capacity": 4.0}, "right": {}},
+        "timers": {"arm.tick": {"deadline": 0.1, "now": 0.25}},
+    }
+    for second in range(700):
+        uses = 10 * second
+        chain = {"uses": uses, "mean": 0.05, "deadline": 0.1, "known": second != 699}
+        history.note({**page, "chains": {"see": chain}}, Look(at=second + 0.1))
+        history.note({**page, "chains": {"see": chain}}, Look(at=second + 0.6))
+    moments = history.moments()
+    assert len(moments) == 600
+    assert moments["698"] == {
+        "cpu": {"left": 0.25, "right": None},
+        "ages": {"see": 0.5},
+        "late": 0.25,
+    }
+    assert moments["699"]["ages"] == {"see": None}

@@ -142,6 +142,7 @@ class RobotStatus(Struct, frozen=True, tag=True, kw_only=True):
     memory_demands: Mapping[str, float] = {}
     recent: tuple[JournalEntry, ...] = ()
     tasks: tuple[TaskReport, ...] = ()
+    robot_tasks: tuple[str, ...] = ()  # those that can be started
     prefetch: PrefetchReport = PrefetchReport()  # what prefetch was good for
     loads: Mapping[str, Load] = {}
     traffic: Mapping[str, ConnectorProfile] = {}  # connector -> what goes over it now

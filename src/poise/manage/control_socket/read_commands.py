@@ -88,6 +88,7 @@ def status_of(
         },
         recent=run.journal.recent(),
         tasks=tuple(tasks),
+        robot_tasks=tuple(task.name for task in run.robot.tasks),
         loads=estimates.loads.loads(),
         traffic=estimates.traffic(),
     )

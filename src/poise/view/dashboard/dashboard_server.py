@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import secrets
 import time
 from collections.abc import Awaitable, Callable, MutableMapping
@@ -17,7 +18,8 @@ from nicegui.events import GenericEventArguments
 
 from poise.clock import wall_time
 from poise.view.dashboard.dialogs import PageActions
-from poise.view.dashboard.state import Page, PageState, Updates
+from poise.view.dashboard.history import Page
+from poise.view.dashboard.state import PageState, Updates
 from poise.view.robot_view import LiveReader, Look
 
 Scope = MutableMapping[str, Any]
@@ -102,11 +104,13 @@ async def _answer(
 EVERY = 0.2
 """The page is this old at most, on a quick link [s]."""
 _LOOK_EVERY = 0.02
+_UNWATCHED_EVERY = 1.0
+"""While no page is open, the robot is read so seldom, for the history [s]."""
 _RECONNECT_LIMIT = 20.0
 """A page that was cut off may come back within this time [s]. NiceGUI also derives from
 it for how long one update may be on its way before the connection counts as lost: 8 s.
 """
-_STYLE = Path(__file__).with_name("style.css")
+_HERE = Path(__file__).parent
 
 
 class RobotMap(ui.element, component="robot_map.js"):  # type: ignore[call-arg,misc]
@@ -125,9 +129,10 @@ class Dashboard:
         self._is_watched = asyncio.Event()
 
     async def keep_reading(self) -> None:
-        """Read the robot again and again, while any page is open."""
+        """Read the robot again and again, often only while any page is open."""
         while True:
-            await self._is_watched.wait()
+            with contextlib.suppress(TimeoutError):  # so that the history has all
+                await asyncio.wait_for(self._is_watched.wait(), _UNWATCHED_EVERY)
             began = time.monotonic()
             look = await run.io_bound(self._reader.look)
             if look is None:  # the server ends
@@ -140,15 +145,18 @@ class Dashboard:
 
     def build(self) -> None:
         """Build one page."""
-        ui.add_head_html(f"<style>{_STYLE.read_text()}</style>")
+        ui.add_head_html(f"<style>{(_HERE / 'style.css').read_text()}</style>")
         client = ui.context.client
+        shown_title = ""
         actions = PageActions(self._reader.running)
         robot_map = RobotMap()
         robot_map.on("what_if", lambda e: actions.ask(*e.args))
+        robot_map.on("task", lambda e: actions.do_task(*e.args))
         robot_map.on("component", lambda e: self._component(actions, e))
         robot_map.on("entry", lambda e: self._entry(actions, e))
         with ui.row().classes("tools"):
             actions.place_undo()
+            actions.place_stop()
             _place_theme()
         client.on_disconnect(lambda: self._note(client.id, is_there=False))
         client.on_delete(lambda: self._note(client.id, is_there=False))
@@ -158,13 +166,23 @@ class Dashboard:
         client.on_connect(lambda: self._note(client.id, is_there=True))
 
         def push() -> None:
+            nonlocal shown_title
             if client.id not in self._viewers:
                 return
+            if (title := self._title()) != shown_title:
+                shown_title = title
+                ui.page_title(title)
             differ = updates.next(self._page, time.monotonic())
             if differ is not None:
                 robot_map.run_method("show", differ, wall_time(), updates.is_whole)
 
         ui.timer(EVERY, push)
+
+    def _title(self) -> str:
+        """Return the tab's title: the robot, marked if something is wrong."""
+        robot = self._page.get("robot", {}).get("", {})
+        is_wrong = robot.get("trouble") or robot.get("deviations")
+        return f"{'▲ ' if is_wrong else ''}{robot.get('name', 'no robot yet')} - Poise"
 
     def _note(self, client: str, *, is_there: bool) -> None:
         if is_there:
@@ -216,6 +234,8 @@ def serve(
     app.on_startup(
         lambda: background_tasks.create(dashboard.keep_reading(), name="reader")
     )
+    for name in ("routes.js", "charts.js"):
+        app.add_static_file(local_file=_HERE / name, url_path=f"/poise/{name}")
     at = f"[{host}]" if ":" in host else host
     address = f"http://{at}:{port}/" + (f"?token={token}" if token else "")
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import contextlib
 import time
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import partial
 from html import escape
 from typing import Any
 
@@ -16,7 +17,8 @@ from poise.errors import PoiseError
 from poise.session.pages.report_page import html_table
 from poise.session.render.move_tables import outcome_sentence, what_if_lines
 from poise.session.running_robots.running import JournalEntry, Running, WhatIf
-from poise.view.dashboard.state import Page, proposal_in, why
+from poise.view.dashboard.history import Page
+from poise.view.dashboard.state import proposal_in, why
 from poise.wire.records.output_records import OutputLine
 
 _LOG_EVERY = 0.5
@@ -40,6 +42,47 @@ class PageActions:
         self._button = ui.button("", on_click=self._undo_last)
         self._button.props('outline dense no-caps color=""')
         self._button.set_visibility(False)
+
+    def place_stop(self) -> None:
+        """Place the button that stops the robot, after a question."""
+        button = ui.button("Stop robot", on_click=self._ask_to_stop)
+        button.props('outline dense no-caps color=""')
+
+    def _ask_to_stop(self) -> None:
+        with self._place, _dialog() as dialog:
+            ui.html("<h2>Stop the robot?</h2>")
+            ui.label("All its components end, on all computers, and its manager, too.")
+            with ui.row():
+                ui.button(
+                    "Stop it", on_click=lambda: self._call(self._running.stop, dialog)
+                ).props("no-caps color=red-10")
+                ui.button("Cancel", on_click=dialog.close).props("no-caps outline")
+
+    async def do_task(self, verb: str, task: str) -> None:
+        """Start, pause, resume or cancel a task; before the last, ask."""
+        act = partial(getattr(self._running.tasks, verb), task)
+        if verb != "cancel":
+            await self._call(act)
+            return
+        with self._place, _dialog() as dialog:
+            ui.html(f"<h2>{escape(f'Cancel task {task}?')}</h2>")
+            ui.label("It begins from its start when it is started again.")
+            with ui.row():
+                ui.button(
+                    "Cancel the task", on_click=lambda: self._call(act, dialog)
+                ).props("no-caps")
+                ui.button("Let it go on", on_click=dialog.close).props(
+                    "no-caps outline"
+                )
+
+    async def _call(self, act: Callable[[], object], dialog: Any = None) -> None:  # noqa: ANN401, NiceGUI's
+        if dialog is not None:
+            dialog.close()
+        try:
+            await run.io_bound(act)
+        except PoiseError as error:
+            with self._place:
+                _complain(error)
 
     async def ask(self, component: str, computer: str) -> None:
         """Show what a move would change, and offer it."""
@@ -86,31 +129,25 @@ class PageActions:
     def show_entry(self, entry: JournalEntry) -> None:
         """Show a decision, why it was taken, and what else there was."""
         facts = entry.facts if isinstance(entry.facts, dict) else {}
-        decision = facts.get("decision") or {}
+        proposal = proposal_in(facts)
         with self._place, _dialog() as dialog:
-            ui.html(f"<h2>{escape(f'{entry.kind}: {entry}')}</h2>")
-            if reason := why(entry):
-                ui.label(f"Why: {reason}")
-            if proposal := proposal_in(facts):
-                stay, go = proposal["now"], proposal["then"]
-                ui.html(_terms({"stay as it is": stay, "what was proposed": go}))
-                if proposal["trouble"]:
-                    ui.label(f"As it was: {proposal['trouble']}").classes("refused")
-                for step in proposal.get("steps", ()):
-                    way = f"{step.get('source') or '-'} to {step.get('target') or '-'}"
-                    ui.label(f"{step['component']}: {way}")
-            if decision:
-                ui.label(
-                    f"It costs {decision['cost']:.2f} and gains {decision['gain']:.2f} "
-                    f"core-seconds. It was {'' if decision['acts'] else 'not '}done."
-                )
+            ui.html(f"<h2>{escape(entry.what)}</h2>")
+            clock = time.strftime("%H:%M:%S", time.localtime(entry.at))
+            ui.label(f"{entry.kind} at {clock}").classes("dim")
+            ui.label(why(entry) or "The sentence above is all that is known of it.")
+            for step in proposal.get("steps", ()) if proposal else ():
+                ui.label(f"• {_step_sentence(step)}")
             if others := facts.get("alternatives"):
-                ui.label("What could have been done, and what it would have cost:")
+                ui.label("What else could have been done:")
                 ui.html(_alternatives(others)).classes("scroll")
-            if facts:
-                raw = msgspec.json.format(msgspec.json.encode(facts), indent=2)
-                with ui.expansion("All facts").props("dense"):
-                    ui.html(f"<pre tabindex=0>{escape(raw.decode())}</pre>")
+            if proposal:
+                with ui.expansion("The objective F and its parts").props("dense"):
+                    terms = {"as it was": proposal["now"], "proposed": proposal["then"]}
+                    ui.html(_terms(terms))
+            if plain := [(n, v) for n, v in facts.items() if _is_plain(v)]:
+                with ui.expansion("What was noted with it").props("dense"):
+                    rows = ((escape(n), escape(_said(v))) for n, v in plain)
+                    ui.html(html_table(("", ""), rows)).classes("scroll")
             ui.button("Close", on_click=dialog.close).props("no-caps")
 
     def _follow_log(self, component: str) -> None:
@@ -198,6 +235,26 @@ def _complain(error: PoiseError) -> None:
 def _log_line(line: OutputLine) -> str:
     at = time.strftime("%H:%M:%S", time.localtime(line.at / 1e9))
     return f"{at} {line.text}"
+
+
+def _step_sentence(step: dict[str, Any]) -> str:
+    source, target = step.get("source"), step.get("target")
+    if source and target:
+        return f"{step['component']} moves from {source} to {target}"
+    return f"{step['component']} " + (
+        f"starts on {target}" if target else f"ends on {source}"
+    )
+
+
+def _is_plain(value: object) -> bool:
+    several = value if isinstance(value, list) else [value]
+    return bool(several) and all(isinstance(v, str | int | float) for v in several)
+
+
+def _said(value: Any) -> str:  # noqa: ANN401, JSON's
+    if isinstance(value, list):
+        return ", ".join(map(_said, value))
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
 def _alternatives(others: list[dict[str, Any]]) -> str:

@@ -1,20 +1,23 @@
 // Draws the robot: computers with their components, connectors, tables and decisions.
 // The server sends only what has changed; what is done goes back as events.
 
+import { routed } from "/poise/routes.js";
+import Charts from "/poise/charts.js";
+
 const KINDS = {
   direct: "within a container",
-  local: "between containers of a computer",
+  local: "between containers",
   remote: "between computers",
+  unknown: "not known now",
 };
 const GLYPHS = { seen: "○", decided: "◆", done: "✓", failed: "✗", wrong: "▲", right: "▽" };
 const STATES = { active: "", inactive: "⏸ ", unresponsive: "⚠ ", failed: "✗ ", unconfigured: "… " };
 const FEW = 12; // rows of a table that is not opened
 const LARGE = 60; // of more components only the connectors of one, or of those searched, are drawn
-const MINUTES = 5; // what the time line spans
 const PATIENCE = 5; // without news for more seconds the page says so
 
 const CLOCK = new Intl.DateTimeFormat([], { timeStyle: "medium", hour12: false });
-const percent = (x) => (x === undefined || x === null ? "" : `${(100 * x).toFixed(x < 0.0995 ? 1 : 0)} %`);
+const percent = (x) => (x === undefined || x === null ? "?" : `${(100 * x).toFixed(x < 0.0995 ? 1 : 0)} %`);
 const seconds = (x) => (x >= 1 ? `${+x.toPrecision(3)} s` : `${+(1000 * x).toPrecision(3)} ms`);
 const bytes = (x) => {
   const units = ["B", "KiB", "MiB", "GiB"];
@@ -28,13 +31,16 @@ const byName = (records) =>
     .sort(([a], [b]) => (a < b ? -1 : 1))
     .map(([name, each]) => ({ name, ...each }));
 
+const VERBS = { going: ["pause", "cancel"], waiting: ["cancel"], paused: ["resume", "cancel"] };
+const SIGNS = { pause: "Pause", resume: "Resume", cancel: "Cancel" };
+
 export default {
+  components: { Charts },
   template: `
 <div :class="['robot', {stale: robot.trouble, many: isLarge}]">
   <div class="headline">
     <h1>{{ robot.name || 'no robot yet' }}</h1>
-    <span v-if="robot.task && !(robot.tasks || []).length">task <b>{{ robot.task }}</b></span>
-    <span v-for="task in robot.tasks || []">task <b>{{ task }}</b></span>
+    <span v-if="health" :class="['health', health.kind]">{{ health.says }}</span>
     <label class="find">Find <input type="search" v-model="wanted" aria-label="Find components"></label>
   </div>
   <p v-if="silent" class="trouble">⚠ Nothing came for {{ silent }} s: the manager is busy, or the link to this page is slow or down.</p>
@@ -45,24 +51,35 @@ export default {
       <li v-for="what in robot.deviations.slice(0, 6)">▲ {{ what }}</li>
       <li v-if="robot.deviations.length > 6">and {{ robot.deviations.length - 6 }} more</li>
     </ul>
-    <p v-else-if="robot.name && !robot.trouble" class="fine">✓ everything runs as the robot file says</p>
   </div>
   <template v-if="!robot.trouble">
     <p v-for="what in late" class="missed">▲ {{ what }}</p>
-    <p v-if="parts.timers && !late.length" class="fine">✓ all timers and chains meet their deadlines</p>
+    <p v-if="unknown" class="missed">? {{ unknown }}</p>
+    <p v-if="fine" class="fine">✓ {{ fine }}</p>
   </template>
+
+  <ul v-if="robot.managed && !robot.trouble" class="tasks" aria-label="Tasks">
+    <li v-for="task in robot.tasks || []" :class="task.state"><span class="dim">task</span> <b>{{ task.name }}</b> {{ task.state }}<span
+      v-if="task.why"> ({{ task.why }})</span><span v-if="task.now.length">: {{ task.now.join(", ") }}</span><span
+      v-if="task.waits.length">; waits to begin {{ task.waits.join(", ") }}</span><span
+      v-if="task.next.length">; next {{ task.next.join(", ") }}</span>
+      <button v-for="verb in verbs[task.state] || []" type="button" class="act" :aria-label="verb + ' task ' + task.name"
+        @click="$emit('task', [verb, task.name])">{{ signs[verb] }}</button></li>
+    <li v-for="name in startable" class="idle"><button type="button" class="act" :aria-label="'start task ' + name"
+      @click="$emit('task', ['start', name])">▶ start {{ name }}</button></li>
+  </ul>
 
   <section aria-label="Computers" class="area" ref="area" @mouseleave="near = null">
     <svg class="wires" aria-hidden="true" :width="size.width" :height="size.height">
-      <defs><marker id="tip" viewBox="0 0 8 8" refX="7" refY="4" markerWidth="9" markerHeight="9"
+      <defs><marker id="tip" viewBox="0 0 8 8" refX="7.5" refY="4" markerWidth="7" markerHeight="7"
         markerUnits="userSpaceOnUse" orient="auto"><path d="M0 0L8 4L0 8Z" fill="context-stroke"/></marker></defs>
-      <path v-for="wire in wires" :key="wire.name" :d="wire.d" :class="['wire', wire.kind, {dim: wire.dim, down: !wire.ready}]"
+      <path v-for="wire in wires" :key="wire.name" :d="wire.d" :class="['wire', wire.kind, {dim: wire.dim, picked: wire.picked, down: !wire.ready}]"
         :stroke-width="wire.width" marker-end="url(#tip)"/>
     </svg>
     <article v-for="computer in computers" :key="computer.name" :aria-label="'computer ' + computer.name"
       :class="['computer', {gone: computer.state, over: over === computer.name}]" :data-computer="computer.name"
       @dragover.prevent="over = computer.name" @dragleave="over = null" @drop.prevent="drop(computer.name)">
-      <h2>{{ computer.name }} <small v-if="computer.state">⚠ {{ computer.state }}</small>
+      <h2>{{ computer.name }} <small v-if="computer.state">? {{ computer.state }}{{ since(computer) }}</small>
         <small v-else-if="missing(computer)">▲ {{ missing(computer) }}</small></h2>
       <div class="bar" role="img" :aria-label="load(computer)" :title="load(computer)">
         <i class="own" :style="{width: share(computer.used - computer.background, computer)}"></i
@@ -78,7 +95,7 @@ export default {
             @dragstart="grab(c.name, $event)" @dragend="over = null" @click="$emit('component', c.name)"
             @mouseenter="near = c.name" @focus="near = c.name" @keydown="step($event)">
             <span class="name">{{ mark(c) }}{{ c.name }}</span>
-            <span class="figures">{{ percent(c.cpu) }}<b v-if="c.late"> ▲ {{ percent(c.late) }} late</b></span>
+            <span class="figures">{{ figures(c) }}<b v-if="c.late"> ▲ {{ percent(c.late) }} late</b></span>
             <span class="meter" aria-hidden="true"><i :style="{transform: 'scaleX(' + part(c.cpu, computer) + ')'}"></i></span>
           </button>
         </li>
@@ -88,21 +105,17 @@ export default {
   </section>
   <p class="legend"><span v-for="(says, kind) in kinds"><svg width="44" height="10" aria-hidden="true"><path d="M2 5H42"
     :class="['wire', kind]" stroke-width="3"/></svg> {{ kind }}: {{ says }}</span>
-    <span>thicker: more traffic</span><b v-if="isLarge">point at a component, or find it, to see its connectors</b>
+    <span>thicker: more traffic</span><span>point at a component: its connectors only</span><b v-if="isLarge">point at a component, or find it, to see its connectors</b>
     <span><i class="swatch own"></i> the robot</span><span><i class="swatch other"></i> other programs</span>
     <span><i class="swatch need"></i> what components need, 95 % sure</span>
     <span><i class="swatch beyond"></i> more than the computer has</span></p>
   <p class="legend">Select a component to read its log, and what a move would change; or drag it to another computer. Arrow keys go
     from one component to the next.</p>
 
+  <div class="lower">
+  <charts v-if="parts.history" :moments="parts.history" :entries="entries" :now="now" @entry="$emit('entry', $event)"></charts>
   <section v-if="entries.length" aria-labelledby="decisions">
     <h2 id="decisions">Decisions</h2>
-    <div class="strip" aria-hidden="true">
-      <span v-for="(glyph, kind, row) in glyphs" class="lane" :style="{top: 1.2 * row + 'rem'}">{{ kind }}</span>
-      <button v-for="e in recent" :key="e.number" type="button" tabindex="-1" :class="['moment', e.kind]" :title="tell(e)"
-        :style="{left: e.x + '%', top: 1.2 * e.row + 'rem'}" @click="$emit('entry', e.number)">{{ glyphs[e.kind] }}</button>
-      <span v-for="n in ago" class="tick" :style="{right: 100 * n / ago.length + '%'}">{{ n ? n + ' min ago' : 'now' }}</span>
-    </div>
     <ol class="entries">
       <li v-for="e in entries.slice(0, more.entries ? 200 : few)" :key="e.number">
         <button type="button" :title="tell(e)" :class="e.kind" @click="$emit('entry', e.number)"
@@ -111,6 +124,7 @@ export default {
     <button v-if="entries.length > few" type="button" class="more" @click="more.entries = !more.entries"
     >{{ more.entries ? 'fewer' : 'all ' + entries.length }} decisions</button>
   </section>
+  </div>
 
   <section v-for="t in tables" :key="t.name" :aria-labelledby="t.name">
     <h2 :id="t.name">{{ t.title }}</h2>
@@ -126,7 +140,7 @@ export default {
 
   data: () => ({
     parts: {}, now: 0, silent: 0, wanted: "", near: null, over: null, more: {},
-    places: {}, size: { width: 0, height: 0 }, kinds: KINDS, glyphs: GLYPHS, few: FEW, ago: [0, 1, 2, 3, 4],
+    size: { width: 0, height: 0 }, kinds: KINDS, glyphs: GLYPHS, few: FEW, verbs: VERBS, signs: SIGNS, ways: {},
   }),
 
   computed: {
@@ -142,14 +156,40 @@ export default {
       }));
     },
     layout() { return this.computers.map((c) => [c.name, c.state, c.components.map((each) => each.name)].join()).join(";"); },
+    connectors() { return byName(this.parts.connectors); },
     wires() {
-      const found = byName(this.parts.connectors).map((wire) => this.wire(wire)).filter(Boolean);
-      return this.isLarge ? found.filter((wire) => wire.picked) : found;
+      const drawn = this.connectors.map((wire) => this.wire(wire)).filter((wire) => wire.d && (wire.picked || !this.isLarge));
+      return drawn.sort((a, b) => a.picked - b.picked); // those that are picked lie on top
+    },
+    wiring() { return this.connectors.map((c) => [c.name, c.kind]).join(";") + this.layout + this.size.width; },
+    startable() {
+      const going = (this.robot.tasks || []).filter((task) => VERBS[task.state]).map((task) => task.name);
+      return (this.robot.startable || []).filter((name) => !going.includes(name));
+    },
+    health() {
+      if (!this.robot.name) return null;
+      if (this.robot.trouble) return { kind: "bad", says: "? no answer" };
+      const wrong = (this.robot.deviations || []).length;
+      if (wrong) return { kind: "bad", says: `▲ ${wrong} ${wrong === 1 ? "thing is" : "things are"} wrong` };
+      return { kind: "good", says: "✓ everything runs as the robot file says" };
+    },
+    // Of how much nothing is known now: it is neither late nor in time.
+    unknown() {
+      const several = [["timer", byName(this.parts.timers).filter((t) => t.deadline)], ["chain", byName(this.parts.chains)]];
+      const parts = several.map(([noun, all]) => [noun, all.filter((each) => !each.known).length, all.length])
+        .filter(([, count]) => count).map(([noun, count, all]) => `${count} of ${all} ${noun}s`);
+      return parts.length ? `nothing is known now of ${parts.join(" and ")}` : "";
+    },
+    fine() {
+      if (!this.parts.timers || this.late.length || this.unknown) return "";
+      const timers = byName(this.parts.timers).filter((t) => t.deadline).length, chains = byName(this.parts.chains).length;
+      const parts = [timers && `${timers} timers`, chains && `${chains} chains`].filter(Boolean).join(" and ");
+      return parts && `all ${parts} with a deadline meet it`;
     },
     late() {
       const timers = byName(this.parts.timers).filter((t) => t.deadline), chains = byName(this.parts.chains);
-      const missing = timers.filter((t) => t.now > 0).sort((a, b) => b.now - a.now);
-      const old = chains.filter((c) => c.p99 > c.deadline).sort((a, b) => b.missed / b.uses - a.missed / a.uses);
+      const missing = timers.filter((t) => t.known && t.now > 0).sort((a, b) => b.now - a.now);
+      const old = chains.filter((c) => c.known && c.p99 > c.deadline).sort((a, b) => b.missed / b.uses - a.missed / a.uses);
       const worst = (several, tell) => several.slice(0, 3).map(tell).join(", ");
       return [
         missing.length && `${missing.length} of ${timers.length} timers miss deadlines now: ${worst(missing, (t) => `${t.name} ${percent(t.now)}`)}`,
@@ -157,12 +197,6 @@ export default {
       ].filter(Boolean);
     },
     entries() { return Object.values(this.parts.entries || {}).sort((a, b) => b.number - a.number); },
-    recent() {
-      const rows = Object.keys(GLYPHS), begin = this.now - 60 * MINUTES;
-      return this.entries.filter((e) => e.at >= begin).map((e) => ({
-        ...e, row: rows.indexOf(e.kind), x: Math.min(98, (100 * (e.at - begin)) / (60 * MINUTES)),
-      }));
-    },
     tables() {
       const worst = (a, b) => (b.now || 0) - (a.now || 0) || b.missed / b.releases - a.missed / a.releases;
       const rows = (part) => byName(this.parts[part]).filter((each) => this.fits(each.name));
@@ -170,21 +204,24 @@ export default {
         { name: "timers", title: "Timers", heads: ["timer", "rate", "deadline", "late now", "late in all", "takes (p99)"],
           rows: rows("timers").sort(worst).map((t) => ({ bad: t.now > 0 && t.deadline, cells: [
             t.name, `${+(1 / t.period).toPrecision(3)} Hz`, t.deadline ? seconds(t.deadline) : "none",
-            t.deadline ? (t.now > 0 ? "▲ " : "") + percent(t.now) : "", t.deadline ? `${t.missed} of ${t.releases}` : "", seconds(t.p99)] })) },
+            t.deadline ? (t.now > 0 ? "▲ " : "") + (t.known ? percent(t.now) : "not known") : "", t.deadline ? `${t.missed} of ${t.releases}` : "", seconds(t.p99)] })) },
         { name: "chains", title: "Chains", heads: ["chain", "deadline", "age (median)", "age (p99)", "late", "age at each component"],
           rows: rows("chains").map((c) => ({ bad: c.p99 > c.deadline, cells: [
-            c.name, seconds(c.deadline), seconds(c.median), (c.p99 > c.deadline ? "▲ " : "") + seconds(c.p99), `${c.missed} of ${c.uses}`,
+            c.name, seconds(c.deadline), seconds(c.median), (c.p99 > c.deadline ? "▲ " : "") + seconds(c.p99), `${c.missed} of ${c.uses}${c.known ? "" : ", not known now"}`,
             c.hops.map(([name, age]) => `${name} ${seconds(age)}`).join(" → ")] })) },
         { name: "connectors", title: "Connectors", heads: ["connector", "kind", "a second", "traffic", "dropped", "errors"],
           rows: rows("connectors").sort((a, b) => b.rate - a.rate).map((c) => ({ bad: c.drops || c.errors || !c.ready, cells: [
-            c.name, c.kind + (c.ready ? "" : " ⚠ not joined"), c.rate,
+            c.name, c.kind === "unknown" ? "not known" : c.kind + (c.ready ? "" : " ⚠ not joined"), c.rate ?? "?",
             c.bytes ? `${bytes(c.bytes)}/s` : "", c.drops, c.errors] })) },
       ].filter((t) => t.rows.length);
     },
   },
 
   watch: {
+    near() { if (this.isLarge) this.route(); },
+    wanted() { if (this.isLarge) this.route(); },
     layout() { this.$nextTick(this.measure); },
+    wiring() { this.$nextTick(this.route); },
   },
   mounted() {
     this.observer = new ResizeObserver(() => this.measure());
@@ -216,31 +253,32 @@ export default {
       this.silent = 0;
     },
     measure() {
-      const area = this.$refs.area, at = area.getBoundingClientRect(), places = {};
-      for (const each of area.querySelectorAll("[data-component]")) {
-        const box = each.getBoundingClientRect();
-        places[each.dataset.component] = {
-          left: box.left - at.left, right: box.right - at.left, y: box.top - at.top + box.height / 2,
-        };
-      }
-      this.places = places;
+      const area = this.$refs.area, at = area.getBoundingClientRect();
+      const place = (element) => {
+        const box = element.getBoundingClientRect();
+        return { left: box.left - at.left, right: box.right - at.left, top: box.top - at.top, bottom: box.bottom - at.top };
+      };
+      this.cards = [...area.querySelectorAll("[data-computer]")].map((card) => ({
+        ...place(card),
+        boxes: [...card.querySelectorAll("[data-component]")].map((box) => ({ name: box.dataset.component, ...place(box) })),
+      }));
       this.size = { width: at.width, height: at.height };
+      this.route();
+    },
+    // Of a large robot only what is pointed at or searched gets a way.
+    route() {
+      const wanted = this.isLarge ? this.connectors.filter((wire) => this.isPicked(wire)) : this.connectors;
+      this.ways = Object.freeze(routed(this.cards || [], wanted));
+    },
+    isPicked({ source, target }) {
+      const isNear = this.near === source || this.near === target;
+      return isNear || !!this.wanted && (this.fits(source) || this.fits(target));
     },
     wire(each) {
-      const from = this.places[each.source], to = this.places[each.target];
-      if (!from || !to || from === to) return null;
-      const forth = to.left > from.right, back = to.right < from.left;
-      const x1 = forth ? from.right : back ? from.left : from.right;
-      const x2 = forth ? to.left : to.right;
-      const bend = forth || back ? (x2 - x1) / 2 : 28;
-      const c2 = forth || back ? x2 - bend : x2 + bend;
-      const picked = this.near === each.source || this.near === each.target;
+      const picked = this.isPicked(each);
       return {
-        ...each,
-        d: `M${x1} ${from.y}C${x1 + bend} ${from.y} ${c2} ${to.y} ${x2} ${to.y}`,
-        width: Math.min(8, Math.round(3 + 2 * Math.log10(1 + (each.bytes || 20 * each.rate) / 100)) / 2),
-        picked: picked || (this.wanted && (this.fits(each.source) || this.fits(each.target))),
-        dim: (this.near && !picked) || (this.wanted && !this.fits(each.source) && !this.fits(each.target)),
+        ...each, picked, d: this.ways[each.name], dim: (this.near || this.wanted) && !picked,
+        width: Math.min(5, Math.round(3 + 1.3 * Math.log10(1 + (each.bytes || 20 * (each.rate || 0)) / 100)) / 2),
       };
     },
     fits(name) { return !this.wanted || name.toLowerCase().includes(this.wanted.toLowerCase()); },
@@ -249,8 +287,14 @@ export default {
       return Math.min(1, Math.max(0, (amount || 0) / whole)).toFixed(3);
     },
     share(amount, computer) { return `${100 * this.part(amount, computer)}%`; },
+    since(c) { return c.age ? `, last news ${c.age} s ago` : ""; },
+    figures(c) {
+      if (c.state === "unknown") return c.cpu === undefined ? "?" : `? (${percent(c.cpu)} before)`;
+      return c.state === "inactive" ? "inactive" : percent(c.cpu);
+    },
     load(c) {
-      const used = c.capacity ? `${percent(c.used / c.capacity)} of ${cores(c.capacity)} used` : "use not known yet";
+      if (c.state) return `how it is now is not known${this.since(c)}`;
+      const used = c.capacity && c.used !== undefined ? `${percent(c.used / c.capacity)} of ${cores(c.capacity)} used` : "use not known yet";
       const other = c.background ? `, ${percent(c.background / c.capacity)} by other programs` : "";
       return `${used}${other}; components need ${cores(c.need)} ± ${+c.sure.toFixed(3)}; ${bytes(c.memory)}`;
     },

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 from poise.session.running_robots.running import ChainReport, JournalEntry, Status
-from poise.view.robot_view import ConnectorRow, Look, Reader, containers
-
-Records = dict[str, dict[str, Any]]
-Page = dict[str, Records]
-"""Part -> name -> what is shown of it."""
+from poise.view.dashboard.history import History, Page, Records
+from poise.view.robot_view import ConnectorRow, Look, Reader, TimerRow, containers
 
 MOST_SHOWN = 200
 """So many decisions are shown."""
@@ -25,6 +22,7 @@ class PageState:
 
     def __init__(self) -> None:
         self._reader = Reader()
+        self._history = History()
 
     def of(self, look: Look, at: float) -> Page:
         """Return the state."""
@@ -32,20 +30,18 @@ class PageState:
         status = look.status
         if status is None:
             return page
-        timers, view = dict(_timers(status)), self._reader.take(status, at)
-        for row in view.timers:
-            timers[row.name]["now"] = (
-                _round(row.missed / row.rate) if row.rate else None
-            )
-        page["timers"] = timers
-        page["chains"] = {each.name: _chain(each) for each in status.chains}
+        view = self._reader.take(status, at)
+        page["timers"] = timers = dict(_timers(status, view.timers))
+        page["chains"] = {chain.name: _chain(chain, status) for chain in status.chains}
         page["connectors"] = {each.name: _connector(each) for each in view.connectors}
         page["components"] = components = dict(_components(status))
-        for each in timers.values():
-            component = components.get(each["component"])  # None: it is being ended
-            if component and each["deadline"] is not None and each.get("now"):
-                component["late"] = max(component.get("late", 0.0), each["now"])
+        for timer in timers.values():
+            component = components.get(timer["component"])  # None: it is being ended
+            if component and timer["deadline"] is not None and timer["now"]:
+                component["late"] = max(component.get("late", 0.0), timer["now"])
         page["computers"] = dict(_computers(status, components))
+        self._history.note(page, look)
+        page["history"] = self._history.moments()
         return page
 
 
@@ -101,22 +97,25 @@ def _robot(look: Look) -> dict[str, Any]:
         shown |= {
             "name": status.robot,
             "task": status.task,
-            "tasks": [_task(each) for each in status.tasks],
-            "deviations": [each.what for each in status.deviations],
+            "tasks": [_task(report) for report in status.tasks],
+            "startable": list(status.robot_tasks),
+            "deviations": [deviation.what for deviation in status.deviations],
+            "managed": not status.by_agents,
         }
     return shown
 
 
-def _task(report: Any) -> str:  # noqa: ANN401, `view` does not import the manager
+def _task(report: Any) -> dict[str, Any]:  # noqa: ANN401, `view` does not import the manager
     """Return how a task is, what it does now, and what comes next."""
-    why = f" ({report.why})" if report.why else ""
-    now = [each.name for each in report.actions if each.is_at_work]
-    then = [each.name for each in report.actions if not each.is_at_work]
-    parts = [f"{report.name}: {report.state}{why}"]
-    parts += [f"now {', '.join(now)}"] if now else []
-    parts += [f"waits to begin {', '.join(then)}"] if then else []
-    parts += [f"next {', '.join(report.next)}"] if report.next else []
-    return "; ".join(parts)
+    return {
+        "name": report.name,
+        "state": report.state,
+        "why": report.why,
+        "since": round(report.since, 1),
+        "now": [action.name for action in report.actions if action.is_at_work],
+        "waits": [action.name for action in report.actions if not action.is_at_work],
+        "next": list(report.next),
+    }
 
 
 def _entries(look: Look) -> Records:
@@ -133,21 +132,23 @@ def _entries(look: Look) -> Records:
 
 
 def why(entry: JournalEntry) -> str:
-    """Return why something was decided, in words; empty: the sentence says all."""
+    """Return why something was decided, in sentences; empty: the entry says all."""
     facts: Mapping[str, Any] = entry.facts if isinstance(entry.facts, dict) else {}
-    parts = [
-        f"policy '{each['policy']}' saw: {_values(each['saw'])}"
+    said = [
+        f"Policy '{each['policy']}' saw of '{each['saw'].get('name', 'the robot')}': "
+        f"{_values(each['saw'])}."
         for each in facts.get("policies", ())
     ]
+    if (proposal := proposal_in(facts)) and proposal.get("trouble"):
+        said.append(f"As it was, {proposal['trouble']}.")
     decision = facts.get("decision") or {}
-    if proposal := proposal_in(facts):
-        now, then = proposal["now"]["total"], proposal["then"]["total"]
-        parts.append(f"F = {now:.4g} becomes {then:.4g}")
     if decision.get("gain") or decision.get("cost"):
-        parts.append(
-            f"gain {decision['gain']:.2f}, cost {decision['cost']:.2f} core-seconds"
+        gain, cost = (f"{decision[name]:.2f}" for name in ("gain", "cost"))
+        said.append(
+            f"The change costs {cost} core-seconds of work and gains {gain}: "
+            f"{'it was done' if decision.get('acts') else 'it was not done'}."
         )
-    return "; ".join(parts)
+    return " ".join(said)
 
 
 def proposal_in(facts: Mapping[str, Any]) -> Any:  # noqa: ANN401, JSON's
@@ -158,18 +159,26 @@ def proposal_in(facts: Mapping[str, Any]) -> Any:  # noqa: ANN401, JSON's
 
 def _values(saw: Mapping[str, Any]) -> str:
     return ", ".join(
-        f"{name} {value:.3g}" if isinstance(value, float) else f"{name} {value}"
+        f"{name.replace('_', ' ')} "
+        f"{f'{value:.3g}' if isinstance(value, float) else value}"
         for name, value in saw.items()
-        if isinstance(value, int | float | str)
+        if name != "name" and value and isinstance(value, int | float | str)
     )
 
 
-def _timers(status: Status) -> Iterator[tuple[str, dict[str, Any]]]:
-    for _, container in containers(status):
+def _timers(
+    status: Status, rows: Iterable[TimerRow]
+) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Yield timers; `now` is the share that is late; None: it is not known."""
+    late = {row.name: row.missed / row.rate for row in rows if row.missed and row.rate}
+    known = {row.name for row in rows if row.missed is not None}
+    unknown = status.not_known()
+    for key, container in containers(status):
         for component in container.components:
             for timer in component.timers:
+                name = f"{component.name}.{timer.name}"
                 yield (
-                    f"{component.name}.{timer.name}",
+                    name,
                     {
                         "component": component.name,
                         "period": timer.period,
@@ -177,18 +186,23 @@ def _timers(status: Status) -> Iterator[tuple[str, dict[str, Any]]]:
                         "releases": timer.releases,
                         "missed": timer.missed,
                         "p99": _round(timer.duration.p99),
+                        "now": _round(late.get(name, 0.0)) if name in known else None,
+                        "known": key.computer not in unknown,
                     },
                 )
 
 
-def _chain(chain: ChainReport) -> dict[str, Any]:
+def _chain(chain: ChainReport, status: Status) -> dict[str, Any]:
+    at = {status.placement.get(hop.component) for hop in chain.hops}
     return {
         "deadline": chain.deadline,
         "missed": chain.missed,
         "uses": chain.age.count,
+        "mean": chain.age.mean,
         "median": _round(chain.age.median),
         "p99": _round(chain.age.p99),
         "hops": [[hop.component, _round(hop.age.median)] for hop in chain.hops],
+        "known": not at & status.not_known(),
     }
 
 
@@ -197,10 +211,10 @@ def _connector(row: ConnectorRow) -> dict[str, Any]:
     return {
         "source": source,
         "target": target,
-        "kind": row.kind,
+        "kind": row.kind or "unknown",
         "ready": row.is_joined,
-        "rate": _round(row.rate),
-        "bytes": _round(row.traffic),
+        "rate": None if row.rate is None else _round(row.rate),
+        "bytes": None if row.traffic is None else _round(row.traffic),
         "drops": row.drops,
         "errors": row.errors,
     }
@@ -244,20 +258,21 @@ def _computers(
     unknown = status.not_known()
     for name in sorted({*status.computers, *status.placement.values(), *unknown}):
         agent, load = status.computers.get(name), status.loads.get(name)
+        age = status.ages.get(name)
         here = [each for each in components.values() if each["at"] == name]
         sure = [each.get("sure") or 0.0 for each in here]
         each: dict[str, Any] = {
-            "state": "out of reach" if name in unknown else "",
+            "state": "not known" if name in unknown else "",
+            "age": round(age) if age is not None and name in unknown else None,
             "need": _round(sum(each.get("cpu", 0.0) for each in here)),
             "sure": _round(math.hypot(*sure)),
             "memory": agent.memory if agent else 0,
         }
         if load is not None:
-            each |= {
-                "capacity": load.capacity,
-                "used": _round(load.used),
-                "background": _round(load.background),
-            }
+            each["capacity"] = load.capacity
+            if name not in unknown:
+                each["used"] = _round(load.used)
+                each["background"] = _round(load.background)
         yield name, each
 
 
