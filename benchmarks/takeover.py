@@ -174,7 +174,9 @@ def live(
                 restarted=sum("restarts" in e.what for e in said),
                 twice=tuple(n for n, times in seen.items() if times > 1),
                 missing=tuple(sorted(once.keys() - seen.keys())),
-                half_done=next((e.what for e in said if "half done" in e.what), ""),
+                half_done=next(
+                    (e.what for e in said if "was interrupted" in e.what), ""
+                ),
             )
         )
         if agents.doom is None:
@@ -255,7 +257,7 @@ def summary(found: list[TakenOver], counts: Mapping[str, int]) -> dict[str, obje
         "managers": len(found),
         "half_done": sum(bool(each.half_done) for each in later),
         "finished": sum("is finished" in each.half_done for each in later),
-        "rolled_back": sum("is rolled" in each.half_done for each in later),
+        "rolled_back": sum("is rolled back" in each.half_done for each in later),
         "active_twice": sum(bool(each.twice) for each in found),
         "missing": sum(bool(each.missing) for each in found),
         "restarted": sum(each.restarted for each in found),

@@ -1,9 +1,10 @@
 """Serves with T-Rot again and again: each way to place, each condition, many seeds.
 
 Ctrl-C ends it, and the same command goes on. It takes about two hours, with --quick
-five minutes, and writes a line for each run and a page.
+five minutes, with --one half a minute, and writes a line for each run and a page.
 
-Usage: python -m benchmarks.experiment [--quick | --full] [--folder FOLDER] [--json]
+Usage: python -m benchmarks.experiment [--one | --quick | --full] [--folder FOLDER]
+[--json]
 
 It imports internal modules: it measures runs from outside.
 """
@@ -18,7 +19,7 @@ from rich.console import Console
 from rich.markup import escape
 
 import poise
-from benchmarks.experiment.results import FULL, SHORT, USUAL
+from benchmarks.experiment.results import FULL, ONE, SHORT, USUAL
 from benchmarks.experiment.series import PAGE, experiment
 from benchmarks.experiment.tables import experiment_parts
 from poise.cli.interrupts import Interrupts
@@ -33,18 +34,21 @@ def main() -> int:
         "python -m benchmarks.experiment", description=__doc__
     )
     extent = parser.add_mutually_exclusive_group()
+    extent.add_argument("--one", action="store_true", help="one run")
     extent.add_argument("--quick", action="store_true", help="four ways, two runs")
     extent.add_argument("--full", action="store_true", help="79 runs of each way")
     parser.add_argument("--folder", type=Path, default=Path("poise-experiment"))
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
+    extents = {"one": ONE, "quick": SHORT, "full": FULL}
     console = Console(stderr=options.json, highlight=False)
 
     def say(sentence: str) -> None:
         console.print(escape(sentence), soft_wrap=True)
 
     robot = poise.load(ROBOT, say=say)
-    chosen = SHORT if options.quick else FULL if options.full else USUAL
+    flags = (flag for flag in extents if getattr(options, flag))
+    chosen = extents.get(next(flags, ""), USUAL)
     with Interrupts() as interrupts:
         try:
             report = experiment(

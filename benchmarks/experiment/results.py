@@ -139,6 +139,7 @@ SHORT = Extent(
     conditions=CONDITIONS[:1],
     base_seeds=2,
 )
+ONE = replace(SHORT, arms=SHORT.arms[:1], base_seeds=1)
 
 
 def schedule(extent: Extent) -> list[Trial]:

@@ -51,13 +51,14 @@ def test_lists_what_there_is_and_why_not_all_is_used(robot: Path) -> None:
 
 @pytest.mark.slow
 def test_shows_what_was_learned_until_it_is_reset(robot: Path) -> None:
-    """2 of 2 done: Beta(3, 1), mean 3/4, F(x) = x^3."""
+    """2 of 2 done, the first 2 % less by now: Beta(2.98, 1)."""
     for _ in range(2):
         note_outcome(load(robot), "pick", "done", ["gripper"])
     (learned,) = json.loads(call("show", "gripper", robot, "--json").stdout)["learned"]
-    assert (learned["action"], learned["done"], learned["failed"]) == ("pick", 2, 0)
-    assert learned["mean"] == pytest.approx(3 / 4)
-    assert learned["low"] == pytest.approx(0.05 ** (1 / 3))
+    assert (learned["action"], learned["done"], learned["failed"]) == ("pick", 1.98, 0)
+    assert learned["mean"] == pytest.approx(2.98 / 3.98)
+    variance = 2.98 / (3.98**2 * 4.98)
+    assert learned["deviation"] == pytest.approx(variance**0.5)
     assert "75% ± 19%" in call("show", "gripper", robot).stdout
     assert "2 outcomes of 'gripper' forgotten" in call("reset", "gripper", robot).stdout
     shown = json.loads(call("show", "gripper", robot, "--json").stdout)

@@ -37,6 +37,7 @@ ROBOTS = {
     "benchmarks.data_age": "--seconds 2 --starts 1 --only t-rot --json",
     "benchmarks.drive": "--times 1 --json",
     "benchmarks.estimate": "--quick --json",
+    "benchmarks.experiment": "--one --json --folder {folder}",
     "benchmarks.faults": "--quick --json",
     "benchmarks.idle": "--quick --json",
     "benchmarks.moves": "--quick --json",
@@ -84,20 +85,22 @@ def test_every_benchmark_has_a_short_form() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("module", "options"), QUICK.items(), ids=QUICK)
-def test_a_command_without_robots_runs(module: str, options: str) -> None:
-    run(module, options)
+def test_a_command_without_robots_runs(
+    module: str, options: str, tmp_path: Path
+) -> None:
+    run(module, options, tmp_path)
 
 
 @pytest.mark.slow
 @pytest.mark.exhaustive
 @pytest.mark.parametrize(("module", "options"), ROBOTS.items(), ids=ROBOTS)
-def test_a_command_with_robots_runs(module: str, options: str) -> None:
-    run(module, options)
+def test_a_command_with_robots_runs(module: str, options: str, tmp_path: Path) -> None:
+    run(module, options, tmp_path)
 
 
-def run(module: str, options: str) -> None:
+def run(module: str, options: str, folder: Path) -> None:
     """Run a command to its end, which must be a success, and read its JSON."""
-    words = shlex.split(options)
+    words = shlex.split(options.format(folder=folder))
     done = subprocess.run(
         [sys.executable, "-m", module, *words],
         cwd=ROOT,

@@ -812,7 +812,7 @@ def test_what_a_manager_left_that_is_gone_is_ended_first(
     assert before
     assert before.isdisjoint(processes())
     told = [entry.what for entry in world.journal.entries()]
-    assert any("an earlier manager left container " in what for what in told)
+    assert any("stopping what an earlier manager left: " in what for what in told)
 
 
 @pytest.mark.parametrize("source", ["left", "right"])

@@ -7,7 +7,7 @@ from msgspec.structs import replace
 
 from poise.manage.journal import JournalEntry
 from poise.session.running_robots.running import Status
-from poise.view.dashboard.history import History, Page
+from poise.view.dashboard.history import Page, RecentHistory
 from poise.view.dashboard.state import PageState, Updates, changes, why
 from poise.view.robot_view import Look
 from poise.wire.records.request_records import ManagerId
@@ -168,7 +168,7 @@ def test_nothing_of_a_computer_that_is_silent_counts_as_fine_or_live() -> None:
 
 
 def test_the_history_has_a_moment_a_second_for_ten_minutes() -> None:
-    history = History()
+    history = RecentHistory()
     page: Page = {
         "computers": {"left": {"used": 1.0, "capacity": 4.0}, "right": {}},
         "timers": {"arm.tick": {"deadline": 0.1, "now": 0.25}},

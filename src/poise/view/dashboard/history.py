@@ -14,7 +14,7 @@ SPAN = 600
 """So many moments are kept, one a second: ten minutes."""
 
 
-class History:
+class RecentHistory:
     """Notes a moment each second, with None for what was not known then."""
 
     def __init__(self) -> None:

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 from poise.session.running_robots.running import ChainReport, JournalEntry, Status
-from poise.view.dashboard.history import History, Page, Records
+from poise.view.dashboard.history import Page, RecentHistory, Records
 from poise.view.robot_view import ConnectorRow, Look, Reader, TimerRow, containers
 
 MOST_SHOWN = 200
@@ -22,7 +22,7 @@ class PageState:
 
     def __init__(self) -> None:
         self._reader = Reader()
-        self._history = History()
+        self._history = RecentHistory()
 
     def of(self, look: Look, at: float) -> Page:
         """Return the state."""
