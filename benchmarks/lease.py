@@ -15,7 +15,7 @@ from functools import partial
 from timeit import timeit
 
 from poise.runtime.execution.container_lease import LeaseEnd, check_lease
-from poise.runtime.hosting.stats_page import new_memory
+from poise.runtime.execution.counters import new_memory
 
 _ROUNDS = 50
 _CALLS = 50_000

@@ -85,9 +85,9 @@ class Loop:
         self._moves: list[Move] = []
         self._lately: deque[Cores] = deque(maxlen=2)
         self._adaptation = Adaptation(
-            cast(RunningComponents, self),
+            cast("RunningComponents", self),
             self._situation,
-            cast(Suspensions, _Nothing()),
+            cast("Suspensions", _Nothing()),
             clock=lambda: BEGAN + self._step * STEP,
         )
 

@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     from poise.model.policy.policy import Seen as Seen
     from poise.model.robot import Robot as Robot
     from poise.runtime.component.component import Component as Component
-    from poise.runtime.component.deadline import time_left as time_left
-    from poise.runtime.component.deadline import within as within
+    from poise.runtime.component.component import time_left as time_left
+    from poise.runtime.component.component import within as within
     from poise.runtime.component.ports import Message as Message
     from poise.runtime.component.ports import Provided as Provided
     from poise.runtime.component.ports import Published as Published
@@ -133,9 +133,9 @@ else:
         "stop_without_manager": "session.running_robots.without_manager",
         "subscribed": "runtime.component.ports",
         "test_policies": "session.recordings.recorded_run",
-        "time_left": "runtime.component.deadline",
+        "time_left": "runtime.component.component",
         "up": "session.up",
-        "within": "runtime.component.deadline",
+        "within": "runtime.component.component",
     }
     __all__ = list(_HOMES)
 

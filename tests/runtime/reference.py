@@ -11,7 +11,7 @@ from typing import Any, NoReturn
 
 from poise.errors import Timeout
 from poise.runtime._calls import time_left
-from poise.runtime.component.deadline import within
+from poise.runtime.component.component import within
 from poise.runtime.execution.exclusion import Redirected, current_chain
 from poise.wire.records.status_records import Summary
 

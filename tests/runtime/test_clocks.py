@@ -19,8 +19,8 @@ from poise.model import load
 from poise.runtime.agent.fence import Fence
 from poise.runtime.agent.heartbeat_exchange import HeartbeatExchange
 from poise.runtime.execution.clocks import ComputerClock
-from poise.runtime.sampling.watchdog import Silence
 from poise.runtime.supervision.container_processes import ContainerProcess
+from poise.runtime.supervision.health import Silence
 from poise.runtime.supervision.process_host import ControlLink
 from poise.runtime.waker import wait_readable
 from poise.session.launch.start import Sampling, started

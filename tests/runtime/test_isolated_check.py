@@ -12,7 +12,7 @@ import pytest
 
 from poise.model.robot import Architecture, ComponentEntry, Robot
 from poise.model.software import CodeTimer
-from poise.runtime.isolated_check import check_code_isolated
+from poise.runtime.code_check import check_code_isolated
 from tests.waiting import LONG
 
 pytestmark = pytest.mark.slow

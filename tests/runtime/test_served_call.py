@@ -13,7 +13,7 @@ import pytest
 
 from poise.errors import CalleeError, Timeout
 from poise.runtime._calls import Counts, ServedCall, call_remote
-from poise.runtime.connectors.direct import raise_callee_error
+from poise.runtime.connectors.route import raise_callee_error
 from poise.runtime.execution.exclusion import (
     Exclusion,
     Redirected,

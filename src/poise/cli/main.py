@@ -26,7 +26,7 @@ def main() -> None:
     words = sys.argv[1:]
     completed = _completed()
     # all that typer raises for arguments that it refuses has this base
-    misuse = cast(tuple[type[typer.BadParameter], ...], typer.BadParameter.__bases__)
+    misuse = cast("tuple[type[typer.BadParameter], ...]", typer.BadParameter.__bases__)
     try:
         app = build(completed or words)
         sys.exit(app(prog_name="poise", standalone_mode="--json" not in words))

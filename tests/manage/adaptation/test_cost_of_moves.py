@@ -201,9 +201,9 @@ def run(world: World, seconds: float) -> World:
     patch.setattr(transitions, "transit", world.transit)
     try:
         adaptation = Adaptation(
-            cast(RunningComponents, Robotless(world.robot)),
+            cast("RunningComponents", Robotless(world.robot)),
             world.situation,
-            cast(Suspensions, Nothing()),
+            cast("Suspensions", Nothing()),
             clock=lambda: world.now,
         )
         end = world.now + seconds

@@ -10,7 +10,7 @@ import pytest
 import poise
 from poise.errors import CalleeError, RobotError
 from poise.runtime.component.error_report import AGAIN, MOST_DISTINCT, Errors, told
-from poise.runtime.connectors.direct import raise_callee_error
+from poise.runtime.connectors.route import raise_callee_error
 
 ROBOT = "/robot/code.py"
 OURS = f"{Path(poise.__file__).parent}/somewhere.py"

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from poise import Component, Message, Provided, Published, Required, oneway, subscribed
 from poise.clock import Elapsed
-from poise.runtime.connectors.chain_stamps import SentChains
+from poise.runtime.execution.data_age import SentChains
 from poise.wire.records.deployment_records import ChainPart
 from poise.wire.records.status_records import ChainStatus
 from tests.runtime.conftest import Pair, every_kind

@@ -13,8 +13,8 @@ import pytest
 
 from poise.errors import CalleeError, Timeout
 from poise.runtime import _calls
-from poise.runtime.connectors.direct import direct_call
-from poise.runtime.execution.connector_counters import Counts
+from poise.runtime.connectors.route import direct_call
+from poise.runtime.execution.counters import Counts
 from poise.runtime.execution.exclusion import (
     Exclusion,
     Redirected,

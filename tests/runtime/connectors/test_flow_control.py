@@ -7,7 +7,7 @@ import pytest
 from poise.runtime._calls import ComponentCounters
 from poise.runtime.component.ports import Policy, Queue
 from poise.runtime.connectors.flow_control import Credit, CreditIssuer
-from poise.runtime.execution.connector_counters import Counts
+from poise.runtime.execution.counters import Counts
 from poise.runtime.execution.mailbox import Mailbox
 from poise.wire import frame
 from poise.wire.codec import Codec

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from poise.runtime.connectors.message_buffer import MOST_BUFFERED, MessageBuffer
-from poise.runtime.execution.connector_counters import Counts
+from poise.runtime.connectors.sender import MOST_BUFFERED, MessageBuffer
+from poise.runtime.execution.counters import Counts
 
 
 def filled(counts: Counts, count: int) -> MessageBuffer:

@@ -11,7 +11,7 @@ from poise.runtime.connectors.channel_route import receiving
 from poise.runtime.connectors.endpoints import OvertakenSources
 from poise.runtime.connectors.interface import message_tag
 from poise.runtime.execution.clocks import RemoteClock
-from poise.runtime.execution.connector_counters import Counts
+from poise.runtime.execution.counters import Counts
 from poise.wire import frame
 from poise.wire.codec import codec
 from poise.wire.frame import Kind

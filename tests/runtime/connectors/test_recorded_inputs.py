@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from poise import Message
-from poise.runtime.connectors.recorded_inputs import InputFile
+from poise.runtime.connectors.tap import InputFile
 from poise.wire import frame
 from poise.wire.codec import codec
 from poise.wire.connections.connection_server import Handler
@@ -90,7 +90,7 @@ def test_a_recording_is_bounded_and_says_so(
     monkeypatch: pytest.MonkeyPatch,
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    monkeypatch.setattr("poise.runtime.connectors.recorded_inputs.MOST", 100)
+    monkeypatch.setattr("poise.runtime.connectors.tap.MOST_RECORDED", 100)
     handler, frames = received(file)
     for _ in range(5):
         come(handler, Kind.MESSAGE, "a" * 60)

@@ -264,7 +264,7 @@ def test_does_not_release_to_nowhere(
 def test_a_publisher_waits_while_too_much_is_held(
     sender: Sender, new: FakeRoute, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("poise.runtime.connectors.message_buffer.MOST_BUFFERED", 2)
+    monkeypatch.setattr("poise.runtime.connectors.sender.MOST_BUFFERED", 2)
     sender.buffer_for_move()
     for number in range(3):
         sender.send(number)  # the third waits for the sender's limit, and is lost

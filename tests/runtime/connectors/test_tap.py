@@ -14,9 +14,14 @@ from poise.runtime.component.ports import Port
 from poise.runtime.connectors import tap
 from poise.runtime.connectors.interface import Proxy
 from poise.runtime.connectors.sender import Sender
-from poise.runtime.connectors.tap import MOST_PASSED, MOST_TIMES, Observer, Plain
-from poise.runtime.hosting import taps
-from poise.runtime.hosting.taps import MOST_VIEWERS, Taps
+from poise.runtime.connectors.tap import (
+    MOST_PASSED,
+    MOST_TIMES,
+    MOST_VIEWERS,
+    Observer,
+    Plain,
+    Taps,
+)
 from poise.wire.records.migration_records import StepsFailed
 from poise.wire.records.tap_records import Tap, TapReading
 from tests.runtime.connectors.test_sender import FakeRoute, Note, Sums
@@ -183,7 +188,7 @@ def test_each_viewer_gets_everything_and_is_forgotten_when_it_asks_no_more(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     wiring: Any = OneSender()
-    watched = Taps(wiring)
+    watched = Taps(wiring.sender)
     for viewer in ("me", "you"):
         reading = watched.read(asked(viewer))
         assert isinstance(reading, TapReading)
@@ -195,14 +200,14 @@ def test_each_viewer_gets_everything_and_is_forgotten_when_it_asks_no_more(
         assert len(reading.times) == 1
     watched.end_unread()
     assert wiring.only.sending() != wiring.only.send
-    monkeypatch.setattr(taps, "KEPT_FOR", -1.0)
+    monkeypatch.setattr(tap, "KEPT_FOR", -1.0)
     watched.end_unread()
     assert wiring.only.sending() == wiring.only.send
 
 
 def test_too_many_viewers_and_unknown_connectors_are_refused() -> None:
     wiring: Any = OneSender()
-    watched = Taps(wiring)
+    watched = Taps(wiring.sender)
     for number in range(MOST_VIEWERS):
         watched.read(asked(str(number)))
     refused = watched.read(asked("one more"))

@@ -11,7 +11,7 @@ from unittest.mock import Mock
 import pytest
 
 from poise.runtime.container.container import Container
-from poise.runtime.hosting.stats_page import new_memory
+from poise.runtime.execution.counters import new_memory
 from poise.runtime.waker import wait_readable
 from poise.wire import record_channel
 from poise.wire.records.container_records import ContainerFailure, FromContainer
@@ -58,7 +58,7 @@ RUN = """
 import socket, sys
 from pathlib import Path
 from poise.runtime.container.container import Container
-from poise.runtime.hosting.stats_page import new_memory
+from poise.runtime.execution.counters import new_memory
 agent = socket.socket(fileno=int(sys.argv[1]))
 Container("see", "a", Path(sys.argv[2]), agent, new_memory()).run()
 """

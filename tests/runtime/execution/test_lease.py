@@ -16,13 +16,12 @@ import pytest
 from poise import Component, Message, Provided, Published, Required, every, subscribed
 from poise.clock import SystemClock
 from poise.errors import Unavailable
-from poise.runtime.execution.connector_counters import Counts
 from poise.runtime.execution.container_lease import LeaseEnd, LeaseEnded
+from poise.runtime.execution.counters import Counts, new_memory
 from poise.runtime.hosting.checkpoints import Checkpoints
-from poise.runtime.hosting.fenced_commands import freeze_fenced
+from poise.runtime.hosting.command_line import freeze_fenced
 from poise.runtime.hosting.runner import Runner
-from poise.runtime.hosting.stats_page import new_memory
-from poise.runtime.migration.state_sender import REQUEST, Request, StateSender
+from poise.runtime.migration.state_transfer import REQUEST, Request, StateSender
 from poise.wire import frame
 from poise.wire.frame import Kind
 from poise.wire.records.deployment_records import ComponentSpec

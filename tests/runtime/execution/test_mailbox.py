@@ -10,7 +10,7 @@ import pytest
 from poise.runtime._calls import ComponentCounters
 from poise.runtime.component.ports import Queue
 from poise.runtime.execution import mailbox as module
-from poise.runtime.execution.connector_counters import Counts
+from poise.runtime.execution.counters import Counts
 from poise.runtime.execution.mailbox import Feed, Inbox, Mailbox
 
 LIMIT = 20.0

@@ -10,7 +10,7 @@ import pytest
 from poise.errors import Timeout
 from poise.runtime.connectors.endpoints import Endpoints
 from poise.runtime.execution.exclusion import Exclusion
-from poise.runtime.hosting.execution_gate import ExecutionGate
+from poise.runtime.hosting.life_cycle import ExecutionGate
 
 
 def test_what_hangs_is_not_waited_for_without_limit() -> None:

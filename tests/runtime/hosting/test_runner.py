@@ -13,7 +13,7 @@ import pytest
 from poise import Component, Message, every, subscribed
 from poise.clock import SystemClock
 from poise.errors import RunError, Timeout
-from poise.runtime.execution.connector_counters import Counts
+from poise.runtime.execution.counters import Counts
 from poise.runtime.execution.exclusion import Redirected
 from poise.runtime.hosting.runner import Runner
 from poise.wire.records.deployment_records import ComponentSpec

@@ -15,10 +15,9 @@ import pytest
 
 from poise.runtime import _calls
 from poise.runtime._calls import ComponentCounters, PageSampler, ServedCall
-from poise.runtime.connectors.direct import direct_call, raise_callee_error
-from poise.runtime.execution.connector_counters import Counts
+from poise.runtime.connectors.route import direct_call, raise_callee_error
+from poise.runtime.execution.counters import Counts, new_memory
 from poise.runtime.execution.exclusion import Exclusion
-from poise.runtime.hosting.stats_page import new_memory
 from poise.wire.frame import Frame, Kind
 from tests.waiting import wait_until
 

@@ -13,11 +13,10 @@ from poise import Component, Message, Provided, every, oneway, subscribed
 from poise.clock import SystemClock
 from poise.errors import UsageError
 from poise.runtime.connectors.interface import methods
-from poise.runtime.execution.connector_counters import Counts
+from poise.runtime.execution.counters import Counts
 from poise.runtime.execution.data_age import Stamped
 from poise.runtime.hosting.runner import Runner
-from poise.runtime.migration.state_receiver import fetch, restore
-from poise.runtime.migration.state_sender import Request, StateSender
+from poise.runtime.migration.state_transfer import Request, StateSender, fetch, restore
 from poise.wire import frame
 from poise.wire.connections.channel import Channel
 from poise.wire.frame import Frame, Pieces

@@ -12,10 +12,10 @@ from typing import NamedTuple, TypeVar
 
 from msgspec import structs
 
+from poise.clock import Clock
 from poise.runtime.agent.fence import Fence
 from poise.runtime.agent.heartbeat_exchange import HeartbeatExchange
 from poise.runtime.agent.inbox import SupervisedParts
-from poise.runtime.agent.status_reports import StatusReports
 from poise.runtime.agent.surroundings import (
     AgentSetup,
     AgentState,
@@ -23,14 +23,13 @@ from poise.runtime.agent.surroundings import (
     Reply,
     Surroundings,
 )
-from poise.runtime.sampling.watchdog import Silence
 from poise.runtime.supervision.adopted_containers import ADOPT_LIMIT
 from poise.runtime.supervision.container_processes import (
     STOP_LIMIT,
     MigrationRelay,
     ProcessEnd,
 )
-from poise.runtime.supervision.health import HealthRecords
+from poise.runtime.supervision.health import HealthRecords, Silence
 from poise.runtime.supervision.supervisor import Supervisor, part_of
 from poise.wire.heartbeats import Contacts
 from poise.wire.records.checkpoint_records import CheckpointCopy
@@ -47,6 +46,11 @@ from poise.wire.records.request_records import (
 from poise.wire.records.status_records import AgentStatus
 
 T = TypeVar("T")
+
+REPORT_EVERY = 0.5
+"""A status goes out at least this often [s]."""
+_MISSES_EVERY = 0.2
+"""While deadlines are missed, it goes out this often [s]."""
 
 
 class _Part(NamedTuple):
@@ -342,3 +346,27 @@ class AgentCore:
             unmanaged=self.fence.unmanaged,
             links=self.heartbeats.links(),
         )
+
+
+class StatusReports:
+    """Publishes an agent's status."""
+
+    def __init__(
+        self, publish: Callable[[AgentStatus], object], clock: Clock, first: AgentStatus
+    ) -> None:
+        self._publish = publish
+        self._clock = clock
+        self._seen = 0, first.states
+        self._missed, self._sent = 0, 0.0
+        self.due = 0.0
+
+    def note(self, status: AgentStatus, arrivals: int) -> None:
+        """Publish a status if it says something new, or if it is due."""
+        seen = arrivals, status.states
+        if status.missed != self._missed:
+            self.due = min(self.due, self._sent + _MISSES_EVERY)
+        if seen != self._seen or self._clock.now() >= self.due:
+            self._publish(status)
+            self._seen, self._missed = seen, status.missed
+            self._sent = self._clock.now()
+            self.due = self._sent + REPORT_EVERY

@@ -12,16 +12,15 @@ from poise.errors import CalleeError, CallError, Timeout, Unavailable
 from poise.runtime._calls import ServedCall, call_remote, time_left
 from poise.runtime.component.error_report import Sparing
 from poise.runtime.component.ports import Port
-from poise.runtime.connectors.chain_stamps import served, stamped_value, with_stamps
-from poise.runtime.connectors.direct import raise_callee_error
 from poise.runtime.connectors.endpoints import Endpoints
 from poise.runtime.connectors.flow_control import Credit, CreditIssuer
 from poise.runtime.connectors.interface import Method, message_tag, methods
+from poise.runtime.connectors.route import raise_callee_error
 from poise.runtime.connectors.sender import Sender
 from poise.runtime.execution.clocks import RemoteClock
-from poise.runtime.execution.connector_counters import Counts
 from poise.runtime.execution.container_lease import LeaseEnd, LeaseEnded, check_lease
-from poise.runtime.execution.data_age import Stamped
+from poise.runtime.execution.counters import Counts
+from poise.runtime.execution.data_age import Stamped, served, stamped_value, with_stamps
 from poise.runtime.execution.exclusion import Redirected, current_chain
 from poise.runtime.execution.mailbox import Feed
 from poise.wire import frame

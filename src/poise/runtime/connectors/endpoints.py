@@ -12,10 +12,9 @@ from poise.errors import Timeout
 from poise.runtime._calls import ComponentCounters
 from poise.runtime.component.component import Component
 from poise.runtime.component.ports import Port, Published, Queue, methods_of
-from poise.runtime.connectors.chain_stamps import SentChains
 from poise.runtime.connectors.interface import Proxy, refusing
 from poise.runtime.connectors.sender import Sender
-from poise.runtime.execution.data_age import DataAges
+from poise.runtime.execution.data_age import DataAges, SentChains
 from poise.runtime.execution.exclusion import Exclusion
 from poise.runtime.execution.mailbox import Mailbox
 from poise.wire.codec import WireError

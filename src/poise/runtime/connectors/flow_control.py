@@ -17,7 +17,7 @@ import threading
 from collections.abc import Callable
 from typing import Protocol
 
-from poise.runtime.execution.connector_counters import Counts
+from poise.runtime.execution.counters import Counts
 from poise.runtime.execution.mailbox import Feed
 from poise.wire import frame
 from poise.wire.codec import Codec

@@ -1,13 +1,21 @@
-"""The seam between a sender and the ways to its target."""
+"""The ways from a sender to its target: the seam, and direct invocation."""
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, NoReturn, Protocol
 
-from poise.runtime.connectors.interface import Method
+from poise.errors import CalleeError
+from poise.runtime import _calls
+from poise.runtime.component.error_report import told
+from poise.runtime.component.ports import Port
+from poise.runtime.connectors.interface import Method, message_tag
+from poise.runtime.execution.counters import Counts
+from poise.runtime.execution.exclusion import Exclusion
 
 if TYPE_CHECKING:
+    from poise.runtime.connectors.endpoints import Endpoints
     from poise.runtime.connectors.sender import Sender
 
 
@@ -49,3 +57,86 @@ class Route(Protocol):
     def close(self) -> None:
         """Release its resources at once; harmless when repeated."""
         ...
+
+
+class DirectRoute:
+    """A way to a component in this process."""
+
+    def __init__(
+        self,
+        connector: str,
+        target: Endpoints,
+        port: Port,
+        limit: float,
+        sender: Sender,
+        epoch: int = 0,
+    ) -> None:
+        self._connector, self._epoch = connector, epoch
+        self._target = target
+        self._limit = limit
+        self._feed = target.mailbox.feed(port.name, sender.counts)
+        self._feed.on_room = sender.room
+        self._tag = message_tag(port.type)
+
+    def is_ready(self) -> bool:
+        """Return True: it is here."""
+        return True
+
+    def is_calling(self) -> bool:
+        """Return False: no answer can get lost here."""
+        return False
+
+    def function(self, method: Method, sender: Sender) -> Callable[..., Any]:
+        """Return a function that calls a method in this process."""
+
+        def resend(*args: object, **kwargs: object) -> Any:  # noqa: ANN401, the call's
+            deadline = time.monotonic() + self._limit
+            return sender.again(self, method.name, args, kwargs, deadline)
+
+        run = getattr(self._target.component, method.name)
+        if sender.chains is not None:
+            run = sender.chains.direct(run, self._target.ages)
+        exclusion, limit = self._target.exclusion, self._limit
+        return direct_call(run, exclusion, limit, sender.counts, resend)
+
+    def push(self, method: Method | None, value: object) -> int:
+        """Put a message or one-way call into the target's mailbox."""
+        entry = (method.tag if method else self._tag, value)
+        self._target.overtaken.note(self._connector, self._epoch)
+        self._feed.put(entry)
+        return 0
+
+    def has_room(self) -> bool:
+        """Return whether the target's queue has room."""
+        return self._feed.has_room()
+
+    def ask(self) -> None:
+        """No-op: the queue is in this process."""
+
+    def send_marker(self, number: int) -> None:
+        """Note at the target that all has come."""
+        self._target.note_marker(self._connector, number)
+
+    def give_up(self) -> None:
+        """No-op: no computer lies between."""
+
+    def close(self) -> None:
+        """No-op: it holds nothing."""
+
+
+def direct_call(
+    method: Callable[..., Any],
+    exclusion: Exclusion,
+    limit: float,
+    counts: Counts,
+    resend: Callable[..., Any] | None = None,
+) -> Callable[..., Any]:
+    """Return a function that calls a method here; a late result is a `Timeout`."""
+    return _calls.direct_call(
+        method, exclusion, limit, counts, raise_callee_error, resend
+    )
+
+
+def raise_callee_error(error: Exception | SystemExit) -> NoReturn:
+    """Raise what a caller gets when its callee raised `error`."""
+    raise CalleeError(type(error).__qualname__, str(error), told(error)) from error

@@ -11,6 +11,7 @@ from __future__ import annotations
 import logging
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -18,7 +19,6 @@ from poise import threads
 from poise.errors import CallError, RunError, Timeout, Unavailable
 from poise.runtime.component.error_report import Sparing
 from poise.runtime.component.ports import Port
-from poise.runtime.connectors.chain_stamps import SentChains
 from poise.runtime.connectors.interface import (
     Method,
     Proxy,
@@ -26,11 +26,11 @@ from poise.runtime.connectors.interface import (
     oneway_function,
     refusing,
 )
-from poise.runtime.connectors.message_buffer import MessageBuffer
 from poise.runtime.connectors.route import Route
 from poise.runtime.connectors.tap import Observers, observed_call, observed_send
-from poise.runtime.execution.connector_counters import Counts
 from poise.runtime.execution.container_lease import LeaseEnded
+from poise.runtime.execution.counters import Counts
+from poise.runtime.execution.data_age import SentChains
 from poise.runtime.execution.exclusion import Exclusion, stepping_out
 from poise.wire.codec import WireError
 
@@ -40,6 +40,11 @@ _WHILE_MOVING = 2
 """The number of routes while the target moves: one to either incarnation."""
 _ASK_FIRST, _ASK_LAST = 0.005, 0.1
 """A sender without room asks for it after this time, and then ever less often [s]."""
+
+MOST_BUFFERED = 5_000
+"""Messages that a sender buffers while a component moves; then publishers wait."""
+Waiting = tuple[Method | None, Any, float]
+"""A one-way call's method, what is sent, and since when it waits [s, monotonic]."""
 
 
 class Sender:
@@ -350,3 +355,33 @@ class Sender:
         if self._observers:
             call = observed_call(call, method.name, self._observers)
         return call
+
+
+class MessageBuffer:
+    """Messages and one-way calls, oldest first. Its sender holds a lock meanwhile."""
+
+    def __init__(self, counts: Counts) -> None:
+        self._counts = counts
+        self._waiting: deque[Waiting] = deque()
+
+    def __len__(self) -> int:
+        return len(self._waiting)
+
+    def has_room(self) -> bool:
+        """Return whether one more may be added."""
+        return len(self) < MOST_BUFFERED
+
+    def add(self, waiting: Waiting) -> None:
+        """Add the newest."""
+        self._counts.drops += len(self) == self._waiting.maxlen
+        self._waiting.append(waiting)
+
+    def take(self) -> Waiting:
+        """Remove the oldest and return it; there must be one."""
+        return self._waiting.popleft()
+
+    def keep(self, most: int | None) -> None:
+        """Hold only the newest messages from now on; None: all, as before."""
+        if most is not None:
+            self._counts.drops += max(0, len(self) - most)
+            self._waiting = deque(self._waiting, most)

@@ -1,4 +1,4 @@
-"""Notes what goes out over a connector, while somebody looks.
+"""Observes a connector: what goes out, for viewers, and what comes in, for a file.
 
 A sender that nobody looks at has no observer, and does not ask whether it has. What is
 noted is bounded; what finds no room is counted.
@@ -7,24 +7,46 @@ noted is bounded; what finds no room is counted.
 from __future__ import annotations
 
 import dataclasses
+import logging
+import os
+import secrets
 import threading
 import time
 from collections.abc import Callable, Collection, Iterable, Mapping
 from collections.abc import Set as AbstractSet
 from functools import partial
 from itertools import islice
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 
 from poise.clock import wall_time
-from poise.wire.records.tap_records import SHOWN_ITEMS, Passed, TapReading
+from poise.errors import RunError, UsageError
+from poise.wire.connections.connection_server import Handler
+from poise.wire.frame import Frame, Kind, Pieces
+from poise.wire.recording_file import Input, McapFile
+from poise.wire.records.migration_records import StepsFailed
+from poise.wire.records.tap_records import SHOWN_ITEMS, Passed, Tap, TapReading
+
+if TYPE_CHECKING:
+    from poise.runtime.connectors.sender import Sender
+
+log = logging.getLogger(__name__)
 
 MOST_TIMES = 10_000
 MOST_PASSED = 100
 """So much waits for the viewer."""
 _MOST_LETTERS, _DEEPEST = 200, 5
 _LARGEST = 1 << 63
+
+KEPT_FOR = 3.0
+"""A viewer that has not asked for so long does not look any more [s]."""
+MOST_VIEWERS = 16
+MOST_RECORDED = 1 << 28
+"""Of one connector at most so much is recorded [bytes]; later entries are left out."""
+_RECORDED = {Kind.MESSAGE, Kind.CALL, Kind.ONEWAY}
+_RESULT_BODY = 1
 
 
 class Observer:
@@ -192,3 +214,97 @@ def _size(value: Any) -> str:  # noqa: ANN401, the same
         return f"<{value.dtype} array of {' x '.join(map(str, value.shape))}>"
     is_bytes = isinstance(value, bytes | bytearray | memoryview)
     return f"<{len(value)} bytes>" if is_bytes else ""
+
+
+class Taps:
+    """The observers of a container's senders; used by its control thread alone."""
+
+    def __init__(self, sender_of: Callable[[str], Sender]) -> None:
+        self._sender_of = sender_of
+        self._observed: dict[tuple[Sender, str], Observer] = {}
+
+    def read(self, asked: Tap) -> TapReading | StepsFailed:
+        """Return what has gone out since a viewer asked last; from now on note it."""
+        try:
+            sender = self._sender_of(asked.connector)
+        except UsageError as error:
+            return StepsFailed(asked.number, str(error))
+        key = sender, asked.viewer
+        if key not in self._observed:
+            if len(self._observed) >= MOST_VIEWERS:
+                text = f"{MOST_VIEWERS} viewers look at this container already"
+                return StepsFailed(asked.number, text)
+            self._observed[key] = Observer(
+                asked.connector, sender.port.type, asked.rate, asked.items
+            )
+            self._show(sender)
+        return self._observed[key].take(asked.number)
+
+    def end_unread(self) -> None:
+        """Remove the observers of viewers that do not look any more."""
+        if not self._observed:
+            return
+        until = time.monotonic() - KEPT_FOR
+        gone = [key for key, each in self._observed.items() if each.read_at < until]
+        for key in gone:
+            del self._observed[key]
+            self._show(key[0])
+
+    def _show(self, sender: Sender) -> None:
+        sender.observe(
+            tuple(o for (each, _), o in self._observed.items() if each is sender)
+        )
+
+
+class InputFile:
+    """A file for the inputs of one connector's end: whole however its process ends."""
+
+    def __init__(self, folder: Path, source: str) -> None:
+        folder.mkdir(parents=True, exist_ok=True)
+        name = f"{source}-{os.getpid()}-{secrets.token_hex(4)}.mcap"
+        self._file = McapFile(folder / name, "", at_once=True)
+        self._source = source
+        self._size = 0
+        self._has_ended = False
+
+    def handler(self, handle: Handler) -> Handler:
+        """Return a handler that also records messages and calls."""
+
+        def handle_and_record(received: Frame) -> Pieces | None:
+            at = wall_time()
+            answer = handle(received)
+            if received.kind in _RECORDED:
+                self._add(at, received, answer)
+            return answer
+
+        return handle_and_record
+
+    def _add(self, at: float, received: Frame, answer: Pieces | None) -> None:
+        body, buffers = bytes(received.body), bytes(received.buffers)
+        if self._has_ended:
+            return
+        self._size += len(body) + len(buffers)
+        if self._size > MOST_RECORDED:
+            self._end(f"it may have {MOST_RECORDED} B")
+            return
+        tag = None if received.kind is Kind.MESSAGE else received.tag
+        entry = Input(self._source, at, body, buffers, tag, _result(answer))
+        try:
+            self._file.add_record(entry, at)
+        except RunError as error:
+            self._end(str(error))
+
+    def _end(self, why: str) -> None:
+        self._has_ended = True
+        log.warning("%s: nothing more is recorded: %s", self._file.path, why)
+
+    def close(self) -> None:
+        """Close the file; harmless when repeated."""
+        self._file.close()
+
+
+def _result(answer: Pieces | None) -> bytes:
+    """Return the encoded result of an answer; empty when it failed."""
+    if answer is None or bytes(answer[0])[1] != Kind.RESULT:
+        return b""
+    return bytes(answer[_RESULT_BODY])

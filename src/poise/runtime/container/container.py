@@ -27,16 +27,16 @@ from poise.errors import PoiseError, RunError, Timeout, Unavailable
 from poise.priority import as_usual, go_first
 from poise.runtime.component.error_report import told
 from poise.runtime.component.implementation import search_also
+from poise.runtime.connectors.tap import Taps
 from poise.runtime.container.agent_link import AgentLink
 from poise.runtime.container.component_import import prepare
 from poise.runtime.container.descendants import Orphans
 from poise.runtime.execution.clocks import ComputerClock
 from poise.runtime.execution.container_lease import LeaseEnd
+from poise.runtime.execution.counters import ComponentKey, StatsPage
 from poise.runtime.hosting.checkpoints import Checkpoints
-from poise.runtime.hosting.fenced_commands import freeze_fenced
+from poise.runtime.hosting.command_line import freeze_fenced
 from poise.runtime.hosting.runner import Runner
-from poise.runtime.hosting.stats_page import ComponentKey, StatsPage
-from poise.runtime.hosting.taps import Taps
 from poise.runtime.hosting.wiring import Wiring
 from poise.runtime.migration.executor import MigrationExecutor
 from poise.runtime.waker import Waker, wait_readable
@@ -87,7 +87,7 @@ class Container:
         self._link = AgentLink(name, agent, stats_page, folder, self._clock)
         self._server = ConnectionServer(folder, name)
         self._wiring = Wiring(self._server, self._clock.ahead)
-        self._taps = Taps(self._wiring)
+        self._taps = Taps(self._wiring.sender)
         self._folder = folder
         self._wanted: ContainerSpec | None = None
         self._preparing: dict[ComponentKey, tuple[ComponentSpec, Future[Runner]]] = {}

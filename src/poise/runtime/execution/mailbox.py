@@ -13,7 +13,7 @@ from typing import Any
 
 from poise.runtime._calls import ComponentCounters
 from poise.runtime.component.ports import Queue
-from poise.runtime.execution.connector_counters import Counts
+from poise.runtime.execution.counters import Counts
 
 log = logging.getLogger(__name__)
 

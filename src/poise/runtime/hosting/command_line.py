@@ -14,8 +14,9 @@ import shutil
 import signal
 import subprocess
 import sys
+from collections.abc import Iterable
 from pathlib import Path
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import msgspec
 
@@ -23,6 +24,9 @@ from poise import threads
 from poise.errors import RobotError
 from poise.runtime.component.component import Component
 from poise.runtime.hosting.output import LONGEST, write_as
+
+if TYPE_CHECKING:
+    from poise.runtime.hosting.runner import Runner
 
 _STOP_LIMIT = 0.8
 """A process that was asked to end is killed after this time [s]; its container gives a
@@ -149,3 +153,12 @@ def _before_command() -> None:
     die_with_parent()
     # the container ignores Ctrl-C; what it starts may want it
     signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
+def freeze_fenced(runners: Iterable[Runner]) -> None:
+    """Stop the processes of those whose lease has ended; let the others go on."""
+    for runner in runners:
+        command = runner.component
+        is_leased = runner.lease is not None and runner.life_cycle.is_at_work
+        if is_leased and isinstance(command, CommandLine):
+            command.freeze(is_frozen=runner.is_fenced)

@@ -1,17 +1,28 @@
-"""A component's state and goal, and the hooks that lead from one to the other."""
+"""A component's state and goal, its news of tasks, and the gate that pauses it."""
 
 from __future__ import annotations
 
+import logging
 import threading
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from collections.abc import Set as AbstractSet
+from contextlib import contextmanager
 
+from poise.errors import RunError, Timeout
 from poise.runtime.component.component import Verb
+from poise.runtime.connectors.endpoints import Endpoints
+from poise.runtime.execution.exclusion import Exclusion, new_chain
 from poise.wire.records.deployment_records import Aim
 from poise.wire.records.status_records import ActionEnd, State, TaskWish
 
 ENDED: AbstractSet[State] = {"finalized", "failed"}
+
+_MOST_WISHES = 16
+"""So many wishes are told again and again, in case nobody heard them."""
+log = logging.getLogger(__name__)
+BORROW_LIMIT = 5.0
+"""Whoever wants the component's code waits this long for another who has it [s]."""
 
 
 class LifeCycle:
@@ -80,10 +91,6 @@ class LifeCycle:
             return self._state
 
 
-_MOST_WISHES = 16
-"""So many wishes are told again and again, in case nobody heard them."""
-
-
 class TaskNews:
     """What one component wishes to be done with tasks, and which actions have ended."""
 
@@ -114,3 +121,116 @@ class TaskNews:
     def ends(self) -> tuple[ActionEnd, ...]:
         """Return the last end at each port; any thread may ask."""
         return tuple(self._ends.copy().values())
+
+
+class ExecutionGate:
+    """Whether a component's code may run. It starts paused."""
+
+    def __init__(
+        self,
+        name: str,
+        exclusion: Exclusion,
+        endpoints: Endpoints,
+        may_resume: Callable[[], bool],
+        borrow_limit: float = BORROW_LIMIT,
+    ) -> None:
+        self._name = name
+        self._exclusion = exclusion
+        self._endpoints = endpoints
+        self._may_resume = may_resume
+        self._borrow_limit = borrow_limit
+        self._changed = threading.Condition()
+        self._is_paused = True
+        self._is_borrowed = self._resumes_later = False
+        self._migration: object = None
+        self._awaited_idle: threading.Event | None = None
+
+    @property
+    def is_paused(self) -> bool:
+        """Whether its code may not run now."""
+        return self._is_paused
+
+    def begin_migration(self) -> None:
+        """Allow a pause for a migration; what the one before paused resumes."""
+        self._migration = object()  # one for each: a pause for the last one is late
+        self.resume()
+
+    def end_migration(self) -> None:
+        """Refuse a pause for a migration."""
+        self._migration = None
+
+    def pause_for_migration(self, limit: float) -> None:
+        """Pause within `limit` [s]; on Timeout or RunError it goes on as before."""
+        migration = self._migration
+        self.pause(limit)
+        with self._changed:
+            if migration is None or self._migration is not migration:
+                self.resume()
+                raise RunError(f"component '{self._name}' does not move")
+            self._resumes_later = False
+
+    def pause(self, limit: float) -> None:
+        """Pause; raise Timeout when it was busy for `limit` [s]."""
+        if not self._is_paused:
+            self._exclusion.pause(limit)
+            with self._changed:
+                self._is_paused = True
+                self._endpoints.mailbox.set_unbounded(unbounded=True)
+
+    def pause_or_redirect(self, limit: float) -> None:
+        """Pause for good; after `limit` [s] without its callers: its process ends."""
+        try:
+            self.pause(limit)
+        except Timeout as error:
+            log.warning("%s", error)
+            self._exclusion.redirect()
+            self._is_paused = True
+
+    def resume(self) -> None:
+        """Go on after a pause, if it is active; harmless when repeated."""
+        with self._changed:
+            self._resumes_later = self._is_borrowed
+            if self._is_paused and not self._is_borrowed and self._may_resume():
+                self._is_paused = False
+                self._endpoints.mailbox.set_unbounded(unbounded=False)
+                self._endpoints.send_buffered()
+                self._exclusion.resume()
+
+    @contextmanager
+    def borrowed(self, *, by_hook: bool = False) -> Iterator[None]:
+        """Run its code here while it is paused; resume at the end if asked to."""
+        with self._changed:
+            if not self._changed.wait_for(
+                lambda: not self._is_borrowed, self._borrow_limit
+            ):
+                raise Timeout(
+                    f"component '{self._name}': its `snapshot`, `restore` or another "
+                    f"hook still runs after {self._borrow_limit:g} s"
+                )
+            if not self._is_paused:
+                raise RunError(f"component '{self._name}' is not paused")
+            self._is_borrowed = True
+        self._exclusion.lend(new_chain())
+        try:
+            yield
+        finally:
+            self._exclusion.lend(0)
+            with self._changed:
+                self._is_borrowed = False
+                self._changed.notify_all()
+            if self._resumes_later and not by_hook:
+                self.resume()
+
+    def wait_idle(self, limit: float) -> bool:
+        """Wait up to `limit` [s] until it ends its work; return whether it has."""
+        idle = self._awaited_idle = threading.Event()
+        try:
+            return idle.wait(limit)
+        finally:
+            self._awaited_idle = None
+
+    def note_done(self) -> None:
+        """Note that it has finished a timer or message."""
+        idle = self._awaited_idle
+        if idle is not None and self._endpoints.mailbox.is_empty():
+            idle.set()

@@ -29,8 +29,7 @@ from poise.runtime.execution.exclusion import Exclusion, Redirected, new_chain
 from poise.runtime.execution.mailbox import Inbox
 from poise.runtime.execution.timers import Releases, Timers, release_offset
 from poise.runtime.hosting.checkpoints import Checkpoints
-from poise.runtime.hosting.execution_gate import ExecutionGate
-from poise.runtime.hosting.life_cycle import ENDED, LifeCycle, TaskNews
+from poise.runtime.hosting.life_cycle import ENDED, ExecutionGate, LifeCycle, TaskNews
 from poise.runtime.hosting.output import write_as
 from poise.wire.codec import codec
 from poise.wire.records.deployment_records import Aim, ComponentSpec

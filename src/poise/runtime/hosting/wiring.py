@@ -13,15 +13,14 @@ from poise.clock import Elapsed
 from poise.errors import RobotError, RunError, UsageError
 from poise.runtime.component.error_report import told
 from poise.runtime.component.ports import Kind, Port
-from poise.runtime.connectors.chain_stamps import SentChains
 from poise.runtime.connectors.channel_route import ChannelRoute, receiving
-from poise.runtime.connectors.direct import DirectRoute
 from poise.runtime.connectors.flow_control import Credit, CreditIssuer
-from poise.runtime.connectors.recorded_inputs import InputFile
-from poise.runtime.connectors.route import Route
+from poise.runtime.connectors.route import DirectRoute, Route
 from poise.runtime.connectors.sender import Sender
+from poise.runtime.connectors.tap import InputFile
 from poise.runtime.execution.clocks import RemoteClock
-from poise.runtime.execution.connector_counters import Counts
+from poise.runtime.execution.counters import Counts
+from poise.runtime.execution.data_age import SentChains
 from poise.runtime.hosting.runner import Runner
 from poise.wire.address import Address
 from poise.wire.connections.channel import Channel

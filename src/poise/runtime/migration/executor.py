@@ -16,8 +16,7 @@ from poise.priority import as_usual
 from poise.runtime.component.error_report import told_in_brief
 from poise.runtime.hosting.runner import Runner
 from poise.runtime.hosting.wiring import Runners, Wiring
-from poise.runtime.migration.state_receiver import StateReceiver
-from poise.runtime.migration.state_sender import StateSender
+from poise.runtime.migration.state_transfer import StateReceiver, StateSender
 from poise.runtime.waker import poll_until
 from poise.wire.address import Address
 from poise.wire.connections.channel import Channel

@@ -21,8 +21,13 @@ from poise.runtime.sampling.kernel_counters import (
     proportional_memory,
     resident_memory,
 )
-from poise.runtime.sampling.watchdog import LOOK_EVERY, Silence, Watchdog
-from poise.runtime.supervision.health import ContainerUse, Usage
+from poise.runtime.supervision.health import (
+    LOOK_EVERY,
+    ContainerUse,
+    Silence,
+    Usage,
+    Watchdog,
+)
 
 log = logging.getLogger(__name__)
 

@@ -10,7 +10,7 @@ from msgspec import Struct
 
 from poise.errors import Timeout, Unavailable
 from poise.runtime.agent.surroundings import ContainerControl, Reply
-from poise.runtime.sampling.watchdog import Silence
+from poise.runtime.supervision.health import Silence
 from poise.wire.codec import WireError
 from poise.wire.records.clock_records import Clocks, ClockStatus
 from poise.wire.records.container_records import (

@@ -18,9 +18,8 @@ from poise.clock import Clock
 from poise.errors import Unavailable
 from poise.runtime.agent.inbox import SupervisedParts
 from poise.runtime.agent.surroundings import ContainerControl, ContainerHost
-from poise.runtime.sampling.watchdog import Silence
 from poise.runtime.supervision.container_processes import ContainerProcess, ProcessEnd
-from poise.runtime.supervision.health import HealthRecords, Usage
+from poise.runtime.supervision.health import HealthRecords, Silence, Usage
 from poise.wire.records.clock_records import ClockStatus
 from poise.wire.records.container_records import FromContainer, Outcome
 from poise.wire.records.deployment_records import ContainerSpec, Deployment

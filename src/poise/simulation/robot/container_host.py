@@ -9,8 +9,8 @@ from signal import SIGKILL, Signals
 from typing import TYPE_CHECKING
 
 from poise.errors import Unavailable
-from poise.runtime.sampling.watchdog import Silence
 from poise.runtime.supervision.container_processes import ProcessEnd
+from poise.runtime.supervision.health import Silence
 from poise.simulation.components.modelled_container import SimulatedContainer, World
 from poise.simulation.components.models import drawn
 from poise.wire.records.container_records import FromContainer, ToContainer

@@ -11,7 +11,7 @@ import pytest
 from poise import threads
 from poise.runtime import _calls
 from poise.runtime._calls import ComponentCounters, PageSampler
-from poise.runtime.hosting.stats_page import new_memory
+from poise.runtime.execution.counters import new_memory
 from poise.runtime.sampling.kernel_counters import proportional_memory, resident_memory
 from poise.runtime.sampling.sampler import Sampler
 from poise.wire.records.sample_records import AgentSample

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from poise.runtime.sampling.kernel_counters import Processes
-from poise.runtime.sampling.watchdog import LOOK_EVERY, Silence, Watchdog
+from poise.runtime.supervision.health import LOOK_EVERY, Silence, Watchdog
 
 PID = 7
 

@@ -9,7 +9,7 @@ import pytest
 from msgspec import structs
 
 from poise.priority import REAL_TIME
-from poise.runtime.supervision.container_weights import CPU_GROUP, CpuWeights, own_group
+from poise.runtime.supervision.process_host import CPU_GROUP, CpuWeights, own_group
 from poise.wire.records.deployment_records import ContainerSpec
 
 HIGH = ContainerSpec(

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from poise.runtime.hosting.stats_page import new_memory
+from poise.runtime.execution.counters import new_memory
 from poise.runtime.supervision.process_host import ControlLink
 from poise.wire import record_channel
 from poise.wire.records.status_records import ContainerStatus

@@ -1,5 +1,5 @@
 // The stats page: shared memory in which a container counts and which its agent reads, so
-// that neither wakes the other. Of all that is in it, the agent writes the lease's end alone. poise/runtime/hosting/stats_page.py says what is in it.
+// that neither wakes the other. Of all that is in it, the agent writes the lease's end alone. poise/runtime/execution/counters.py says what is in it.
 //
 // Each record has a sequence lock: its id is 0 while it is filled and different after
 // every use, so a reader that sees the same id before and after has read one record.

@@ -1,7 +1,8 @@
-"""The stats page: shared memory in which a container counts and which its agent reads.
+"""What is counted in a container, and the stats page that its agent reads it from.
 
-No process is woken: threads add in place, and the agent samples all containers at once
-and asks the kernel for their threads' CPU time, in native code.
+The page is shared memory. No process is woken: threads add in place, and the agent
+samples all containers at once and asks the kernel for their threads' CPU time, in
+native code.
 """
 
 from __future__ import annotations
@@ -10,19 +11,54 @@ import fcntl
 import logging
 import os
 from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING
 
 from poise.runtime import _calls
-from poise.runtime._calls import ComponentCounters, Counts, PageSampler
-from poise.runtime.hosting.runner import Runner
-from poise.runtime.hosting.wiring import OpenEndpoints
+from poise.runtime._calls import ComponentCounters, PageSampler
+from poise.wire.codec import WireError
+from poise.wire.records.deployment_records import ConnectorKind
+from poise.wire.records.status_records import ConnectorStatus, Side
+
+if TYPE_CHECKING:
+    from poise.runtime.hosting.runner import Runner
+    from poise.runtime.hosting.wiring import OpenEndpoints
 
 log = logging.getLogger(__name__)
-
 MOST = 8192
 """Components, timers and ends of connectors that fit; unused records take no memory."""
-
 ComponentKey = tuple[str, int]
 """Name and epoch of a component."""
+
+
+class Counts(_calls.Counts):
+    """What one end of a connector counts, on the threads that use it."""
+
+    def refuse(self, _: WireError) -> None:
+        """Count something that came and is no frame."""
+        self.errors += 1
+
+    def status(
+        self, name: str, key: str, kind: ConnectorKind, end: Side, *, ready: bool
+    ) -> ConnectorStatus:
+        """Return the numbers as a record."""
+        return ConnectorStatus(
+            name=name,
+            key=key,
+            kind=kind,
+            end=end,
+            ready=ready,
+            calls=self.calls,
+            messages=self.messages,
+            bytes_out=self.bytes_out,
+            bytes_in=self.bytes_in,
+            errors=self.errors,
+            drops=self.drops,
+            delay=self.delay.summary(),
+            wait=self.wait.summary(),
+            size=self.size.summary(),
+            latency=self.latency.summary(),
+            latency_error=self.latency_error,
+        )
 
 
 def new_memory() -> int:
