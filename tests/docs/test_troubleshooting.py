@@ -15,7 +15,7 @@ MESSAGES = re.findall(r"^\| `([^`]+)` \|", PAGE, re.MULTILINE)
 
 
 def texts() -> Iterator[str]:
-    """Yield the texts of the code, with `\\0` for what is filled in."""
+    """Yield the texts of the code, with a NUL for what is filled in."""
     for file in (ROOT / "src").rglob("*.py"):
         for node in ast.walk(ast.parse(file.read_text())):
             if isinstance(node, ast.JoinedStr):

@@ -101,7 +101,8 @@ def test_what_the_clocks_leave_open_counts_as_time_on_the_wire(pair: Pair) -> No
 @pytest.mark.parametrize("pair", ["remote"], indirect=True)
 def test_a_call_over_an_unknown_clock_counts_from_its_arrival(pair: Pair) -> None:
     wheels = join(pair)
-    assert ask(pair, call(1.0, max(1.0, now(pair) - 2 * AHEAD), LIMIT)).kind is Kind.RESULT
+    sent = max(1.0, now(pair) - 2 * AHEAD)
+    assert ask(pair, call(1.0, sent, LIMIT)).kind is Kind.RESULT
     assert wheels.speeds == [1.0]
 
 
