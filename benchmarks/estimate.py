@@ -46,8 +46,7 @@ from poise.session.profiling.profile_robot import measure_alone
 from poise.session.profiling.rig import rig_of
 from poise.session.profiling.stored_profiles import read_profile
 from poise.session.robot_file import load
-from poise.wire.records.sample_records import SAMPLE_EVERY, AgentSample
-from poise.wire.records.status_records import AgentStatus
+from poise.wire.records.status_records import SAMPLE_EVERY, AgentSample, AgentStatus
 
 TROT = Path(__file__).parents[1] / "examples" / "trot" / "robot.yaml"
 GOALS = {

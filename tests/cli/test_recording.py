@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from poise.wire.records.sample_records import (
+from poise.wire.records.status_records import (
     AgentSample,
     ComponentSample,
     ContainerSample,

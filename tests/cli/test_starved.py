@@ -13,7 +13,7 @@ from poise.manage.journal import Journal
 from poise.manage.observe.estimates import DemandEstimate, Estimates
 from poise.model.robot import Architecture, ComponentEntry, Computer, Robot
 from poise.session.launch.start import Sampling, started
-from poise.wire.records.sample_records import AgentSample
+from poise.wire.records.status_records import AgentSample
 
 QUOTA = 0.3
 NEEDED = 0.6

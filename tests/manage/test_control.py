@@ -26,7 +26,7 @@ from poise.manage.control_socket.commands import (
 )
 from poise.manage.control_socket.control_client import send_command
 from poise.manage.control_socket.control_server import ControlServer, Submit
-from poise.wire import record_channel
+from poise.wire import frame
 from tests.waiting import wait_until
 
 pytestmark = pytest.mark.slow
@@ -92,9 +92,9 @@ def test_who_waits_for_the_start_is_told_when_it_fails(folder: Path) -> None:
     with socket.socket(socket.AF_UNIX) as client:
         with ControlServer("first") as server:
             client.connect(str(folder / "first.sock"))
-            record_channel.send(client, StopCommand())
+            frame.send_record(client, StopCommand())
             wait_until(lambda: bool(server._threads), LIMIT)
-        answer = record_channel.receive(client, Response)
+        answer = frame.receive_record(client, Response)
     assert answer == Refusal("robot 'first' did not start", "RunError")
 
 
@@ -130,7 +130,7 @@ def test_a_client_that_leaves_cancels_its_command(
     server.start(manager.submit)
     with socket.socket(socket.AF_UNIX) as client:
         client.connect(str(folder / "first.sock"))
-        record_channel.send(client, StopCommand())
+        frame.send_record(client, StopCommand())
         _, future = manager.taken.get(timeout=LIMIT)
         assert not future.cancelled()
     wait_until(future.cancelled)
@@ -141,10 +141,10 @@ def test_a_client_that_waits_is_refused_when_the_robot_stops(folder: Path) -> No
     with ControlServer("first") as server, socket.socket(socket.AF_UNIX) as client:
         server.start(manager.submit)
         client.connect(str(folder / "first.sock"))
-        record_channel.send(client, MoveCommand("a", "left"))
+        frame.send_record(client, MoveCommand("a", "left"))
         manager.taken.get(timeout=LIMIT)
         server.close()
-        told = record_channel.receive(client, Response)
+        told = frame.receive_record(client, Response)
     assert told == Refusal("robot 'first' has stopped", "RunError")
 
 

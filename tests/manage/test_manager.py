@@ -24,12 +24,13 @@ from poise.manage.observe.estimates import Estimates
 from poise.manage.observe.sample_recording import Recording
 from poise.manage.tasks.concurrent_tasks import Tasks
 from poise.model.robot import Action, Robot, Task
-from poise.wire.records.sample_records import (
+from poise.wire.records.status_records import (
     AgentSample,
     ComponentSample,
+    ComponentStatus,
     ContainerSample,
+    Fault,
 )
-from poise.wire.records.status_records import ComponentStatus, Fault
 from tests.manage.conftest import FakeAgents
 
 PLACEMENT = {"grabber": "left", "thinker": "right"}

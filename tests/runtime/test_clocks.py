@@ -24,12 +24,12 @@ from poise.runtime.supervision.health import Silence
 from poise.runtime.supervision.process_host import ControlLink
 from poise.runtime.waker import wait_readable
 from poise.session.launch.start import Sampling, started
-from poise.wire import record_channel
+from poise.wire import frame
 from poise.wire.control_session import locator
 from poise.wire.heartbeats import Contacts, Heartbeats
-from poise.wire.records.clock_records import Clocks, ClockStatus
-from poise.wire.records.container_records import ToContainer
 from poise.wire.records.deployment_records import ContainerSpec
+from poise.wire.records.heartbeat_records import Clocks, ClockStatus
+from poise.wire.records.status_records import ToContainer
 from tests.waiting import LIMIT, wait_until
 
 from .conftest import free_port
@@ -86,12 +86,10 @@ def test_a_container_is_told_what_is_new_while_it_responds() -> None:
     spec = ContainerSpec(name="one", folder="", components=(), connectors=())
     with agent, container:
         process = ContainerProcess(spec, ControlLink("one", agent, -1))
-        assert record_channel.receive(container, ToContainer) == spec
+        assert frame.receive_record(container, ToContainer) == spec
         for known in ({}, {"vision": NOON}, {"vision": NOON}):
             process.tell_clocks(known)
-        assert record_channel.receive(container, ToContainer) == Clocks(
-            {"vision": NOON}
-        )
+        assert frame.receive_record(container, ToContainer) == Clocks({"vision": NOON})
         process.silence = Silence(
             container="one", pid=1, seconds=2.0, reason="it is stopped"
         )
@@ -99,7 +97,7 @@ def test_a_container_is_told_what_is_new_while_it_responds() -> None:
         assert not wait_readable([container.fileno()], 0.0)
         process.silence = None
         process.tell_clocks({"arm": NOON})
-        assert record_channel.receive(container, ToContainer) == Clocks({"arm": NOON})
+        assert frame.receive_record(container, ToContainer) == Clocks({"arm": NOON})
 
 
 @pytest.mark.slow

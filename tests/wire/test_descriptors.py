@@ -11,9 +11,9 @@ from msgspec import Struct
 
 from poise.errors import Unavailable
 from poise.runtime.container.agent_link import Orphan, hand_over, take_over
-from poise.wire import record_channel
+from poise.wire import frame
 from poise.wire.codec import WireError
-from poise.wire.connections.connection import HEAD
+from poise.wire.frame import LENGTH
 
 pytestmark = pytest.mark.slow
 
@@ -27,8 +27,8 @@ def num_open() -> int:
 
 
 def framed(text: str) -> bytes:
-    body = record_channel.pack(Word(text))
-    return HEAD.pack(len(body), 0) + body
+    body = frame.pack_record(Word(text))
+    return LENGTH.pack(len(body), 0) + body
 
 
 @pytest.mark.parametrize("num_files", [1, 2, 5])
@@ -39,7 +39,7 @@ def test_files_that_come_with_records_are_closed(num_files: int) -> None:
         for text in "abc":
             files = [0] * num_files
             socket.send_fds(theirs, [framed(text)], files)
-            assert record_channel.receive(ours, Word).text == text
+            assert frame.receive_record(ours, Word).text == text
             assert num_open() == before
 
 
@@ -51,7 +51,7 @@ def test_files_that_belong_to_no_frame_end_the_connection() -> None:
         for byte in framed("x" * 20):
             socket.send_fds(theirs, [bytes([byte])], [0])
         with pytest.raises(Unavailable):
-            record_channel.receive(ours, Word)
+            frame.receive_record(ours, Word)
         assert num_open() == before
 
 
@@ -63,7 +63,7 @@ def test_what_is_no_record_leaves_no_files() -> None:
         with pytest.raises(WireError):
             take_over(ours, Orphan)
         assert num_open() == before
-        socket.send_fds(theirs, [record_channel.pack(ORPHAN)], [0])
+        socket.send_fds(theirs, [frame.pack_record(ORPHAN)], [0])
         assert take_over(ours, Orphan) == (ORPHAN, None, -1)
         assert num_open() == before
 

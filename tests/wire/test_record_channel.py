@@ -13,7 +13,7 @@ import pytest
 from msgspec import Struct
 
 from poise.errors import Timeout, Unavailable
-from poise.wire import frame, record_channel
+from poise.wire import frame
 from poise.wire.codec import WireError, codec
 from poise.wire.frame import LARGEST, Kind
 
@@ -38,26 +38,26 @@ def pair() -> Iterator[Pair]:
 
 def test_records_come_whole_and_in_order(pair: Pair) -> None:
     for text in ("", "one", "two"):
-        record_channel.send(pair[0], Word(text))
-    texts = [record_channel.receive(pair[1], Word).text for _ in range(3)]
+        frame.send_record(pair[0], Word(text))
+    texts = [frame.receive_record(pair[1], Word).text for _ in range(3)]
     assert texts == ["", "one", "two"]
 
 
 def test_a_record_that_waits_is_seen_by_poll(pair: Pair) -> None:
     """Nothing of the next record is taken: else its receiver would sleep."""
     for text in ("one", "two"):
-        record_channel.send(pair[0], Word(text))
-    record_channel.receive(pair[1], Word)
+        frame.send_record(pair[0], Word(text))
+    frame.receive_record(pair[1], Word)
     assert select.select([pair[1]], [], [], 0.0)[0]
-    record_channel.receive(pair[1], Word)
+    frame.receive_record(pair[1], Word)
     assert not select.select([pair[1]], [], [], 0.0)[0]
 
 
 def test_a_record_larger_than_the_socket_comes_whole(pair: Pair) -> None:
     sent = Word("x" * LARGE)
-    sending = threading.Thread(target=record_channel.send, args=(pair[0], sent))
+    sending = threading.Thread(target=frame.send_record, args=(pair[0], sent))
     sending.start()
-    assert record_channel.receive(pair[1], Word) == sent
+    assert frame.receive_record(pair[1], Word) == sent
     sending.join(LIMIT)
 
 
@@ -66,44 +66,44 @@ def test_a_connection_that_ends_early_is_unavailable(pair: Pair, cut: bytes) -> 
     pair[0].sendall(cut)
     pair[0].close()
     with pytest.raises(Unavailable):
-        record_channel.receive(pair[1], Word)
+        frame.receive_record(pair[1], Word)
 
 
 def test_a_record_out_of_range_is_refused_unread(pair: Pair) -> None:
     pair[0].sendall(struct.pack("<II", LARGEST + 1, 0))
     with pytest.raises(WireError, match="is the largest"):
-        record_channel.receive(pair[1], Word)
+        frame.receive_record(pair[1], Word)
 
 
 def test_a_frame_that_is_no_record_is_refused(pair: Pair) -> None:
     (head, body) = frame.segments(codec(Word), Word("a"), Kind.MESSAGE)
     pair[0].sendall(struct.pack("<II", len(head) + len(body), 0) + head + body)
     with pytest.raises(WireError, match="MESSAGE, not a record"):
-        record_channel.receive(pair[1], Word)
+        frame.receive_record(pair[1], Word)
 
 
 def test_shared_memory_is_refused(pair: Pair) -> None:
     pair[0].sendall(struct.pack("<IIQ", 0, 1, 8))
     with pytest.raises(WireError, match="shared memory"):
-        record_channel.receive(pair[1], Word)
+        frame.receive_record(pair[1], Word)
 
 
 def test_silence_ends_at_the_limit(pair: Pair, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(record_channel, "LIMIT", 0.01)
+    monkeypatch.setattr(frame, "RECORD_LIMIT", 0.01)
     with pytest.raises(Timeout):
-        record_channel.receive(pair[1], Word)
+        frame.receive_record(pair[1], Word)
     with pytest.raises(Timeout):
-        record_channel.send(pair[0], Word("x" * LARGE))
+        frame.send_record(pair[0], Word("x" * LARGE))
 
 
 def test_sending_to_a_closed_socket_is_unavailable(pair: Pair) -> None:
     pair[1].close()
     with pytest.raises(Unavailable):
-        record_channel.send(pair[0], Word("anybody?"))
+        frame.send_record(pair[0], Word("anybody?"))
 
 
 def test_a_packet_holds_one_record() -> None:
-    packet = record_channel.pack(Word("a"))
-    assert record_channel.unpack(packet, Word | None) == Word("a")
+    packet = frame.pack_record(Word("a"))
+    assert frame.unpack_record(packet, Word | None) == Word("a")
     with pytest.raises(WireError):
-        record_channel.unpack(packet[:-1], Word)
+        frame.unpack_record(packet[:-1], Word)

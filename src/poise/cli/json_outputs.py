@@ -32,7 +32,7 @@ from poise.session.running_robots.local_robots import Rate, Robots
 from poise.simulation.predicted_times import PredictedTimes
 from poise.simulation.simulation_report import SimulationReport
 from poise.view.robot_recording import RobotRecording
-from poise.wire.records.output_records import OutputLine
+from poise.wire.records.request_records import OutputLine
 
 
 class Failed(TypedDict):

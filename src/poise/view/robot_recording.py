@@ -28,7 +28,7 @@ from poise.view.robot_view import (
     TimerRow,
 )
 from poise.wire.recording_file import McapFile, Schema
-from poise.wire.records.tap_records import TapReading
+from poise.wire.records.request_records import TapReading
 
 _LOOK_EVERY = 0.25
 """Messages are fetched, and the robot is read, after these times [s]."""

@@ -1,4 +1,4 @@
-"""One frame: what crosses a connector between containers.
+"""One frame: what crosses a connector, or a record between two programs.
 
 ::
 
@@ -14,13 +14,18 @@ is the time on the sender's monotonic clock [ns]. The buffers may lie in shared 
 
 from __future__ import annotations
 
+import socket
+import struct
+import time
 from enum import IntEnum
 from typing import Any
 
 from msgspec import Struct
 
+from poise.errors import Unavailable
 from poise.wire import _channel
-from poise.wire.codec import Bytes, Codec
+from poise.wire.address import LOST_AFTER
+from poise.wire.codec import Bytes, Codec, Unreadable, codec
 
 VERSION = 2
 LARGEST = 1 << 30
@@ -29,6 +34,11 @@ _HEAD = 32
 """The size of the head [bytes]."""
 _INLINE = 2
 """Head and body; padding and buffers follow."""
+LENGTH = struct.Struct("<II")
+"""What stands before each frame on a stream: its length and block (`connection`)."""
+RECORD_LIMIT = 1.0
+"""A record is sent within this time, and received within it once it begins [s]."""
+_PIECE = 1 << 20
 
 
 class Kind(IntEnum):
@@ -96,3 +106,81 @@ def size_of(pieces: Pieces) -> int:
     if len(pieces) == _INLINE:
         return _HEAD + len(pieces[1])
     return sum(map(len, pieces)) - len(pieces[_INLINE])
+
+
+def send_record(connection: socket.socket, record: Struct) -> None:
+    """Send a record within `RECORD_LIMIT`; after Timeout close the connection."""
+    deadline = time.monotonic() + RECORD_LIMIT
+    _channel_of(connection).send(_pieces(record), deadline, LARGEST)
+
+
+def receive_record(connection: socket.socket, type_: Any) -> Any:  # noqa: ANN401, as `Codec`
+    """Return the next record of `type_` from a stream socket, within `RECORD_LIMIT`."""
+    return _record(receive_frame(connection, time.monotonic() + RECORD_LIMIT), type_)
+
+
+def receive_frame(
+    connection: socket.socket, deadline: float, largest: int = LARGEST
+) -> Frame:
+    """Return the next frame until `deadline` [s], and read nothing behind it."""
+    received = _channel_of(connection).receive(deadline, largest, {})
+    if not isinstance(received, Frame):
+        raise Unreadable("a frame with shared memory, which is not for this socket")
+    return received
+
+
+class RecordReader:
+    """Reads records from a stream socket as they come; never waits for the rest."""
+
+    def __init__(self, connection: socket.socket) -> None:
+        self._connection = connection
+        self._data = bytearray()
+
+    def next(self, type_: Any) -> Any:  # noqa: ANN401, as `Codec`
+        """Return the next record, or None when not all of it has come yet."""
+        while missing := self._missing():
+            try:
+                data = self._connection.recv(min(missing, _PIECE), socket.MSG_DONTWAIT)
+            except BlockingIOError:
+                return None
+            except OSError as error:
+                raise Unavailable(f"the other end is gone: {error}") from error
+            if not data:
+                raise Unavailable("the other end is gone")
+            self._data += data
+        data = bytes(self._data[LENGTH.size :])
+        self._data.clear()
+        return unpack_record(data, type_)
+
+    def _missing(self) -> int:
+        if len(self._data) < LENGTH.size:
+            return LENGTH.size - len(self._data)
+        length, block = LENGTH.unpack_from(self._data)
+        if length > LARGEST or block:
+            raise Unreadable(f"a frame of {length} B; {LARGEST} B is the largest")
+        return int(LENGTH.size + length - len(self._data))
+
+
+def pack_record(record: Struct) -> bytes:
+    """Return a record as one packet, for sockets that keep the borders of packets."""
+    return b"".join(_pieces(record))
+
+
+def unpack_record(packet: Bytes, type_: Any) -> Any:  # noqa: ANN401, as `Codec`
+    """Return the record in a packet; WireError when it is not one of `type_`."""
+    return _record(parse(packet), type_)
+
+
+def _channel_of(connection: socket.socket) -> _channel.Channel:
+    # made for one record: it must leave the next one where `poll` sees it
+    return _channel.Channel(connection.fileno(), LOST_AFTER, reads_ahead=False)
+
+
+def _pieces(record: Struct) -> list[Bytes]:
+    return segments(codec(type(record)), record, Kind.RECORD)
+
+
+def _record(received: Frame, type_: Any) -> Any:  # noqa: ANN401, as `Codec`
+    if received.kind is not Kind.RECORD:
+        raise Unreadable(f"a frame of the kind {received.kind.name}, not a record")
+    return received.value(codec(type_))

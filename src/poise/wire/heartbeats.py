@@ -53,22 +53,12 @@ _FORGOTTEN = 3.0
 
 
 class Contact:
-    """What one participant knows of another.
-
-    Attributes
-    ----------
-    last
-        The other's last heartbeat.
-    began, heard_at
-        When the first and the last came [s].
-    acked
-        The time of the last own heartbeat that the other has heard [s]; None: none.
-    """
+    """What one participant knows of another."""
 
     def __init__(self, beat: Heartbeat, now: float) -> None:
         self.last = beat
-        self.began = self.heard_at = now
-        self.acked: float | None = None
+        self.began = self.heard_at = now  # when the first and the last came [s]
+        self.acked: float | None = None  # of the last own one that the other heard [s]
         self._lost: deque[int] = deque(maxlen=_WINDOW)
         self._delays: deque[float] = deque(maxlen=_DELAYS)
 
@@ -94,15 +84,7 @@ class Contact:
 
 
 class Contacts:
-    """Whom one participant hears.
-
-    Parameters
-    ----------
-    name
-        This side's: a computer's, or `MANAGER`.
-    key
-        Of this start.
-    """
+    """Whom one participant hears: a computer, or `MANAGER`; `key` is of this start."""
 
     def __init__(self, robot: str, name: str, key: str) -> None:
         self._robot = robot
@@ -221,16 +203,9 @@ Address = tuple[str, int]
 class Heartbeats:
     """A thread that sends one heartbeat to all every `EVERY`, and takes what comes.
 
-    Parameters
-    ----------
-    hear
-        Called with each heartbeat, where it came from, and when [s]; returns whether to
-        send one at once.
-    next_beat
-        Called before each sending, when all that came was heard; returns what is sent,
-        and how long to wait for the next time [s].
-    listen
-        Where; None: anywhere.
+    `hear` takes each heartbeat, where it came from, and when [s]; it returns whether to
+    send one at once. `next_beat` is called before each sending, when all that came was
+    heard; it returns what is sent, and how long to wait for the next time [s].
     """
 
     def __init__(

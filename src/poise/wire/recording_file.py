@@ -21,7 +21,7 @@ from msgspec import Struct
 
 from poise.errors import RunError, UsageError
 from poise.units import counted, format_bytes
-from poise.wire.records.sample_records import AgentSample
+from poise.wire.records.status_records import AgentSample
 
 if TYPE_CHECKING:
     from mcap.records import McapRecord

@@ -3,7 +3,7 @@ from collections.abc import Callable
 import pytest
 
 from poise.model.robot import Architecture, ComponentEntry, Computer, Robot
-from poise.wire.records.sample_records import (
+from poise.wire.records.status_records import (
     AgentSample,
     ComponentSample,
     ConnectorSample,

@@ -13,8 +13,8 @@ from poise.manage.observe.metrics import MetricsServer, to_prometheus
 from poise.manage.observe.sample_recording import Recording
 from poise.model.robot import Robot
 from poise.wire.recording_file import samples_of
-from poise.wire.records.sample_records import AgentSample
 from poise.wire.records.status_records import (
+    AgentSample,
     AgentStatus,
     ConnectorStatus,
     ContainerStatus,

@@ -6,7 +6,7 @@ import pytest
 
 from poise.manage.observe.estimates import Loads
 from poise.model.robot import Robot
-from poise.wire.records.sample_records import (
+from poise.wire.records.status_records import (
     AgentSample,
     ComponentSample,
     ContainerSample,

@@ -16,7 +16,7 @@ from poise.errors import UsageError
 from poise.manage.observe import sample_recording
 from poise.manage.observe.sample_recording import Recording, RecordingFile
 from poise.wire.recording_file import McapFile, robot_of, samples_of
-from poise.wire.records.sample_records import (
+from poise.wire.records.status_records import (
     AgentSample,
     ComponentSample,
     ContainerSample,

@@ -24,7 +24,7 @@ from msgspec import structs
 
 from poise.runtime.agent.surroundings import BROKEN
 from poise.runtime.waker import wait_readable
-from poise.wire.connections.sockets import agent_path
+from poise.wire.address import agent_path
 from poise.wire.control_session import open_session
 from poise.wire.records.deployment_records import (
     ComponentSpec,

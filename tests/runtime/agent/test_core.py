@@ -27,7 +27,6 @@ from poise.runtime.supervision.container_processes import ProcessEnd
 from poise.runtime.supervision.supervisor import FENCE_GRACE
 from poise.testing import VirtualClock
 from poise.wire.heartbeats import UNCUT_LEASE, Address
-from poise.wire.records.container_records import ContainerFailure, ToContainer
 from poise.wire.records.deployment_records import (
     ComponentSpec,
     ContainerSpec,
@@ -45,7 +44,9 @@ from poise.wire.records.request_records import (
 from poise.wire.records.status_records import (
     AgentStatus,
     ComponentStatus,
+    ContainerFailure,
     ContainerStatus,
+    ToContainer,
 )
 
 MANAGER = ManagerId(key="first", user="ann", host="desk", pid=7, since=0.0)

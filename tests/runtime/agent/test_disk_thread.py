@@ -11,13 +11,12 @@ import pytest
 from poise.runtime.agent.agent_files import AgentFolder, CheckpointFiles, DiskThread
 from poise.runtime.agent.surroundings import AgentState
 from poise.testing import VirtualClock
-from poise.wire.records.checkpoint_records import CheckpointCopy
 from poise.wire.records.deployment_records import (
     ComponentSpec,
     ContainerSpec,
     Deployment,
 )
-from poise.wire.records.request_records import Accepted, Answer, Refused
+from poise.wire.records.request_records import Accepted, Answer, CheckpointCopy, Refused
 from tests.waiting import wait_until
 
 pytestmark = pytest.mark.slow

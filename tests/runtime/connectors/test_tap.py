@@ -23,7 +23,7 @@ from poise.runtime.connectors.tap import (
     Taps,
 )
 from poise.wire.records.migration_records import StepsFailed
-from poise.wire.records.tap_records import Tap, TapReading
+from poise.wire.records.request_records import Tap, TapReading
 from tests.runtime.connectors.test_sender import FakeRoute, Note, Sums
 
 NOTES = Port("notes", "publishes", Note)

@@ -13,9 +13,9 @@ import pytest
 from poise.runtime.container.container import Container
 from poise.runtime.execution.counters import new_memory
 from poise.runtime.waker import wait_readable
-from poise.wire import record_channel
-from poise.wire.records.container_records import ContainerFailure, FromContainer
+from poise.wire import frame
 from poise.wire.records.deployment_records import ContainerSpec
+from poise.wire.records.status_records import ContainerFailure, FromContainer
 from tests.waiting import LIMIT
 
 pytestmark = pytest.mark.slow
@@ -77,11 +77,11 @@ def test_says_that_it_ends_because_the_rest_of_a_record_did_not_come(
         spec = ContainerSpec(name="see", folder="", components=(), connectors=())
         reading, writing = socket.socketpair()
         with reading, writing:
-            record_channel.send(writing, spec)
+            frame.send_record(writing, spec)
             record = reading.recv(1 << 16)
         os.write(agent.fileno(), record[:-1])
         assert wait_readable([agent.fileno()], LIMIT)
-        told = record_channel.receive(agent, FromContainer)
+        told = frame.receive_record(agent, FromContainer)
         _, said = process.communicate(timeout=LIMIT)
     assert isinstance(told, ContainerFailure)
     assert told.reason in said

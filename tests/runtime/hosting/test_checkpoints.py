@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from poise.clock import boot_time
-from poise.wire.records.checkpoint_records import age_of, set_age
+from poise.wire.records.request_records import age_of, set_age
 
 TEN_YEARS = 10 * 365 * 86400.0
 

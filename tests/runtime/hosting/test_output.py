@@ -18,7 +18,7 @@ from poise.runtime.hosting.output import (
     read_output,
     write_as,
 )
-from poise.wire.records.output_records import OutputLines, ReadOutput
+from poise.wire.records.request_records import OutputLines, ReadOutput
 
 
 @pytest.fixture(autouse=True)

@@ -9,7 +9,7 @@ from poise.session.profiling.connector_costs import (
     Pair,
     costs_of,
 )
-from poise.wire.records.sample_records import (
+from poise.wire.records.status_records import (
     AgentSample,
     ConnectorSample,
     ContainerSample,

@@ -1,7 +1,7 @@
 import pytest
 
 from poise.session.profiling.figures import measure
-from poise.wire.records.sample_records import AgentSample
+from poise.wire.records.status_records import AgentSample
 from tests.manage.observe.conftest import Sampler
 
 

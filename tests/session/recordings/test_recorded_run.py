@@ -11,7 +11,7 @@ from poise.errors import UsageError
 from poise.model.robot import Robot
 from poise.session.recordings.recorded_run import RecordedRun
 from poise.simulation.workload import workload_of
-from poise.wire.records.sample_records import (
+from poise.wire.records.status_records import (
     AgentSample,
     ComponentSample,
     ContainerSample,

@@ -18,15 +18,14 @@ import pytest
 from poise.endpoint import Endpoint
 from poise.errors import Timeout, Unavailable
 from poise.wire import frame
-from poise.wire.address import Address
+from poise.wire.address import Address, socket_path
 from poise.wire.codec import WireError, codec
 from poise.wire.connections import channel as channels
 from poise.wire.connections import connection, connection_server
 from poise.wire.connections.channel import Channel, Closed
-from poise.wire.connections.connection import HEAD, Connection
+from poise.wire.connections.connection import Connection
 from poise.wire.connections.opening import CALLS, MESSAGES
-from poise.wire.connections.sockets import socket_path
-from poise.wire.frame import LARGEST, Frame, Kind, Pieces
+from poise.wire.frame import LARGEST, LENGTH, Frame, Kind, Pieces
 from tests.waiting import LIMIT, wait_until
 from tests.wire.conftest import SHORT, TEXT, Receiver, Wire, both, call, message, remote
 
@@ -409,8 +408,8 @@ def test_it_tells_a_newcomer_of_another_version_why(wire: Wire) -> None:
     wire.server().open("echo", Receiver())
     with newcomer(wire) as sock:
         hello = b"".join(frame.segments(TEXT, "echo", Kind.HELLO))
-        sock.sendall(HEAD.pack(len(hello), 0) + b"\x07" + hello[1:])
-        refusal = frame.parse(everything(sock)[HEAD.size :])
+        sock.sendall(LENGTH.pack(len(hello), 0) + b"\x07" + hello[1:])
+        refusal = frame.parse(everything(sock)[LENGTH.size :])
     assert refusal.kind is Kind.ERROR
     assert f"protocol version 7, but this is version {frame.VERSION}" in refusal.value(
         TEXT
@@ -470,7 +469,7 @@ def test_an_unreadable_connection_is_closed(wire: Wire) -> None:
     channel = wire.channel()
     channel.request(call("a"), LIMIT)
     (connection,) = channel._calls
-    connection._connection.sendall(HEAD.pack(LARGEST + 1, 0))
+    connection._connection.sendall(LENGTH.pack(LARGEST + 1, 0))
     wait_until(lambda: bool(refused))
     assert "1073741825 B; 1073741824 B is the largest" in str(refused[0])
     answer = connection.receive()

@@ -7,8 +7,8 @@ import socket
 
 import pytest
 
+from poise.wire.address import keep_private
 from poise.wire.connections.connection import Connection
-from poise.wire.connections.sockets import keep_private
 
 pytestmark = pytest.mark.slow
 

@@ -14,15 +14,14 @@ import pytest
 
 from poise.errors import RunError, Unavailable
 from poise.wire import frame
-from poise.wire.address import Address
+from poise.wire.address import Address, gateway_path
 from poise.wire.connections import gateway as gateway_module
 from poise.wire.connections.channel import Channel
-from poise.wire.connections.connection import HEAD, Connection
+from poise.wire.connections.connection import Connection
 from poise.wire.connections.connection_server import ConnectionServer
 from poise.wire.connections.gateway import Gateway
 from poise.wire.connections.opening import MESSAGES
-from poise.wire.connections.sockets import gateway_path
-from poise.wire.frame import VERSION, Kind
+from poise.wire.frame import LENGTH, VERSION, Kind
 from tests.waiting import LIMIT, wait_until
 from tests.wire.conftest import TEXT, Receiver, Wire, call, message, remote
 
@@ -50,7 +49,7 @@ def everything(sock: socket.socket) -> bytes:
 def said(version: bytes, kind: Kind) -> bytes:
     """Return a first frame of some version and kind."""
     text = b"".join(frame.segments(TEXT, "there", kind))
-    return HEAD.pack(len(text), 0) + version + text[1:]
+    return LENGTH.pack(len(text), 0) + version + text[1:]
 
 
 @remote
@@ -58,8 +57,8 @@ def said(version: bytes, kind: Kind) -> bytes:
     ("data", "why"),
     [
         pytest.param(b"GET / HTTP/1.1\r\n\r\n", "1024 B is the largest", id="another"),
-        pytest.param(HEAD.pack(1025, 0), "1025 B; 1024 B is the largest", id="large"),
-        pytest.param(HEAD.pack(8, 0) + bytes(8), "cut short", id="short"),
+        pytest.param(LENGTH.pack(1025, 0), "1025 B; 1024 B is the largest", id="large"),
+        pytest.param(LENGTH.pack(8, 0) + bytes(8), "cut short", id="short"),
         pytest.param(said(b"\x07", Kind.HELLO), "version 7", id="newer"),
         pytest.param(said(bytes([VERSION]), Kind.MESSAGE), "MESSAGE", id="kind"),
     ],
@@ -70,7 +69,7 @@ def test_nonsense_is_told_and_logged_and_harms_nobody(
     wire.server().open("echo", Receiver())
     with come(wire) as stranger:
         stranger.sendall(data)
-        told = frame.parse(everything(stranger)[HEAD.size :])
+        told = frame.parse(everything(stranger)[LENGTH.size :])
     assert told.kind is Kind.ERROR
     assert why in told.value(TEXT)
     assert "a connection from 127.0.0.1 is refused" in caplog.text
@@ -82,7 +81,7 @@ def test_a_name_may_come_in_pieces(wire: Wire) -> None:
     wire.server().open("echo", Receiver())
     name = b"".join(frame.segments(TEXT, "there", Kind.HELLO))
     with come(wire) as arrival:
-        for byte in HEAD.pack(len(name), 0) + name:
+        for byte in LENGTH.pack(len(name), 0) + name:
             arrival.sendall(bytes([byte]))
         connection = Connection(arrival)
         connection.send(frame.segments(TEXT, "echo", Kind.HELLO))

@@ -25,7 +25,7 @@ from poise.session.running_robots.local_robots import Rate, Thing, names_of, rob
 from poise.session.running_robots.running import Running, connect
 from poise.session.state_folder import find_journal
 from poise.units import format_bytes
-from poise.wire.records.output_records import OutputLine
+from poise.wire.records.request_records import OutputLine
 
 Connector = Annotated[
     str,

@@ -29,7 +29,7 @@ from poise.model.policy.policy import (
     Subject,
     Values,
 )
-from poise.wire import record_channel
+from poise.wire import frame
 
 _AGAIN, _LONGEST = 10.0, 300.0
 """A process that ended is started again after this time [s]; then after twice that."""
@@ -88,7 +88,7 @@ class OwnFunction:
         if self._process is None:
             return
         if self._asked_at is None:
-            record_channel.send(self._connection, seen)
+            frame.send_record(self._connection, seen)
             self._asked_at = seen.at
         elif seen.at - self._asked_at > self._limit + _MARGIN:
             self._end(f"did not answer within {self._limit:g} s", seen.at)
@@ -107,7 +107,7 @@ class OwnFunction:
 
     def _start(self) -> None:
         self._connection, theirs = socket.socketpair()
-        self._reader = record_channel.RecordReader(self._connection)
+        self._reader = frame.RecordReader(self._connection)
         with theirs:
             words = (self._reference, self._folder, str(theirs.fileno()))
             self._process = subprocess.Popen(  # noqa: S603, our own code and Python

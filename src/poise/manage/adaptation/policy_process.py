@@ -19,7 +19,7 @@ from msgspec import Struct
 
 from poise.errors import Unavailable
 from poise.model.policy.policy import PolicyAction, Seen
-from poise.wire import record_channel
+from poise.wire import frame
 
 LIMIT = 1.0
 """A function that takes longer is ended [s]."""
@@ -44,12 +44,12 @@ def main(reference: str, folder: str, descriptor: str) -> None:
             signal.setitimer(signal.ITIMER_REAL, 0.0)
             select.select([manager], [], [])
             try:
-                seen = record_channel.receive(manager, Seen)
+                seen = frame.receive_record(manager, Seen)
                 signal.setitimer(signal.ITIMER_REAL, LIMIT)
                 answer = FunctionAnswer(error=error)
                 if function is not None:
                     answer = _answer(function, seen)
-                record_channel.send(manager, answer)
+                frame.send_record(manager, answer)
             except Unavailable:
                 return
 

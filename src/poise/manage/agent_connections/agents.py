@@ -31,7 +31,6 @@ from poise.manage.agent_connections.requests import (
 from poise.priority import ahead
 from poise.wire.control_session import LEASE, open_session
 from poise.wire.heartbeats import SURELY_ENDED, UNCUT_SURELY_ENDED
-from poise.wire.records.checkpoint_records import CheckpointCopy
 from poise.wire.records.deployment_records import Deployment
 from poise.wire.records.migration_records import (
     MigrationSteps,
@@ -42,14 +41,14 @@ from poise.wire.records.migration_records import (
 from poise.wire.records.request_records import (
     Accepted,
     Answer,
+    CheckpointCopy,
     Claim,
     Claimed,
     ManagerId,
     Refused,
     Request,
 )
-from poise.wire.records.sample_records import AgentSample
-from poise.wire.records.status_records import AgentStatus
+from poise.wire.records.status_records import AgentSample, AgentStatus
 
 
 class CheckpointCopies:

@@ -17,10 +17,13 @@ from poise.manage.observe.deviations import Deviation
 from poise.manage.observe.estimates import DemandEstimate, Load
 from poise.manage.tasks.concurrent_tasks import TaskReport
 from poise.manage.tasks.prefetch_report import PrefetchReport
-from poise.wire.records.output_records import OutputLine
-from poise.wire.records.request_records import ManagerId
+from poise.wire.records.request_records import (
+    SHOWN_ITEMS,
+    ManagerId,
+    OutputLine,
+    TapReading,
+)
 from poise.wire.records.status_records import AgentStatus
-from poise.wire.records.tap_records import SHOWN_ITEMS, TapReading
 
 
 class StatusCommand(Struct, frozen=True, tag=True):

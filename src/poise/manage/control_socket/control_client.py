@@ -25,9 +25,9 @@ from poise.manage.control_socket.commands import (
     StatusCommand,
 )
 from poise.manage.control_socket.location import path_of, running_here
-from poise.wire import record_channel
+from poise.wire import frame
+from poise.wire.address import connect
 from poise.wire.codec import WireError
-from poise.wire.connections.sockets import connect
 
 R = TypeVar("R", bound=Result)
 
@@ -48,10 +48,10 @@ def send_command(robot: str | None, command: Command) -> Result:
     path = _find(robot)
     try:
         with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as connection:
-            connect(connection, path, record_channel.LIMIT)
-            record_channel.send(connection, command)
+            connect(connection, path, frame.RECORD_LIMIT)
+            frame.send_record(connection, command)
             _wait(connection, path, command)
-            told: Response = record_channel.receive(connection, Response)
+            told: Response = frame.receive_record(connection, Response)
     except NoManager:
         raise
     except BlockingIOError:  # its queue is full
@@ -119,8 +119,8 @@ def _wait(connection: socket.socket, path: Path, command: Command) -> None:
 def _gives_status(path: Path) -> bool:
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as connection:
         try:
-            connect(connection, path, record_channel.LIMIT)
-            record_channel.send(connection, StatusCommand())
+            connect(connection, path, frame.RECORD_LIMIT)
+            frame.send_record(connection, StatusCommand())
         except (OSError, RunError, WireError):
             return False
         return bool(select.select([connection], [], [], STATUS_LIMIT)[0])

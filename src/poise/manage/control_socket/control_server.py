@@ -22,7 +22,7 @@ from poise.clock import wall_time
 from poise.errors import RunError, UsageError
 from poise.manage.control_socket.commands import Command, Refusal, Result, StatusCommand
 from poise.manage.control_socket.location import is_alive, make_folder, path_of
-from poise.wire import record_channel
+from poise.wire import frame
 from poise.wire.codec import WireError
 
 Submit = Callable[[Command], "Future[Result | Refusal]"]
@@ -109,10 +109,10 @@ class ControlServer:
     def _serve(self, connection: socket.socket) -> None:
         try:
             with connection, contextlib.suppress(WireError, RunError):
-                command: Command = record_channel.receive(connection, Command)
+                command: Command = frame.receive_record(connection, Command)
                 result = self._result(connection, command)
                 if result is not None:
-                    record_channel.send(connection, result)
+                    frame.send_record(connection, result)
         finally:
             self._threads.discard(threading.current_thread())
             self._free.release()

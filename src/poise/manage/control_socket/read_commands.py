@@ -31,9 +31,13 @@ from poise.manage.observe.estimates import Estimates
 from poise.manage.tasks.concurrent_tasks import TaskReport
 from poise.model.robot import Computer
 from poise.wire.records.migration_records import StepsFailed
-from poise.wire.records.output_records import OutputLines, ReadOutput
-from poise.wire.records.request_records import Refused
-from poise.wire.records.tap_records import Tap, TapReading
+from poise.wire.records.request_records import (
+    OutputLines,
+    ReadOutput,
+    Refused,
+    Tap,
+    TapReading,
+)
 
 _ANSWER_LIMIT = 1.0
 """An agent tells what was written, or went out, within this time [s]."""

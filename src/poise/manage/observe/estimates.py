@@ -13,7 +13,7 @@ from poise.estimate.online import Drift, Estimate, RunningEstimate
 from poise.estimate.profiles import ConnectorProfile, Profile
 from poise.model.robot import Robot
 from poise.units import format_cores
-from poise.wire.records.sample_records import (
+from poise.wire.records.status_records import (
     AgentSample,
     ComponentSample,
     ConnectorSample,

@@ -13,7 +13,7 @@ from poise.errors import RunError
 from poise.model.policy.policy import Seen
 from poise.units import counted
 from poise.wire.recording_file import McapFile, message_of
-from poise.wire.records.sample_records import AgentSample
+from poise.wire.records.status_records import AgentSample
 
 MOST = 10_000
 """The most samples that wait to be taken: 33 minutes of one computer at 5 Hz."""

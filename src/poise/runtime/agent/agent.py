@@ -47,9 +47,9 @@ from poise.runtime.supervision.health import Silence
 from poise.runtime.supervision.process_host import ControlLink, ProcessHost
 from poise.runtime.supervision.supervisor import part_of
 from poise.runtime.waker import Waker, wait_readable
+from poise.wire.address import socket_path
 from poise.wire.codec import WireError
 from poise.wire.connections.gateway import Gateway
-from poise.wire.connections.sockets import socket_path
 from poise.wire.control_session import identity_key, locator, open_session
 from poise.wire.heartbeats import Heartbeats
 from poise.wire.records.request_records import PROTOCOL

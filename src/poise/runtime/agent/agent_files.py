@@ -21,15 +21,18 @@ from poise.clock import Clock, boot_id
 from poise.errors import UsageError
 from poise.runtime.agent.surroundings import AgentState, Reply
 from poise.runtime.hosting.output import forget_output, read_output
-from poise.wire.records.checkpoint_records import (
+from poise.wire.records.deployment_records import Deployment
+from poise.wire.records.request_records import (
+    PROTOCOL,
+    Accepted,
+    Answer,
     CheckpointCopy,
+    ReadOutput,
+    Refused,
     age_of,
     checkpoint_path,
     set_age,
 )
-from poise.wire.records.deployment_records import Deployment
-from poise.wire.records.output_records import ReadOutput
-from poise.wire.records.request_records import PROTOCOL, Accepted, Answer, Refused
 
 log = logging.getLogger(__name__)
 

@@ -32,18 +32,17 @@ from poise.runtime.supervision.container_processes import (
 from poise.runtime.supervision.health import HealthRecords, Silence
 from poise.runtime.supervision.supervisor import Supervisor, part_of
 from poise.wire.heartbeats import Contacts
-from poise.wire.records.checkpoint_records import CheckpointCopy
-from poise.wire.records.container_records import FromContainer, Order
 from poise.wire.records.migration_records import StepsFailed
-from poise.wire.records.output_records import ReadOutput
 from poise.wire.records.request_records import (
     Accepted,
+    CheckpointCopy,
     Claim,
     Claimed,
     ManagerRequest,
+    ReadOutput,
     Refused,
 )
-from poise.wire.records.status_records import AgentStatus
+from poise.wire.records.status_records import AgentStatus, FromContainer, Order
 
 T = TypeVar("T")
 

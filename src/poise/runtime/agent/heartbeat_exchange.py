@@ -30,8 +30,12 @@ from poise.wire.heartbeats import (
     Address,
     Contacts,
 )
-from poise.wire.records.clock_records import ClockStatus
-from poise.wire.records.heartbeat_records import MANAGER, Heartbeat, LinkQuality
+from poise.wire.records.heartbeat_records import (
+    MANAGER,
+    ClockStatus,
+    Heartbeat,
+    LinkQuality,
+)
 
 _KEPT = 64
 
@@ -109,26 +113,8 @@ _AT_FIRST = 2.0
 class HeartbeatExchange:
     """The heartbeats of one agent, from the moment when a manager claims it.
 
-    Parameters
-    ----------
-    contacts
-        Whom this start of the agent hears.
-    fence
-        Says whom it obeys; is told when the lease has ended.
-    transport
-        As in `Surroundings.heartbeats`.
-    extend
-        Called with the moment when the lease ends [s, CLOCK_BOOTTIME], with each
-        heartbeat and claim; infinite: there is no other computer, or no heartbeat.
-    asleep
-        As in `Surroundings`.
-
-    Attributes
-    ----------
-    agents, is_leased
-        With whom it exchanges heartbeats, as in `Claim`.
-    clocks
-        What was known of every other computer's clock last, by name.
+    `extend` is called with the moment when the lease ends [s, CLOCK_BOOTTIME], with
+    each heartbeat and claim; infinite: there is no other computer, or no heartbeat.
     """
 
     def __init__(
@@ -141,8 +127,10 @@ class HeartbeatExchange:
         extend: Callable[[float], None],
         asleep: Callable[[], float],
     ) -> None:
+        # with whom it exchanges heartbeats, as in `Claim`
         self.agents: Mapping[str, str] = {}
         self.is_leased = False
+        # what was known last of the clocks of other computers, by name
         self.clocks: Mapping[str, ClockStatus] = {}
         self._computer = computer
         self._fence = fence
@@ -188,17 +176,7 @@ class HeartbeatExchange:
         *,
         is_leased: bool,
     ) -> None:
-        """Send heartbeats from now on to those whom a manager names.
-
-        Parameters
-        ----------
-        key
-            The manager's.
-        agents, is_leased
-            As in `Claim`.
-        began
-            As for `Lease.begin`.
-        """
+        """Send heartbeats from now on to those whom the manager with `key` names."""
         others = {
             name: endpoint_of(where)
             for name, where in agents.items()

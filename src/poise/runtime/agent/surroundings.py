@@ -18,14 +18,16 @@ from poise.clock import Clock
 from poise.runtime.supervision.health import Usage
 from poise.wire.control_session import LEASE
 from poise.wire.heartbeats import Address
-from poise.wire.records.checkpoint_records import CheckpointCopy
-from poise.wire.records.container_records import ToContainer
 from poise.wire.records.deployment_records import ContainerSpec, Deployment
 from poise.wire.records.heartbeat_records import Heartbeat
-from poise.wire.records.output_records import ReadOutput
-from poise.wire.records.request_records import PROTOCOL, Answer, ManagerId
-from poise.wire.records.sample_records import SAMPLE_EVERY
-from poise.wire.records.status_records import AgentStatus
+from poise.wire.records.request_records import (
+    PROTOCOL,
+    Answer,
+    CheckpointCopy,
+    ManagerId,
+    ReadOutput,
+)
+from poise.wire.records.status_records import SAMPLE_EVERY, AgentStatus, ToContainer
 
 BROKEN = os.EX_SOFTWARE
 """The exit code of an agent that an error of Poise ended: start it again."""
@@ -74,7 +76,7 @@ class ContainerControl(Protocol):
         """Take note of its process; OSError or RuntimeError: no memory is free."""
 
     def send(self, record: ToContainer) -> None:
-        """Send it a record; may wait up to `poise.wire.record_channel.LIMIT`."""
+        """Send it a record; may wait up to `poise.wire.frame.LIMIT`."""
 
     def signal(self, number: Signals) -> None:
         """Send its process a signal; harmless when that has ended."""

@@ -27,7 +27,7 @@ from poise.wire.connections.connection_server import Handler
 from poise.wire.frame import Frame, Kind, Pieces
 from poise.wire.recording_file import Input, McapFile
 from poise.wire.records.migration_records import StepsFailed
-from poise.wire.records.tap_records import SHOWN_ITEMS, Passed, Tap, TapReading
+from poise.wire.records.request_records import SHOWN_ITEMS, Passed, Tap, TapReading
 
 if TYPE_CHECKING:
     from poise.runtime.connectors.sender import Sender

@@ -19,9 +19,9 @@ from msgspec import Struct
 from poise.clock import Clock
 from poise.errors import Unavailable
 from poise.runtime.waker import is_writable
-from poise.wire import record_channel
-from poise.wire.connections.sockets import agent_path, keep_private
-from poise.wire.records.container_records import FromContainer, ToContainer
+from poise.wire import frame
+from poise.wire.address import agent_path, keep_private
+from poise.wire.records.status_records import FromContainer, ToContainer
 
 ORPHAN_LIMIT = 60.0
 """A container that has had no agent for this time ends [s]."""
@@ -84,7 +84,7 @@ class AgentLink:
         if self._connection is None:
             return None
         try:
-            told: ToContainer = record_channel.receive(self._connection, ToContainer)
+            told: ToContainer = frame.receive_record(self._connection, ToContainer)
         except Unavailable:
             self._lose()
             return None
@@ -96,7 +96,7 @@ class AgentLink:
         # `receive` finds out that it is gone, on the control thread
         with self._telling, contextlib.suppress(Unavailable):
             if self._connection is not None:
-                record_channel.send(self._connection, record)
+                frame.send_record(self._connection, record)
 
     def has_room(self) -> bool:
         """Return at once whether the agent would take another record."""
@@ -137,7 +137,7 @@ def hand_over(way: socket.socket, record: Struct, stats_page: int) -> socket.soc
     with theirs:
         try:
             files = [theirs.fileno(), stats_page]
-            socket.send_fds(way, [record_channel.pack(record)], files)
+            socket.send_fds(way, [frame.pack_record(record)], files)
         except OSError:
             ours.close()
             raise
@@ -155,7 +155,7 @@ def take_over(
             unused.callback(os.close, file)
         if not body:
             raise ConnectionResetError("the other end is gone")
-        record = record_channel.unpack(body, type_)
+        record = frame.unpack_record(body, type_)
         if len(files) < _PASSED:
             return record, None, -1
         connection = socket.socket(fileno=files[0])

@@ -42,12 +42,17 @@ from poise.runtime.migration.executor import MigrationExecutor
 from poise.runtime.waker import Waker, wait_readable
 from poise.wire.codec import WireError
 from poise.wire.connections.connection_server import ConnectionServer
-from poise.wire.records.clock_records import Clocks
-from poise.wire.records.container_records import ContainerFailure, Outcome, ToContainer
 from poise.wire.records.deployment_records import ComponentSpec, ContainerSpec
+from poise.wire.records.heartbeat_records import Clocks
 from poise.wire.records.migration_records import MigrationSteps
-from poise.wire.records.status_records import ComponentStatus, ContainerStatus
-from poise.wire.records.tap_records import Tap
+from poise.wire.records.request_records import Tap
+from poise.wire.records.status_records import (
+    ComponentStatus,
+    ContainerFailure,
+    ContainerStatus,
+    Outcome,
+    ToContainer,
+)
 
 log = logging.getLogger(__name__)
 

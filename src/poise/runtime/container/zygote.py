@@ -37,7 +37,7 @@ from poise.runtime.container.descendants import (
 )
 from poise.runtime.hosting.output import keep_output
 from poise.runtime.waker import Waker, wait_readable
-from poise.wire import record_channel
+from poise.wire import frame
 
 log = logging.getLogger(__name__)
 
@@ -86,7 +86,7 @@ def start(closing: Sequence[int] = ()) -> tuple[socket.socket, int]:
     # one record is one packet, so neither end ever waits for the rest of one
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     # the zygote has nothing else to do than to wait for the agent
-    ours.settimeout(record_channel.LIMIT)
+    ours.settimeout(frame.RECORD_LIMIT)
     pid = os.fork()
     if pid == 0:
         ours.close()
@@ -113,7 +113,7 @@ def hear(zygote: socket.socket) -> Event:
         raise Unavailable(f"the zygote is gone: {error}") from error
     if not body:
         raise Unavailable("the zygote is gone")
-    event: Event = record_channel.unpack(body, Event)
+    event: Event = frame.unpack_record(body, Event)
     return event
 
 
@@ -183,7 +183,7 @@ class _Zygote:
             self._fork_next()
 
     def _tell(self, event: Event) -> None:
-        self._agent.send(record_channel.pack(event))
+        self._agent.send(frame.pack_record(event))
 
     def _report_ended(self) -> None:
         for pid, status in self._ended():

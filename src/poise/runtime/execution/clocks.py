@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Mapping
 
 from poise.clock import DRIFT, Elapsed, Stamp, SystemClock
-from poise.wire.records.clock_records import ClockStatus
+from poise.wire.records.heartbeat_records import ClockStatus
 
 
 class ComputerClock(SystemClock):

@@ -19,8 +19,8 @@ from poise.runtime.migration.state_check import check_fits, describe_type, type_
 from poise.wire import frame
 from poise.wire.codec import Codec, codec
 from poise.wire.frame import Kind
-from poise.wire.records.checkpoint_records import (
-    LARGEST,
+from poise.wire.records.request_records import (
+    MOST_KEPT,
     age_of,
     checkpoint_path,
     set_age,
@@ -72,10 +72,10 @@ class Checkpoints:
         pieces = frame.segments(codec(type(state)), state, Kind.MESSAGE)
         kept = _Checkpoint(describe_type(type(state)), b"".join(pieces))
         data = b"".join(frame.segments(_CHECKPOINT, kept, Kind.RECORD))
-        if len(data) > LARGEST:
+        if len(data) > MOST_KEPT:
             raise RunError(
                 f"its state of {len(data) / 2**20:.0f} MiB is too large for a "
-                f"checkpoint: {LARGEST >> 20} MiB are the limit"
+                f"checkpoint: {MOST_KEPT >> 20} MiB are the limit"
             )
         check_lease(self._lease, self._component)
         if data == self._before:

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TextIO
 
 from poise.clock import wall_time
-from poise.wire.records.output_records import OutputLine, OutputLines, ReadOutput
+from poise.wire.records.request_records import OutputLine, OutputLines, ReadOutput
 
 LARGEST = 256 << 10
 """When a file is larger, another is begun [bytes]; of a container two are kept."""

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from poise.clock import Clock
 from poise.runtime.container.agent_link import Orphan, take_over
-from poise.wire.connections.sockets import agent_path, socket_path
+from poise.wire.address import agent_path, socket_path
 
 log = logging.getLogger(__name__)
 

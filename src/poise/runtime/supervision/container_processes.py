@@ -12,17 +12,18 @@ from poise.errors import Timeout, Unavailable
 from poise.runtime.agent.surroundings import ContainerControl, Reply
 from poise.runtime.supervision.health import Silence
 from poise.wire.codec import WireError
-from poise.wire.records.clock_records import Clocks, ClockStatus
-from poise.wire.records.container_records import (
+from poise.wire.records.deployment_records import ContainerSpec
+from poise.wire.records.heartbeat_records import Clocks, ClockStatus
+from poise.wire.records.migration_records import StepsFailed
+from poise.wire.records.status_records import (
+    ComponentStatus,
     ContainerFailure,
+    ContainerStatus,
     FromContainer,
     Order,
     Outcome,
     ToContainer,
 )
-from poise.wire.records.deployment_records import ContainerSpec
-from poise.wire.records.migration_records import StepsFailed
-from poise.wire.records.status_records import ComponentStatus, ContainerStatus
 
 STOP_LIMIT = 2.0
 """A container that was asked to end is killed after this time [s]."""

@@ -17,9 +17,9 @@ from poise.runtime._calls import LeaseEnd, PageSampler
 from poise.runtime.container import zygote
 from poise.runtime.execution.counters import new_memory
 from poise.units import format_bytes
-from poise.wire import record_channel
-from poise.wire.records.container_records import FromContainer, ToContainer
+from poise.wire import frame
 from poise.wire.records.deployment_records import ContainerSpec
+from poise.wire.records.status_records import FromContainer, ToContainer
 
 _LATE = 10.0
 """The end of a killed process is known within this time after the kill [s]."""
@@ -49,7 +49,7 @@ class ControlLink:
         self.pid = 0
         self.page: PageSampler | None = None
         self._connection = connection
-        self._reader = record_channel.RecordReader(connection)
+        self._reader = frame.RecordReader(connection)
         self._stats_page = stats_page
         self._lease: LeaseEnd | None = None
 
@@ -69,8 +69,8 @@ class ControlLink:
         self._lease = LeaseEnd(self._stats_page)
 
     def send(self, record: ToContainer) -> None:
-        """Tell it something; raises as `record_channel.send`."""
-        record_channel.send(self._connection, record)
+        """Tell it something; raises as `frame.send_record`."""
+        frame.send_record(self._connection, record)
 
     def signal(self, number: signal.Signals) -> None:
         """Send its process a signal; harmless when that has ended."""

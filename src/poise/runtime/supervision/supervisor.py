@@ -20,10 +20,14 @@ from poise.runtime.agent.inbox import SupervisedParts
 from poise.runtime.agent.surroundings import ContainerControl, ContainerHost
 from poise.runtime.supervision.container_processes import ContainerProcess, ProcessEnd
 from poise.runtime.supervision.health import HealthRecords, Silence, Usage
-from poise.wire.records.clock_records import ClockStatus
-from poise.wire.records.container_records import FromContainer, Outcome
 from poise.wire.records.deployment_records import ContainerSpec, Deployment
-from poise.wire.records.status_records import ContainerHealth, ContainerStatus
+from poise.wire.records.heartbeat_records import ClockStatus
+from poise.wire.records.status_records import (
+    ContainerHealth,
+    ContainerStatus,
+    FromContainer,
+    Outcome,
+)
 
 log = logging.getLogger(__name__)
 

@@ -16,7 +16,7 @@ from poise.session.callbacks import Say
 from poise.session.launch.emulated_agents import agent_of, emulated_agents
 from poise.wire.control_session import LEASE, locator
 from poise.wire.heartbeats import UNCUT_LEASE
-from poise.wire.records.sample_records import SAMPLE_EVERY
+from poise.wire.records.status_records import SAMPLE_EVERY
 
 _TOLERATED = 0.1
 """A run is invalid when the host starved computers for more than this share of it."""

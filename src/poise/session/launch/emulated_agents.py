@@ -27,7 +27,7 @@ from poise.session.launch.temporary_folders import scratch_folder
 from poise.units import counted
 from poise.wire.control_session import LEASE
 from poise.wire.heartbeats import UNCUT_LEASE
-from poise.wire.records.sample_records import SAMPLE_EVERY
+from poise.wire.records.status_records import SAMPLE_EVERY
 
 _LOOK_EVERY = 0.02
 """While an agent has ended, it is looked whether it may start so often [s]."""

@@ -23,7 +23,7 @@ from poise.session.launch.computers import Computers, computers_of
 from poise.session.launch.temporary_folders import scratch_folder
 from poise.session.launch.world import SimulatorProcess, world_of
 from poise.units import counted
-from poise.wire.records.sample_records import SAMPLE_EVERY, AgentSample
+from poise.wire.records.status_records import SAMPLE_EVERY, AgentSample
 
 _STEP = 0.2
 MISSING_LIMIT = 2.0

@@ -28,7 +28,7 @@ from poise.model.robot import (
     ConnectorEnd,
     Robot,
 )
-from poise.wire.records.sample_records import AgentSample, ContainerSample
+from poise.wire.records.status_records import AgentSample, ContainerSample
 
 SIZES = (100, 65_536)
 """[bytes] Small and large; the cost of a byte is the slope between them."""

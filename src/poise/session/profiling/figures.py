@@ -25,8 +25,12 @@ from poise.manage.agent_connections.statuses import (
 from poise.manage.observe.estimates import traffic_between
 from poise.model.robot import Robot
 from poise.session.profiling.rig import EMPTY, ProfilingRig
-from poise.wire.records.sample_records import AgentSample, ContainerSample
-from poise.wire.records.status_records import ComponentStatus, Summary
+from poise.wire.records.status_records import (
+    AgentSample,
+    ComponentStatus,
+    ContainerSample,
+    Summary,
+)
 
 
 class MeasuredUsage(Struct, frozen=True, kw_only=True):

@@ -21,7 +21,7 @@ from poise.model.robot import Robot
 from poise.session.callbacks import Say, log
 from poise.session.profiling.stored_profiles import read_profile
 from poise.wire.recording_file import SEEN, messages_of, robot_of, samples_of
-from poise.wire.records.sample_records import (
+from poise.wire.records.status_records import (
     AgentSample,
     ComponentSample,
     ConnectorSample,

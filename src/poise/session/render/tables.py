@@ -15,7 +15,7 @@ from rich.table import Table
 from poise.manage.observe.chains import ChainReport
 from poise.manage.tasks.concurrent_tasks import ActionReport, TaskReport
 from poise.units import format_bytes, format_seconds
-from poise.wire.records.clock_records import ClockStatus
+from poise.wire.records.heartbeat_records import ClockStatus
 from poise.wire.records.status_records import ConnectorStatus, Summary
 
 

@@ -21,7 +21,7 @@ from poise.manage.observe.troubles import refused
 from poise.manage.tasks.concurrent_tasks import TaskReport
 from poise.model.robot import Connector, Robot
 from poise.session.reports.history import Moment
-from poise.wire.records.clock_records import ClockStatus
+from poise.wire.records.heartbeat_records import ClockStatus
 from poise.wire.records.status_records import (
     AgentStatus,
     ComponentStatus,

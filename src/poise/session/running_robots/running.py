@@ -40,7 +40,7 @@ from poise.session.render.move_tables import Outcome, outcome_sentence
 from poise.session.render.printable import Printable
 from poise.session.render.status_tables import status_parts
 from poise.session.running_robots.without_manager import stop_agents
-from poise.wire.records.tap_records import SHOWN_ITEMS, TapReading
+from poise.wire.records.request_records import SHOWN_ITEMS, TapReading
 
 _TASK_POLLED_EVERY = 0.05
 

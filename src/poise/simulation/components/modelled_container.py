@@ -15,12 +15,17 @@ from poise.simulation.network.network import Network
 from poise.simulation.robot.simulated_process import Process
 from poise.simulation.schedule.choices import Choices
 from poise.simulation.schedule.scheduler import Scheduler, SimulatedTask
-from poise.wire.records.clock_records import Clocks
-from poise.wire.records.container_records import FromContainer, ToContainer
 from poise.wire.records.deployment_records import ConnectorSpec, ContainerSpec
+from poise.wire.records.heartbeat_records import Clocks
 from poise.wire.records.migration_records import MigrationSteps
-from poise.wire.records.status_records import ConnectorStatus, ContainerStatus, Side
-from poise.wire.records.tap_records import TapReading
+from poise.wire.records.request_records import TapReading
+from poise.wire.records.status_records import (
+    ConnectorStatus,
+    ContainerStatus,
+    FromContainer,
+    Side,
+    ToContainer,
+)
 
 _MISSED_WITHIN = 0.1
 """A missed deadline is reported within this time [s]."""

@@ -13,8 +13,8 @@ from poise.runtime.supervision.container_processes import ProcessEnd
 from poise.runtime.supervision.health import Silence
 from poise.simulation.components.modelled_container import SimulatedContainer, World
 from poise.simulation.components.models import drawn
-from poise.wire.records.container_records import FromContainer, ToContainer
 from poise.wire.records.deployment_records import ContainerSpec
+from poise.wire.records.status_records import FromContainer, ToContainer
 
 if TYPE_CHECKING:
     from poise.simulation.robot.simulated_agent import SimulatedAgent

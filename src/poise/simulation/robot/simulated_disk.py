@@ -7,10 +7,14 @@ from functools import partial
 
 from poise.runtime.agent.surroundings import AgentState, Reply
 from poise.simulation.robot.simulated_process import Process, SimulatedComputer
-from poise.wire.records.checkpoint_records import CheckpointCopy
 from poise.wire.records.deployment_records import Deployment
-from poise.wire.records.output_records import OutputLines, ReadOutput
-from poise.wire.records.request_records import Accepted, Refused
+from poise.wire.records.request_records import (
+    Accepted,
+    CheckpointCopy,
+    OutputLines,
+    ReadOutput,
+    Refused,
+)
 
 _SEND_WITHIN = 0.1
 Key = tuple[str, int]

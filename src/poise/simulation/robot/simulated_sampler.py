@@ -9,7 +9,7 @@ import msgspec
 from poise.runtime.supervision.health import ContainerUse, Usage
 from poise.simulation.components.modelled_container import SimulatedContainer, World
 from poise.simulation.robot.simulated_process import Process
-from poise.wire.records.sample_records import (
+from poise.wire.records.status_records import (
     SAMPLE_EVERY,
     AgentSample,
     ComponentSample,

@@ -19,7 +19,7 @@ from poise.session.render.move_tables import outcome_sentence, what_if_lines
 from poise.session.running_robots.running import JournalEntry, Running, WhatIf
 from poise.view.dashboard.history import Page
 from poise.view.dashboard.state import proposal_in, why
-from poise.wire.records.output_records import OutputLine
+from poise.wire.records.request_records import OutputLine
 
 _LOG_EVERY = 0.5
 _TAKEN_WITHIN = 10.0

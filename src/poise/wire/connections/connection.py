@@ -9,7 +9,7 @@ first `used` bytes of a block of shared memory (`blocks`): the lowest 8 bits are
 block's number, the next 16 bits its slot for this connection, and the highest bit says
 that the block is new here and its file comes with the frame. Over TCP there are no
 blocks: all buffers come inline. Records have this framing, too
-(`poise.wire.record_channel`).
+(`poise.wire.frame`).
 
 Native code (`poise.wire._channel`) sends and receives, without Python's lock.
 """
@@ -21,7 +21,6 @@ import errno
 import math
 import os
 import socket
-import struct
 import threading
 from collections.abc import Callable
 from typing import NamedTuple
@@ -30,18 +29,15 @@ from weakref import WeakValueDictionary
 from poise import threads
 from poise.errors import Timeout, Unavailable
 from poise.wire import _channel
-from poise.wire.address import LOST_AFTER
+from poise.wire.address import LOST_AFTER, keep_private
 from poise.wire.codec import Unreadable, WireError
 from poise.wire.connections.blocks import BLOCKS, THRESHOLD, Block, lender
-from poise.wire.connections.sockets import keep_private
 from poise.wire.frame import LARGEST, Frame, Pieces
 
 _NEW = 1 << 31
 _NUMBER, _SLOT = (1 << 8) - 1, (1 << 16) - 1
 _SLOT_AT = 8
 """The bits of `block`."""
-HEAD = struct.Struct("<II")
-"""The head before each frame: its length and block."""
 LAST_ANSWER = 1
 """The number in an answer behind which the connection is closed; others have none."""
 _LOST = {errno.ETIMEDOUT, errno.EHOSTUNREACH, errno.ENETUNREACH}

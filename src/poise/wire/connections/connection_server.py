@@ -18,11 +18,11 @@ from msgspec import Struct
 from poise import threads
 from poise.errors import Timeout, Unavailable
 from poise.wire import frame
+from poise.wire.address import gateway_path, keep_private, socket_path
 from poise.wire.codec import Unreadable, WireError
 from poise.wire.connections import connection
 from poise.wire.connections.connection import LAST_ANSWER, Connection
 from poise.wire.connections.opening import ANSWER_LIMIT, MESSAGES, NAME, AcceptWarning
-from poise.wire.connections.sockets import gateway_path, keep_private, socket_path
 from poise.wire.frame import Frame, Kind, Pieces
 
 log = logging.getLogger(__name__)

@@ -17,12 +17,11 @@ from typing import Self
 from poise import threads
 from poise.endpoint import Endpoint
 from poise.errors import CallError, RunError
-from poise.wire import frame, record_channel
-from poise.wire.address import family_of, tune
+from poise.wire import frame
+from poise.wire.address import connect, family_of, gateway_path, tune
 from poise.wire.codec import WireError
 from poise.wire.connections.connection import Connection
 from poise.wire.connections.opening import ANSWER_LIMIT, NAME, AcceptWarning
-from poise.wire.connections.sockets import connect, gateway_path
 from poise.wire.frame import Kind
 
 log = logging.getLogger(__name__)
@@ -137,7 +136,7 @@ class Gateway:
 def _named(connection: socket.socket) -> str:
     """Return the container that a connection names, and read nothing behind it."""
     deadline = time.monotonic() + SAY_LIMIT
-    hello = record_channel.receive_frame(connection, deadline, _LARGEST)
+    hello = frame.receive_frame(connection, deadline, _LARGEST)
     if hello.kind is not Kind.HELLO:
         raise WireError(f"a frame of the kind {hello.kind.name}, not a name")
     name: str = hello.value(NAME)

@@ -14,10 +14,9 @@ from pathlib import Path
 
 from poise.errors import Unavailable
 from poise.wire import frame
-from poise.wire.address import LOST_AFTER, Address, family_of, tune
+from poise.wire.address import LOST_AFTER, Address, family_of, socket_path, tune
 from poise.wire.codec import WireError, codec
 from poise.wire.connections.connection import Connection
-from poise.wire.connections.sockets import socket_path
 from poise.wire.frame import Kind
 
 NAME = codec(str)

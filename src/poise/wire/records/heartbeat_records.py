@@ -10,63 +10,34 @@ from poise.wire.records.request_records import PROTOCOL
 
 
 class Echo(Struct, frozen=True, array_like=True, gc=False):
-    """The last heartbeat that the sender has heard of another participant.
+    """The last heartbeat that the sender has heard of another participant."""
 
-    Parameters
-    ----------
-    sent
-        Its time, by the other's clock [s].
-    held
-        How long ago it came [s].
-    is_cut_off
-        Whether that one said that its lease has ended.
-    """
-
-    sent: float
-    held: float
-    is_cut_off: bool = False
+    sent: float  # Its time, by the other's clock [s]
+    held: float  # How long ago it came [s]
+    is_cut_off: bool = False  # Whether that one said that its lease has ended
 
 
 class Heartbeat(Struct, frozen=True, array_like=True):
-    """One datagram of a manager or an agent to all others of its robot.
-
-    Parameters
-    ----------
-    sender
-        A computer's name; ``MANAGER`` for the manager.
-    key
-        One start of the sender.
-    number
-        Counts this start's heartbeats.
-    sent
-        By the sender's clock [s].
-    heard
-        Whom it hears.
-    managed
-        How long ago it sent what its manager has heard [s]; None: not known. Of a
-        manager: 0.
-    manager
-        The key of the manager that it obeys; empty: that one has ended, or there was
-        none yet.
-    is_cut_off
-        Whether its lease has ended, so that its leased components are inactive.
-    asks
-        Who is asked to send a heartbeat at once: it was not heard for long.
-    revoked
-        Computer -> fencing token that has no effect any more: leased components were
-        started elsewhere. Agents repeat what their manager says.
-    """
+    """One datagram of a manager or an agent to all others of its robot."""
 
     robot: str
-    sender: str
-    key: str
-    number: int
-    sent: float
-    heard: Mapping[str, Echo] = {}
+    sender: str  # A computer's name; ``MANAGER`` for the manager
+    key: str  # One start of the sender
+    number: int  # Counts this start's heartbeats
+    sent: float  # By the sender's clock [s]
+    heard: Mapping[str, Echo] = {}  # Whom it hears
+    # How long ago it sent what its manager has heard [s]; 0 for a manager; None: not
+    # known
     managed: float | None = None
+    # The key of the manager that it obeys; empty: that one has ended, or there was none
+    # yet
     manager: str = ""
+    # Whether its lease has ended, so that its leased components are inactive
     is_cut_off: bool = False
+    # Who is asked to send a heartbeat at once: it was not heard for long
     asks: tuple[str, ...] = ()
+    # Computer -> fencing token that has no effect any more: leased components were
+    # started elsewhere. Agents repeat what their manager says.
     revoked: Mapping[str, int] = {}
     protocol: int = PROTOCOL
 
@@ -76,18 +47,25 @@ MANAGER = ""
 
 
 class LinkQuality(Struct, frozen=True, kw_only=True):
-    """A link between two computers, by the heartbeats of the last seconds.
+    """A link between two computers, by the heartbeats of the last seconds."""
 
-    Parameters
-    ----------
-    delay
-        One way, in the median [s]; None: nothing came back.
-    loss
-        The share of heartbeats that did not come; in [0, 1].
-    silent
-        For how long none came [s].
-    """
+    delay: float | None  # One way, in the median [s]; None: nothing came back
+    loss: float  # The share of heartbeats that did not come; in [0, 1]
+    silent: float  # For how long none came [s]
 
-    delay: float | None
-    loss: float
-    silent: float
+
+class ClockStatus(Struct, frozen=True, kw_only=True):
+    """Another computer's clock, as seen from one."""
+
+    offset: float  # The other's clock minus this one [s]
+    # It is surely not further off than this [s]: half of what the quickest ways there
+    # and back left open, and what the clocks may have run apart since
+    error: float
+    at: float  # When that was so [s, on this clock]
+    trip: float  # The quickest of the last round trips [s]
+
+
+class Clocks(Struct, frozen=True, tag=True):
+    """What an agent tells its containers: computer -> its clock."""
+
+    known: Mapping[str, ClockStatus]

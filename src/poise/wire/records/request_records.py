@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Mapping
+from hashlib import blake2s
+from pathlib import Path
+from typing import Any
 
 from msgspec import Struct
 
-from poise.wire.records.checkpoint_records import CheckpointCopy
+from poise.clock import boot_time
 from poise.wire.records.deployment_records import Deployment
 from poise.wire.records.migration_records import MigrationSteps, StepsDone, StepsFailed
-from poise.wire.records.output_records import OutputLines, ReadOutput
-from poise.wire.records.tap_records import Tap, TapReading
 
 PROTOCOL = 10
 """Manager, agents and containers of different protocol versions refuse each other."""
@@ -60,6 +62,103 @@ class Claimed(Struct, frozen=True, tag=True):
     # Whether its lease had ended: what may move is inactive there, and may have been
     # started elsewhere
     is_cut_off: bool = False
+
+
+class ReadOutput(Struct, frozen=True, tag=True, kw_only=True):
+    """Tell what was written on a computer."""
+
+    component: str = ""  # Only its lines; empty: all
+    after: int = 0  # Only what was written later [ns since 1970]
+    most: int = 1_000  # Of more lines than this, only the last
+
+
+class OutputLine(Struct, frozen=True, kw_only=True):
+    """A line that was written to standard output or error, or logged."""
+
+    at: int  # When [ns since 1970], by the clock of its computer
+    # Whose thread wrote it; of a call, the caller's. Else the name of the container
+    component: str
+    text: str
+    computer: str = ""
+
+
+class OutputLines(Struct, frozen=True, tag=True, kw_only=True):
+    """Lines, oldest first; `omitted` counts those before, which are over `most`."""
+
+    lines: tuple[OutputLine, ...] = ()
+    omitted: int = 0
+
+
+SHOWN_ITEMS = 16
+"""So many items of a list, an array or a mapping are shown to people."""
+
+
+class Tap(Struct, frozen=True, tag=True, kw_only=True):
+    """Tell what has gone out over a connector since the last time.
+
+    A container taps the connector for some seconds; who goes on looking asks again.
+    """
+
+    number: int  # Tells this request from others
+    container: str
+    connector: str
+    viewer: str  # Who looks: each gets all for itself
+    # So many messages a second are told with their content; 0: none is
+    rate: float = 0.0
+    # Of longer lists, arrays and mappings the rest is left out; up to `SHOWN_ITEMS`,
+    # lists and mappings then end with how much that is
+    items: int = SHOWN_ITEMS
+    limit: float = 1.0  # It is answered within this time [s]
+
+
+class Passed(Struct, frozen=True):
+    """A message, or a call."""
+
+    at: float  # When it went out, or the call's answer came [s since 1970]
+    value: Any  # Its content as plain values, shortened where it is long
+    is_whole: bool = True  # Whether nothing was shortened
+
+
+class TapReading(Struct, frozen=True, tag=True, kw_only=True):
+    """What went out since the last reading."""
+
+    number: int
+    connector: str
+    carries: str  # The declared type of the messages, or the interface
+    # When each message or call went out [s since 1970]; some may be missing
+    times: tuple[float, ...] = ()
+    passed: tuple[Passed, ...] = ()  # Some of them with their content
+    missing: int = 0  # How many are not among the times: there was no room for them
+
+
+MOST_KEPT = 64 << 20
+"""A larger state is not kept [bytes]."""
+
+
+class CheckpointCopy(Struct, frozen=True, kw_only=True, tag=True):
+    """A component's state as its agent keeps it."""
+
+    component: str
+    epoch: int
+    data: bytes | None  # The content of the file; None: it is the same as before
+    age: float  # How old it was when this was sent [s]
+
+
+def checkpoint_path(folder: Path, component: str, epoch: int) -> Path:
+    """Return the file of an incarnation's last checkpoint."""
+    name = blake2s(f"{component} {epoch}".encode(), digest_size=8).hexdigest()
+    return folder / f"{name}.checkpoint"
+
+
+def set_age(path: Path, age: float = 0.0) -> None:
+    """Set a checkpoint's age [s] by its file's time on `boot_time`."""
+    os.utime(path, (boot_time() - age,) * 2)
+
+
+def age_of(modified: float) -> float:
+    """Return a checkpoint's age [s] at least, by the ``st_mtime`` of its file."""
+    now = boot_time()
+    return now - modified if modified <= now else now
 
 
 class Accepted(Struct, frozen=True, tag=True):

@@ -8,10 +8,10 @@ from typing import Literal
 
 from msgspec import Struct
 
-from poise.wire.records.clock_records import ClockStatus
-from poise.wire.records.deployment_records import ConnectorKind
-from poise.wire.records.heartbeat_records import LinkQuality
-from poise.wire.records.request_records import PROTOCOL, ManagerId
+from poise.wire.records.deployment_records import ConnectorKind, ContainerSpec
+from poise.wire.records.heartbeat_records import Clocks, ClockStatus, LinkQuality
+from poise.wire.records.migration_records import MigrationSteps, StepsDone, StepsFailed
+from poise.wire.records.request_records import PROTOCOL, ManagerId, Tap, TapReading
 
 State = Literal[
     "unconfigured", "inactive", "active", "finalized", "failed", "unresponsive"
@@ -277,3 +277,79 @@ class AgentStatus(Struct, frozen=True, kw_only=True, dict=True):
     def missed(self) -> int:
         """How many deadlines the timers of its components have missed."""
         return sum(container.missed for container in self.containers)
+
+
+SAMPLE_EVERY = 0.2
+"""How often agents tell what they count, unless asked for another rate [s]."""
+
+
+class ComponentSample(Struct, frozen=True, array_like=True):
+    """A component's counters; `epoch` tells incarnations of one component apart."""
+
+    name: str
+    epoch: int
+    cpu: float  # CPU time [s]
+    # Time in which its thread could run and did not [s]; 0 for components with jobs,
+    # which tell better whether it keeps up
+    wait: float
+    # Releases of timers and messages that came, and that were ended
+    asked: int
+    done: int
+
+
+class ConnectorSample(Struct, frozen=True, array_like=True):
+    """The counters of one end of a connector."""
+
+    name: str
+    calls: int
+    messages: int
+    # What left this end over a wire, and what came to it
+    bytes_out: int
+    bytes_in: int
+    errors: int
+    drops: int
+    arrivals: int = 0  # How many came of whom it is known how long they were under way
+    # How long those were so, in all, and how far that is off at most [s]
+    latency: float = 0.0
+    latency_error: float = 0.0
+
+
+class ContainerSample(Struct, frozen=True, array_like=True):
+    """A container's counters."""
+
+    name: str
+    pid: int
+    at: float  # When they were read [s], on its computer's clock
+    cpu: float  # CPU time of the process [s]
+    memory: int  # Its proportional set size [bytes]; read less often than the rest
+    components: tuple[ComponentSample, ...]
+    connectors: tuple[ConnectorSample, ...]
+
+
+class AgentSample(Struct, frozen=True, array_like=True):
+    """A computer's counters."""
+
+    computer: str
+    at: float
+    cpu: float  # CPU time of the agent itself [s]
+    containers: tuple[ContainerSample, ...]
+    # CPU time of all programs of the computer, the robot's or not [s]; None: nobody
+    # counts it
+    busy: float | None = None
+
+
+class ContainerFailure(Struct, frozen=True, tag=True):
+    """The last words of a container that cannot go on."""
+
+    reason: str
+
+
+Order = MigrationSteps | Tap
+"""What a container answers with an outcome."""
+Outcome = StepsDone | StepsFailed | TapReading
+
+
+ToContainer = ContainerSpec | Clocks | Order
+"""What an agent tells a container."""
+FromContainer = ContainerStatus | ContainerFailure | Outcome
+"""What a container tells its agent."""

@@ -14,7 +14,7 @@ from poise.runtime._calls import ComponentCounters, PageSampler
 from poise.runtime.execution.counters import new_memory
 from poise.runtime.sampling.kernel_counters import proportional_memory, resident_memory
 from poise.runtime.sampling.sampler import Sampler
-from poise.wire.records.sample_records import AgentSample
+from poise.wire.records.status_records import AgentSample
 
 
 def decoded(body: bytes) -> AgentSample:

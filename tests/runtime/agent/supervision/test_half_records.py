@@ -9,7 +9,7 @@ import pytest
 
 from poise.runtime.execution.counters import new_memory
 from poise.runtime.supervision.process_host import ControlLink
-from poise.wire import record_channel
+from poise.wire import frame
 from poise.wire.records.status_records import ContainerStatus
 
 pytestmark = pytest.mark.slow
@@ -29,7 +29,7 @@ def record() -> bytes:
     """Return a status as it is sent."""
     ours, theirs = socket.socketpair()
     with ours, theirs:
-        record_channel.send(ours, STATUS)
+        frame.send_record(ours, STATUS)
         return theirs.recv(1 << 16)
 
 
