@@ -33,7 +33,7 @@ from poise.manage.deploy.deactivation import stop
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.journal import Journal
 from poise.model.robot import Robot
-from poise.runtime.sampling.kernel_counters import proportional_memory
+from poise.runtime.supervision.kernel_counters import proportional_memory
 from poise.session.launch.computers import computers_of
 from poise.wire.records.status_records import AgentStatus
 

@@ -40,11 +40,11 @@ from poise.runtime.agent.surroundings import (
 )
 from poise.runtime.container import zygote
 from poise.runtime.container.descendants import kill_all
-from poise.runtime.sampling.sampler import Sampler
 from poise.runtime.supervision.adopted_containers import AdoptedContainers
 from poise.runtime.supervision.container_processes import ProcessEnd
 from poise.runtime.supervision.health import Silence
 from poise.runtime.supervision.process_host import ControlLink, ProcessHost
+from poise.runtime.supervision.sampler import Sampler
 from poise.runtime.supervision.supervisor import part_of
 from poise.runtime.waker import Waker, wait_readable
 from poise.wire.address import socket_path

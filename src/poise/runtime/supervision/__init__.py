@@ -1,1 +1,1 @@
-"""Runs the containers of a computer, and says what becomes of them."""
+"""Runs the containers of a computer, measures them, and says what becomes of them."""

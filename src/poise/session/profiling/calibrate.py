@@ -15,7 +15,7 @@ from poise.manage.agent_connections.statuses import Statuses, located
 from poise.manage.journal import Journal
 from poise.manage.observe.sample_recording import Recording
 from poise.model.robot import Robot
-from poise.runtime.workload.calibration import SCORES
+from poise.runtime.calibration import SCORES
 from poise.session.callbacks import Check, nothing
 from poise.session.launch.start import Sampling, started
 from poise.session.profiling.connector_costs import costs_of, pairs, yardsticks

@@ -33,7 +33,7 @@ from poise.wire.records.status_records import AgentSample, ContainerSample
 SIZES = (100, 65_536)
 """[bytes] Small and large; the cost of a byte is the slope between them."""
 KINDS = ("direct", "local", "remote")
-_MODULE = "poise.runtime.workload.calibration"
+_MODULE = "poise.runtime.calibration"
 
 
 class Pair(Struct, frozen=True):

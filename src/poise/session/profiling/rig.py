@@ -28,7 +28,7 @@ from poise.model.robot import (
 )
 from poise.runtime.component.implementation import find, search_also
 from poise.runtime.component.ports import ports_of
-from poise.runtime.workload.replay import PlayedPort
+from poise.runtime.replay import PlayedPort
 from poise.session.recordings.record_run import interface_type, message_type
 from poise.wire.recording_file import inputs_of
 
@@ -64,7 +64,7 @@ class Played(Struct, frozen=True):
         }
         component = ComponentEntry(
             name=PLAYER,
-            implementation="poise.runtime.workload.replay:Replay",
+            implementation="poise.runtime.replay:Replay",
             isolated=True,
             parameters=parameters,
         )

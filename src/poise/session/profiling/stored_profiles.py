@@ -17,7 +17,7 @@ from poise.estimate.profiles import ComponentProfile, Profile, Store
 from poise.model.load import load_source
 from poise.model.robot import Robot
 from poise.model.yaml.tree import with_values
-from poise.runtime.workload.calibration import score
+from poise.runtime.calibration import score
 from poise.session.state_folder import to_write
 
 _MOST_NAMED = 4

@@ -13,20 +13,20 @@ from msgspec import Struct, structs
 
 from poise import threads
 from poise.runtime._calls import PageSampler
-from poise.runtime.sampling.kernel_counters import (
-    ComputerCpu,
-    ComputerMemory,
-    MemoryGrowth,
-    private_memory,
-    proportional_memory,
-    resident_memory,
-)
 from poise.runtime.supervision.health import (
     LOOK_EVERY,
     ContainerUse,
     Silence,
     Usage,
     Watchdog,
+)
+from poise.runtime.supervision.kernel_counters import (
+    ComputerCpu,
+    ComputerMemory,
+    MemoryGrowth,
+    private_memory,
+    proportional_memory,
+    resident_memory,
 )
 
 log = logging.getLogger(__name__)

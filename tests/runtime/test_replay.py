@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from poise import Message
-from poise.runtime.workload.replay import TICK, Replay
+from poise.runtime.replay import TICK, Replay
 from poise.testing import Bench
 from poise.wire.codec import codec
 from poise.wire.recording_file import Input

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from poise import Message, Stamp
 from poise.errors import UsageError
-from poise.runtime.workload.replay import maker
+from poise.runtime.replay import maker
 from poise.wire.codec import codec
 
 

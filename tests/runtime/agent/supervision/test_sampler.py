@@ -12,8 +12,11 @@ from poise import threads
 from poise.runtime import _calls
 from poise.runtime._calls import ComponentCounters, PageSampler
 from poise.runtime.execution.counters import new_memory
-from poise.runtime.sampling.kernel_counters import proportional_memory, resident_memory
-from poise.runtime.sampling.sampler import Sampler
+from poise.runtime.supervision.kernel_counters import (
+    proportional_memory,
+    resident_memory,
+)
+from poise.runtime.supervision.sampler import Sampler
 from poise.wire.records.status_records import AgentSample
 
 
@@ -107,9 +110,9 @@ def test_memory_is_weighed_again_when_there_is_more_or_less_of_it(
         return held[0] // 2
 
     monkeypatch.setattr(
-        "poise.runtime.sampling.sampler.resident_memory", lambda _: held[0]
+        "poise.runtime.supervision.sampler.resident_memory", lambda _: held[0]
     )
-    monkeypatch.setattr("poise.runtime.sampling.sampler.proportional_memory", weigh)
+    monkeypatch.setattr("poise.runtime.supervision.sampler.proportional_memory", weigh)
     memory, counters = new_memory(), ComponentCounters()
     counters.enter(_calls.StatsPage(memory), "eye", 0)
     here = [("see", 1, PageSampler(memory, os.getpid()))]

@@ -1,1 +1,0 @@
-"""Reads what the containers of a computer use, and whether they respond."""

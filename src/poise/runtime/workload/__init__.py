@@ -1,1 +1,0 @@
-"""What components work on while they are measured."""
