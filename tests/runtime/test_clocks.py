@@ -26,7 +26,7 @@ from poise.runtime.waker import wait_readable
 from poise.session.launch.start import Sampling, started
 from poise.wire import frame
 from poise.wire.control_session import locator
-from poise.wire.heartbeats import Contacts, Heartbeats
+from poise.wire.heartbeats import Contacts, Heartbeats, UdpDatagrams
 from poise.wire.records.deployment_records import ContainerSpec
 from poise.wire.records.heartbeat_records import Clocks, ClockStatus
 from poise.wire.records.status_records import ToContainer
@@ -114,7 +114,7 @@ def test_two_agents_learn_of_each_others_clocks() -> None:
                 Contacts("test", name, name),
                 Fence("test", name, lambda: None, lambda _: None),
                 clock,
-                partial(Heartbeats, clock, listen=where[name]),
+                partial(Heartbeats, clock, datagrams=UdpDatagrams(clock, where[name])),
                 lambda _: None,
                 lambda: 0.0,
             )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import socket
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
 import pytest
@@ -13,7 +13,7 @@ import pytest
 from poise import threads
 from poise.clock import SystemClock
 from poise.endpoint import Endpoint
-from poise.wire.heartbeats import Address, Heartbeats
+from poise.wire.heartbeats import Heartbeats, Received, UdpDatagrams
 from poise.wire.records.heartbeat_records import Heartbeat
 from tests.runtime.conftest import free_port
 from tests.waiting import wait_until
@@ -59,11 +59,11 @@ def test_heartbeats_go_out_while_others_flood_the_port() -> None:
         )
         return beat, 0.01
 
-    def hear(_beat: Heartbeat, _source: Address, _now: float) -> bool:
+    def hear(_: Sequence[Received]) -> bool:
         return False
 
     listen = Endpoint(HOST, free_port())
-    heartbeats = Heartbeats(clock, hear, next_beat, listen)
+    heartbeats = Heartbeats(clock, hear, next_beat, UdpDatagrams(clock, listen))
     with flood(listen.port):
         heartbeats.start()
         wait_until(lambda: number >= 20)  # 0.2 s without the flood
@@ -80,7 +80,7 @@ def test_an_error_in_what_hears_them_does_not_end_them(
         beat = Heartbeat(robot="r", sender="a", key="k", number=1, sent=0.0)
         return beat, 0.01
 
-    def hear(_beat: Heartbeat, _source: Address, _now: float) -> bool:
+    def hear(_: Sequence[Received]) -> bool:
         heard.append(1)
         if len(heard) < 3:
             raise KeyError("a bug")
@@ -89,7 +89,8 @@ def test_an_error_in_what_hears_them_does_not_end_them(
     hook = threading.excepthook
     threads.hear_failures(lambda name, error: failures.append((name, str(error))))
     listen = Endpoint(HOST, free_port())
-    heartbeats = Heartbeats(SystemClock(), hear, next_beat, listen)
+    clock = SystemClock()
+    heartbeats = Heartbeats(clock, hear, next_beat, UdpDatagrams(clock, listen))
     heartbeats.send_to({"itself": (HOST, listen.port)})
     heartbeats.start()
     try:

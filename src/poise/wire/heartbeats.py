@@ -10,12 +10,13 @@ lost packet holds back all that come after it.
 
 from __future__ import annotations
 
-import logging
+import contextlib
 import socket
 import threading
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from statistics import median
+from typing import NamedTuple, Protocol
 
 import msgspec
 
@@ -191,8 +192,6 @@ class Contacts:
         }
 
 
-log = logging.getLogger(__name__)
-
 _LARGEST = 16384
 _JOIN_LIMIT = 1.0
 _READING = 0.02
@@ -200,27 +199,47 @@ _READING = 0.02
 Address = tuple[str, int]
 
 
-class Heartbeats:
-    """A thread that sends one heartbeat to all every `EVERY`, and takes what comes.
+class Received(NamedTuple):
+    """A heartbeat, where it came from, and when [s]."""
 
-    `hear` takes each heartbeat, where it came from, and when [s]; it returns whether to
-    send one at once. `next_beat` is called before each sending, when all that came was
-    heard; it returns what is sent, and how long to wait for the next time [s].
+    beat: Heartbeat
+    source: Address
+    at: float
+
+
+Hear = Callable[[Sequence[Received]], bool]
+"""Takes in the heartbeats that came; returns whether to send one at once."""
+NextBeat = Callable[[], tuple[Heartbeat, float]]
+"""Called before each sending, when all that came was heard; returns what is sent, and
+how long to wait for the next time [s]."""
+
+
+class Datagrams(Protocol):
+    """Carries heartbeats, each of which may be lost, for one thread."""
+
+    def receive(self, until: float) -> Sequence[Received]:
+        """Return what has come; when nothing has, wait for it until a moment [s]."""
+
+    def send(self, beat: Heartbeat, targets: Iterable[Address]) -> None:
+        """Send a heartbeat to all targets."""
+
+    def close(self) -> None:
+        """End."""
+
+
+class UdpDatagrams:
+    """A UDP socket.
+
+    Parameters
+    ----------
+    listen
+        Where; None: anywhere.
     """
 
     def __init__(
-        self,
-        clock: Clock,
-        hear: Callable[[Heartbeat, Address, float], bool],
-        next_beat: Callable[[], tuple[Heartbeat, float]],
-        listen: Endpoint | None = None,
-        *,
-        is_ipv6: bool = False,
+        self, clock: Clock, listen: Endpoint | None = None, *, is_ipv6: bool = False
     ) -> None:
         self._clock = clock
-        self._hear = hear
-        self._next_beat = next_beat
-        self._targets: Mapping[str, Address] = {}
         family = socket.AF_INET6 if is_ipv6 else socket.AF_INET
         self._socket = socket.socket(family, socket.SOCK_DGRAM)
         if listen is not None:
@@ -229,8 +248,54 @@ class Heartbeats:
             except OSError:
                 self._socket.close()
                 raise
-        self._ended = threading.Event()
         self._decode = msgspec.msgpack.Decoder(Heartbeat).decode
+
+    def receive(self, until: float) -> Sequence[Received]:
+        """Return what has come, as far as it can be read in `_READING`."""
+        received: list[Received] = []
+        now = self._clock.now()
+        most = max(until, now + _READING)
+        while now < most:
+            self._socket.settimeout(0.0 if received else max(until - now, 0.0))
+            try:
+                data, source = self._socket.recvfrom(_LARGEST)
+                now = self._clock.now()
+                received.append(Received(self._decode(data), source[:2], now))
+                most = min(most, received[0].at + _READING)
+            except (BlockingIOError, TimeoutError):
+                break
+            except msgspec.DecodeError:  # not of this version
+                continue
+            except OSError:  # what an earlier datagram met on its way
+                if until <= now:
+                    break
+                now = self._clock.now()
+        return received
+
+    def send(self, beat: Heartbeat, targets: Iterable[Address]) -> None:
+        """Send a heartbeat to all targets; the silence says which link is cut."""
+        data = msgspec.msgpack.encode(beat)
+        for address in targets:
+            with contextlib.suppress(OSError):
+                self._socket.sendto(data, address)
+
+    def close(self) -> None:
+        """Close the socket."""
+        self._socket.close()
+
+
+class Heartbeats:
+    """A thread that sends one heartbeat to all every `EVERY`, and takes what comes."""
+
+    def __init__(
+        self, clock: Clock, hear: Hear, next_beat: NextBeat, datagrams: Datagrams
+    ) -> None:
+        self._clock = clock
+        self._hear = hear
+        self._next_beat = next_beat
+        self._datagrams = datagrams
+        self._targets: Mapping[str, Address] = {}
+        self._ended = threading.Event()
         self._thread = threads.daemon(self._main, "heartbeats", again=True)
 
     def start(self) -> None:
@@ -242,7 +307,7 @@ class Heartbeats:
         self._ended.set()
         if self._thread.is_alive():
             self._thread.join(_JOIN_LIMIT)
-        self._socket.close()
+        self._datagrams.close()
 
     def send_to(self, targets: Mapping[str, Address]) -> None:
         """Send to these from now on; by name."""
@@ -264,34 +329,12 @@ class Heartbeats:
 
         When more comes than can be read, the own heartbeat goes first.
         """
-        now = self._clock.now()
-        most = max(until, now + _READING)
-        while now < most:
-            left = until - now
-            self._socket.settimeout(max(left, 1e-6))
-            try:
-                data, source = self._socket.recvfrom(_LARGEST)
-            except TimeoutError:
-                return
-            except OSError:  # what an earlier datagram met on its way
-                if left <= 0:
-                    return
-                now = self._clock.now()
-                continue
-            now = self._clock.now()
-            try:
-                beat = self._decode(data)
-            except msgspec.DecodeError:  # not of this version
-                continue
-            if self._hear(beat, source[:2], now):
+        while True:
+            received = self._datagrams.receive(until)
+            if (received and self._hear(received)) or self._clock.now() >= until:
                 return
 
     def _send(self) -> float:
         beat, pause = self._next_beat()
-        data = msgspec.msgpack.encode(beat)
-        for address in list(self._targets.values()):
-            try:
-                self._socket.sendto(data, address)
-            except OSError:  # a cut link: the silence says it
-                continue
+        self._datagrams.send(beat, list(self._targets.values()))
         return pause

@@ -9,9 +9,16 @@ import pytest
 
 from poise.runtime.agent.fence import Fence
 from poise.runtime.agent.heartbeat_exchange import HeartbeatExchange
-from poise.runtime.agent.surroundings import Hear, NextBeat
 from poise.testing.virtual_clock import VirtualClock
-from poise.wire.heartbeats import LEASE, UNCUT_LEASE, Address, Contacts
+from poise.wire.heartbeats import (
+    LEASE,
+    UNCUT_LEASE,
+    Address,
+    Contacts,
+    Hear,
+    NextBeat,
+    Received,
+)
 from poise.wire.records.heartbeat_records import MANAGER as THE_MANAGER
 from poise.wire.records.heartbeat_records import Echo, Heartbeat
 from poise.wire.records.request_records import Claim, ManagerId
@@ -144,7 +151,7 @@ def heard(rig: Rig, number: int) -> None:
         heard={"left": Echo(now, 0.0)},
         managed=0.0,
     )
-    rig.exchange._hear(beat, ("127.0.0.1", 3), now)
+    rig.exchange._hear([Received(beat, ("127.0.0.1", 3), now)])
 
 
 def test_a_manager_that_was_heard_a_moment_before_has_ended(rig: Rig) -> None:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 
 from poise.manage.adaptation.bad_links import link_values
 from poise.manage.adaptation.decision import shortages_of
 from poise.manage.adaptation.situation import Situation
-from poise.manage.observe.estimates import culprit_on
+from poise.manage.observe.estimates import DemandEstimate, culprit_on
 from poise.model.policy.policy import (
     ChainValues,
     ComponentValues,
@@ -26,10 +27,16 @@ def values_of(situation: Situation, subject: Subject) -> tuple[Values, ...]:
 
 def _computers(situation: Situation) -> Iterator[Values]:
     shortages = shortages_of(situation)
+    estimates: dict[str, list[DemandEstimate]] = {}
+    for each in situation.demand_estimates:
+        estimates.setdefault(each.computer, []).append(each)
+    components = Counter(situation.placement.values())
+    by_name = {each.component: each for each in situation.demand_estimates}
     for computer in situation.robot.computers:
+        here = estimates.get(computer.name, ())
         load = situation.loads.get(computer.name)
         status = situation.statuses.get(computer.name)
-        here = [n for n, at in situation.placement.items() if at == computer.name]
+        running = [by_name[n] for n in load.components if n in by_name] if load else ()
         yield ComputerValues(
             name=computer.name,
             lost=computer.name in situation.lost,
@@ -37,24 +44,14 @@ def _computers(situation: Situation) -> Iterator[Values]:
             used=load.used if load else 0.0,
             background=load.background if load else 0.0,
             full=load is not None and load.is_full,
-            starved=max(
-                (
-                    demand.estimate.starved
-                    for demand in situation.demand_estimates
-                    if demand.computer == computer.name
-                ),
-                default=0.0,
-            ),
+            starved=max((each.estimate.starved for each in here), default=0.0),
             late=sum(e.late for e in situation.misses if e.computer == computer.name),
-            drifted=sum(
-                e.estimate.drift is not None and e.computer == computer.name
-                for e in situation.demand_estimates
-            ),
+            drifted=sum(each.estimate.drift is not None for each in here),
             short=shortages[computer.name],
-            culprit=culprit_on(load, situation.demand_estimates)
+            culprit=culprit_on(load, running)
             or "nothing takes more than was expected there",
             memory=status.memory if status else 0.0,
-            components=len(here),
+            components=components[computer.name],
         )
 
 

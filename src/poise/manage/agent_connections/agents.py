@@ -30,7 +30,7 @@ from poise.manage.agent_connections.requests import (
 )
 from poise.priority import ahead
 from poise.wire.control_session import LEASE, open_session
-from poise.wire.heartbeats import SURELY_ENDED, UNCUT_SURELY_ENDED
+from poise.wire.heartbeats import SURELY_ENDED, UNCUT_SURELY_ENDED, Datagrams
 from poise.wire.records.deployment_records import Deployment
 from poise.wire.records.migration_records import (
     MigrationSteps,
@@ -99,7 +99,7 @@ class Agents(AgentReports):
 
     `on_sample`: called with every sample, on zenoh's thread; must not block; `lease`:
     an agent that is cut off is out of reach after this time [s]; one that ends, at
-    once.
+    once; `datagrams`: what carries heartbeats; None: a UDP socket.
     """
 
     def __init__(
@@ -109,6 +109,7 @@ class Agents(AgentReports):
         clock: Clock,
         on_sample: Callable[[AgentSample], object] | None = None,
         lease: float = LEASE,
+        datagrams: Datagrams | None = None,
     ) -> None:
         super().__init__(robot, endpoints, clock)
         self.manager = manager_id()
@@ -121,6 +122,7 @@ class Agents(AgentReports):
             clock,
             self.on_silent,
             SURELY_ENDED if self._is_leased else UNCUT_SURELY_ENDED,
+            datagrams,
         )
         self._tokens: dict[str, int] = {}
         self._claimed: dict[str, int] = {}

@@ -7,7 +7,7 @@ the whole machine was, nobody could be heard.
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import NamedTuple
 
 from poise.clock import Clock
@@ -17,9 +17,11 @@ from poise.wire.heartbeats import (
     ASK_EVERY,
     DETECTED,
     EVERY,
-    Address,
     Contacts,
+    Datagrams,
     Heartbeats,
+    Received,
+    UdpDatagrams,
 )
 from poise.wire.records.heartbeat_records import MANAGER, Heartbeat
 
@@ -140,7 +142,7 @@ class AgentHeartbeats:
     """Exchanges heartbeats with agents; any thread may ask.
 
     `surely_ended`: the lease of an agent that ended has ended, too, after this time
-    [s].
+    [s]; `datagrams`: what carries them; None: a UDP socket.
     """
 
     def __init__(
@@ -151,6 +153,7 @@ class AgentHeartbeats:
         clock: Clock,
         on_silent: Callable[[set[str]], object],
         surely_ended: float,
+        datagrams: Datagrams | None = None,
     ) -> None:
         self._clock = clock
         self._on_silent = on_silent
@@ -161,11 +164,12 @@ class AgentHeartbeats:
         self._reachability = Reachability(self._contacts, surely_ended)
         where = {name: endpoint_of(text) for name, text in endpoints.items()}
         self._computers = tuple(where)
+        is_ipv6 = any(":" in endpoint.host for endpoint in where.values())
         self._heartbeats = Heartbeats(
             clock,
             self._hear,
             self._next_beat,
-            is_ipv6=any(":" in endpoint.host for endpoint in where.values()),
+            datagrams or UdpDatagrams(clock, is_ipv6=is_ipv6),
         )
         self._heartbeats.send_to({n: (e.host, e.port) for n, e in where.items()})
         self._has_begun = False
@@ -217,10 +221,10 @@ class AgentHeartbeats:
                 self._revoked |= tokens
             return have_ended
 
-    def _hear(self, beat: Heartbeat, _: Address, now: float) -> bool:
+    def _hear(self, received: Sequence[Received]) -> bool:
         with self._lock:
-            is_news = self._contacts.note(beat, now)
-        return is_news and MANAGER in beat.asks
+            news = [b for b, _, at in received if self._contacts.note(b, at)]
+        return any(MANAGER in beat.asks for beat in news)
 
     def _next_beat(self) -> tuple[Heartbeat, float]:
         now = self._clock.now()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from itertools import pairwise
 from pathlib import PurePath
 
@@ -109,10 +109,12 @@ class DeploymentPlan:
         `spare`: computer -> CPU for what is being prepared there [cores].
         """
         placed = tuple(incarnations)
+        connectors = self._connectors(placed, gateways)
         containers: dict[str, list[ContainerSpec]] = {
             computer.name: [] for computer in self._robot.computers
         }
-        for (computer, container), inside in self._by_container(placed).items():
+        for at, inside in self._by_container(placed).items():
+            computer, container = at
             containers[computer].append(
                 ContainerSpec(
                     name=container,
@@ -127,7 +129,7 @@ class DeploymentPlan:
                     else 0.0,
                     repository=self._robot.repository,
                     components=tuple(map(self.component_spec, inside)),
-                    connectors=tuple(self._connectors(inside, placed, gateways)),
+                    connectors=tuple(connectors.get(at, ())),
                 )
             )
         return {
@@ -211,9 +213,12 @@ class DeploymentPlan:
     ) -> dict[tuple[str, str], list[Incarnation]]:
         groups: dict[tuple[str, str], list[Incarnation]] = {}
         for incarnation in placed:
-            key = (incarnation.computer, self._containers[incarnation.component])
-            groups.setdefault(key, []).append(incarnation)
+            groups.setdefault(self._home(incarnation), []).append(incarnation)
         return groups
+
+    def _home(self, incarnation: Incarnation) -> tuple[str, str]:
+        """Return its computer and its container."""
+        return incarnation.computer, self._containers[incarnation.component]
 
     def component_spec(self, incarnation: Incarnation) -> ComponentSpec:
         """Return what an agent is told of an incarnation."""
@@ -261,12 +266,10 @@ class DeploymentPlan:
         return str(PurePath(self._folder) / device) if device else ""
 
     def _connectors(
-        self,
-        inside: list[Incarnation],
-        placed: tuple[Incarnation, ...],
-        gateways: Mapping[str, str],
-    ) -> Iterator[ConnectorSpec]:
-        """Yield the connectors with an end at one of `inside`."""
+        self, placed: tuple[Incarnation, ...], gateways: Mapping[str, str]
+    ) -> dict[tuple[str, str], list[ConnectorSpec]]:
+        """Return the connectors with an end in each container."""
+        found: dict[tuple[str, str], list[ConnectorSpec]] = {}
         by_name: dict[str, list[Incarnation]] = {}
         for incarnation in placed:
             if not incarnation.unjoined:
@@ -277,8 +280,10 @@ class DeploymentPlan:
                 for target in by_name.get(second.component, ()):
                     if {source.goal, target.goal} == _STRANGERS:
                         continue
-                    if source in inside or target in inside:
-                        yield self.joined(connector, source, target, gateways)
+                    spec = self.joined(connector, source, target, gateways)
+                    for home in {self._home(source): 1, self._home(target): 1}:
+                        found.setdefault(home, []).append(spec)
+        return found
 
 
 def _ends(robot: Robot) -> dict[str, tuple[str, ...]]:

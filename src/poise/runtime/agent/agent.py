@@ -33,9 +33,7 @@ from poise.runtime.agent.core import AgentCore
 from poise.runtime.agent.inbox import AgentInbox
 from poise.runtime.agent.surroundings import (
     AgentSetup,
-    Hear,
     HeartbeatTransport,
-    NextBeat,
     Surroundings,
 )
 from poise.runtime.container import zygote
@@ -51,7 +49,7 @@ from poise.wire.address import socket_path
 from poise.wire.codec import WireError
 from poise.wire.connections.gateway import Gateway
 from poise.wire.control_session import identity_key, locator, open_session
-from poise.wire.heartbeats import Heartbeats
+from poise.wire.heartbeats import Hear, Heartbeats, NextBeat, UdpDatagrams
 from poise.wire.records.request_records import PROTOCOL
 
 log = logging.getLogger(__name__)
@@ -202,12 +200,11 @@ class Agent:
     def _heartbeats(self, hear: Hear, next_beat: NextBeat) -> HeartbeatTransport | None:
         listen = self._endpoint
         try:
-            return Heartbeats(
-                self._clock, hear, next_beat, listen, is_ipv6=":" in listen.host
-            )
+            datagrams = UdpDatagrams(self._clock, listen, is_ipv6=":" in listen.host)
         except OSError as error:
             log.warning("no heartbeats: UDP port %d: %s", listen.port, error)
             return None
+        return Heartbeats(self._clock, hear, next_beat, datagrams)
 
     def _sampler(self, session: zenoh.Session) -> Sampler:
         def on_silence(silence: Silence) -> None:

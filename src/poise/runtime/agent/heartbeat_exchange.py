@@ -14,12 +14,12 @@ from __future__ import annotations
 
 import threading
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from math import inf
 
 from poise.clock import DRIFT, Clock
 from poise.runtime.agent.fence import Fence, Lease
-from poise.runtime.agent.surroundings import Hear, HeartbeatTransport, NextBeat
+from poise.runtime.agent.surroundings import HeartbeatTransport
 from poise.wire.control_session import endpoint_of
 from poise.wire.heartbeats import (
     ASK_AFTER,
@@ -29,6 +29,9 @@ from poise.wire.heartbeats import (
     UNCUT_LEASE,
     Address,
     Contacts,
+    Hear,
+    NextBeat,
+    Received,
 )
 from poise.wire.records.heartbeat_records import (
     MANAGER,
@@ -44,11 +47,9 @@ class ClockOffset:
     """The offset of one other computer's clock, from the last round trips."""
 
     def __init__(self) -> None:
-        self._sent: deque[float] = deque(maxlen=_KEPT)
-        # bounds widen with age: what each would have been when this clock showed 0
-        self._lows: deque[float] = deque(maxlen=_KEPT)
-        self._highs: deque[float] = deque(maxlen=_KEPT)
-        self._trips: deque[float] = deque(maxlen=_KEPT)
+        # sent, lowest, highest, trip. Bounds widen with age: they are what each would
+        # have been when this clock showed 0
+        self._bounds: deque[tuple[float, float, float, float]] = deque(maxlen=_KEPT)
 
     def add(
         self, sent: float, received: float, answered: float, returned: float
@@ -59,42 +60,37 @@ class ClockOffset:
         """
         low, high = answered - returned, received - sent
         if low <= high and received <= answered:
-            self._sent.append(sent)
-            self._lows.append(low + DRIFT * sent)
-            self._highs.append(high - DRIFT * sent)
-            self._trips.append(high - low)
+            wide = DRIFT * sent
+            self._bounds.append((sent, low + wide, high - wide, high - low))
 
     def at(self, now: float) -> ClockStatus | None:
         """Return what is known at `now` [s, on this clock]; None before any round trip.
 
         When bounds contradict each other a clock was set: older bounds are dropped.
         """
-        if not self._sent:
-            return None
         wide = DRIFT * now
-        low, high = max(self._lows) - wide, min(self._highs) + wide
-        if low > high:
+        while self._bounds:  # heartbeats that overtook each other contradict all
+            _, lows, highs, trips = zip(*self._bounds, strict=True)
+            low, high = max(lows) - wide, min(highs) + wide
+            if low <= high:
+                return ClockStatus(
+                    offset=(low + high) / 2,
+                    error=(high - low) / 2,
+                    at=now,
+                    trip=min(trips),
+                )
             self._forget_contradicted(wide)
-            if not self._sent:  # heartbeats that overtook each other contradict all
-                return None
-            low, high = max(self._lows) - wide, min(self._highs) + wide
-        return ClockStatus(
-            offset=(low + high) / 2,
-            error=(high - low) / 2,
-            at=now,
-            trip=min(self._trips),
-        )
+        return None
 
     def _forget_contradicted(self, wide: float) -> None:
         """Forget the newest bound that contradicts newer ones, and all before it."""
         low, high = float("-inf"), float("inf")
-        bounds = list(zip(self._sent, self._lows, self._highs, strict=True))
+        bounds = list(self._bounds)
         while low <= high:
-            began, least, most = bounds.pop()
+            began, least, most, _ = bounds.pop()
             low, high = max(low, least - wide), min(high, most + wide)
-        while self._sent and self._sent[0] <= began:
-            for each in (self._sent, self._lows, self._highs, self._trips):
-                each.popleft()
+        while self._bounds and self._bounds[0][0] <= began:
+            self._bounds.popleft()
 
 
 _STALLED = 0.3
@@ -237,28 +233,36 @@ class HeartbeatExchange:
         with self._lock:
             return self._contacts.qualities(self._clock.now())
 
-    def _hear(self, beat: Heartbeat, source: Address, now: float) -> bool:
-        """Take in a heartbeat; return whether to answer at once.
+    def _hear(self, received: Sequence[Received]) -> bool:
+        """Take in heartbeats; return whether to answer at once.
 
         The manager is always answered: one wake-up serves for both.
         """
         with self._lock:
-            if beat.sender == MANAGER:
-                if beat.key != self._claimed_by:
-                    return False
-                self._targets[MANAGER] = source
-            elif beat.sender not in self._targets:
+            answers = [self._answers(*each) for each in received]
+        return any(answers)
+
+    def _answers(self, beat: Heartbeat, source: Address, now: float) -> bool:
+        sender = beat.sender
+        if sender == MANAGER:
+            if beat.key != self._claimed_by:
                 return False
-            is_news = self._contacts.note(beat, now)
-            if beat.sender == MANAGER and is_news and now > self._token_gone + _LATE:
+            self._targets[MANAGER] = source
+        elif sender not in self._targets:
+            return False
+        if not self._contacts.note(beat, now):
+            return False
+        if sender == MANAGER:
+            if now > self._token_gone + _LATE:
                 self._fence.note_alive(beat.key)
-            echo = beat.heard.get(self._computer) if is_news else None
-            if echo is not None and beat.sender != MANAGER:
-                if beat.sender not in self._offsets:
-                    self._offsets[beat.sender] = ClockOffset()
-                offset = self._offsets[beat.sender]
-                offset.add(echo.sent, beat.sent - echo.held, beat.sent, now)
-        return is_news and (beat.sender == MANAGER or self._computer in beat.asks)
+            return True
+        echo = beat.heard.get(self._computer)
+        if echo is not None:
+            if sender not in self._offsets:
+                self._offsets[sender] = ClockOffset()
+            received = beat.sent - echo.held
+            self._offsets[sender].add(echo.sent, received, beat.sent, now)
+        return self._computer in beat.asks
 
     def _next_beat(self) -> tuple[Heartbeat, float]:
         with self._lock:

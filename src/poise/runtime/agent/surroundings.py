@@ -17,9 +17,8 @@ from msgspec import Struct
 from poise.clock import Clock
 from poise.runtime.supervision.health import Usage
 from poise.wire.control_session import LEASE
-from poise.wire.heartbeats import Address
+from poise.wire.heartbeats import Address, Hear, NextBeat
 from poise.wire.records.deployment_records import ContainerSpec, Deployment
-from poise.wire.records.heartbeat_records import Heartbeat
 from poise.wire.records.request_records import (
     PROTOCOL,
     Answer,
@@ -177,11 +176,6 @@ class HeartbeatTransport(Protocol):
 
     def close(self) -> None:
         """End."""
-
-
-Hear = Callable[[Heartbeat, Address, float], bool]
-NextBeat = Callable[[], tuple[Heartbeat, float]]
-"""As for `poise.wire.heartbeats.Heartbeats`, on whose thread both are called."""
 
 
 class Surroundings(Struct, frozen=True, kw_only=True):

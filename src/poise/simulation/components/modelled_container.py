@@ -15,6 +15,7 @@ from poise.simulation.network.network import Network
 from poise.simulation.robot.simulated_process import Process
 from poise.simulation.schedule.choices import Choices
 from poise.simulation.schedule.scheduler import Scheduler, SimulatedTask
+from poise.wire.heartbeats import Datagrams
 from poise.wire.records.deployment_records import ConnectorSpec, ContainerSpec
 from poise.wire.records.heartbeat_records import Clocks
 from poise.wire.records.migration_records import MigrationSteps
@@ -66,6 +67,10 @@ class World(Protocol):
 
     def size_of(self, connector: str) -> float:
         """Return the size of a message, or of a call both ways [bytes]."""
+        ...
+
+    def datagrams_of(self, process: Process, port: int) -> Datagrams:
+        """Return what carries heartbeats to and from a port of a process."""
         ...
 
     def containers(self) -> list[SimulatedContainer]:

@@ -1,27 +1,28 @@
-"""UDP sockets of the code under test."""
+"""Datagrams, which carry heartbeats."""
 
 from __future__ import annotations
 
-import errno
-import socket
-from collections import deque
-from functools import partial
+from collections.abc import Iterable, Sequence
+from heapq import heappop, heappush
 from math import inf
+
+import msgspec
 
 from poise.simulation.network.network import Network
 from poise.simulation.robot.simulated_process import Process
-from poise.simulation.schedule.scheduler import SimulatedTask, SimulationError
+from poise.simulation.schedule.scheduler import SimulatedTask
+from poise.wire.heartbeats import Address, Received
+from poise.wire.records.heartbeat_records import MANAGER, Heartbeat
 
 _FIRST_FREE = 32768
-Address = tuple[str, int]
 
 
 class Addresses:
-    """The IP addresses of a robot's computers, and the UDP sockets that are bound."""
+    """The IP addresses of a robot's computers, and who receives datagrams where."""
 
     def __init__(self) -> None:
         self._hosts: dict[str, str] = {}
-        self._bound: dict[Address, SimulatedSocket] = {}
+        self._bound: dict[Address, SimulatedDatagrams] = {}
         self._free = _FIRST_FREE
 
     def add(self, computer: str) -> str:
@@ -38,95 +39,98 @@ class Addresses:
         """Return the computer with an address; None: there is none."""
         return self._hosts.get(address[0])
 
-    def bound(self, address: Address) -> SimulatedSocket | None:
-        """Return the socket that receives at an address."""
+    def bound(self, address: Address) -> SimulatedDatagrams | None:
+        """Return what receives at an address."""
         return self._bound.get(address)
 
-    def bind(
-        self, process: Process, to: SimulatedSocket, address: Address | None = None
-    ) -> Address:
-        """Let a socket receive at an address; None: at a free one of its computer."""
-        if address is None:
-            self._free += 1
-            address = self.host_of(process.computer.name), self._free
+    def bind(self, to: SimulatedDatagrams, host: str, port: int | None) -> Address:
+        """Let something receive at a port; None: at a free one."""
+        self._free += port is None
+        address = host, port or self._free
         self._bound[address] = to
         return address
 
-    def release(self, address: Address, bound: SimulatedSocket) -> None:
-        """Let a socket receive there no more."""
+    def release(self, address: Address, bound: SimulatedDatagrams) -> None:
+        """Let it receive there no more."""
         if self._bound.get(address) is bound:
             del self._bound[address]
 
 
 _MOST = 256
-"""A socket keeps so many datagrams that nobody has read; further ones are lost."""
+"""So many datagrams that nobody has read are kept; further ones are lost."""
 
 
-class SimulatedSocket:
-    """A UDP socket, as far as heartbeats use one."""
+class SimulatedDatagrams:
+    """The datagrams of a process, as of a UDP socket.
+
+    The reader is woken by what it may have to answer. All else it gets when its next
+    heartbeat is due, with the moment when it came: that spares a switch for each.
+
+    `port`: where it listens; None: at a free one.
+    """
 
     def __init__(
-        self, addresses: Addresses, network: Network, process: Process, *kind: int
+        self,
+        addresses: Addresses,
+        network: Network,
+        process: Process,
+        port: int | None = None,
     ) -> None:
-        if len(kind) < 2 or kind[1] != socket.SOCK_DGRAM:  # noqa: PLR2004
-            raise SimulationError(
-                f"{process.name} opens a socket {kind}: only UDP is simulated"
-            )
         self._addresses = addresses
         self._network = network
         self._process = process
-        self._waiting: deque[tuple[bytes, Address]] = deque()
+        self._waiting: list[tuple[float, int, Heartbeat, Address]] = []
+        self._reads_since = inf
         self._reader: SimulatedTask | None = None
-        self._limit = inf
-        self._address = addresses.bind(process, self)
+        self._is_urgent = False
+        self.computer = process.computer.name
+        host = addresses.host_of(self.computer)
+        self._address = addresses.bind(self, host, port)
+        self._decode = msgspec.msgpack.Decoder(Heartbeat).decode
         process.on_end.append(self.close)
 
-    def bind(self, address: Address) -> None:
-        """Receive what is sent to an address."""
-        taken = self._addresses.bound(address)
-        if taken is not None and taken is not self:
-            raise OSError(errno.EADDRINUSE, f"{address} is in use")
-        self._addresses.release(self._address, self)
-        self._address = self._addresses.bind(self._process, self, address)
-
-    def settimeout(self, limit: float) -> None:
-        """Let `recvfrom` wait for up to `limit` [s]."""
-        self._limit = limit
-
-    def sendto(self, data: bytes, address: Address) -> int:
-        """Send a datagram."""
-        own, target = self._address, self._addresses.computer_at(address)
-        if target is None:
-            raise OSError(errno.EHOSTUNREACH, f"nothing is at {address}")
-
-        source, size = self._process.computer.name, len(data)
-        deliver = partial(self._deliver, address, data, own)
-        self._network.send_datagram(source, target, size, deliver)
-        return size
-
-    def recvfrom(self, _size: int) -> tuple[bytes, Address]:
-        """Return the next datagram and its sender's address."""
-        scheduler = self._process.scheduler
-        if not self._waiting:
+    def receive(self, until: float) -> Sequence[Received]:
+        """Return what has come, after a wait until a moment at the most [s]."""
+        scheduler, computer = self._process.scheduler, self._process.computer
+        self._reads_since = min(self._reads_since, scheduler.now)
+        left = until - computer.monotonic()
+        if left > 0 and not self._is_urgent:
             self._reader = scheduler.current
-            scheduler.wait(self._limit, "a datagram")
+            scheduler.wait(left, "heartbeats")
             self._reader = None
-        if not self._waiting:
-            raise TimeoutError
-        return self._waiting.popleft()
+        self._is_urgent = False
+        now, waiting = scheduler.now, self._waiting
+        # while the process stood still nobody read what came
+        ago = now - max(self._reads_since, self._process.awake_since)
+        own_now, received = computer.monotonic(), list[Received]()
+        while waiting and waiting[0][0] <= now:
+            at, _, beat, source = heappop(waiting)
+            received.append(Received(beat, source, own_now - min(now - at, ago)))
+        return received
 
-    def take(self, data: bytes, source: Address) -> None:
-        """Keep a datagram that arrived; for the simulated world."""
+    def send(self, beat: Heartbeat, targets: Iterable[Address]) -> None:
+        """Send a heartbeat, encoded and decoded once for all who receive it."""
+        data = msgspec.msgpack.encode(beat)
+        beat, size = self._decode(data), len(data)
+        here, bound = self.computer, self._addresses.bound
+        for address in targets:
+            if (target := bound(address)) is not None:
+                for at in self._network.arrivals(here, target.computer, size):
+                    target.take(at, beat, self._address)
+
+    def take(self, at: float, beat: Heartbeat, source: Address) -> None:
+        """Keep what arrives at a moment [s] until it is read."""
         if len(self._waiting) < _MOST:
-            self._waiting.append((data, source))
-        if self._reader is not None:
-            self._process.scheduler.wake(self._reader)
-
-    def _deliver(self, address: Address, data: bytes, source: Address) -> None:
-        receiver = self._addresses.bound(address)
-        if receiver is not None:
-            receiver.take(data, source)
+            scheduler = self._process.scheduler
+            heappush(self._waiting, (at, scheduler.number(), beat, source))
+            if beat.sender == MANAGER or beat.asks or beat.is_cut_off or beat.revoked:
+                scheduler.at(at, self._wake)
 
     def close(self) -> None:
         """Receive no more."""
         self._addresses.release(self._address, self)
+
+    def _wake(self) -> None:
+        self._is_urgent = True
+        if self._reader is not None:
+            self._process.scheduler.wake(self._reader)

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from functools import partial
+from collections.abc import Mapping, Sequence
 
 from poise.simulation._engine import Stream
 from poise.simulation.network.links import LinkModel, set_links
@@ -70,25 +69,15 @@ class Network:
         """
         return self._engine.stream(source, target)
 
-    def send_datagram(
-        self, source: str, target: str, size: int, deliver: Callable[[], object]
-    ) -> None:
-        """Deliver a datagram once, twice, or never, in any order."""
-        if source != target and not self._gets_through(source, target):
-            return
-        copies = 1
-        if self.model.duplication:
-            copies += self.choices.happens("network", self.model.duplication)
-        for _ in range(copies):
-            arrival = self._engine.arrival(source, target, size)
-            self.scheduler.at(arrival, partial(self._arrive, source, target, deliver))
-
-    def _gets_through(self, source: str, target: str) -> bool:
+    def arrivals(self, source: str, target: str, size: int) -> Sequence[float]:
+        """Return when a datagram arrives [s]: once, twice or never, in any order."""
+        engine, happens = self._engine, self.choices.happens
+        at = engine.arrival(source, target, size)
         loss = self.model.loss + self.loss
-        if self.is_cut(source, target):
-            return False
-        return not loss or not self.choices.happens("network", loss)
-
-    def _arrive(self, source: str, target: str, deliver: Callable[[], object]) -> None:
-        if not self.is_cut(source, target):
-            deliver()
+        if source != target:
+            if engine.is_cut(source, target) or (loss and happens("network", loss)):
+                return ()
+            duplication = self.model.duplication
+            if duplication and happens("network", duplication):
+                return at, engine.arrival(source, target, size)
+        return (at,)

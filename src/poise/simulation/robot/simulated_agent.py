@@ -12,7 +12,7 @@ from poise.clock import SystemClock, time_asleep
 from poise.endpoint import Endpoint
 from poise.runtime.agent.core import AgentCore
 from poise.runtime.agent.inbox import AgentInbox
-from poise.runtime.agent.surroundings import AgentSetup, Hear, NextBeat, Surroundings
+from poise.runtime.agent.surroundings import AgentSetup, Surroundings
 from poise.simulation.components.modelled_container import World
 from poise.simulation.robot.container_host import (
     SimulatedAdoption,
@@ -24,7 +24,7 @@ from poise.simulation.robot.simulated_process import Process
 from poise.simulation.robot.simulated_sampler import SimulatedSampler
 from poise.simulation.schedule.scheduler import SimulatedTask
 from poise.wire.control_session import identity_key, locator, open_session
-from poise.wire.heartbeats import Heartbeats
+from poise.wire.heartbeats import Hear, Heartbeats, NextBeat
 from poise.wire.records.status_records import AgentStatus
 
 PORT = 7447
@@ -143,8 +143,8 @@ class SimulatedAgent:
             put(msgspec.msgpack.encode(status))
 
         def heartbeats(hear: Hear, next_beat: NextBeat) -> Heartbeats:
-            listen = Endpoint(self._setup.address, self._setup.port)
-            return Heartbeats(clock, hear, next_beat, listen)
+            datagrams = self._world.datagrams_of(process, self._setup.port)
+            return Heartbeats(clock, hear, next_beat, datagrams)
 
         return Surroundings(
             clock=clock,

@@ -22,6 +22,7 @@ from poise.manage.tasks.concurrent_tasks import Tasks
 from poise.manage.tasks.saved_tasks import goes_on_with
 from poise.model.robot import Robot
 from poise.simulation.robot.simulated_process import Process
+from poise.wire.heartbeats import Datagrams
 
 SOLVE_STEPS = 20_000
 """The planner searches so much, whatever the machine: a seed gives one run."""
@@ -59,6 +60,8 @@ class SimulatedManager:
     ----------
     endpoints
         Computer -> zenoh endpoint of its agent.
+    datagrams
+        Carries its heartbeats.
     note
         Takes each entry of its journal.
 
@@ -77,6 +80,7 @@ class SimulatedManager:
         setup: ManagedRobot,
         endpoints: Mapping[str, str],
         process: Process,
+        datagrams: Datagrams,
         note: Callable[[JournalEntry], object],
         *,
         take_over: bool = False,
@@ -89,6 +93,7 @@ class SimulatedManager:
         self.on_up: Callable[[], object] = lambda: None
         self.run: RunningComponents | None = None
         self.error: PoiseError | None = None
+        self._datagrams = datagrams
         self._note = note
         self._takes_over = take_over
         process.spawn("manager", self._main)
@@ -126,7 +131,12 @@ class SimulatedManager:
         setup, robot = self._setup, self._setup.robot
         journal, samples = Journal(":memory:", self._note), Recording()
         with Agents(
-            robot.name, self._endpoints, SystemClock(), samples.add, lease=_LEASE
+            robot.name,
+            self._endpoints,
+            SystemClock(),
+            samples.add,
+            _LEASE,
+            self._datagrams,
         ) as agents:
             if not self._is_at_work(agents):
                 agents.wait_alive(self._endpoints, _AGENT_LIMIT)

@@ -12,14 +12,14 @@ from poise.simulation._engine import Connector, Model
 from poise.simulation.components.modelled_component import SimulatedComponent
 from poise.simulation.components.modelled_container import SimulatedContainer
 from poise.simulation.components.models import ComponentModel
-from poise.simulation.network.datagrams import Addresses
+from poise.simulation.network.datagrams import Addresses, SimulatedDatagrams
 from poise.simulation.network.links import links_of
 from poise.simulation.network.network import Network
 from poise.simulation.network.zenoh_sessions import ZenohNetwork
 from poise.simulation.robot.simulated_agent import PORT, SimulatedAgent
 from poise.simulation.robot.simulated_disk import SimulatedDisk
 from poise.simulation.robot.simulated_manager import ManagedRobot, SimulatedManager
-from poise.simulation.robot.simulated_process import SimulatedComputer
+from poise.simulation.robot.simulated_process import Process, SimulatedComputer
 from poise.simulation.schedule.choices import Choices
 from poise.simulation.schedule.scheduler import Scheduler
 from poise.simulation.schedule.simulated_library import SimulatedLibrary
@@ -151,6 +151,7 @@ class SimulatedRobot:
             self._managed,
             self.endpoints,
             process,
+            self.datagrams_of(process, None),
             note,
             take_over=take_over,
         )
@@ -228,6 +229,10 @@ class SimulatedRobot:
     def size_of(self, connector: str) -> float:
         """Return the size of a message, or of a call both ways [bytes]."""
         return self.workload.traffic.size_of(connector)
+
+    def datagrams_of(self, process: Process, port: int | None) -> SimulatedDatagrams:
+        """Return what carries heartbeats to and from a port; None: a free one."""
+        return SimulatedDatagrams(self.addresses, self.network, process, port)
 
     def run(self, until: float) -> None:
         """Let virtual time pass until a moment [s]."""

@@ -25,7 +25,6 @@ from typing import Any
 
 import zenoh
 
-from poise.simulation.network.datagrams import SimulatedSocket
 from poise.simulation.network.zenoh_sessions import ZenohNetwork
 from poise.simulation.robot.simulated_process import Process
 from poise.simulation.schedule.locks import (
@@ -35,7 +34,12 @@ from poise.simulation.schedule.locks import (
 )
 from poise.simulation.schedule.scheduler import SLACK, Scheduler, SimulationError
 
-_FORBIDDEN = ((os, "fork"), (subprocess, "Popen"), (socket, "socketpair"))
+_FORBIDDEN = (
+    (os, "fork"),
+    (subprocess, "Popen"),
+    (socket, "socket"),
+    (socket, "socketpair"),
+)
 
 
 Replaced = tuple[Any, str, Callable[..., Any]]
@@ -54,7 +58,7 @@ class SimulatedLibrary:
             *_threads(scheduler),
             *_process(scheduler),
             *_chance(scheduler),
-            *_network(scheduler, sessions),
+            *_connections(scheduler, sessions),
             *((m, name, _refusal(f"{m.__name__}.{name}")) for m, name in _FORBIDDEN),
         ]
         self._real = [
@@ -224,13 +228,8 @@ def _chance(scheduler: Scheduler) -> list[Replaced]:
     ]
 
 
-def _network(scheduler: Scheduler, sessions: ZenohNetwork) -> list[Replaced]:
-    def open_socket(*kind: int) -> SimulatedSocket:
-        network, addresses = sessions.network, sessions.addresses
-        return SimulatedSocket(addresses, network, _host(scheduler), *kind)
-
+def _connections(scheduler: Scheduler, sessions: ZenohNetwork) -> list[Replaced]:
     return [
-        (socket, "socket", open_socket),
         (
             socket,
             "create_connection",
