@@ -36,10 +36,25 @@ class Localiser(Component):
     @subscribed(keep=1)
     def scan(self, message: Scan) -> None: ...
 
+    def pose(self, at: float) -> Pose: ...
+
+class Posing(Component):
+    poses: Provided[Poses]
+
+    def pose(self, at: float) -> Pose: ...
+
+class Hinted(Component):
     @subscribed(keep=1)
     def hints(self, message: Pose) -> None: ...
 
-    def pose(self, at: float) -> Pose: ...
+class Tuned(Component):
+    def configure(self) -> None:
+        self.gain = self.parameters["gain"]
+        self.rate = self.parameters.get("rate", 1.0) if "bias" in self.parameters else 0
+
+class Converting(Tuned):
+    def activate(self) -> None:
+        self.others = dict(**self.parameters)
 
 class Navigator(Component):
     poses: Required[Poses]
@@ -165,8 +180,58 @@ def test_accepts_what_fits(check: Check) -> None:
     assert check(more, "- {between: [navigator.poses, localiser.poses]}") == []
 
 
+@pytest.mark.parametrize("code", ["Tuned", "Converting"])
+def test_accepts_parameters_that_may_be_read(check: Check, code: str) -> None:
+    """What converts all of its parameters may read any, so nothing is said of it."""
+    more = "" if code == "Tuned" else ", any: 1"
+    entry = f'"PACKAGE.nav:{code}", parameters: {{gain: 1, rate: 2, bias: 3{more}}}'
+    assert check(f"tuned: {{implementation: {entry}}}", "") == []
+
+
+@pytest.mark.parametrize(("where", "count"), [("", 1), (", address: 'b:7000'", 0)])
+def test_looks_for_commands_of_emulated_computers(
+    tmp_path: Path, where: str, count: int
+) -> None:
+    """Another computer may have programs that this one lacks."""
+    file = tmp_path / "robot.yaml"
+    file.write_text(
+        f"robot: r\ncomputers: {{a: {{cpu: 1, memory: 1 GiB{where}}}}}\n"
+        "architectures: {x: {function: f, components: {c: {command: nosuchprogram}}}}",
+        encoding="utf-8",
+    )
+    assert len(check_code(load_source(file).robot)) == count
+
+
+def test_refuses_a_module_that_another_of_its_name_hides(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each folder of the repository has a `hidden_twin.py`; the first one would run."""
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    for number in (1, 2):
+        folder = tmp_path / f"part{number}"
+        folder.mkdir()
+        code = f"import poise\nclass A(poise.Component):\n    number = {number}\n"
+        (folder / "hidden_twin.py").write_text(code, encoding="utf-8")
+        (folder / "a.yaml").write_text(
+            f"architectures: {{a{number}: {{function: f{number}, components: "
+            f'{{c{number}: {{implementation: "hidden_twin:A"}}}}}}}}',
+            encoding="utf-8",
+        )
+    file = tmp_path / "robot.yaml"
+    file.write_text(
+        "robot: r\nrepository: [part1, part2]\n"
+        "computers: {a: {cpu: 1, memory: 1 GiB}}\n"
+        "tasks: {t: {actions: [{name: w, functions: [f1, f2]}]}}\n",
+        encoding="utf-8",
+    )
+    (finding,) = check_code(load_source(file).robot)
+    assert finding.path[-2:] == ("c2", "implementation")
+    assert "part1/hidden_twin.py, so " in finding.message
+    assert "part2/hidden_twin.py would never run" in finding.message
+
+
 def test_accepts_a_command_whose_port_fits(check: Check) -> None:
-    more = 'log: {command: l, ports: {in: {subscribes: "PACKAGE.nav:Scan"}}}'
+    more = 'log: {command: cat, ports: {in: {subscribes: "PACKAGE.nav:Scan"}}}'
     assert check(more, "- {between: [scanner.scan, log.in]}") == []
 
 
@@ -191,8 +256,8 @@ def test_does_not_look_at_the_ports_of_what_has_no_code(check: Check) -> None:
             ["wrong way round", "[scanner.scan, localiser.scan]"],
         ),
         (
-            "",
-            "- {between: [scanner.scan, localiser.hints]}",
+            'hinted: {implementation: "PACKAGE.nav:Hinted"}',
+            "- {between: [scanner.scan, hinted.hints]}",
             (13, 10),
             ["types differ", "publishes Scan", "subscribes Pose"],
         ),
@@ -213,6 +278,24 @@ def test_does_not_look_at_the_ports_of_what_has_no_code(check: Check) -> None:
             "",
             (10, 7),
             ["'navigator.poses' requires Poses", "no connector"],
+        ),
+        (
+            'hinted: {implementation: "PACKAGE.nav:Hinted"}',
+            "",
+            (10, 7),
+            ["'hinted.hints' subscribes Pose", "no connector joins it to a publisher"],
+        ),
+        (
+            'tuned: {parameters: {gian: 3}, implementation: "PACKAGE.nav:Tuned"}',
+            "",
+            (10, 28),
+            ["no parameter 'gian'", "did you mean 'gain'", "'bias', 'gain', 'rate'"],
+        ),
+        (
+            "driver: {command: [nosuchprogram, --fast]}",
+            "",
+            (10, 16),
+            ["component 'driver': 'nosuchprogram': there is no such program"],
         ),
         (
             'lacking: {implementation: "PACKAGE.nav:Lacking"}',
@@ -257,13 +340,13 @@ def test_does_not_look_at_the_ports_of_what_has_no_code(check: Check) -> None:
             ["has no class 'Othr'"],
         ),
         (
-            'log: {command: l, ports: {in: {subscribes: "PACKAGE.nav:Sca"}}}',
+            'log: {command: cat, ports: {in: {subscribes: "PACKAGE.nav:Sca"}}}',
             "",
-            (10, 38),
+            (10, 40),
             ["has no class 'Sca'", "'Scan'"],
         ),
         (
-            'log: {command: l, ports: {in: {subscribes: "PACKAGE.nav:Pose"}}}',
+            'log: {command: cat, ports: {in: {subscribes: "PACKAGE.nav:Pose"}}}',
             "- {between: [scanner.scan, log.in]}",
             (13, 10),
             ["the types differ"],
@@ -285,7 +368,7 @@ def test_refuses_what_does_not_fit(
 def test_a_required_port_has_one_connector(check: Check) -> None:
     more = (
         'navigator: {implementation: "PACKAGE.nav:Navigator"}\n'
-        '      second: {implementation: "PACKAGE.nav:Localiser"}'
+        '      second: {implementation: "PACKAGE.nav:Posing"}'
     )
     connectors = (
         "- {between: [navigator.poses, localiser.poses]}\n"

@@ -28,13 +28,14 @@ from poise.model.check.connectors import (
     KnownPort,
     check_cycles,
     check_ports,
-    check_required,
+    check_unconnected,
 )
 from poise.model.check.names import components
 from poise.model.check.task_checks import check_ends, check_generated
 from poise.model.robot import ComponentEntry, PortKind, Robot
 from poise.model.software import CodeTimer, ComponentCode
 from poise.model.yaml.tree import Finding, Path
+from poise.runtime.code_references import check_origin, check_parameters, check_programs
 from poise.runtime.component.component import Component
 from poise.runtime.component.implementation import (
     find,
@@ -79,7 +80,7 @@ def check_code(
     known: _Known = {}
     reentrant: set[str] = set()
     broken: dict[object, list[_BrokenImport]] = {}
-    for path, _, component in components(robot):
+    for path, architecture, component in components(robot):
         if component.name in skipped:
             continue
         begin(component.name)
@@ -100,12 +101,15 @@ def check_code(
             if component.implementation:
                 code = find(component.implementation, robot.folder)
                 reentrant |= {component.name} if code.reentrant else set()
+                findings += check_origin(path, architecture, module)
+                findings += check_parameters(path, component, code)
     begin("")
     findings += map(_import_finding, broken.values())
     findings += check_ports(robot, known)
-    findings += check_required(robot, known)
+    findings += check_unconnected(robot, known)
     findings += check_cycles(robot, known, reentrant)
     findings += check_generated(robot, known)
+    findings += check_programs(robot)
     findings += _check_functions(robot)
     findings += check_ends(robot, known)
     return findings

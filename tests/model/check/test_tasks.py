@@ -129,6 +129,10 @@ def test_accepts(find: Find, step: str) -> None:
             "{name: a, functions: [seeing], ▸ends: gripper.done}",
             ["belongs to the function 'grasping'", "add it to `functions`"],
         ),
+        (
+            "{name: a, functions: [kicking], ▸ends: kicker.done}",
+            ["'kick_with_foot' may provide 'kicking' without it", "use `until`"],
+        ),
         ("{name: a, functions: [], ▸until: late >}", ["is not a condition"]),
         ("{name: a, functions: [], ▸until: used > 5 s}", ["cannot be compared"]),
         (

@@ -160,18 +160,29 @@ def _are_alternatives(robot: Robot, *connectors: Connector) -> bool:
     return first.function == second.function and first.name != second.name
 
 
-def check_required(robot: Robot, ports: Ports) -> Iterator[Finding]:
-    """Yield the required ports that no connector serves."""
-    served = {str(connector.between[0]) for _, _, connector in connectors(robot)}
+def check_unconnected(robot: Robot, ports: Ports) -> Iterator[Finding]:
+    """Yield the required ports and subscriptions that no connector joins."""
+    joined = {
+        str(e) for _, _, connector in connectors(robot) for e in connector.between
+    }
     for path, _, component in components(robot):
         for port in ports.get(component.name, {}).values():
             end = str(ConnectorEnd(component.name, port.name))
-            if port.kind == "requires" and end not in served:
-                yield Finding(
-                    path,
-                    f"'{end}' {port}, but no connector joins it to a provider: add "
-                    f"`{{between: [{end}, <component>.<port>]}}`",
-                )
+            if end in joined or port.kind not in _UNCONNECTED:
+                continue
+            what, between = _UNCONNECTED[port.kind]
+            yield Finding(
+                path,
+                f"'{end}' {port}, but no connector joins it to {what}: add "
+                f"`{{between: [{between.format(end)}]}}`",
+            )
+
+
+_UNCONNECTED: Mapping[PortKind, tuple[str, str]] = {
+    "requires": ("a provider", "{}, <component>.<port>"),
+    "subscribes": ("a publisher", "<component>.<port>, {}"),
+}
+"""Ports that are of no use alone: what they need, and the connector that brings it."""
 
 
 def _find(end: ConnectorEnd, ports: Ports) -> KnownPort | None:

@@ -201,12 +201,22 @@ def _end(
     if not end.port:
         text = f"name the port of '{end.component}' too, as in {end.component}.done"
         yield Finding(path, text)
-    function = robot.architecture_of(end.component).function
-    if function not in action.functions:
+    own = robot.architecture_of(end.component)
+    if own.function not in action.functions:
         yield Finding(
             path,
-            f"component '{end.component}' belongs to the function '{function}', which "
-            f"action '{action.name}' does not need: add it to `functions`",
+            f"component '{end.component}' belongs to the function '{own.function}', "
+            f"which action '{action.name}' does not need: add it to `functions`",
+        )
+    others = [a.name for a in robot.architectures if a.function == own.function]
+    others.remove(own.name)
+    if others and own.layer == "sequencing":
+        yield Finding(
+            path,
+            f"component '{end.component}' belongs to architecture '{own.name}', but "
+            f"{listed(others)} may provide '{own.function}' without it, and nothing "
+            f"would end the action: let a component of another function publish "
+            "its end, or use `until`",
         )
 
 
