@@ -10,7 +10,9 @@ from rich.console import Console
 
 from poise.estimate.online import Drift, Estimate
 from poise.manage.control_socket.commands import RobotStatus
+from poise.manage.observe.chains import ChainHop, ChainReport
 from poise.manage.observe.estimates import DemandEstimate, Load
+from poise.manage.tasks.concurrent_tasks import TaskReport
 from poise.session.render.status_tables import (
     _remarks,
     component_table,
@@ -20,7 +22,7 @@ from poise.session.render.status_tables import (
     remarks,
     status_parts,
 )
-from poise.session.render.tables import table
+from poise.session.render.tables import chain_tables, table, task_table
 from poise.wire.records.request_records import ManagerId
 from poise.wire.records.status_records import (
     AgentStatus,
@@ -28,6 +30,7 @@ from poise.wire.records.status_records import (
     ContainerHealth,
     ContainerStatus,
     Fault,
+    Summary,
 )
 
 NAME = "recommendation_presenter"
@@ -211,3 +214,40 @@ def test_says_what_containers_hold_and_what_was_expected() -> None:
     row = out.getvalue().splitlines()[-1]
     for text in ("one", "300 MiB", "100 MiB", "2 MiB/s: 512 MiB in 40 s", NAME):
         assert text in row
+
+
+def test_chains_fit_80_columns_and_say_which_step_takes_most() -> None:
+    """The localiser's data is 60 ms old, the driver's 70: most is the localiser's."""
+    steps = ("scanner", 0.0), ("localiser", 0.06), ("driver", 0.07)
+    hops = tuple(
+        ChainHop(component=name, computer="main", age=ages(age)) for name, age in steps
+    )
+    chain = ChainReport(
+        name="pose", deadline=0.2, missed=1, age=ages(0.07), error=0.02, hops=hops
+    )
+    out = StringIO()
+    for rows in chain_tables([chain]):
+        Console(file=out, width=80).print(rows)
+    row = out.getvalue().splitlines()[-1].split()
+    assert row[:5] == ["pose", "200", "ms", "4", "25.0%"]
+    assert " ".join(row[5:10]) == "70 ms ± 20 ms"
+    assert row[-1] == "localiser"
+
+
+def ages(value: float) -> Summary:
+    return Summary(count=4, mean=value, median=value, p99=value, maximum=value)
+
+
+def test_a_list_of_tasks_fits_80_columns() -> None:
+    task = TaskReport(
+        name="serve_beverage",
+        state="waiting",
+        began=0.0,
+        since=0.0,
+        priority=5,
+        why="task 'wave' uses the device 'arm', which both of them need all the time",
+    )
+    out = StringIO()
+    Console(file=out, width=80).print(task_table([task]))
+    assert max(map(len, out.getvalue().splitlines())) <= 80
+    assert "which both of them need" in " ".join(out.getvalue().split())

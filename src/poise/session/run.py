@@ -188,7 +188,7 @@ def _measure(
     except RunError:
         if not manager.is_stopping:
             raise
-        interrupted = True
+    stopped = "`poise stop` ended it" if manager.is_stopping else ""
     run.check = check
     end = run.agents.statuses()
     return MeasuredRun(
@@ -199,6 +199,6 @@ def _measure(
         history=tuple(history.moments),
         last_seen=last_seen,
         seconds=time.monotonic() - began,
-        invalid=up.computers.end(),
-        interrupted=interrupted,
+        invalid="; ".join(filter(None, [stopped, up.computers.end()])),
+        interrupted=interrupted or bool(stopped),
     )

@@ -65,9 +65,13 @@ def status_command(
         Path | None,
         typer.Option(help="Robot file: ask its agents, for want of a manager here."),
     ] = None,
+    everything: Annotated[
+        bool,
+        typer.Option("--all", help="Also connectors, clocks, and containers."),
+    ] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Show where a running robot's components are, and how they and connectors do.
+    """Show where a running robot's components are, and how they do.
 
     Of a robot without a manager it shows what its agents say; with --file also of one
     that was started from elsewhere. The exit code is 1 when anything is not as the
@@ -79,7 +83,10 @@ def status_command(
         status = Running(robot).status()
     else:
         status = Status(**asdict(poise.status_without_manager(load(file))))
-    print_json(status) if as_json else console_to().print(status)
+    if as_json:
+        print_json(status)
+    else:
+        console_to().print(status, *(status.details() if everything else ()))
     if status.by_agents:
         raise typer.Exit(NoManager.exit_code)
     if status.deviations:

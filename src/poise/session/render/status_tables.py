@@ -48,18 +48,22 @@ def status_parts(status: RobotStatus) -> Iterator[RenderableType]:
     for remark in remarks(status):
         yield f"[yellow]{remark}[/]"
     yield from chain_tables(status.chains)
+    yield computer_table(status)
+    for line in (*growing_containers(status), *container_lines(status)):
+        yield Text(line, style="yellow")
+
+
+def detail_parts(status: RobotStatus) -> Iterator[RenderableType]:
+    """Yield what `poise status --all` adds: connectors, clocks and containers."""
     yield from connector_tables(connectors_of(status.computers))
     known = {name: each.clocks for name, each in sorted(status.computers.items())}
     yield from clock_tables(known)
-    yield computer_table(status)
     yield container_table(status)
     if means := {
         n: c.cpu_weights for n, c in status.computers.items() if c.cpu_weights
     }:
         by = ", ".join(f"{how} on {name}" for name, how in sorted(means.items()))
         yield f"containers share the CPU by priority: {by}"
-    for line in container_lines(status):
-        yield Text(line, style="yellow")
 
 
 def component_table(answer: RobotStatus) -> Table:
@@ -100,7 +104,8 @@ def computer_table(answer: RobotStatus) -> Table:
 
 def container_table(answer: RobotStatus) -> Table:
     """Return the memory of containers, how fast it grows, and what was planned."""
-    rows = table("container", "computer", "memory", "demand", "grows", "components")
+    names = "container", "computer", "memory", "demand", "grows", "components"
+    rows = table(*names, folds=len(names) - 1)
     for name, computer in sorted(answer.computers.items()):
         inside = {
             container.name: [component.name for component in container.components]
@@ -117,7 +122,7 @@ def container_table(answer: RobotStatus) -> Table:
                 name,
                 f"[yellow]{text}[/]" if 0 < demand < health.memory else text,
                 format_bytes(demand) if demand else "",
-                _growth(health),
+                f"[yellow]{_growth(health)}[/]",
                 ", ".join(components),
             )
     return rows
@@ -127,7 +132,16 @@ def _growth(health: ContainerHealth) -> str:
     if not health.growth:
         return ""
     limit = f"{format_bytes(health.limit)} in {format_seconds(health.full_in)}"
-    return f"[yellow]{format_bytes(health.growth)}/s: {limit}[/]"
+    return f"{format_bytes(health.growth)}/s: {limit}"
+
+
+def growing_containers(answer: RobotStatus) -> Iterator[str]:
+    """Give the containers whose memory grows towards its limit."""
+    for computer, status in sorted(answer.computers.items()):
+        for health in status.health:
+            if growth := _growth(health):
+                name = f"container '{health.name}' on '{computer}'"
+                yield f"the memory of {name} grows by {growth}"
 
 
 def container_lines(answer: RobotStatus) -> Iterator[str]:

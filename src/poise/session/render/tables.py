@@ -65,28 +65,33 @@ def _line(segments: list[Segment]) -> list[Segment]:
 
 def chain_tables(chains: Iterable[ChainReport]) -> Iterator[Table]:
     """Yield a row for each chain, if there is one: the age of its data when used."""
-    names = "chain, data age", "deadline", "used", "missed", "median", "p99", "maximum"
-    rows = table(*names, "±", "median by step")
+    names = "chain, data age", "deadline", "used", "late", "median", "p99", "longest"
+    rows = table(*names, "most time to")
     for chain in chains:
         age, head = chain.age, (chain.name, format_seconds(chain.deadline))
         if not age.count:
             rows.add_row(*head, "0")
             continue
-        ages = map(format_seconds, (age.median, age.p99, age.maximum, chain.error))
         share = f"{chain.missed / age.count:.1%}"
-        rows.add_row(*head, str(age.count), share, *ages, _steps(chain))
+        ages = list(map(format_seconds, (age.median, age.p99, age.maximum)))
+        if chain.error > _NOTABLE * age.median:
+            ages[0] += f" ± {format_seconds(chain.error)}"
+        rows.add_row(*head, str(age.count), share, *ages, _slowest(chain))
     if rows.row_count:
         yield rows
 
 
-def _steps(chain: ChainReport) -> str:
-    """Return how much older the data is at each component than at the one before."""
-    return ", ".join(
-        f"{next_.component} {format_seconds(max(0.0, next_.age.median - one))}"
-        for one, next_ in (
-            (before.age.median, after) for before, after in pairwise(chain.hops)
-        )
-    )
+_NOTABLE = 0.1
+"""An error of the clocks is shown when it is more than this share of the age."""
+
+
+def _slowest(chain: ChainReport) -> str:
+    """Return the component at which the data is most older than at the one before."""
+    steps = [
+        (next_.age.median - before.age.median, next_.component)
+        for before, next_ in pairwise(chain.hops)
+    ]
+    return max(steps)[1] if steps else ""
 
 
 def clock_tables(
@@ -194,17 +199,17 @@ _COLOURS = {"failed": "red", "waiting": "yellow", "paused": "yellow"}
 
 
 def task_table(tasks: Iterable[TaskReport]) -> Table:
-    """Return tasks with their states and actions."""
-    rows = table("task", "state", "since", "priority", "actions", "why", folds=2)
+    """Return tasks with their states and actions, and why under them."""
+    rows = table("task", "state", "since", "priority", "actions", folds=4)
     for each in tasks:
         colour = _COLOURS.get(each.state, "")
+        actions = ", ".join(map(_action, each.actions))
         rows.add_row(
             each.name,
             f"[{colour}]{each.state}[/]" if colour else each.state,
             time.strftime("%H:%M:%S", time.localtime(each.since)),
             str(each.priority),
-            escape(", ".join(map(_action, each.actions))),
-            escape(each.why),
+            escape("\n".join(filter(None, [actions, each.why]))),
         )
     return rows
 

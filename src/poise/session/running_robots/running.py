@@ -38,7 +38,7 @@ from poise.manage.tasks.concurrent_tasks import TaskReport
 from poise.manage.tasks.task_progress import OVER
 from poise.session.render.move_tables import Outcome, outcome_sentence
 from poise.session.render.printable import Printable
-from poise.session.render.status_tables import status_parts
+from poise.session.render.status_tables import detail_parts, status_parts
 from poise.session.running_robots.without_manager import stop_agents
 from poise.wire.records.request_records import SHOWN_ITEMS, TapReading
 
@@ -151,6 +151,10 @@ class Status(Printable, RobotStatus, frozen=True, tag="RobotStatus", kw_only=Tru
     def parts(self) -> tuple[RenderableType, ...]:
         """Return what is printed."""
         return tuple(status_parts(self))
+
+    def details(self) -> tuple[RenderableType, ...]:
+        """Return what `poise status --all` adds."""
+        return tuple(detail_parts(self))
 
 
 class Running:
