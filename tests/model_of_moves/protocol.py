@@ -33,25 +33,25 @@ def initial(bounds: Bounds, bug: str = "") -> State:
     count = bounds.movers
     nothing = ((),) * (count + 1)
     party: Before = "start" if bounds.prepares else "prepare"
-    rounds = prepare(bounds) if bounds.prepares else transfer(bounds, bug)
+    orders = prepare(bounds) if bounds.prepares else transfer(bounds, bug)[0]
     return State(
-        round="prepare 0" if bounds.prepares else "transfer 0",
+        round="prepare" if bounds.prepares else "transfer 0",
         olds=(Incarnation("work", stays=True, party=party),) * count,
         news=(Incarnation("inactive", party=party),) * count,
         to_olds=nothing,
         to_news=nothing,
-        orders=rounds[0],
+        orders=orders,
         calls=(("begins", ""),) * len(bounds.callers),
     )
 
 
-def prepare(bounds: Bounds) -> list[tuple[Order, ...]]:
+def prepare(bounds: Bounds) -> tuple[Order, ...]:
     """Return `MigrationPlan.prepare`."""
-    steps = ("offer state", "old"), ("pre-copy", "new"), ("request state", "new")
-    return [
-        _orders({f"{side} {k}": (step,) for k in range(bounds.movers)})
-        for step, side in (*steps, ("await idle", "old"))
-    ]
+    steps: dict[str, tuple[str, ...]] = {}
+    for k in range(bounds.movers):
+        steps[f"old {k}"] = "offer state", "await idle"
+        steps[f"new {k}"] = "pre-copy", "request state"
+    return _orders(steps)
 
 
 def transfer(bounds: Bounds, bug: str) -> list[tuple[Order, ...]]:
@@ -154,7 +154,9 @@ class Protocol:
             return s._replace(round="remove", orders=(), spec=spec)
         phase, _, number = s.round.partition(" ")
         if phase == "prepare":
-            return self._prepared(s, int(number) + 1, failed=failed)
+            if failed:
+                return s._replace(round="remove", orders=(), spec="old")
+            return s._replace(round="transfer 0", orders=self._rounds[0])
         if failed and self._bug != "ignore failures":
             return s._replace(round="roll back", orders=resuming("old", self._bounds))
         following = int(number) + 1
@@ -162,14 +164,6 @@ class Protocol:
             orders = self._rounds[following]
             return s._replace(round=f"transfer {following}", orders=orders)
         return s._replace(round="resume", orders=resuming("new", self._bounds))
-
-    def _prepared(self, s: State, following: int, *, failed: bool) -> State:
-        rounds = prepare(self._bounds)
-        if failed:
-            return s._replace(round="remove", orders=(), spec="old")
-        if following < len(rounds):
-            return s._replace(round=f"prepare {following}", orders=rounds[following])
-        return s._replace(round="transfer 0", orders=self._rounds[0])
 
     # poise.runtime.migration.executor.MigrationExecutor
 
@@ -230,7 +224,11 @@ class Protocol:
                 resting = s.with_one("old", which, old._replace(phase=phase))
                 yield resting.flowing("old", which + 1, MARK), True
         elif PHASES[step] == "prepare":
-            yield s, True
+            # `StateSender.wait_requested`
+            if step == "offer state" or not _is_to_request(s, which):
+                yield s, True
+            elif s.kills or is_late:
+                yield s, False
         elif step == "send state":
             yield s.with_one("old", which, old._replace(gives=True)), True
         elif step == "redirect":
@@ -243,7 +241,8 @@ class Protocol:
     ) -> Iterator[Taken]:
         old, new = s.olds[which], s.news[which]
         if PHASES[step] == "prepare":
-            yield s, True
+            if step == "request state" or old.party != "start":  # it offers its state
+                yield s, True
             if s.kills or is_late:
                 yield s, False  # the source is gone
         elif step == "restore state":
@@ -341,6 +340,14 @@ def _entered(
         return after, is_done
     party = after.one(side, which)._replace(party=phase)
     return after.with_one(side, which, party), True
+
+
+def _is_to_request(s: State, which: int) -> bool:
+    """Return whether a target has still to request the state."""
+    return any(
+        order.container == f"new {which}" and "request state" in order.steps
+        for order in (*s.orders, *s.late)
+    )
 
 
 def _late(s: State) -> State:

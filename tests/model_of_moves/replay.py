@@ -99,7 +99,7 @@ def _num_failed(state: State) -> int:
 
 
 def _known(bounds: Bounds) -> Iterator[str]:
-    rounds = [*prepare(bounds), *transfer(bounds, "")]
+    rounds = [prepare(bounds), *transfer(bounds, "")]
     rounds += [resuming("old", bounds), resuming("new", bounds)]
     for orders in rounds:
         for order in orders:

@@ -193,13 +193,13 @@ def _no_roll_back() -> None:
 
 
 def _no_buffer() -> None:
-    prepare = MigrationPlan.prepare
+    transfer = MigrationPlan.transfer
 
     def without(self: MigrationPlan) -> Any:
-        for steps in prepare(self):
+        for steps in transfer(self):
             yield [each for each in steps if each[1].name != "buffer"]
 
-    setattr(MigrationPlan, "prepare", without)
+    setattr(MigrationPlan, "transfer", without)
 
 
 def _commit_that_rolls_back() -> None:

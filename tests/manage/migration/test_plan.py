@@ -217,6 +217,6 @@ def test_what_was_buffered_for_one_goes_to_the_alternative() -> None:
     assert releases == [
         Step("release to targets", connectors=("source.calls-c.port/0.1",))
     ]
-    joins = [step for _, step in rounds.prepare()[1]]
+    joins = [step for _, step in rounds.prepare() if step.name == "pre-copy"]
     sources = {"a": (0, "two"), "b": (0, "two")}
     assert joins == [Step("pre-copy", "c", 1, sources=sources)]

@@ -152,11 +152,17 @@ class Migration:
             return self._raise_on_failed()
 
         self._run.wait(self._targets, PREPARE_LIMIT, trouble)
-        for steps in plan.prepare():
-            # a large state takes its time
-            is_large = any(step.name == "pre-copy" for _, step in steps)
-            limit = PREPARE_LIMIT if is_large else STALL_LIMIT
-            self._take(steps, limit, self._raise_on_failed)
+        limit = PREPARE_LIMIT if self._copies_ahead() else STALL_LIMIT
+        self._take(plan.prepare(), limit, self._raise_on_failed)
+
+    def _copies_ahead(self) -> bool:
+        """Return whether a large state, or the import of `adapt`, may take its time."""
+        targets = {(t.component, t.epoch) for t in self._targets}
+        return any(t.adapt for t in self._targets) or any(
+            component.copies_ahead
+            for component in components_of(self._run.current())
+            if (component.name, component.epoch) in targets
+        )
 
     def _switch(self, plan: MigrationPlan, deadline: float) -> str:
         """Pause, and let the targets go on, or the sources again; return why those."""

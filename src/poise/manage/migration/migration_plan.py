@@ -61,17 +61,15 @@ class MigrationPlan:
             for into in (into_sources, into_targets)
         )
 
-    def prepare(self) -> list[Round]:
-        """Return the rounds during which the sources still work."""
+    def prepare(self) -> Round:
+        """Return the round during which the sources still work."""
         sources, targets = self._sources.values(), self._targets.values()
-        rounds = [
-            [_step("offer state", s) for s in sources],
-            [_step("pre-copy", t, sources=self._reached_from(t)) for t in targets],
-            [_step("request state", t) for t in targets],
-        ]
+        steps = [_step("offer state", s) for s in sources]
+        steps += [_step("pre-copy", t, sources=self._reached_from(t)) for t in targets]
+        steps += [_step("request state", t) for t in targets]
         if self._is_move:
-            rounds.append([_step("await idle", s, limit=IDLE_LIMIT) for s in sources])
-        return rounds
+            steps += [_step("await idle", s, limit=IDLE_LIMIT) for s in sources]
+        return steps
 
     def transfer(self) -> list[Round]:
         """Return the rounds from the pause until the targets are ready.

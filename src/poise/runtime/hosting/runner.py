@@ -106,6 +106,12 @@ class Runner:
         self._start = 0.0
         self._snapshot = 0
 
+    @property
+    def copies_ahead(self) -> bool:
+        """Whether a target gets its state before the pause, and then what changed."""
+        code = type(self.component)
+        return code.snapshot_delta is not Component.snapshot_delta
+
     def start(self) -> None:
         """Start its thread; it goes to the goal by itself."""
         self._thread.start()
@@ -170,6 +176,7 @@ class Runner:
             start=self._start,
             snapshot=self._snapshot,
             has_state=type(self.component).snapshot is not Component.snapshot,
+            copies_ahead=self.copies_ahead,
             requires=self._ports_that("requires"),
             subscribes=self._ports_that("subscribes"),
             keeps={

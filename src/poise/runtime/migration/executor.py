@@ -68,6 +68,7 @@ class Participant:
             case "request state":
                 self._receiving().request()
             case "await idle":
+                self._sending().wait_requested(_left(deadline))
                 runner.gate.wait_idle(min(step.limit, _left(deadline)))
             case "pause":
                 self._pause(step.late, _left(deadline))

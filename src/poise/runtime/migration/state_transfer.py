@@ -28,7 +28,6 @@ from poise import threads
 from poise.clock import Stamp
 from poise.errors import RunError, Timeout, UsageError
 from poise.priority import ahead, first
-from poise.runtime.component.component import Component
 from poise.runtime.component.implementation import find_function
 from poise.runtime.connectors.channel_route import entry_codec
 from poise.runtime.execution.container_lease import check_lease
@@ -105,11 +104,18 @@ class StateSender:
         self._server = server
         self._key = key_of(runner.spec.name, runner.spec.epoch, migration)
         self._has_sent_state = False
-        self._decided = threading.Event()
+        self._requested, self._decided = threading.Event(), threading.Event()
         self._why_not = ""
         self._serving = threading.Lock()
         self._taken: StateTransfer | None = None
         server.open(self._key, self._serve)
+
+    def wait_requested(self, limit: float) -> None:
+        """Wait up to `limit` [s] until the target has requested everything."""
+        if not self._requested.wait(limit):
+            name = self._runner.spec.name
+            text = f"requested the state of component '{name}' within {limit:.3g} s"
+            raise Timeout(f"no target {text}")
 
     def send(self) -> None:
         """Answer from now on: the component is paused, and its channels are drained."""
@@ -134,6 +140,7 @@ class StateSender:
                 if request == Request.STATE:
                     transfer = self._state()
                 else:
+                    self._requested.set()
                     self._wait_decided(limit)
                     # a request whose answer got lost gets the same delta again
                     transfer = self._taken = self._taken or self._all()
@@ -235,9 +242,7 @@ class StateReceiver:
         for name, channel in self._channels.items():
             late = f"component '{name}' ({self._sources[name][0]}) is not reached"
             poll_until(channel.is_ready, give_up_at, late)
-        code = type(self._runner.component)
-        has_delta = code.snapshot_delta is not Component.snapshot_delta
-        if self._is_same and has_delta:
+        if self._is_same and self._runner.copies_ahead:
             left = max(0.0, deadline - time.monotonic())
             (channel,) = self._channels.values()
             restore(self._runner, fetch(channel, Request.STATE, left), self._adapt)

@@ -123,8 +123,8 @@ STEPS: Mapping[StepName, tuple[Role | None, Phase]] = {
     "pre-copy": ("target", "prepare"),
     # ask the sources for everything; they answer when they send it
     "request state": ("target", "prepare"),
-    # wait until it has just finished its work: a pause that begins then delays nobody;
-    # succeeds at its limit, too
+    # wait until its target has requested everything, and until it has just finished its
+    # work: a pause that begins then delays nobody; succeeds at its limit, too
     "await idle": ("source", "prepare"),
     # send a marker over connectors, and buffer all messages after it; where data is
     # late, send no marker, and buffer only what the subscriber would keep

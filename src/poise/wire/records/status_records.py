@@ -137,6 +137,7 @@ class ComponentStatus(Struct, frozen=True, kw_only=True):
     start: float = 0.0  # How long it took to import, make and configure it [s]
     snapshot: int = 0  # Size of its snapshot, if that was taken [bytes]
     has_state: bool = False
+    copies_ahead: bool = False  # Whether its state is copied before a pause, too
     # Its ports over which it calls others, and those to which messages come
     requires: tuple[str, ...] = ()
     subscribes: tuple[str, ...] = ()
