@@ -28,12 +28,12 @@ from threading import Thread
 
 from benchmarks.synthetic import robots
 from poise.clock import SystemClock
+from poise.kernel_counters import proportional_memory
 from poise.manage.agent_connections.agents import Agents
 from poise.manage.deploy.deactivation import stop
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.journal import Journal
 from poise.model.robot import Robot
-from poise.runtime.supervision.kernel_counters import proportional_memory
 from poise.session.launch.computers import computers_of
 from poise.wire.records.status_records import AgentStatus
 

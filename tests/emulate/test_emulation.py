@@ -13,7 +13,6 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from poise.cgroup_mounts import mounts
 from poise.emulate import Emulation, look, sweep
 from poise.emulate.cgroups import Group, Groups
 from poise.emulate.layout import EmulationLayout
@@ -21,6 +20,7 @@ from poise.emulate.limits import Limits
 from poise.emulate.probe import V2, Probe
 from poise.emulate.registry import FOLDER, registered
 from poise.errors import RobotError, RunError, UsageError
+from poise.kernel_counters import mounts
 from poise.model.robot import Computer, Robot
 
 LIMIT = 60.0

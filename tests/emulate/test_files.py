@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from poise.cgroup_mounts import mounts
-from poise.emulate.cgroups import table
+from poise.kernel_counters import mounts, table
 
 
 def test_both_versions_are_found_with_the_own_folder(tmp_path: Path) -> None:

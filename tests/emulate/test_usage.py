@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from poise.emulate.usage import Usage, is_starved, starved_time, stolen_time
+from poise.emulate.usage import Usage, is_starved, starved_time
+from poise.kernel_counters import stolen_time
 
 START = Usage(used=10.0, starved=1.0)
 

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from poise.cgroup_mounts import Mount
 from poise.emulate.limits import Limits
 from poise.emulate.probe import V1
+from poise.kernel_counters import Mount
 
 
 @pytest.fixture

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from poise.cgroup_mounts import Mount
 from poise.emulate.cgroups import Files, bring_back
 from poise.emulate.limits import Limits
 from poise.emulate.probe import V2
+from poise.kernel_counters import Mount
 
 
 class Kernel(Files):

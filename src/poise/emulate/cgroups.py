@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -10,6 +9,7 @@ from pathlib import Path
 from poise.emulate.limits import Limits
 from poise.emulate.processes import marked, stop
 from poise.emulate.usage import Usage, starved_time
+from poise.kernel_counters import group_cpu, process_cpu, table
 
 
 class Files:
@@ -35,11 +35,6 @@ def pids(folder: Path) -> list[int]:
         with suppress(OSError):
             found += [int(pid) for pid in file.read_text().split()]
     return found
-
-
-def table(text: str) -> dict[str, int]:
-    """Return the numbers of a file of lines ``name number``."""
-    return {name: int(value) for name, value in map(str.split, text.splitlines())}
 
 
 def lift(folder: str) -> None:
@@ -161,17 +156,16 @@ class Group:
     def usage(self) -> Usage:
         """Return its usage since it was made."""
         if not self.joins:
-            return Usage(used=sum(map(_cpu_time, self.processes())))
-        # Version 1 counts in ns, version 2 in us.
+            return Usage(used=sum(map(process_cpu, self.processes())))
         stat = table(self._read("cpu", "cpu.stat"))
-        nanoseconds = int(self._read("cpuacct", "cpuacct.usage") or 0)
+        used = self._read("cpuacct", "cpuacct.usage") or self._read("cpu", "cpu.stat")
         throttled = (
             stat.get("throttled_usec", 0) / 1e6 + stat.get("throttled_time", 0) / 1e9
         )
         pressure = self._read("pressure", "cpu.pressure")
         memory = (int(self._read("memory", name) or 0) for name in _MEMORY_PEAKS)
         return Usage(
-            used=stat.get("usage_usec", 0) / 1e6 + nanoseconds / 1e9,
+            used=group_cpu(used) if used else 0.0,
             throttled=throttled,
             memory=next(filter(None, memory), None),
             starved=starved_time(pressure, throttled, self._cpus) if pressure else None,
@@ -189,11 +183,3 @@ def _inner(folder: Path) -> Path:
     """Return where processes of a group are: it may have a folder for them."""
     programs = folder / PROGRAMS
     return programs if programs.is_dir() else folder
-
-
-def _cpu_time(pid: int) -> float:
-    """Return the CPU time of a process that still runs [s]."""
-    with suppress(OSError):  # it has ended
-        # Linux's name for "the CPU-time clock of process pid".
-        return time.clock_gettime((~pid << 3) | 2)
-    return 0.0

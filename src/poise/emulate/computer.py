@@ -14,7 +14,8 @@ from poise.emulate.cgroups import Files, Group
 from poise.emulate.emulated_network import NAMESPACES
 from poise.emulate.layout import ComputerLayout
 from poise.emulate.processes import MARK, stop
-from poise.emulate.usage import Usage, is_starved, stolen_time
+from poise.emulate.usage import Usage, is_starved
+from poise.kernel_counters import stolen_time
 
 Stream = int | IO[bytes] | None
 

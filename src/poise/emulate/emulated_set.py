@@ -25,6 +25,7 @@ from poise.emulate.computer import EmulatedComputer
 from poise.emulate.emulated_network import NetworkPlan, Shape
 from poise.emulate.layout import EmulationLayout, FaultKind, InjectedFault, KeptSet
 from poise.errors import RunError, UsageError
+from poise.kernel_counters import process_stat
 from poise.model.robot import Robot
 
 BOOT_LIMIT = 10.0
@@ -268,10 +269,11 @@ def _is_agent(pid: int, keeper: int) -> bool:
     """Return whether a process is an agent: its containers have the same words."""
     try:
         words = Path(f"/proc/{pid}/cmdline").read_bytes().split(b"\0")
-        stat = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2]
     except (FileNotFoundError, ProcessLookupError):  # it has ended
         return False
-    return words[2:4] == [b"poise", b"agent"] and int(stat.split()[1]) == keeper
+    stat = process_stat(pid)
+    is_child = stat is not None and stat.parent == keeper
+    return is_child and words[2:4] == [b"poise", b"agent"]
 
 
 def _find(

@@ -11,10 +11,10 @@ from pathlib import Path
 
 from msgspec import Struct
 
-from poise.cgroup_mounts import Mount, mounts
 from poise.emulate.cgroups import PROGRAMS, Files, Group, Groups, Settings
 from poise.emulate.emulated_network import NAMESPACES
 from poise.emulate.limits import Limits
+from poise.kernel_counters import Mount, mounts
 
 _SHARES = 262144
 """The kernel's maximum: other processes on the CPU hardly count."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 import signal
 import time
 from collections.abc import Callable, Sequence
@@ -13,6 +12,7 @@ from pathlib import Path
 from msgspec import Struct
 
 from poise.errors import RunError
+from poise.kernel_counters import process_stat
 
 PREFIX = "poise"
 
@@ -40,14 +40,8 @@ class Owner(Struct, frozen=True):
 
 
 def _started(pid: int) -> int | None:
-    try:
-        stat = Path(f"/proc/{pid}/stat").read_text()
-    except (FileNotFoundError, ProcessLookupError):
-        return None
-    # The second field is the program's name in brackets and may hold blanks.
-    fields = re.sub(r"^.*\) ", "", stat, flags=re.DOTALL).split()
-    state, start_time = fields[0], fields[19]
-    return None if state in "ZX" else int(start_time)
+    stat = process_stat(pid)
+    return None if stat is None or stat.state in "ZX" else stat.started
 
 
 ASK = 2.0

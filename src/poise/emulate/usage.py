@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from pathlib import Path
+from collections.abc import Mapping
 from typing import Protocol
 
 from msgspec import Struct
@@ -63,17 +62,6 @@ def starved_time(pressure: str, throttled: float, cpus: int) -> float:
     full = next(line for line in pressure.splitlines() if line.startswith("full"))
     microseconds = int(full.rpartition("total=")[2])
     return max(0.0, cpus * microseconds / 1e6 - throttled)
-
-
-def stolen_time(cpus: Sequence[int]) -> float:
-    """Return the time that a hypervisor stole from `cpus` since boot [s].
-
-    Pressure does not include it: to this kernel, stolen time looks like running.
-    """
-    names = {f"cpu{number}" for number in cpus}
-    lines = [line.split() for line in Path("/proc/stat").read_text().splitlines()]
-    ticks_per_second = 100  # of /proc, whatever the kernel's own rate is
-    return sum(int(line[8]) for line in lines if line[0] in names) / ticks_per_second
 
 
 WINDOW = 1.0

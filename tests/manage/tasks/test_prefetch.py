@@ -85,9 +85,9 @@ def test_switches_are_reported_with_and_without(rig: Rig) -> None:
         rig.run.switches.note(milliseconds * 1e-3, is_hit=True)
     rig.run.switches.note(1.0, is_hit=False)
     report = rig.prefetch.report()
-    assert (report.hit.median, report.hit.p99) == (0.0505, 0.1)
+    assert (report.hit.median, report.hit.p99) == (0.0505, 0.099)
     assert str(report) == (
-        "100 prepared (50 ms, p99 100 ms), 1 not prepared (1000 ms, p99 1000 ms)"
+        "100 prepared (50 ms, p99 99 ms), 1 not prepared (1000 ms, p99 1000 ms)"
     )
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from poise.errors import RunError, Timeout, UsageError
+from poise.kernel_counters import process_stat
 from poise.manage.control_socket.agents_without_manager import (
     NoManager,
     agents_of,
@@ -152,8 +153,5 @@ def _peer(connection: socket.socket) -> int:
 
 
 def _is_stopped(pid: int) -> bool:
-    try:
-        stat = Path(f"/proc/{pid}/stat").read_text()
-    except OSError:
-        return False
-    return stat.rpartition(")")[2].split()[0] in {"T", "t"}
+    stat = process_stat(pid)
+    return stat is not None and stat.is_stopped

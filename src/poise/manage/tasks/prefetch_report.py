@@ -8,6 +8,7 @@ from statistics import median
 
 from msgspec import Struct
 
+from poise.estimate.profiles import quantile
 from poise.units import format_bytes
 from poise.wire.records.status_records import Summary
 
@@ -59,7 +60,7 @@ class Switches:
             count=self._count[is_hit],
             mean=sum(times) / len(times),
             median=median(times),
-            p99=times[min(len(times) - 1, round(0.99 * len(times)))],
+            p99=quantile(times, 0.99),
             maximum=times[-1],
         )
 

@@ -16,7 +16,7 @@ from typing import Protocol
 from msgspec import Struct, structs
 
 from poise.clock import wall_time
-from poise.runtime.supervision.kernel_counters import Processes
+from poise.kernel_counters import Processes
 from poise.wire.records.status_records import ContainerHealth, ContainerState, Fault
 
 _MOST_FAULTS = 100

@@ -11,7 +11,7 @@ from collections import deque
 from collections.abc import Iterable
 from pathlib import Path
 
-from poise.cgroup_mounts import NO_LIMIT, memory_group, mounts
+from poise.kernel_counters import NO_LIMIT, memory_group, mounts, table
 from poise.priority import REAL_TIME
 from poise.runtime._calls import LeaseEnd, PageSampler
 from poise.runtime.container import zygote
@@ -145,11 +145,9 @@ class OomKills:
 
 def _count(file: Path) -> int | None:
     try:
-        lines = file.read_text().splitlines()
+        return table(file.read_text()).get("oom_kill")
     except OSError:
         return None
-    counts = (line.split()[1] for line in lines if line.startswith("oom_kill "))
-    return next(map(int, counts), None)
 
 
 class ProcessHost:

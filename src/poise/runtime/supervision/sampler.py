@@ -12,6 +12,13 @@ import msgspec
 from msgspec import Struct, structs
 
 from poise import threads
+from poise.kernel_counters import (
+    ComputerCpu,
+    ComputerMemory,
+    private_memory,
+    proportional_memory,
+    resident_memory,
+)
 from poise.runtime._calls import PageSampler
 from poise.runtime.supervision.health import (
     LOOK_EVERY,
@@ -20,14 +27,7 @@ from poise.runtime.supervision.health import (
     Usage,
     Watchdog,
 )
-from poise.runtime.supervision.kernel_counters import (
-    ComputerCpu,
-    ComputerMemory,
-    MemoryGrowth,
-    private_memory,
-    proportional_memory,
-    resident_memory,
-)
+from poise.runtime.supervision.memory_growth import MemoryGrowth
 
 log = logging.getLogger(__name__)
 

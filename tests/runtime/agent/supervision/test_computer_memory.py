@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from poise.runtime.supervision.kernel_counters import ComputerMemory, MemoryRoom
+from poise.kernel_counters import ComputerMemory, MemoryRoom
 
 MIB = 1 << 20
 

@@ -9,13 +9,10 @@ import msgspec
 import pytest
 
 from poise import threads
+from poise.kernel_counters import proportional_memory, resident_memory
 from poise.runtime import _calls
 from poise.runtime._calls import ComponentCounters, PageSampler
 from poise.runtime.execution.counters import new_memory
-from poise.runtime.supervision.kernel_counters import (
-    proportional_memory,
-    resident_memory,
-)
 from poise.runtime.supervision.sampler import Sampler
 from poise.wire.records.status_records import AgentSample
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from poise.kernel_counters import Processes
 from poise.runtime.supervision.health import LOOK_EVERY, Silence, Watchdog
-from poise.runtime.supervision.kernel_counters import Processes
 
 PID = 7
 
