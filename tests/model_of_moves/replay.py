@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 from poise.manage.migration.migration_report import MigrationReport
-from poise.wire.records.migration_records import StepTaken
+from poise.wire.records.migration_records import STEPS, StepTaken
 from tests.model_of_moves.protocol import Protocol, initial, prepare, resuming, transfer
 from tests.model_of_moves.world import Bounds, State
 
@@ -108,8 +108,8 @@ def _known(bounds: Bounds) -> Iterator[str]:
 
 def _in_words(steps: Sequence[StepTaken], component: str) -> Iterator[Recorded]:
     """Yield the steps; the model's sink stands for all who get something from it."""
-    parties = [who for s in steps if (who := _WHO.fullmatch(s.who))]
-    epochs = sorted({int(w[2]) for w in parties if w[1] == component})
+    # a source that has not answered says nothing
+    targets = {s.who for s in steps if s.step in STEPS and STEPS[s.step][0] == "target"}
     at_sink: list[StepTaken] = []
     for step in steps:
         name: str = step.step
@@ -118,7 +118,7 @@ def _in_words(steps: Sequence[StepTaken], component: str) -> Iterator[Recorded]:
             where = "source"
             name = _RELEASES.get(name, name)
         elif who[1] == component:
-            where = "old 0" if int(who[2]) == epochs[0] else "new 0"
+            where = "new 0" if step.who in targets else "old 0"
         else:
             at_sink.append(step)
             continue

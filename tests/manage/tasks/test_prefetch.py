@@ -48,7 +48,7 @@ class Rig:
     def told(self, computer: str) -> list[tuple[str, Any]]:
         """Return the containers that an agent was told last, with their spare CPU."""
         found = [told for at, told in self.agents.deployed if at == computer]
-        return [(each.name, each.spare) for each in found[-1].containers]
+        return [(each.name, each.preparation_cpu) for each in found[-1].containers]
 
     def said(self, kind: str) -> list[str]:
         return [e.what for e in self.journal.entries() if e.kind == kind]

@@ -35,7 +35,7 @@ from poise.wire.records.status_records import (
     ActionEnd,
     AgentStatus,
     ComponentStatus,
-    TaskWish,
+    TaskRequest,
 )
 from tests.manage.conftest import FakeAgents
 
@@ -87,7 +87,7 @@ class Speaking(FakeAgents):
     def __init__(self, *computers: str) -> None:
         super().__init__(*computers)
         self.ends: dict[str, ActionEnd] = {}
-        self.wishes: dict[str, tuple[TaskWish, ...]] = {}
+        self.requests: dict[str, tuple[TaskRequest, ...]] = {}
 
     def say(self, component: str, *, done: bool = True) -> None:
         before = self.ends.get(component)
@@ -106,8 +106,8 @@ class Speaking(FakeAgents):
 
     def _with_ends(self, component: ComponentStatus) -> ComponentStatus:
         end = self.ends.get(component.name)
-        wishes = self.wishes.get(component.name, ())
-        return replace(component, ends=(end,) if end else (), wishes=wishes)
+        requests = self.requests.get(component.name, ())
+        return replace(component, ends=(end,) if end else (), task_requests=requests)
 
 
 class Rig:
@@ -199,22 +199,22 @@ def test_an_action_fails_at_once_when_an_alternative_lacks_what_ends_it(
 def test_a_component_learns_once_that_its_action_begins() -> None:
     rig = Rig(robot_with(task("t", act("a", "see"), act("b", "see"))), "t")
     first = rig.run.placed["seeer"]
-    assert (first.action, first.turn > 0) == ("a", True)
+    assert (first.action, first.action_number > 0) == ("a", True)
     rig.manager.advance()
     assert rig.run.placed["seeer"] == first
     rig.end("seeer")
     second = rig.run.placed["seeer"]
     assert (second.action, second.epoch) == ("b", first.epoch)
-    assert second.turn > first.turn
+    assert second.action_number > first.action_number
 
 
 def test_one_that_was_restarted_by_others_learns_its_action_again() -> None:
     rig = Rig(robot_with(task("t", act("a", "see"))), "t")
     placed = rig.run.placed["seeer"]
-    again = replace(placed, epoch=9, turn=0, action="")
+    again = replace(placed, epoch=9, action_number=0, action="")
     rig.run.commit(rig.run.desired.placing([again]), "it was restarted")
     rig.manager.advance()
-    assert rig.run.placed["seeer"].turn == placed.turn
+    assert rig.run.placed["seeer"].action_number == placed.action_number
 
 
 def test_what_no_action_needs_ends_after_its_linger() -> None:
@@ -301,10 +301,10 @@ def test_a_paused_task_rests_and_keeps_its_state() -> None:
 
 def test_components_start_tasks_and_refusals_are_journalled() -> None:
     rig = Rig(robot_with(task("t", act("a", "see")), task("u", act("b", "go"))), "t")
-    wishes = [("start", "u"), ("start", "nap"), ("pause", "t")]
-    rig.agents.wishes["seeer"] = tuple(
-        TaskWish(number=n, verb=verb, task=name)  # type: ignore[arg-type] # of a test
-        for n, (verb, name) in enumerate(wishes, 1)
+    requests = [("start", "u"), ("start", "nap"), ("pause", "t")]
+    rig.agents.requests["seeer"] = tuple(
+        TaskRequest(number=n, verb=verb, task=name)  # type: ignore[arg-type] # of a test
+        for n, (verb, name) in enumerate(requests, 1)
     )
     for _ in range(2):
         rig.manager.advance()

@@ -334,10 +334,10 @@ def test_an_error_in_what_concerns_one_container_stops_no_other() -> None:
 @pytest.mark.parametrize(
     ("where", "owner", "name"),
     [
-        ("lease", "fence", "look"),
+        ("lease", "fence", "update"),
         ("steps", "_relay", "give_up"),
         ("containers", "supervisor", "reconcile"),
-        ("clocks", "supervisor", "tell_clocks"),
+        ("clocks", "supervisor", "send_clocks"),
     ],
 )
 def test_an_error_in_one_part_of_the_tick_stops_no_other(
@@ -530,7 +530,7 @@ def test_a_container_whose_code_goes_on_without_lease_is_killed() -> None:
     world = World(other_agents(), Transport)
     arm = ComponentSpec(name="arm", goal="active", leased=True)
     wanted = ContainerSpec(name="see", folder="", components=(arm,), connectors=())
-    world.core.supervisor.take(Deployment(generation=5, containers=(wanted,)))
+    world.core.supervisor.deploy(Deployment(generation=5, containers=(wanted,)))
     process = leased_by(world, lapsed=True)
     world.run(0.1)
     at_work = ComponentStatus(name="arm", state="active")

@@ -89,7 +89,7 @@ def test_where_nothing_is_cut_it_is_enough_that_the_agent_runs(rig: Rig) -> None
 
 
 def test_the_next_agent_extends_nothing_before_it_is_heard(rig: Rig) -> None:
-    rig.exchange.begin_again(AGENTS, is_leased=True)
+    rig.exchange.resume(AGENTS, is_leased=True)
     assert rig.ends == [-inf]
     assert rig.beat(0.1) == -inf
     assert not rig.fence.is_cut_off
@@ -103,7 +103,7 @@ def test_what_ended_while_no_agent_was_there_is_not_extended_by_the_next_one_alo
     rig: Rig,
     is_leased: bool,  # noqa: FBT001, a parameter
 ) -> None:
-    rig.exchange.begin_again(AGENTS, is_leased=is_leased)
+    rig.exchange.resume(AGENTS, is_leased=is_leased)
     assert not rig.fence.is_cut_off
     rig.exchange.note_lapsed()
     assert rig.ends[-1] == rig.beat(0.1) == -inf
@@ -112,7 +112,7 @@ def test_what_ended_while_no_agent_was_there_is_not_extended_by_the_next_one_alo
 def test_an_agent_goes_on_by_itself_only_while_it_runs_and_no_manager_may_be_there(
     rig: Rig,
 ) -> None:
-    rig.exchange.begin_again(AGENTS, is_leased=True)
+    rig.exchange.resume(AGENTS, is_leased=True)
     rig.fence._ended.add("k")
     rig.beat(0.1)
     assert rig.beat(LEASE) == -inf  # it stood still for so long: first it listens
@@ -135,7 +135,7 @@ def test_a_computer_that_was_suspended_has_lost_its_lease(rig: Rig) -> None:
 def test_the_next_agent_of_a_robot_without_others_lets_components_go_on(
     rig: Rig,
 ) -> None:
-    rig.exchange.begin_again({}, is_leased=False)
+    rig.exchange.resume({}, is_leased=False)
     assert rig.ends == [inf]
 
 
@@ -196,14 +196,14 @@ def test_a_claim_after_the_lease_ended_lets_nothing_run_until_it_is_said_what(
     rig: Rig,
 ) -> None:
     """What the agent was told before may run elsewhere by now."""
-    rig.exchange.begin_again(AGENTS, is_leased=True)
+    rig.exchange.resume(AGENTS, is_leased=True)
     assert rig.beat(0.1) == -inf
     assert not rig.exchange.is_held()
     rig.fence.lapse()  # as the agent does then, when it is claimed
     rig.exchange.begin("k", AGENTS, is_leased=True)
     heard(rig, 1)
     assert rig.beat(0.1) == -inf
-    rig.fence.look()
+    rig.fence.update()
     assert not rig.fence.refusal(1)  # the manager need not claim it again
     rig.fence.note_told()
     assert rig.beat(0.01) > 0
@@ -222,7 +222,7 @@ def test_what_ran_here_without_an_agent_waits_for_what_the_manager_says(
     rig: Rig,
 ) -> None:
     """It may run elsewhere by now, and heartbeats do not say so."""
-    rig.exchange.begin_again(AGENTS, is_leased=True)
+    rig.exchange.resume(AGENTS, is_leased=True)
     rig.exchange.note_lapsed()
     heard(rig, 1)
     assert rig.beat(0.1) == -inf

@@ -9,7 +9,12 @@ import pytest
 
 import poise
 from poise.errors import CalleeError, RobotError
-from poise.runtime.component.error_report import AGAIN, MOST_DISTINCT, Errors, told
+from poise.runtime.component.error_report import (
+    AGAIN,
+    MOST_DISTINCT,
+    Errors,
+    traceback_of,
+)
 from poise.runtime.connectors.route import raise_callee_error
 
 ROBOT = "/robot/code.py"
@@ -29,7 +34,7 @@ def test_lines_and_causes_that_lie_in_poise_are_left_out() -> None:
     decode = "from poise.wire.codec import codec\ncodec(str).decode(b'x', b'')\n"
     error = raised(decode)
     assert "wire/codec.py" in "".join(traceback.format_exception(error))
-    assert told(error).splitlines() == [
+    assert traceback_of(error).splitlines() == [
         "Traceback (most recent call last):",
         f'  File "{ROBOT}", line 2, in <module>',
         f"poise.wire.codec.WireError: {error}",
@@ -37,7 +42,7 @@ def test_lines_and_causes_that_lie_in_poise_are_left_out() -> None:
 
 
 def test_a_cause_in_users_code_is_told() -> None:
-    said = told(
+    said = traceback_of(
         raised(
             "try:\n    1 / 0\nexcept ZeroDivisionError as error:\n"
             "    raise ValueError('no') from error\n"
@@ -49,18 +54,18 @@ def test_a_cause_in_users_code_is_told() -> None:
 
 def test_what_poise_says_itself_needs_no_traceback() -> None:
     error = raised("raise E('no such class')", OURS, E=RobotError)
-    assert told(error) == "no such class"
+    assert traceback_of(error) == "no such class"
 
 
 def test_a_fault_of_poise_keeps_its_traceback() -> None:
-    assert OURS in told(raised("1 / 0", OURS))
+    assert OURS in traceback_of(raised("1 / 0", OURS))
 
 
 def test_a_callers_error_says_where_the_callee_raised() -> None:
     error = raised("fail(error)", fail=raise_callee_error, error=raised("[][3]"))
     assert isinstance(error, CalleeError)
     assert error.traceback.count(ROBOT) == 1
-    assert told(error).count(ROBOT) == 2
+    assert traceback_of(error).count(ROBOT) == 2
 
 
 def test_what_comes_again_and_again_is_logged_now_and_then(

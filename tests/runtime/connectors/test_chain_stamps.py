@@ -130,7 +130,7 @@ def test_an_age_is_told_by_ones_own_clock(pair: Pair) -> None:
     source, target = started(pair, "scan")
     pair.clocks["source"] = Elapsed(5.0)
     for end in pair.sides["target"].endpoints():
-        end.remote_clock.look()
+        end.remote_clock.update()
     source.scan.publish(SCAN)
     assert target.came.wait(LIMIT)
     found = age_of(pair, "target")

@@ -29,7 +29,7 @@ class Way:
         if not self.is_cut:
             received = frame.parse(b"".join(pieces))
             self.totals.append(received.number)
-            self.is_over = not self.credit.take(received)
+            self.is_over = not self.credit.note_credit(received)
         return not self.is_cut
 
 
@@ -86,7 +86,7 @@ class Joined:
         for _ in range(count):
             inbox = self.mailbox.next(0.0)
             assert inbox is not None
-            assert inbox.take() is not None
+            assert inbox.pop() is not None
 
 
 @pytest.fixture
@@ -138,7 +138,7 @@ def test_credit_that_comes_twice_or_late_changes_nothing(joined: Joined) -> None
     joined.send_all()
     joined.take(2)
     for total in (6, 4, 1):
-        assert joined.credit.take(credit(total, joined.credit.route))
+        assert joined.credit.note_credit(credit(total, joined.credit.route))
     assert joined.send_all() == 2
 
 
@@ -213,7 +213,7 @@ def test_a_queue_that_keeps_the_last_gives_credit_without_bound_once() -> None:
 
 def test_credit_for_another_route_changes_nothing(joined: Joined) -> None:
     joined.push()
-    assert joined.credit.take(credit(9, joined.credit.route ^ 2))
+    assert joined.credit.note_credit(credit(9, joined.credit.route ^ 2))
     assert not joined.credit.has_room()
 
 

@@ -14,7 +14,7 @@ def filled(counts: Counts, count: int) -> MessageBuffer:
 
 
 def taken(buffer: MessageBuffer) -> list[object]:
-    return [buffer.take()[1] for _ in range(len(buffer))]
+    return [buffer.pop()[1] for _ in range(len(buffer))]
 
 
 def test_all_is_held_in_order_and_publishers_wait_for_room() -> None:

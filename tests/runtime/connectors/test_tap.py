@@ -43,11 +43,11 @@ def test_a_message_is_noted_and_goes_out_as_ever() -> None:
     note = Note(7)
     sender.sending()(note)
     assert route.went == [note]
-    reading = observer.take(1)
+    reading = observer.read(1)
     assert (reading.connector, reading.carries) == ("a-b", "Note")
     assert [each.value for each in reading.passed] == [{"number": 7}]
     assert [each.at for each in reading.passed] == list(reading.times)
-    assert observer.take(2).times == ()
+    assert observer.read(2).times == ()
 
 
 def test_messages_are_shown_at_their_rate_though_the_time_of_day_steps_back(
@@ -57,7 +57,7 @@ def test_messages_are_shown_at_their_rate_though_the_time_of_day_steps_back(
     observer.note(lambda: Note(1))
     monkeypatch.setattr(tap, "wall_time", lambda: 1e9)  # in 2001
     observer.note(lambda: Note(2))
-    assert [each.value for each in observer.take(1).passed] == [
+    assert [each.value for each in observer.read(1).passed] == [
         {"number": 1},
         {"number": 2},
     ]
@@ -83,7 +83,7 @@ def test_calls_are_noted_with_their_results_and_errors() -> None:
     sender.remove("here")
     sender.observe(())
     assert proxy.add is not before  # it refuses
-    (passed,) = observer.take(1).passed
+    (passed,) = observer.read(1).passed
     assert passed.value["add"] == [4]
     assert passed.value["seconds"] >= 0
 
@@ -104,14 +104,14 @@ def test_a_call_that_raises_is_noted_and_raises() -> None:
     sender.observe((observer,))
     with pytest.raises(ValueError, match="no"):
         proxy.add(4)
-    assert observer.take(1).passed[0].value["raised"] == "ValueError('no')"
+    assert observer.read(1).passed[0].value["raised"] == "ValueError('no')"
 
 
 def test_what_finds_no_room_is_counted() -> None:
     observer = Observer("a-b", Note, rate=1e9)
     for number in range(MOST_TIMES + 3):
         observer.note(lambda number=number: number)  # type: ignore[misc]
-    reading = observer.take(1)
+    reading = observer.read(1)
     assert len(reading.times) == MOST_TIMES
     assert len(reading.passed) == MOST_PASSED
     assert reading.missing == 3
@@ -123,11 +123,11 @@ def test_no_content_is_looked_at_more_often_than_asked() -> None:
 
     observer = Observer("a-b", Note, rate=0.0)
     observer.note(content)
-    assert len(observer.take(1).times) == 1
+    assert len(observer.read(1).times) == 1
     slow = Observer("a-b", Note, rate=0.001)
     slow.note(lambda: 1)
     slow.note(content)
-    reading = slow.take(1)
+    reading = slow.read(1)
     assert (len(reading.times), len(reading.passed)) == (2, 1)
 
 

@@ -77,9 +77,9 @@ def _fail() -> None:
 
 def test_of_several_inputs_of_one_run_the_oldest_goes_on(clock: VirtualClock) -> None:
     ages = DataAges([WITHIN], clock)
-    ages.run(lambda: ages.take(["c"], [99.5]), [], taken=came(99.9))
+    ages.run(lambda: ages.note(["c"], [99.5]), [], taken=came(99.9))
     assert ages.stamps(["c"]) == (99.5,)
-    ages.run(lambda: ages.take(["c"], [99.8]), [], taken=came(99.6))
+    ages.run(lambda: ages.note(["c"], [99.8]), [], taken=came(99.6))
     assert ages.stamps(["c"]) == (99.6,)
 
 
@@ -102,7 +102,7 @@ def test_an_age_that_nobody_knows_is_not_counted(
 
 def test_a_chain_that_is_not_ones_own_has_no_stamp(clock: VirtualClock) -> None:
     ages = DataAges([], clock)
-    ages.take(["c"], [1.0])
+    ages.note(["c"], [1.0])
     assert isnan(ages.stamps(["c"])[0])
     assert not ages
 

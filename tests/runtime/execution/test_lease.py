@@ -155,7 +155,7 @@ def test_no_checkpoint_is_saved_after_the_end(tmp_path: Path, lease: LeaseEnd) -
 
     component.snapshot = snapshot
     with pytest.raises(LeaseEnded, match="component 'one' is inactive"):
-        checkpoints.take(component)
+        checkpoints.write(component)
     assert not [each for each in tmp_path.rglob("*") if each.is_file()]
 
 

@@ -48,7 +48,7 @@ def test_counts_how_long_what_is_taken_has_waited() -> None:
     one = feed(inbox)
     began = time.monotonic()
     put(one, 1, 2)
-    inbox.take()
+    inbox.pop()
     waited = one.counts.wait.summary()
     assert waited.count == 1
     assert 0 <= waited.maximum <= time.monotonic() - began
@@ -71,7 +71,7 @@ def test_tells_whoever_waits_that_there_is_room() -> None:
     one.on_room = lambda: told.append(one.room())
     put(one, 1)
     assert told == []
-    assert inbox.take() == (0, 1)
+    assert inbox.pop() == (0, 1)
     assert told == [1]
 
 
@@ -88,7 +88,7 @@ def test_takes_what_was_held_and_drops_what_nobody_may_send(
 
 
 def test_takes_nothing_from_an_empty_queue() -> None:
-    assert inbox_of(Queue()).take() is None
+    assert inbox_of(Queue()).pop() is None
 
 
 def test_neither_drops_nor_lets_wait_at_rest() -> None:
@@ -100,7 +100,7 @@ def test_neither_drops_nor_lets_wait_at_rest() -> None:
             assert one.has_room()
             put(one, number)
         inbox.set_unbounded(unbounded=False)
-        assert [inbox.take() for _ in range(3)] == [(0, 1), (0, 2), (0, 3)]
+        assert [inbox.pop() for _ in range(3)] == [(0, 1), (0, 2), (0, 3)]
 
 
 def test_tells_whoever_waits_when_it_comes_to_rest() -> None:

@@ -169,29 +169,29 @@ def test_makes_room_for_larger_arrays(ends: tuple[Connection, Connection]) -> No
 def test_a_pool_is_bounded_while_nothing_is_given_back() -> None:
     pool = Blocks()
     for slot in (3, 4):  # one receiver keeps nothing from another
-        taken = [pool.take(1 << 16, slot) for _ in range(MOST_LENT)]
+        taken = [pool.allocate(1 << 16, slot) for _ in range(MOST_LENT)]
         assert len({block.number for block in taken if block}) == MOST_LENT
-        assert pool.take(1 << 16, slot) is None
+        assert pool.allocate(1 << 16, slot) is None
 
 
 def test_a_pool_makes_no_block_that_is_too_large() -> None:
     pool = Blocks()
-    assert pool.take(MOST_BYTES + 1, 3) is None
+    assert pool.allocate(MOST_BYTES + 1, 3) is None
 
 
 def test_blocks_go_with_the_last_connection() -> None:
     pool = Blocks()
-    first, second = pool.take_slot(), pool.take_slot()
+    first, second = pool.allocate_slot(), pool.allocate_slot()
     assert first is not None
     assert second is not None
     before = open_files()
-    block = pool.take(1 << 16, first)
+    block = pool.allocate(1 << 16, first)
     assert block is not None
-    block.take_back(first)
+    block.release(first)
     del block
-    pool.give_slot_back(first)
+    pool.free_slot(first)
     assert open_files() == before + 2  # a map has a file, too
-    pool.give_slot_back(second)
+    pool.free_slot(second)
     assert open_files() == before
 
 

@@ -54,7 +54,7 @@ class ReportedIncarnation(Struct, frozen=True, kw_only=True):
             adapt=spec.adapt,
             fresh=spec.fresh,
             gently=spec.gently,
-            turn=spec.turn,
+            action_number=spec.action_number,
             action=spec.action,
         )
 

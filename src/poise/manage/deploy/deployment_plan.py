@@ -121,7 +121,7 @@ class DeploymentPlan:
                     folder=self._robot.folder,
                     weight=self._weights[container].weight,
                     nice=self._weights[container].nice,
-                    spare=spare.get(computer, 0.0)
+                    preparation_cpu=spare.get(computer, 0.0)
                     if all(
                         incarnation.unjoined and incarnation.gently
                         for incarnation in inside
@@ -257,7 +257,7 @@ class DeploymentPlan:
             leased=component.name in self.leased,
             held=incarnation.held,
             ends=self._ends.get(component.name, ()),
-            turn=incarnation.turn,
+            action_number=incarnation.action_number,
             action=incarnation.action,
         )
 

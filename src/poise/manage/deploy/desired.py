@@ -30,7 +30,7 @@ class Incarnation(Struct, frozen=True, kw_only=True):
     gently: bool = False  # whether it is prepared with the CPU time that others leave
     unjoined: bool = False
     held: bool = False  # whether it is inactive only because `Desired.held` names it
-    turn: int = 0
+    action_number: int = 0
     action: str = ""
 
     def __str__(self) -> str:

@@ -10,7 +10,7 @@ from msgspec import Struct
 from poise.manage.agent_connections.statuses import components_of
 from poise.manage.deploy.running_components import RunningComponents
 from poise.model.robot import Architecture, ConnectorEnd
-from poise.wire.records.status_records import TaskWish
+from poise.wire.records.status_records import TaskRequest
 
 
 class EndReport(Struct, frozen=True):
@@ -26,7 +26,7 @@ class ComponentReports:
 
     def __init__(self, run: RunningComponents) -> None:
         self._run = run
-        self._wishes: dict[tuple[str, int], int] = {}
+        self._requests: dict[tuple[str, int], int] = {}
 
     def ends(self) -> Mapping[str, EndReport]:
         """Return what was said at each port that ends an action, as component.port."""
@@ -42,14 +42,14 @@ class ComponentReports:
             for end in component.ends
         }
 
-    def requests(self) -> Iterator[tuple[str, TaskWish]]:
+    def requests(self) -> Iterator[tuple[str, TaskRequest]]:
         """Yield what components want done with tasks, and which component does."""
         for component in components_of(self._run.current()):
             key = component.name, component.epoch
-            for wish in component.wishes:
-                if wish.number > self._wishes.get(key, 0):
-                    self._wishes[key] = wish.number
-                    yield component.name, wish
+            for request in component.task_requests:
+                if request.number > self._requests.get(key, 0):
+                    self._requests[key] = request.number
+                    yield component.name, request
 
 
 class Serving:

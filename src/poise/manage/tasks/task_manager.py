@@ -227,9 +227,11 @@ class TaskManager:
             if end is None or attempt.progress.since is None:
                 continue
             placed = run.placed.get(end.component)
-            if placed is not None and placed.turn < attempt.number:
+            if placed is not None and placed.action_number < attempt.number:
                 begins.append(
-                    replace(placed, turn=attempt.number, action=attempt.action.name)
+                    replace(
+                        placed, action_number=attempt.number, action=attempt.action.name
+                    )
                 )
         placed_now = {
             **run.placed,
@@ -276,18 +278,20 @@ class TaskManager:
         self._note_ended()
 
     def _process_reports(self) -> None:
-        """End the actions whose components say so, and do what components wish."""
+        """End the actions whose components say so, and do what components request."""
         now = boot_time()
         for attempt, said in self._reported_ends():
             what = f"'{attempt.action.ends}' reported its end"
             self.tasks.end(attempt.number, now, what, done=said.done)
         self._note_ended()
         note = self._run.journal.note
-        for component, wish in self._component_reports.requests():
-            what = f"component '{component}' asks to {wish.verb} task '{wish.task}'"
+        for component, request in self._component_reports.requests():
+            what = (
+                f"component '{component}' asks to {request.verb} task '{request.task}'"
+            )
             note("seen", what)
             try:
-                self.command(wish.verb, wish.task)
+                self.command(request.verb, request.task)
             except UsageError as error:
                 note("wrong", f"{what}: {error}")
 

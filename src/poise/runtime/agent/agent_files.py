@@ -92,7 +92,7 @@ class AgentFolder:
         self._path.unlink(missing_ok=True)
 
 
-LOOK_EVERY = 0.1
+POLL_EVERY = 0.1
 """New checkpoints are looked for this often [s]."""
 _JOIN_LIMIT = 1.0
 
@@ -152,7 +152,7 @@ class CheckpointFiles:
 
     def _main(self) -> None:
         self._has_work.wait()  # most robots have no checkpoints
-        while not self._ended.wait(LOOK_EVERY):
+        while not self._ended.wait(POLL_EVERY):
             for copy in self._news():
                 self._send(copy)
 

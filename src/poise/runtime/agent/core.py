@@ -85,7 +85,7 @@ class AgentCore:
             world.disk.checkpoint_age,
         )
         if left.wanted is not None:
-            self.supervisor.take(left.wanted)
+            self.supervisor.deploy(left.wanted)
             world.disk.keep_only(left.wanted)
         self._relay = MigrationRelay(self.supervisor.processes)
         self.fence = Fence(
@@ -106,7 +106,7 @@ class AgentCore:
             self.supervisor.extend_lease,
             world.asleep,
         )
-        self.heartbeats.begin_again(left.agents, left.is_leased)
+        self.heartbeats.resume(left.agents, left.is_leased)
         if world.adoption.is_settled():  # nothing has run here meanwhile
             self.heartbeats.note_lapsed()
         self._last = self._status()
@@ -266,7 +266,7 @@ class AgentCore:
             older = f"generation {request.generation} is older than "
             reply(Refused(f"{older}{wanted.generation}"))
         else:
-            self.supervisor.take(request)
+            self.supervisor.deploy(request)
             self.fence.note_told()
             self._world.disk.keep_only(request)
             reply(Accepted())
@@ -284,14 +284,14 @@ class AgentCore:
         )
 
     def _note_lease(self) -> None:
-        self.fence.look()
+        self.fence.update()
         self.supervisor.is_cut_off = bool(self.fence.cut_off)
 
     def _give_up_steps(self) -> None:
         self._relay.give_up(self._clock.now())
 
     def _tell_clocks(self) -> None:
-        self.supervisor.tell_clocks(self.heartbeats.clocks)
+        self.supervisor.send_clocks(self.heartbeats.clocks)
 
     def _report_due(self) -> float:
         return self._reports.due if self.is_ready else self._born + ADOPT_LIMIT

@@ -52,7 +52,7 @@ class Fence:
         self._ended: set[str] = set()
         self._is_expired = False
 
-    def look(self) -> None:
+    def update(self) -> None:
         """Take note of a manager that came or went, and of the end of the lease."""
         before, manager = self._present, self.manager
         is_gone = manager is None or manager.key in self._gone

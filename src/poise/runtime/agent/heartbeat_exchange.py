@@ -152,7 +152,7 @@ class HeartbeatExchange:
         if self._heartbeats is not None:
             self._heartbeats.close()
 
-    def begin_again(self, agents: Mapping[str, str], is_leased: bool) -> None:  # noqa: FBT001, as kept
+    def resume(self, agents: Mapping[str, str], is_leased: bool) -> None:  # noqa: FBT001, as kept
         """Go on in the place of an agent that was killed.
 
         What it kept may run elsewhere by now: see `note_lapsed`.

@@ -36,7 +36,7 @@ class Context(Struct, frozen=True, kw_only=True):
         Lets a process's CPU time count as its own; 0: that of its thread again.
     give_up
         Ends the container, for this reason; the agent starts it again.
-    wish
+    request
         Takes what it wants done, and with which task.
     """
 
@@ -47,34 +47,34 @@ class Context(Struct, frozen=True, kw_only=True):
     measure: Callable[[str, float], None]
     count_process: Callable[[int], None] = lambda _: None
     give_up: Callable[[str], None] = lambda _: None
-    wish: Callable[[Verb, str], None] = lambda *_: None
+    request: Callable[[Verb, str], None] = lambda *_: None
 
 
-class TaskWishes:
+class TaskRequests:
     """Asks the manager to start, pause, resume or cancel tasks of the robot.
 
     Nothing waits for it. What the manager refuses is in its journal; it does what is
     asked when it is back, if it is away.
     """
 
-    def __init__(self, wish: Callable[[Verb, str], None]) -> None:
-        self._wish = wish
+    def __init__(self, request: Callable[[Verb, str], None]) -> None:
+        self._request = request
 
     def start(self, task: str) -> None:
         """Start a task, with the priority that the robot file gives it."""
-        self._wish("start", task)
+        self._request("start", task)
 
     def pause(self, task: str) -> None:
-        """Let a task rest until it is resumed."""
-        self._wish("pause", task)
+        """Let a task wait until it is resumed."""
+        self._request("pause", task)
 
     def resume(self, task: str) -> None:
         """Let a paused task go on."""
-        self._wish("resume", task)
+        self._request("resume", task)
 
     def cancel(self, task: str) -> None:
         """End a task."""
-        self._wish("cancel", task)
+        self._request("cancel", task)
 
 
 class Component:
@@ -127,9 +127,9 @@ class Component:
         return logging.getLogger(f"poise.component.{self.name}")
 
     @property
-    def tasks(self) -> TaskWishes:
+    def tasks(self) -> TaskRequests:
         """The robot's tasks: ``self.tasks.start("fetch")``."""
-        return TaskWishes(self._context.wish)
+        return TaskRequests(self._context.request)
 
     def device(self, name: str) -> str:
         """Return the path of a device that the robot file gives this component.

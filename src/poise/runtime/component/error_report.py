@@ -64,7 +64,7 @@ class Errors:
     def note(self, where: str, error: BaseException, now: float) -> None:
         """Count an error that a method or hook raised at `now` [s]."""
         self.count += 1
-        self.last = told(error)
+        self.last = traceback_of(error)
         self._add(where, error)
         more = self._sparing.more((where, type(error)), now)
         if more is not None:
@@ -86,7 +86,7 @@ class Errors:
         self._distinct[key] = replace(before, count=before.count + 1)
 
 
-def told(error: BaseException) -> str:
+def traceback_of(error: BaseException) -> str:
     """Return an error as text, with the traceback lines that lie outside Poise."""
     text = TracebackException.from_exception(error)
     if not _keep_outside(text):
@@ -95,7 +95,7 @@ def told(error: BaseException) -> str:
     return "".join(text.format()).rstrip()
 
 
-def told_in_brief(error: BaseException) -> str:
+def brief_traceback(error: BaseException) -> str:
     """Return what an error says, then the lines outside Poise that it came through."""
     lines = _outside(extract_tb(error.__traceback__)).format()
     said = "".join(format_exception_only(error)).strip()

@@ -13,7 +13,7 @@ from msgspec import Struct
 
 from poise.errors import RobotError
 from poise.runtime.component.component import Component
-from poise.runtime.component.error_report import told_in_brief
+from poise.runtime.component.error_report import brief_traceback
 from poise.runtime.component.ports import is_oneway, methods_of
 from poise.suggest import did_you_mean, listed
 
@@ -82,10 +82,10 @@ def load_module(name: str, folder: str) -> ModuleType:
                 "first, then among the installed packages, then in the folders of "
                 "`repository`"
             ) from None
-        raise RobotError(f"{failed}: {told_in_brief(error)}") from error
+        raise RobotError(f"{failed}: {brief_traceback(error)}") from error
     # The module is the user's: whatever it raises is told with its traceback.
     except (Exception, SystemExit) as error:
-        raise RobotError(f"{failed}: {told_in_brief(error)}") from error
+        raise RobotError(f"{failed}: {brief_traceback(error)}") from error
 
 
 def _no_attribute(reference: str, holder: Any, name: str) -> str:  # noqa: ANN401, module or class

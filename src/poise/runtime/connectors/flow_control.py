@@ -61,7 +61,7 @@ class Credit:
             chain=self.route,
         )
 
-    def take(self, received: Frame) -> bool:
+    def note_credit(self, received: Frame) -> bool:
         """Take a frame with credit, unless it is late; return whether more may come."""
         is_ours = received.kind is Kind.CREDIT and received.chain == self.route
         if is_ours and received.number > self._total:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NoReturn, Protocol
 
 from poise.errors import CalleeError
 from poise.runtime import _calls
-from poise.runtime.component.error_report import told
+from poise.runtime.component.error_report import traceback_of
 from poise.runtime.component.ports import Port
 from poise.runtime.connectors.interface import Method, message_tag
 from poise.runtime.execution.counters import Counts
@@ -139,4 +139,6 @@ def direct_call(
 
 def raise_callee_error(error: Exception | SystemExit) -> NoReturn:
     """Raise what a caller gets when its callee raised `error`."""
-    raise CalleeError(type(error).__qualname__, str(error), told(error)) from error
+    raise CalleeError(
+        type(error).__qualname__, str(error), traceback_of(error)
+    ) from error

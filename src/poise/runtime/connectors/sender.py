@@ -311,7 +311,7 @@ class Sender:
                 if self._is_claimed:
                     continue
                 route = self._claim()
-                method, value, began = self._buffer.take()
+                method, value, began = self._buffer.pop()
             try:
                 self._push(route, method, value, began)
             except (LeaseEnded, WireError) as error:  # its publisher has gone on
@@ -376,7 +376,7 @@ class MessageBuffer:
         self._counts.drops += len(self) == self._waiting.maxlen
         self._waiting.append(waiting)
 
-    def take(self) -> Waiting:
+    def pop(self) -> Waiting:
         """Remove the oldest and return it; there must be one."""
         return self._waiting.popleft()
 

@@ -83,7 +83,7 @@ class Observer:
         with self._lock:
             self._passed.append(passed)
 
-    def take(self, number: int) -> TapReading:
+    def read(self, number: int) -> TapReading:
         """Return what was noted since the last time."""
         self.read_at = time.monotonic()
         with self._lock:
@@ -238,7 +238,7 @@ class Taps:
                 asked.connector, sender.port.type, asked.rate, asked.items
             )
             self._show(sender)
-        return self._observed[key].take(asked.number)
+        return self._observed[key].read(asked.number)
 
     def end_unread(self) -> None:
         """Remove the observers of viewers that do not look any more."""

@@ -65,11 +65,11 @@ class AgentLink:
         return [] if self._connection is None else [self._connection.fileno()]
 
     @property
-    def look_at(self) -> float:
-        """When `look` is to be called next [s]."""
+    def due(self) -> float:
+        """When `ask_when_due` is to be called next [s]."""
         return float("inf") if self._connection else self._ask_at
 
-    def look(self) -> None:
+    def ask_when_due(self) -> None:
         """Ask to be adopted when there is no agent, and it is time."""
         now = self._clock.now()
         if self._connection is not None or now < self._ask_at:
@@ -91,7 +91,7 @@ class AgentLink:
         self._lost_at = float("inf")
         return told
 
-    def tell(self, record: FromContainer) -> None:
+    def send(self, record: FromContainer) -> None:
         """Tell the agent, if there is one; raises Timeout and WireError as `send`."""
         # `receive` finds out that it is gone, on the control thread
         with self._telling, contextlib.suppress(Unavailable):

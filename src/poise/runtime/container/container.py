@@ -25,7 +25,7 @@ from msgspec import structs
 from poise import threads
 from poise.errors import PoiseError, RunError, Timeout, Unavailable
 from poise.priority import as_usual, go_first
-from poise.runtime.component.error_report import told
+from poise.runtime.component.error_report import traceback_of
 from poise.runtime.component.implementation import search_also
 from poise.runtime.connectors.tap import Taps
 from poise.runtime.container.agent_link import AgentLink
@@ -132,7 +132,7 @@ class Container:
 
     def _tell_failure(self, error: PoiseError) -> None:
         with contextlib.suppress(Timeout):
-            self._link.tell(ContainerFailure(str(error)))
+            self._link.send(ContainerFailure(str(error)))
 
     def _on_signal(self, _signal: int, _frame: FrameType | None) -> None:
         self._stopping = True
@@ -143,10 +143,10 @@ class Container:
         orphans = Orphans()
         while not self._stopping:
             self._stats_page.beat()
-            self._link.look()
+            self._link.ask_when_due()
             freeze_fenced(self._runners.values())
             beat_at = self._clock.now() + BEAT_EVERY
-            look_at = min(report_at, beat_at, self._link.look_at)
+            look_at = min(report_at, beat_at, self._link.due)
             if unjoined:
                 look_at = min(look_at, self._clock.now() + _JOINING_EVERY)
             has_news = self._listen(max(0.0, look_at - self._clock.now()))
@@ -177,12 +177,12 @@ class Container:
                 if runner.reason_to_end:
                     raise RunError(runner.reason_to_end)
         if ready - {waker}:
-            told = self._link.receive()
-            if told is not None:
-                self._hear(told)
+            record = self._link.receive()
+            if record is not None:
+                self._hear(record)
             elif self._wanted is None:
                 raise Unavailable("the agent ended while it started")
-            return isinstance(told, ContainerSpec) or waker in ready
+            return isinstance(record, ContainerSpec) or waker in ready
         return bool(ready)
 
     def _raise_on_hang(self) -> None:
@@ -210,7 +210,7 @@ class Container:
         # an agent that is slow to listen gets the next status, not all of them; before
         # it has said what should run there is nothing to report
         if self._wanted is not None and self._link.has_room():
-            self._link.tell(status)
+            self._link.send(status)
 
     def _hear(self, what: ToContainer) -> None:
         if isinstance(what, Clocks):
@@ -233,7 +233,7 @@ class Container:
     def _take_steps(self, take: Callable[[], Outcome]) -> None:
         outcome = take()
         with contextlib.suppress(Timeout):  # the agent gave up on us
-            self._link.tell(outcome)
+            self._link.send(outcome)
 
     def _apply(self, spec: ContainerSpec) -> None:
         search_also(spec.repository)
@@ -252,7 +252,7 @@ class Container:
             elif (goal := wanted[key].goal) == "stay":
                 runner.gate.begin_migration()
             else:
-                runner.take_turn(wanted[key])
+                runner.begin_action(wanted[key])
                 runner.aim(goal)
         for key in self._preparing.keys() - wanted:
             del self._preparing[key]
@@ -289,7 +289,7 @@ class Container:
         for key in done:
             spec, prepared = self._preparing.pop(key)
             if error := prepared.exception():
-                why = told(error) or repr(error)
+                why = traceback_of(error) or repr(error)
                 self._broken[key] = spec, _failed(key, "start", why)
             else:
                 self._runners[key] = runner = prepared.result()

@@ -43,9 +43,9 @@ class RemoteClock:
         self._ask = ask
         self.ahead = self.most = 0.0 if ask is None else math.nan
         self.error = 0.0
-        self.look()
+        self.update()
 
-    def look(self) -> None:
+    def update(self) -> None:
         """Update from what is known now; once a second, because clocks drift."""
         known = self._ask() if self._ask else None
         if known is not None:

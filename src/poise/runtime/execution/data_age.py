@@ -56,7 +56,7 @@ class _ChainAge:
         self.ages = Histogram()
         self.missed = 0
 
-    def take(self, stamp: float) -> None:
+    def note(self, stamp: float) -> None:
         if not self.is_new:
             self.held = stamp
         elif not isnan(self.held):  # one that is not known makes the run's age unknown
@@ -94,7 +94,7 @@ class DataAges:
         """Run the component's code on what came with stamps; an error is no use."""
         self.begin()
         if taken is not None:
-            self.take(taken.chains, taken.stamps)
+            self.note(taken.chains, taken.stamps)
         result = method(*args)
         self.end(is_timer=is_timer)
         return result
@@ -111,11 +111,11 @@ class DataAges:
             if chain.part.deadline is not None and (is_timer or chain.is_new):
                 chain.use(now)
 
-    def take(self, names: Iterable[str], stamps: Iterable[float]) -> None:
+    def note(self, names: Iterable[str], stamps: Iterable[float]) -> None:
         """Take stamps that came with a message, a call or an answer."""
         for name, stamp in zip(names, stamps, strict=True):
             if name in self._chains:
-                self._chains[name].take(stamp)
+                self._chains[name].note(stamp)
 
     def stamps(self, names: Iterable[str]) -> tuple[float, ...]:
         """Return the stamps of data that goes out now (its use, within a chain)."""
@@ -209,7 +209,7 @@ class SentChains:
 
         def take(*answer: object) -> Any:  # noqa: ANN401, the call's own
             stamps, result = decode(*answer)
-            self._ages.take(self._answers, local(stamps, remote))
+            self._ages.note(self._answers, local(stamps, remote))
             return result
 
         return take
@@ -224,7 +224,7 @@ class SentChains:
             result = target.run(
                 lambda *_: method(*args, **kwargs), (), taken=self.stamped(None)
             )
-            self._ages.take(self._answers, target.stamps(self._answers))
+            self._ages.note(self._answers, target.stamps(self._answers))
             return result
 
         return run

@@ -84,7 +84,7 @@ class Inbox:
         if grows:
             self._filled.put(self)
 
-    def take(self) -> Entry | None:
+    def pop(self) -> Entry | None:
         """Return the oldest message; None when there is none."""
         with self._changing:
             if not self._waiting:

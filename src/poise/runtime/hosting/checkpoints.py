@@ -62,7 +62,7 @@ class Checkpoints:
         """Be due for the first time after an interval."""
         self.due = self._clock.now() + self._every
 
-    def take(self, component: Component) -> None:
+    def write(self, component: Component) -> None:
         """Keep the state of a component; when that fails, the one before is kept."""
         began = self._clock.now()
         self.due = began + self._every

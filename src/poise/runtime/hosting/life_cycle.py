@@ -14,12 +14,12 @@ from poise.runtime.component.component import Verb
 from poise.runtime.connectors.endpoints import Endpoints
 from poise.runtime.execution.exclusion import Exclusion, new_chain
 from poise.wire.records.deployment_records import Aim
-from poise.wire.records.status_records import ActionEnd, State, TaskWish
+from poise.wire.records.status_records import ActionEnd, State, TaskRequest
 
 ENDED: AbstractSet[State] = {"finalized", "failed"}
 
-_MOST_WISHES = 16
-"""So many wishes are told again and again, in case nobody heard them."""
+_MOST_REQUESTS = 16
+"""As many requests are reported again and again, in case that a status is lost."""
 log = logging.getLogger(__name__)
 BORROW_LIMIT = 5.0
 """Whoever wants the component's code waits this long for another who has it [s]."""
@@ -92,19 +92,19 @@ class LifeCycle:
 
 
 class TaskNews:
-    """What one component wishes to be done with tasks, and which actions have ended."""
+    """What one component requests of tasks, and which of its actions have ended."""
 
     def __init__(self, on_change: Callable[[], None]) -> None:
         self._on_change = on_change
-        self._wishes: deque[TaskWish] = deque(maxlen=_MOST_WISHES)
-        self._num_wishes = 0
+        self._requests: deque[TaskRequest] = deque(maxlen=_MOST_REQUESTS)
+        self._num_requests = 0
         self._ends: dict[str, ActionEnd] = {}
 
-    def wish(self, verb: Verb, task: str) -> None:
-        """Wish that something is done with a task."""
-        self._num_wishes += 1
-        wish = TaskWish(number=self._num_wishes, verb=verb, task=task)
-        self._wishes.append(wish)
+    def request(self, verb: Verb, task: str) -> None:
+        """Request that something is done with a task."""
+        self._num_requests += 1
+        request = TaskRequest(number=self._num_requests, verb=verb, task=task)
+        self._requests.append(request)
         self._on_change()
 
     def note_end(self, port: str, done: object) -> None:
@@ -114,9 +114,9 @@ class TaskNews:
         self._ends[port] = ActionEnd(port=port, count=count, done=bool(done))
         self._on_change()
 
-    def wishes(self) -> tuple[TaskWish, ...]:
+    def requests(self) -> tuple[TaskRequest, ...]:
         """Return the latest, oldest first; any thread may ask."""
-        return tuple(self._wishes.copy())
+        return tuple(self._requests.copy())
 
     def ends(self) -> tuple[ActionEnd, ...]:
         """Return the last end at each port; any thread may ask."""

@@ -67,7 +67,7 @@ class Runner:
                 measure=self._measure,
                 count_process=self._count_process,
                 give_up=self._give_up,
-                wish=self._news.wish,
+                request=self._news.request,
             ),
         )
         self.counters = ComponentCounters()
@@ -94,10 +94,10 @@ class Runner:
         self._handler: tuple[str, float] | None = None
         self._measures: dict[str, Histogram] = {}
         self._errors = Errors(spec.name)
-        self._turn = spec
+        self._action = spec
         # one that comes to take over from another goes on with its action
         is_new = spec.goal == "active" or spec.fresh
-        self._turn_taken = 0 if is_new else spec.turn
+        self._action_begun = 0 if is_new else spec.action_number
         self._thread = threads.daemon(self._main, spec.name[:15])
         self.asked_at = clock.now()
         self.reason_to_end = ""
@@ -125,9 +125,9 @@ class Runner:
             self.gate.resume()
         self.endpoints.mailbox.wake()
 
-    def take_turn(self, spec: ComponentSpec) -> None:
+    def begin_action(self, spec: ComponentSpec) -> None:
         """Begin an action once it is active, if that is another one than before."""
-        self._turn = spec
+        self._action = spec
 
     def wait_ended(self, limit: float) -> bool:
         """Wait up to `limit` [s] for its thread to end; whether it did."""
@@ -187,7 +187,7 @@ class Runner:
             timers=self.timers.status(now),
             chains=self.ages.status(),
             ends=self._news.ends(),
-            wishes=self._news.wishes(),
+            task_requests=self._news.requests(),
             measures={n: h.summary() for n, h in list(self._measures.items())},
         )
 
@@ -273,7 +273,7 @@ class Runner:
     def _restore(self, checkpoints: Checkpoints) -> None:
         age = checkpoints.restore(self.component)
         if age is not None:
-            self._turn_taken = self.spec.turn
+            self._action_begun = self.spec.action_number
             text = "component '%s' goes on from its state of %.1f s ago"
             log.warning(text, self.spec.name, age)
 
@@ -288,10 +288,10 @@ class Runner:
 
     def _work(self) -> None:
         """Run the timers that are due, then at most one message."""
-        turn = self._turn
-        if turn.turn > self._turn_taken and self._enter():
-            self._turn_taken = turn.turn
-            self._run(self.component.begin, "begin", turn.action)
+        spec = self._action
+        if spec.action_number > self._action_begun and self._enter():
+            self._action_begun = spec.action_number
+            self._run(self.component.begin, "begin", spec.action)
         for releases in self.timers:
             if releases.due <= self.clock.now():
                 self._run_timer(releases)
@@ -308,7 +308,7 @@ class Runner:
     def _take_checkpoint(self, checkpoints: Checkpoints, due: float | None) -> float:
         """Take a checkpoint when it is time; return when there is something to do."""
         if checkpoints.due <= self.clock.now() and self._enter():
-            self._run(checkpoints.take, "checkpoint", self.component)
+            self._run(checkpoints.write, "checkpoint", self.component)
         return checkpoints.due if due is None else min(due, checkpoints.due)
 
     def _run_timer(self, releases: Releases) -> None:
@@ -321,7 +321,7 @@ class Runner:
         releases.end(release, began, self.clock.now())
 
     def _deliver(self, inbox: Inbox) -> None:
-        entry = inbox.take()
+        entry = inbox.pop()
         if entry is None:  # it was dropped for a newer one
             self.exclusion.leave()
             return

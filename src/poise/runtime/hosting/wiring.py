@@ -11,7 +11,7 @@ from pathlib import Path
 
 from poise.clock import Elapsed
 from poise.errors import RobotError, RunError, UsageError
-from poise.runtime.component.error_report import told
+from poise.runtime.component.error_report import traceback_of
 from poise.runtime.component.ports import Kind, Port
 from poise.runtime.connectors.channel_route import ChannelRoute, receiving
 from poise.runtime.connectors.flow_control import Credit, CreditIssuer
@@ -54,7 +54,7 @@ class OpenEndpoints:
 
     def status(self) -> ConnectorStatus:
         """Return what was counted, and whether the other end is there."""
-        self.remote_clock.look()
+        self.remote_clock.update()
         end: Side = "target" if self.sender is None else "source"
         if self.spec.kind == "direct":
             end = "both"
@@ -93,7 +93,7 @@ class Wiring:
                 self._open[key] = self._join(spec, runners)
             # reading types runs users' code
             except Exception as error:  # noqa: BLE001
-                text = f"connector {spec.name}: {told(error)}"
+                text = f"connector {spec.name}: {traceback_of(error)}"
                 troubles.update(dict.fromkeys(here, text))
         self._buffer_amid_a_move(known)
         for key in self._open.keys() - wanted.keys():
@@ -187,7 +187,7 @@ class Wiring:
                 Address.parse(spec.address),
                 self._server.folder,
                 use,
-                credit.take,
+                credit.note_credit,
                 credit.request,
             )
             ends.route = ChannelRoute(

@@ -13,7 +13,7 @@ from functools import partial
 
 from poise.errors import PoiseError, RunError
 from poise.priority import as_usual
-from poise.runtime.component.error_report import told_in_brief
+from poise.runtime.component.error_report import brief_traceback
 from poise.runtime.hosting.runner import Runner
 from poise.runtime.hosting.wiring import Runners, Wiring
 from poise.runtime.migration.state_transfer import StateReceiver, StateSender
@@ -51,7 +51,7 @@ class Participant:
         self._sender: StateSender | None = None
         self._receiver: StateReceiver | None = None
 
-    def take(self, step: Step, deadline: float) -> None:  # noqa: C901, a table
+    def run(self, step: Step, deadline: float) -> None:  # noqa: C901, a table
         """Take a step until `deadline` [s, monotonic clock]."""
         runner = self._runner
         match step.name:
@@ -200,7 +200,7 @@ class MigrationExecutor:
         except PoiseError as error:
             return StepsFailed(batch.number, str(error), tuple(taken))
         except Exception as error:  # noqa: BLE001, a user's restore may raise anything
-            return StepsFailed(batch.number, told_in_brief(error), tuple(taken))
+            return StepsFailed(batch.number, brief_traceback(error), tuple(taken))
         return StepsDone(batch.number, tuple(taken))
 
     def _begin(self, step: Step, deployment: int) -> None:
@@ -233,7 +233,7 @@ class MigrationExecutor:
         if step.role is not None:
             participant = self._participant(self._runner(step), step.role, migration)
             with participant.phases.taking(step.name, step.phase):
-                participant.take(step, deadline)
+                participant.run(step, deadline)
 
     def _buffer(self, step: Step, migration: int) -> None:
         for name in step.connectors:

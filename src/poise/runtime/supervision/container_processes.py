@@ -81,7 +81,7 @@ class ContainerProcess:
         """Let go of what leads to it."""
         self._control.close()
 
-    def tell(self, spec: ContainerSpec) -> None:
+    def deploy(self, spec: ContainerSpec) -> None:
         """Tell it what it should be now, if that changed."""
         if self.is_deaf or spec is self.spec:
             return
@@ -90,13 +90,13 @@ class ContainerProcess:
         if is_new:
             self._send(spec)
 
-    def tell_clocks(self, known: Mapping[str, ClockStatus]) -> None:
+    def send_clocks(self, known: Mapping[str, ClockStatus]) -> None:
         """Tell it other computers' clocks, if that is new and it listens."""
         if known != self._clocks and not self.is_deaf and not self.silence:
             self._clocks = known
             self._send(Clocks(known))
 
-    def take_steps(self, steps: Order) -> None:
+    def pass_on(self, steps: Order) -> None:
         """Let it take steps of a migration, or read a tap."""
         if not self.is_deaf:
             self._send(steps)
@@ -119,7 +119,7 @@ class ContainerProcess:
             and silence.heartbeat == self._control.heartbeat()
         )
 
-    def take(self, what: FromContainer) -> Outcome | None:
+    def note(self, what: FromContainer) -> Outcome | None:
         """Take in what it says; return the outcome of a step, if it is one."""
         if isinstance(what, ContainerStatus):
             self.status = what
@@ -246,7 +246,7 @@ class MigrationRelay:
         if process.is_stuck():
             reply(StepsFailed(steps.number, _why_silent(process)))
             return
-        process.take_steps(steps)
+        process.pass_on(steps)
         self._pending[steps.number] = _Pending(steps, reply, now + steps.limit)
 
     def end(self, outcome: Outcome) -> None:

@@ -24,7 +24,7 @@ _MOST_RESTARTS = 100
 _LATELY = 60.0
 """Restarts within this time are counted as `restarts_lately` [s]."""
 
-LOOK_EVERY = 0.2
+CHECK_EVERY = 0.2
 """The heartbeats are compared this often [s]."""
 _SUSPICIOUS = 0.35
 """A heartbeat that stands still for longer than this is looked into [s]."""
@@ -179,7 +179,7 @@ class _Watched:
 
 
 class Watchdog:
-    """Compares heartbeats; `look` is called every `LOOK_EVERY`."""
+    """Compares heartbeats; `check` is called every `CHECK_EVERY`."""
 
     def __init__(
         self,
@@ -191,13 +191,13 @@ class Watchdog:
         self._watched: dict[int, _Watched] = {}
         self._looked_at = 0.0
 
-    def look(
+    def check(
         self, containers: Iterable[tuple[str, int, WatchedPage]]
     ) -> Iterator[Silence]:
         """Yield the containers that do not respond any more, or do so again."""
         now = self._clock()
         # the watchdog itself got no CPU: nothing is known of that time
-        was_away = now - self._looked_at > 2 * LOOK_EVERY
+        was_away = now - self._looked_at > 2 * CHECK_EVERY
         self._looked_at = now
         before, self._watched = self._watched, {}
         for name, pid, page in containers:

@@ -114,7 +114,7 @@ class OomKills:
         self._seen = (_count(self._file) or 0) if self._file else 0
         self._unclaimed: deque[float] = deque()
 
-    def look(self, now: float) -> None:
+    def update(self, now: float) -> None:
         """Take note of kills until `now` [s]; call it a few times a second."""
         count = _count(self._file) if self._file else None
         if count is None:  # no file descriptor is free at the moment
@@ -126,7 +126,7 @@ class OomKills:
 
     def claim(self, now: float) -> bool:
         """Return whether a kill explains an end at `now` [s]; it explains no other."""
-        self.look(now)
+        self.update(now)
         if not self._unclaimed:
             return False
         self._unclaimed.popleft()
@@ -205,7 +205,7 @@ class ProcessHost:
         self._weights.nice_of(spec)  # makes the groups, if there are groups
         self._weights.settle(spec, pid)
         with contextlib.suppress(OSError):  # it has ended
-            score = _PREPARED_OOM_SCORE if spec.spare else _OOM_SCORE
+            score = _PREPARED_OOM_SCORE if spec.preparation_cpu else _OOM_SCORE
             Path(f"/proc/{pid}/oom_score_adj").write_text(str(score))
 
     def release(self, container: str) -> None:
@@ -215,7 +215,7 @@ class ProcessHost:
 
     def count_kills(self, now: float) -> None:
         """Take note of processes that the kernel killed until `now` [s]."""
-        self._oom_kills.look(now)
+        self._oom_kills.update(now)
 
     def explain_kill(self, now: float) -> str:
         """Return why the kernel killed a process lately; empty: it killed none."""
@@ -245,11 +245,13 @@ class CpuWeights:
         """Put a container that began, or goes to work, into its group."""
         if not spec.weight or self._folder is None or self.means == "nice":
             return
-        group = self._folder / ("prepared" if spec.spare else f"container-{spec.name}")
+        group = self._folder / (
+            "prepared" if spec.preparation_cpu else f"container-{spec.name}"
+        )
         try:
             group.mkdir(exist_ok=True)
-            if spec.spare:
-                _hold_back(group, spec.spare)
+            if spec.preparation_cpu:
+                _hold_back(group, spec.preparation_cpu)
             else:
                 _weigh(group, spec.weight)
             _enter(group, [pid])

@@ -21,7 +21,7 @@ from poise.kernel_counters import (
 )
 from poise.runtime._calls import PageSampler
 from poise.runtime.supervision.health import (
-    LOOK_EVERY,
+    CHECK_EVERY,
     ContainerUse,
     Silence,
     Usage,
@@ -148,10 +148,10 @@ class Sampler:
         self._usage = usage
 
     def _main(self) -> None:
-        period = min(self._every or LOOK_EVERY, LOOK_EVERY)
+        period = min(self._every or CHECK_EVERY, CHECK_EVERY)
         sample_at = usage_at = time.monotonic()
         while not self._ended.wait(period):
-            for silence in self._watchdog.look(self._containers()):
+            for silence in self._watchdog.check(self._containers()):
                 self._on_silence(silence)
             now = time.monotonic()
             is_due = bool(self._every) and now >= sample_at

@@ -89,7 +89,7 @@ class Supervisor:
             ):
                 process.extend_lease(until)
 
-    def take(self, wanted: Deployment) -> None:
+    def deploy(self, wanted: Deployment) -> None:
         """Work towards a deployment from now on."""
         self.wanted = wanted
         names = self._specs().keys()
@@ -101,7 +101,7 @@ class Supervisor:
     def end(self) -> None:
         """Want no container from now on; repeat `reconcile` until all have ended."""
         self._is_ending = True
-        self.take(Deployment(generation=1 << 62, containers=()))
+        self.deploy(Deployment(generation=1 << 62, containers=()))
 
     def reconcile(self) -> None:
         """Take the steps from what runs to what should run."""
@@ -110,10 +110,10 @@ class Supervisor:
         for name in {**self.processes, **wanted}:
             self._supervised.run(part_of(name), self._step, name, wanted.get(name))
 
-    def tell_clocks(self, clocks: Mapping[str, ClockStatus]) -> None:
+    def send_clocks(self, clocks: Mapping[str, ClockStatus]) -> None:
         """Tell all containers what is known of other computers' clocks."""
         for name, process in self.processes.items():
-            self._supervised.run(part_of(name), process.tell_clocks, clocks)
+            self._supervised.run(part_of(name), process.send_clocks, clocks)
 
     def moment(self) -> float:
         """Return when something must be done though no news comes [s]."""
@@ -139,7 +139,7 @@ class Supervisor:
     def note(self, container: str, said: FromContainer) -> Outcome | None:
         """Take in what a container says; return the outcome of a step, if it is one."""
         process = self.processes.get(container)
-        return None if process is None else process.take(said)
+        return None if process is None else process.note(said)
 
     def note_deaf(self, container: str, why: str) -> None:
         """Kill a container that cannot be heard any more, and record why."""
@@ -199,7 +199,9 @@ class Supervisor:
         process = self.processes.get(silence.container)
         if process is None or process.pid != silence.pid or process.is_stopping:
             return
-        if process.spec.spare or (process.silence is None and not silence.reason):
+        if process.spec.preparation_cpu or (
+            process.silence is None and not silence.reason
+        ):
             return  # what is prepared may have to wait long for the CPU
         process.silence = silence if silence.reason else None
         process.silent_since = self._clock.now() - silence.seconds
@@ -263,9 +265,9 @@ class Supervisor:
     def _tell(self, process: ContainerProcess, spec: ContainerSpec) -> None:
         if process.is_stopping:
             return
-        if process.pid and process.spec.spare != spec.spare:
+        if process.pid and process.spec.preparation_cpu != spec.preparation_cpu:
             self._host.settle(spec, process.pid)
-        process.tell(spec)
+        process.deploy(spec)
 
     def _fence(self, process: ContainerProcess, now: float) -> None:
         """Kill a container whose code goes on though it has no lease any more."""

@@ -78,7 +78,7 @@ class Block:
             loan.flags.writeable = False
         self._map[slot] = _LENT
 
-    def take_back(self, slot: int) -> None:
+    def release(self, slot: int) -> None:
         """Undo `lend`: no frame was sent, or the loan is gone."""
         self._map[slot] = _FREE
 
@@ -88,7 +88,7 @@ class Block:
 
         array: np.ndarray = np.ndarray(shape, dtype, self._map, DATA)
         self._loan = weakref.ref(array)
-        weakref.finalize(array, self.take_back, OWN).atexit = False
+        weakref.finalize(array, self.release, OWN).atexit = False
         return array
 
 
@@ -100,7 +100,7 @@ class Blocks:
         self._changing = threading.Lock()
         self._free_slots = list(reversed(range(1, DATA)))
 
-    def take(self, size: int, slot: int) -> Block | None:
+    def allocate(self, size: int, slot: int) -> Block | None:
         """Return a free block for `size` bytes, lent to a slot; None: there is none."""
         with self._changing, contextlib.suppress(OSError):
             blocks = self._blocks.values()
@@ -121,12 +121,12 @@ class Blocks:
             found = (b for b in self._blocks.values() if b.address == address)
             return next(found, None)
 
-    def take_slot(self) -> int | None:
+    def allocate_slot(self) -> int | None:
         """Return a slot for a connection; None when all are used."""
         with self._changing:
             return self._free_slots.pop() if self._free_slots else None
 
-    def give_slot_back(self, slot: int) -> None:
+    def free_slot(self, slot: int) -> None:
         """End a connection: blocks that are lent over it are not used again."""
         with self._changing:
             self._free_slots.append(slot)
@@ -194,7 +194,7 @@ def loan(shape: int | tuple[int, ...], dtype: DTypeLike = float) -> np.ndarray:
     sides = (shape,) if isinstance(shape, int) else tuple(shape)
     size = prod(sides) * kind.itemsize
     if size >= THRESHOLD and not kind.hasobject and min(sides) > 0:
-        block = BLOCKS.take(size, OWN)
+        block = BLOCKS.allocate(size, OWN)
         if block is not None:
             return block.make_loan(sides, kind)
     return np.empty(sides, kind)

@@ -59,7 +59,7 @@ class _Connections:
         """Return at once whether one is not idle."""
         return not self._open <= {*self}
 
-    def take(self) -> Connection | None:
+    def pop(self) -> Connection | None:
         """Return the idle one that was used last."""
         try:
             return self._recent.pop() if self._recent else self._older.pop()
@@ -70,7 +70,7 @@ class _Connections:
         """Add one that is in use."""
         self._open.add(connection)
 
-    def give_back(self, connection: Connection) -> None:
+    def put(self, connection: Connection) -> None:
         """Keep one that is idle now, or close it."""
         if len(self._recent) >= _SPARE:
             self.drop(connection)
@@ -167,7 +167,7 @@ class Channel:
                 connections.drop(connection)
                 raise
             if answer is not None and answer.number != LAST_ANSWER:
-                connections.give_back(connection)
+                connections.put(connection)
                 return answer
             connections.drop(connection)
             if answer is not None:
@@ -186,7 +186,7 @@ class Channel:
         if not self._ordering.acquire(timeout=limit):
             raise Timeout(f"{self._connector}: others send since {limit:g} s")
         try:
-            self._messages.give_back(self._send(pieces, deadline))
+            self._messages.put(self._send(pieces, deadline))
             on_sent()
         finally:
             self._ordering.release()
@@ -226,7 +226,7 @@ class Channel:
 
     def _fresh(self, connections: _Connections) -> Connection | None:
         """Return an open connection that, as far as is known, reaches the other end."""
-        while (connection := connections.take()) and (
+        while (connection := connections.pop()) and (
             connection.is_over or not (connection.is_local or connection.is_idle())
         ):
             self._is_lost |= connection.is_lost
@@ -252,7 +252,7 @@ class Channel:
         try:
             connection = self._opened(self._use, 0.0)
             if connection is not None:
-                self._connections[self._use].give_back(connection)
+                self._connections[self._use].put(connection)
         except CallError:
             self._ask_at = time.monotonic() + _PAUSE
             return False

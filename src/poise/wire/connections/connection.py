@@ -102,7 +102,7 @@ class Connection:
         self._lenders.clear()
         slot, self._slot = self._slot, None
         if slot is not None:
-            BLOCKS.give_slot_back(slot)
+            BLOCKS.free_slot(slot)
 
     def end(self, how: int = socket.SHUT_RDWR) -> None:
         """Let its user find it closed; from any thread."""
@@ -185,7 +185,7 @@ class Connection:
         if size < THRESHOLD or not self.is_local:
             return None
         if self._slot is None:
-            self._slot = BLOCKS.take_slot()
+            self._slot = BLOCKS.allocate_slot()
         slot = self._slot
         if slot is None:
             return None
@@ -196,7 +196,7 @@ class Connection:
             block.lend(slot)
             size = len(pieces[_INLINE + 1])
             pieces = pieces[:_INLINE]
-        elif block := BLOCKS.take(size, slot):
+        elif block := BLOCKS.allocate(size, slot):
             target = block.memory
         else:
             return None
@@ -208,7 +208,7 @@ class Connection:
     def _take_back(self, placed: _Placed) -> None:
         """Undo `_place`: the other end has not got the frame."""
         if self._slot is not None:
-            placed.block.take_back(self._slot)
+            placed.block.release(self._slot)
 
     def _on_new_block(
         self, block: int, used: int, data: bytes, deadline: float

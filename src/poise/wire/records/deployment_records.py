@@ -65,7 +65,7 @@ class ComponentSpec(Struct, frozen=True, kw_only=True):
     # The ports with which it says that an action is done, or has failed
     ends: tuple[str, ...] = ()
     # The number of the action that it is to end, which grows, and its name
-    turn: int = 0
+    action_number: int = 0
     action: str = ""
 
 
@@ -118,7 +118,7 @@ class ContainerSpec(Struct, frozen=True, kw_only=True, tag=True):
     # It is prepared for an action that has not begun: all such containers together get
     # this much CPU [cores] at most, and only what nobody else wants. 0: it gets its
     # share
-    spare: float = 0.0
+    preparation_cpu: float = 0.0
     components: tuple[ComponentSpec, ...]
     connectors: tuple[ConnectorSpec, ...]
     repository: tuple[str, ...] = ()  # Folders where they are looked for last

@@ -111,7 +111,7 @@ class ActionEnd(Struct, frozen=True, kw_only=True):
     done: bool  # What it said last
 
 
-class TaskWish(Struct, frozen=True, kw_only=True):
+class TaskRequest(Struct, frozen=True, kw_only=True):
     """What a component wants done with a task; the first of it has the number 1."""
 
     number: int
@@ -147,7 +147,7 @@ class ComponentStatus(Struct, frozen=True, kw_only=True):
     # Those that it is part of, and not the beginning
     chains: tuple[ChainStatus, ...] = ()
     ends: tuple[ActionEnd, ...] = ()  # What it said of its actions
-    wishes: tuple[TaskWish, ...] = ()  # The last ones
+    task_requests: tuple[TaskRequest, ...] = ()  # The last ones
     measures: Mapping[str, Summary] = {}
 
 
@@ -167,7 +167,7 @@ class ContainerStatus(Struct, frozen=True, kw_only=True, tag=True, dict=True):
     def states(self) -> tuple[object, ...]:
         """What is worth a word at once when it changes; counters are not."""
         components = [
-            (each.name, each.epoch, each.state, each.errors, each.wishes)
+            (each.name, each.epoch, each.state, each.errors, each.task_requests)
             for each in self.components
         ]
         connectors = [(each.name, each.ready) for each in self.connectors]

@@ -102,7 +102,7 @@ def test_what_is_prepared_gets_only_what_nobody_else_wants(first: Path) -> None:
     for name in ("cpu.shares", "cpu.idle"):
         (first / "prepared" / name).touch()
     weights = CpuWeights(first)
-    prepared = structs.replace(HIGH, spare=0.1)
+    prepared = structs.replace(HIGH, preparation_cpu=0.1)
     weights.nice_of(prepared)
     weights.settle(prepared, 12)
     # a tenth of 20 ms
@@ -118,7 +118,7 @@ def test_little_cpu_is_counted_over_a_longer_time(tmp_path: Path) -> None:
     (tmp_path / "cgroup.subtree_control").touch()
     (tmp_path / "cgroup.procs").touch()
     weights = CpuWeights(tmp_path)
-    prepared = structs.replace(LOW, spare=0.01)
+    prepared = structs.replace(LOW, preparation_cpu=0.01)
     weights.nice_of(prepared)
     weights.settle(prepared, 12)
     # the kernel counts 1 ms at least

@@ -49,7 +49,7 @@ def test_a_count_that_cannot_be_read_for_a_while_explains_no_end(
 ) -> None:
     kills = OomKills(kernel(tmp_path, 2, 5))
     (tmp_path / "memory/robot/memory.events").unlink()
-    kills.look(1.0)
+    kills.update(1.0)
     kernel(tmp_path, 2, 5)
     assert not kills.claim(2.0)
 
@@ -57,7 +57,7 @@ def test_a_count_that_cannot_be_read_for_a_while_explains_no_end(
 def test_a_kill_explains_no_end_long_after_it(tmp_path: Path) -> None:
     kills = OomKills(kernel(tmp_path, 2, 0))
     kernel(tmp_path, 2, 1)
-    kills.look(1.0)
+    kills.update(1.0)
     assert not kills.claim(60.0)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from poise.kernel_counters import Processes
-from poise.runtime.supervision.health import LOOK_EVERY, Silence, Watchdog
+from poise.runtime.supervision.health import CHECK_EVERY, Silence, Watchdog
 
 PID = 7
 
@@ -43,12 +43,12 @@ class World(Processes):
     ) -> list[Silence]:
         """Let time pass; `cpu` and `wait` are shares of it."""
         found: list[Silence] = []
-        for _ in range(round(seconds / LOOK_EVERY)):
-            self.now += LOOK_EVERY
+        for _ in range(round(seconds / CHECK_EVERY)):
+            self.now += CHECK_EVERY
             self.beats += beats
-            self.used += cpu * LOOK_EVERY
-            self.waited += wait * LOOK_EVERY
-            found += self.dog.look([("c", PID, self)])
+            self.used += cpu * CHECK_EVERY
+            self.waited += wait * CHECK_EVERY
+            found += self.dog.check([("c", PID, self)])
         return found
 
 
@@ -114,7 +114,7 @@ def test_a_watchdog_that_got_no_cpu_blames_nobody() -> None:
     world = World()
     world.go_on(1.0, beats=True)
     world.now += 10.0
-    assert world.go_on(LOOK_EVERY) == []
+    assert world.go_on(CHECK_EVERY) == []
     assert world.go_on(1.0, beats=True) == []
 
 
