@@ -1,10 +1,10 @@
 """Serves with T-Rot again and again: each way to place, each condition, many seeds.
 
-Ctrl-C ends it, and the same command goes on. It takes about two hours, with --quick
+Ctrl-C ends it, and the same command goes on. It takes about five hours, with --quick
 five minutes, with --one half a minute, and writes a line for each run and a page.
 
-Usage: python -m benchmarks.experiment [--one | --quick | --full] [--folder FOLDER]
-[--json]
+Usage: python -m benchmarks.experiment [--one | --quick | --full] [--hours HOURS]
+[--folder FOLDER] [--json]
 
 It imports internal modules: it measures runs from outside.
 """
@@ -12,6 +12,7 @@ It imports internal modules: it measures runs from outside.
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 from pathlib import Path
 
@@ -37,6 +38,9 @@ def main() -> int:
     extent.add_argument("--one", action="store_true", help="one run")
     extent.add_argument("--quick", action="store_true", help="four ways, two runs")
     extent.add_argument("--full", action="store_true", help="79 runs of each way")
+    parser.add_argument(
+        "--hours", type=float, default=math.inf, help="begin no run after this time"
+    )
     parser.add_argument("--folder", type=Path, default=Path("poise-experiment"))
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
@@ -52,7 +56,13 @@ def main() -> int:
     with Interrupts() as interrupts:
         try:
             report = experiment(
-                robot, "serve", chosen, options.folder, say=say, check=interrupts.check
+                robot,
+                "serve",
+                chosen,
+                options.folder,
+                hours=options.hours,
+                say=say,
+                check=interrupts.check,
             )
         finally:
             say(f"the page of all runs so far is {(options.folder / PAGE).absolute()}")

@@ -10,6 +10,7 @@ from html import escape
 
 import msgspec
 
+from benchmarks.experiment.analysis import Comparison
 from benchmarks.experiment.results import BASE, LOADS, Extent, TrialResult
 from benchmarks.experiment.summary import ArmSummary, ExperimentReport, Share
 from poise.session.pages.picture import line, svg, text
@@ -25,6 +26,8 @@ _COLOURS = (
     "#17becf",
     "#1f77b4",
     "#2e8b57",
+    "#d6649a",
+    "#444444",
 )
 _LEFT, _WIDTH, _ROW = 170.0, 960.0, 22.0
 
@@ -130,9 +133,11 @@ def experiment_page(
     arms = [(escape(arm.name), escape(arm.what)) for arm in extent.arms]
     parts = [
         f"<h1>{escape(report.robot)}: what placement is worth</h1>",
+        f"<p><b>{escape(report.headline)}</b></p>",
         _counted(report),
         _HOW,
         html_table(("arm", "placement"), arms),
+        *_comparisons(report.comparisons),
         "<h2>Which functions work</h2>",
         intervals(
             {
@@ -142,6 +147,7 @@ def experiment_page(
         ),
         *_load_curves(report.arms),
         *_tables(report.arms),
+        *_invalid(results),
         _RAW,
         '<script type="application/jsonl" id="results">',
         *(_line(each) for each in results),
@@ -150,11 +156,66 @@ def experiment_page(
     return document(f"{report.robot}: experiment", "\n".join(parts))
 
 
+_CRITERIA = """<p>Measures, exclusions and analysis were written down before the data
+(<code>benchmarks/experiment/criteria.md</code>). Of each run the chain counts that
+missed its declared deadline most; a chain whose data never came missed all. An effect
+is Poise's share minus the other's, of runs with the same seed: the Hodges-Lehmann
+estimate and its bootstrap interval of 95 %; p is of Wilcoxon's signed-rank test,
+adjusted by Holm.</p>"""
+
+
+def _comparisons(comparisons: Sequence[Comparison]) -> Iterator[str]:
+    """Yield a table for each condition: how Poise did against each other way."""
+    yield "<h2>Poise against the others</h2>"
+    yield _CRITERIA
+    for condition in dict.fromkeys(each.condition for each in comparisons):
+        rows = [
+            (
+                escape(each.other),
+                each.verdict,
+                _effect(each),
+                _p(each.p),
+                f"{each.pairs}",
+            )
+            for each in comparisons
+            if each.condition == condition
+        ]
+        yield f"<h3>{escape(condition)}</h3>"
+        yield html_table(("against", "Poise is", "points missed", "p", "pairs"), rows)
+
+
+def _effect(found: Comparison) -> str:
+    if found.effect is None or found.low is None or found.high is None:
+        return ""
+    low, high = 100 * found.low, 100 * found.high
+    return f"{100 * found.effect:+.1f} ({low:+.1f} to {high:+.1f})"
+
+
+def _p(value: float | None) -> str:
+    return "" if value is None else "< 0.001" if value < 0.001 else f"{value:.3f}"
+
+
 def _counted(report: ExperimentReport) -> str:
     invalid = sum(each.invalid for each in report.arms)
     valid = sum(each.runs for each in report.arms) - invalid
     runs = f"{valid} valid runs of {report.planned}, {report.seconds:g} s each"
     return f"<p>{runs}; {invalid} invalid ones.</p>"
+
+
+def _invalid(results: Sequence[TrialResult]) -> Iterator[str]:
+    rows = [
+        (
+            escape(each.trial.arm),
+            escape(each.trial.condition),
+            str(each.trial.seed),
+            escape(each.invalid),
+        )
+        for each in results
+        if each.invalid
+    ]
+    if rows:
+        yield "<h2>Invalid runs</h2>"
+        yield html_table(("way", "condition", "seed", "why"), rows)
 
 
 def _line(result: TrialResult) -> str:

@@ -15,12 +15,15 @@ import msgspec
 from msgspec import Struct
 from msgspec.structs import replace
 
+import poise
 from poise.errors import UsageError
 from poise.model.robot import ComponentEntry, Robot
 
 BASE = "as in the robot file"
 SLOW_LINK = "link of 10 Mbit/s"
+FULL_CPU = "98 % of the CPU is needed"
 OVERRUN = "the localiser overruns by half"
+DRIFT = "another program takes 0 to 30 % of main"
 _SLOW = 10e6 / 8
 """[bytes/s]"""
 
@@ -66,6 +69,18 @@ ARMS = (
         what="by hand: each function on one computer, but for its devices; the "
         "largest first, where most CPU is left",
     ),
+    Arm(
+        name="least loaded",
+        method="least-loaded",
+        what="one component after the other on the computer with the least load, as "
+        "YARP's manager does",
+    ),
+    Arm(
+        name="least allocated",
+        method="least-allocated",
+        what="one component after the other by requests of CPU and memory, as "
+        "Kubernetes' scheduler does",
+    ),
     Arm(name="greedy", method="greedy", what="the paper's algorithm"),
     Arm(name="Poise", method="auto", what="placed once, without adaptation"),
     Arm(
@@ -87,25 +102,37 @@ class TrialCondition(Struct, frozen=True, kw_only=True):
         How many times slower its computers are: all loads grow so, in proportion.
     bandwidth
         Of each link [bytes/s]; 0: as in the robot file.
+    fill
+        The share of the CPU that the components need in all; 0: as the load makes it.
     parameters
         Component -> parameters that it runs with, though its demand is of others.
+    programs
+        Other programs: when each begins, as a share of the run, its computer, and the
+        share of the computer's CPU that it takes. Nothing tells the planner.
     """
 
     name: str
     load: float = 1.0
+    fill: float = 0.0
     bandwidth: float = 0.0
     parameters: Mapping[str, Mapping[str, Any]] = {}
+    programs: tuple[tuple[float, str, float], ...] = ()
 
 
 LOADS = tuple(
     TrialCondition(name=f"load of {share} %", load=share / 100)
-    for share in (60, 80, 120, 140, 160)
+    for share in (60, 80, 120, 140)
 )
 CONDITIONS = (
     TrialCondition(name=BASE),
     *LOADS,
     TrialCondition(name=SLOW_LINK, bandwidth=_SLOW),
+    TrialCondition(name=FULL_CPU, fill=0.98),
     TrialCondition(name=OVERRUN, parameters={"localiser": {"particles": 3000}}),
+    TrialCondition(
+        name=DRIFT,
+        programs=((0.2, "main", 0.1), (0.4, "main", 0.1), (0.6, "main", 0.1)),
+    ),
 )
 
 
@@ -129,11 +156,11 @@ class Extent(Struct, frozen=True, kw_only=True):
     arms: tuple[Arm, ...] = ARMS
     conditions: tuple[TrialCondition, ...] = CONDITIONS
     base_seeds: int = 10
-    seeds: int = 3
+    seeds: int = 6
 
 
 USUAL = Extent()
-FULL = Extent(base_seeds=79, seeds=10)
+FULL = Extent(base_seeds=79, seeds=20)
 SHORT = Extent(
     arms=tuple(arm for arm in ARMS if arm.name in QUICK),
     conditions=CONDITIONS[:1],
@@ -167,17 +194,29 @@ def named(things: Sequence[N], name: str) -> N:
     return next(each for each in things if each.name == name)
 
 
-def under(robot: Robot, condition: TrialCondition) -> Robot:
+def under(robot: Robot, condition: TrialCondition, task: str) -> Robot:
     """Return the robot as it is known under a condition, to be placed."""
+    load = condition.fill / needed(robot, task) if condition.fill else condition.load
     links = tuple(
         replace(link, bandwidth=condition.bandwidth) if condition.bandwidth else link
         for link in robot.links
     )
     computers = tuple(
-        replace(computer, speed=computer.speed / condition.load)
-        for computer in robot.computers
+        replace(computer, speed=computer.speed / load) for computer in robot.computers
     )
     return replace(robot, links=links, computers=computers)
+
+
+def needed(robot: Robot, task: str) -> float:
+    """Return the share of all usable CPU that a task's components need, by Poise."""
+    placed = poise.place(robot, task)
+    problem = placed.result.problem
+    usable = sum(
+        each.capacity["cpu"] * each.speed * (1 - each.reserve.get("cpu", 0.0))
+        for each in problem.computers
+    )
+    items = (each for each in problem.components if each.name in placed.where)
+    return sum(each.demand.get("cpu", 0.0) for each in items) / usable
 
 
 def as_it_runs(robot: Robot, arm: Arm, condition: TrialCondition, seed: int) -> Robot:
@@ -200,6 +239,8 @@ def as_it_runs(robot: Robot, arm: Arm, condition: TrialCondition, seed: int) -> 
 
 class Missed(Struct, frozen=True, kw_only=True):
     """How often a timer was due or a chain's data was used, and how often too late.
+
+    A chain with `of` 0 was declared, and its data never arrived.
 
     Of a chain `median` and `p99` are ages of its data when it was used [s].
     """
@@ -241,6 +282,10 @@ class TrialResult(Struct, frozen=True, kw_only=True):
         How long the simulated world was ready to run and got no CPU [s].
     host_load
         Load average of this machine when it began.
+    speeds
+        What this machine did before and after [loops/s of CPU time].
+    stolen
+        The share of this machine's CPU time that a hypervisor took.
     """
 
     trial: Trial
@@ -258,6 +303,8 @@ class TrialResult(Struct, frozen=True, kw_only=True):
     moves: int = 0
     world_waited: float = 0.0
     host_load: float = 0.0
+    speeds: tuple[float, ...] = ()
+    stolen: float = 0.0
 
 
 def append(file: Path, result: TrialResult) -> None:
@@ -291,7 +338,7 @@ def read(file: Path) -> list[TrialResult]:
         except msgspec.DecodeError as error:
             raise UsageError(
                 f"{file}, line {number} is no result ({error}): remove it, or give "
-                "another folder with --report"
+                "another folder with --folder"
             ) from error
     return found
 

@@ -5,12 +5,14 @@ It imports internal modules: it measures runs from outside.
 
 from __future__ import annotations
 
+import math
 import os
 import time
 from pathlib import Path
 
 from msgspec.structs import replace
 
+from benchmarks.experiment.analysis import compared, headline, voided
 from benchmarks.experiment.measure import measure
 from benchmarks.experiment.page import experiment_page
 from benchmarks.experiment.results import (
@@ -36,19 +38,21 @@ _SECONDS = 20.0
 """How long each run is measured [s]."""
 
 
-def experiment(
+def experiment(  # noqa: PLR0913 - each is an option of the command
     robot: Robot,
     task: str,
     extent: Extent,
     folder: Path,
     *,
     seconds: float = _SECONDS,
+    hours: float = math.inf,
     say: Say,
     check: Check,
 ) -> ExperimentReport:
     """Make all runs that `folder` has no valid result of; write the page; report.
 
-    Ctrl-C (`KeyboardInterrupt`) ends it after the page of what is known was written.
+    No run begins after so many `hours`. Ctrl-C (`KeyboardInterrupt`) ends it after the
+    page of what is known was written.
 
     Raises
     ------
@@ -70,6 +74,9 @@ def experiment(
     began = time.monotonic()
     try:
         for done, trial in enumerate(todo, 1):
+            if time.monotonic() - began > 3600 * hours:
+                say(f"{hours:g} h are over: {len(todo) + 1 - done} runs are left")
+                break
             arm = named(extent.arms, trial.arm)
             condition = named(extent.conditions, trial.condition)
             with steady(robot):
@@ -81,16 +88,17 @@ def experiment(
             left = (time.monotonic() - began) / done * (len(todo) - done)
             say(f"{done} of {len(todo)}, {_minutes(left)} left: {_told(result)}")
     finally:
+        results = voided(results)
+        arms = [each.name for each in extent.arms]
+        conditions = [each.name for each in extent.conditions]
+        comparisons = compared(results, arms, conditions)
         report = ExperimentReport(
             robot=robot.name,
             seconds=seconds,
             planned=len(trials),
-            arms=summarised(
-                results,
-                [each.name for each in extent.arms],
-                [each.name for each in extent.conditions],
-                robot.functions_of(task),
-            ),
+            arms=summarised(results, arms, conditions, robot.functions_of(task)),
+            comparisons=comparisons,
+            headline=headline(comparisons),
         )
         page = experiment_page(report, extent, results)
         (folder / PAGE).write_text(page, encoding="utf-8")

@@ -9,6 +9,7 @@ from typing import TypeVar
 
 from msgspec import Struct
 
+from benchmarks.experiment.analysis import Comparison
 from benchmarks.experiment.results import Missed, TrialResult
 
 V = TypeVar("V")
@@ -92,12 +93,16 @@ class ExperimentReport(Struct, frozen=True, kw_only=True):
         How long each run was measured [s].
     planned
         How many runs were to be made.
+    comparisons, headline
+        Poise against each other way by the criteria, and that in a sentence.
     """
 
     robot: str
     seconds: float
     planned: int
     arms: tuple[ArmSummary, ...]
+    comparisons: tuple[Comparison, ...] = ()
+    headline: str = ""
 
 
 def wilson(held: int, of: int) -> Share:

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 def experiment_parts(report: ExperimentReport) -> Iterator[RenderableType]:
     """Yield how often all functions worked, and which did not, for each condition."""
+    if report.headline:
+        yield report.headline
     for condition in dict.fromkeys(each.condition for each in report.arms):
         rows = table(
             condition, "all worked", "worst chain missed", "runs", "failed", folds=4

@@ -101,8 +101,8 @@ def test_it_draws_where_each_arm_breaks() -> None:
             for each in picture.iter("polyline")
             if each.get("stroke-width") == "2.5"
         ]
-        assert len(lines) == 8
-        assert {len(points) for points in lines} == {6}
+        assert len(lines) == len(USUAL.arms)
+        assert {len(points) for points in lines} == {5}
 
 
 def test_without_a_valid_run_it_says_so() -> None:

@@ -58,7 +58,7 @@ def test_random_and_no_adaptation_are_always_tried(extent: Extent) -> None:
 def test_each_arm_runs_as_often_as_the_extent_says() -> None:
     counts = Counter((each.arm, each.condition) for each in schedule(FULL))
     assert {c for (_, cond), c in counts.items() if cond == BASE} == {79}
-    assert {c for (_, cond), c in counts.items() if cond != BASE} == {10}
+    assert {c for (_, cond), c in counts.items() if cond != BASE} == {20}
     assert len(counts) == len(ARMS) * len(CONDITIONS)
     assert len(schedule(SHORT)) == 8
 
@@ -79,15 +79,15 @@ def test_arms_take_turns_in_an_order_of_their_own() -> None:
 
 
 def test_a_load_makes_computers_slower_and_a_link_narrower() -> None:
-    known = under(ROBOT, TrialCondition(name="both", load=2.0, bandwidth=5.0))
+    known = under(ROBOT, TrialCondition(name="both", load=2.0, bandwidth=5.0), "all")
     assert [each.speed for each in known.computers] == [0.25]
     assert [each.bandwidth for each in known.links] == [5.0]
-    assert under(ROBOT, CONDITIONS[0]) == ROBOT
+    assert under(ROBOT, CONDITIONS[0], "all") == ROBOT
 
 
 def test_what_overruns_is_known_to_no_planner() -> None:
     overrun = TrialCondition(name="over", parameters={"localiser": {"particles": 9}})
-    assert under(ROBOT, overrun) == ROBOT
+    assert under(ROBOT, overrun, "all") == ROBOT
     runs = as_it_runs(ROBOT, named(ARMS, "Poise"), overrun, 3)
     (localiser,) = runs.components()
     assert localiser.parameters == {"kept": 1, "particles": 9}
