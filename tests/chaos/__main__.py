@@ -25,7 +25,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     def say(event: str) -> None:
         print(event, file=sys.stderr, flush=True)
 
-    folder = Path(tempfile.mkdtemp(prefix="poise-chaos-"))
+    folder = told.folder or Path(tempfile.mkdtemp(prefix="poise-chaos-"))
     chaos = Chaos(folder, told.seed, say)
     with chaos.begun():
         chaos.go(parse(told.lasts, SECONDS))
@@ -44,6 +44,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m tests.chaos", description=__doc__)
     parser.add_argument("lasts", help="how long, such as 2min or 30min")
     parser.add_argument("--seed", type=int, default=1, help="of what happens when (1)")
+    parser.add_argument("--folder", type=Path, help="gets journals and logs")
     parser.add_argument("--json", action="store_true", help="print the report as JSON")
     return parser
 

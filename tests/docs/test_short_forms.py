@@ -47,7 +47,7 @@ ROBOTS = {
     "benchmarks.simulation": "--seconds 3 --only two --json",
     "benchmarks.starvation": "",
     "benchmarks.takeover": "--moves 5 --json",
-    "tests.chaos": "10s",
+    "tests.chaos": "10s --folder {folder}",
 }
 EXEMPT = {
     "tests.simulation.mutations": "takes an hour; tests/simulation/test_mutations.py",
