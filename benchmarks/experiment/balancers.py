@@ -1,7 +1,8 @@
 """Places components one by one, as schedulers of clusters and of other middleware do.
 
-Both are models of published rules, not the programs. Pure. It imports internal modules:
-it places robots of the experiment.
+Both are models of published rules, not the programs. Pure.
+
+It imports internal modules: it places robots of the experiment.
 """
 
 from __future__ import annotations
