@@ -11,6 +11,7 @@ from msgspec.structs import replace
 from poise.errors import FileProblem, RobotError
 from poise.model.load import Source, load_source
 from poise.model.robot import Robot
+from poise.plan.why.late_chains import check_late_chains
 from poise.runtime.code_check import check_code_isolated
 from poise.session.callbacks import Say, log, nothing
 from poise.session.profiling.stored_profiles import profiled
@@ -75,8 +76,9 @@ def _checked(
 ) -> Source:
     source = load_source(Path(file))
     found = check_code_isolated(source.robot, meanwhile=meanwhile)
-    if found.findings:
-        problems = sorted(map(source.positions.problem, found.findings))
+    findings = found.findings or [*check_late_chains(source.robot)]
+    if findings:
+        problems = sorted(map(source.positions.problem, findings))
         raise RobotError(problems=problems)
     return replace(source, robot=replace(source.robot, code=found.code))
 

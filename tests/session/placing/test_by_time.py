@@ -133,7 +133,9 @@ def test_a_chain_that_is_late_anywhere_is_placed_and_said(placed: Place) -> None
     assert chain.margin < 0
     assert found.result.objective is not None
     assert found.result.objective.time > 1.0
-    assert "predicted data age" in str(found)
+    said = " ".join(str(found).split())
+    assert "chain 'see' is late: it does not keep its 1 ms, 100% of its data" in said
+    assert "is late" not in str(placed())
 
 
 def test_a_given_placement_is_predicted_as_it_is(placed: Place, tmp_path: Path) -> None:

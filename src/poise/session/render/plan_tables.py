@@ -58,6 +58,15 @@ def _chains(times: Mapping[str, PredictedTimes]) -> Iterator[RenderableType]:
     if rows.row_count:
         yield rows
     for name, predicted in times.items():
+        for chain in predicted.chains:
+            if chain.margin < 0:
+                where = f" in {name}" if phase else ""
+                yield _line(
+                    f"chain '{chain.name}' is late{where}",
+                    f"it does not keep its {units.format_seconds(chain.deadline)}, "
+                    f"{chain.late:.0%} of its data is older; most time goes to "
+                    f"{chain.slowest}",
+                )
         if predicted.unknown:
             yield _line(
                 "no data age is predicted",
