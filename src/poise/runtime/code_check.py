@@ -127,7 +127,8 @@ def code_of(entry: ComponentEntry, folder: str) -> ComponentCode:
     out = {n for n, port in ports.items() if port.kind in {"publishes", "requires"}}
     return ComponentCode(
         timers=tuple(
-            CodeTimer(each.name, each.period, each.deadline) for each in timers.values()
+            CodeTimer(timer.name, timer.period, timer.deadline)
+            for timer in timers.values()
         ),
         keep={
             name: port.queue.size
@@ -143,16 +144,16 @@ def code_of(entry: ComponentEntry, folder: str) -> ComponentCode:
 
 def _names_in(code: type[Component], methods: Iterable[str]) -> set[str]:
     """Return the names that methods use, and those of the class that they call."""
-    found, left = set[str](), [*methods]
+    names, left = set[str](), [*methods]
     while left:
         method = inspect.unwrap(getattr(code, left.pop(), None) or _nothing)
         codes = [method.__code__] if inspect.isfunction(method) else []
-        for each in codes:  # with what it defines: it grows meanwhile
-            codes += filter(inspect.iscode, each.co_consts)
-            new = set(each.co_names) - found
-            found |= new
+        for part in codes:  # with what it defines: it grows meanwhile
+            codes += filter(inspect.iscode, part.co_consts)
+            new = set(part.co_names) - names
+            names |= new
             left += [name for name in new if callable(getattr(code, name, None))]
-    return found
+    return names
 
 
 def _nothing() -> None:
@@ -316,7 +317,7 @@ def serve() -> None:
         findings = check_code(robot, frozenset(skipped), answer)
         is_right = not (findings or skipped)
         parts = [c for c in robot.components() if is_right and c.implementation]
-        code = {each.name: code_of(each, robot.folder) for each in parts}
+        code = {part.name: code_of(part, robot.folder) for part in parts}
         sys.stdout.flush()  # with the answer this process is ended
         answer(CheckedCode(findings, code))
     os._exit(0)  # the robot's code may have left threads that never end

@@ -106,7 +106,7 @@ class _Filling:
 
     def _several(self, kind: type, arguments: tuple[Any, ...], where: str) -> Any:  # noqa: ANN401, of `kind`
         if kind is tuple and arguments and arguments[-1] is not Ellipsis:
-            return tuple(self.value(each, where) for each in arguments)
+            return tuple(self.value(argument, where) for argument in arguments)
         if not arguments or arguments[0] not in (float, int):
             return kind()
         each = 9 if arguments[0] is float else 1  # as msgpack writes them [bytes]
@@ -173,7 +173,7 @@ class Replay(Component):
     ) -> type[Component]:
         """Return a class that publishes and calls what `parameters` say."""
         parts = parts_of(parameters)
-        types = {name: find_type(each.type, folder) for name, each in parts.items()}
+        types = {name: find_type(port.type, folder) for name, port in parts.items()}
         hints = {
             name: GenericAlias(Required if part.calls else Published, (types[name],))
             for name, part in parts.items()
@@ -198,7 +198,7 @@ class Replay(Component):
     def activate(self) -> None:
         """Begin with what comes first."""
         self._began = self.clock.now()
-        self._due = heapq.merge(*self._streams, key=lambda each: each[0])
+        self._due = heapq.merge(*self._streams, key=lambda due: due[0])
         self._next = next(self._due, None)
 
     @every(TICK)
@@ -214,12 +214,12 @@ class Replay(Component):
         self, name: str, part: PlayedPort, inputs: list[Input]
     ) -> Iterator[Due]:
         """Yield the messages or calls of a source, again and again."""
-        found = [each for each in inputs if each.source in part.sources]
+        entries = [entry for entry in inputs if entry.source in part.sources]
         send = self._call if part.calls else self._publish_recorded
-        length = max((each.at for each in inputs), default=0.0) + _PAUSE
-        for number, each in enumerate(cycle(found)):
-            at = number // len(found) * length + each.at
-            yield at, partial(send, name, each)
+        length = max((entry.at for entry in inputs), default=0.0) + _PAUSE
+        for number, entry in enumerate(cycle(entries)):
+            at = number // len(entries) * length + entry.at
+            yield at, partial(send, name, entry)
 
     def _publish(self, port: str, message: object) -> None:
         getattr(self, port).publish(message)

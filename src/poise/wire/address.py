@@ -117,14 +117,14 @@ def _let_go() -> None:
     try:
         unconnected = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     except OSError:  # no descriptor is free
-        for each in _private:
-            each.close()
+        for connection in _private:
+            connection.close()
         return
     with unconnected:
         # their numbers stay in use: whatever still sends there gets an error
-        for each in _private:
-            if each.fileno() >= 0:
-                os.dup2(unconnected.fileno(), each.fileno())
+        for connection in _private:
+            if connection.fileno() >= 0:
+                os.dup2(unconnected.fileno(), connection.fileno())
 
 
 os.register_at_fork(after_in_child=_let_go)

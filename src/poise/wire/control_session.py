@@ -77,17 +77,17 @@ def _sockets(link: zenoh.Link) -> Iterator[socket.socket]:
     """Yield this process's socket of a link, without taking it from zenoh."""
     for descriptor in list(Path("/proc/self/fd").iterdir()):
         try:
-            found = socket.socket(fileno=int(descriptor.name))
+            link_socket = socket.socket(fileno=int(descriptor.name))
         except OSError:  # no socket, or closed
             continue
         try:
-            ends = found.getsockname(), found.getpeername()
+            ends = link_socket.getsockname(), link_socket.getpeername()
             if _locators(ends) == (link.src, link.dst):
-                yield found
+                yield link_socket
         except OSError:  # not connected
             continue
         finally:
-            found.detach()
+            link_socket.detach()
 
 
 def _locators(ends: Sequence[object]) -> tuple[str, ...]:

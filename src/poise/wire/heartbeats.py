@@ -171,16 +171,16 @@ class Contacts:
 
     def relayed(self, name: str, now: float) -> tuple[str, float] | None:
         """Return who heard another last, and when at the latest [s], but for itself."""
-        found = [
+        echoes = [
             (contact.heard_at - echo.held, other)
             for other, contact in self._contacts.items()
             if other not in {name, MANAGER} and now - contact.heard_at < DETECTED
             for echo in [contact.last.heard.get(name)]
             if echo is not None and not echo.is_cut_off
         ]
-        if not found:
+        if not echoes:
             return None
-        at, other = max(found)
+        at, other = max(echoes)
         return other, at
 
     def qualities(self, now: float) -> Mapping[str, LinkQuality]:

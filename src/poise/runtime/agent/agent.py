@@ -327,8 +327,8 @@ class Agent:
     def _adopt(self) -> None:
         """Take over containers of an earlier agent."""
         try:
-            while (found := self._adoption.next_orphan()) is not None:
-                orphan, connection, stats_page = found
+            while (adopted := self._adoption.next_orphan()) is not None:
+                orphan, connection, stats_page = adopted
                 name, pid = orphan.container, orphan.pid
                 link = self._host.link(name, connection, stats_page)
                 if not self._core.on_orphan(name, pid, link):

@@ -123,14 +123,18 @@ class CheckpointFiles:
 
     def send_only(self, wanted: Deployment) -> None:
         """Send the checkpoints of what is wanted from now on."""
-        components = [c for each in wanted.containers for c in each.components]
+        components = [
+            c for container in wanted.containers for c in container.components
+        ]
         self._wanted = tuple((c.name, c.epoch) for c in components if c.checkpoint)
         if self._wanted:
             self._has_work.set()
 
     def remove_all_but(self, wanted: Deployment) -> None:
         """Remove the checkpoints of what is not wanted; raises OSError."""
-        components = [c for each in wanted.containers for c in each.components]
+        components = [
+            c for container in wanted.containers for c in container.components
+        ]
         kept = {checkpoint_path(self._folder, c.name, c.epoch) for c in components}
         for path in set(self._folder.glob("*.checkpoint")) - kept:
             path.unlink(missing_ok=True)
@@ -162,9 +166,9 @@ class CheckpointFiles:
         for component, epoch in self._wanted:
             path = checkpoint_path(self._folder, component, epoch)
             with contextlib.suppress(OSError):  # there is none yet
-                found = path.stat()
-                at = found.st_ino, found.st_mtime_ns
-                self._modified[component, epoch] = found.st_mtime
+                status = path.stat()
+                at = status.st_ino, status.st_mtime_ns
+                self._modified[component, epoch] = status.st_mtime
                 before = sent.get((component, epoch))
                 if at == before:
                     continue
@@ -174,7 +178,7 @@ class CheckpointFiles:
                     component=component,
                     epoch=epoch,
                     data=None if is_same else path.read_bytes(),
-                    age=age_of(found.st_mtime),
+                    age=age_of(status.st_mtime),
                 )
                 self._sent[component, epoch] = at
 

@@ -239,7 +239,7 @@ class HeartbeatExchange:
         The manager is always answered: one wake-up serves for both.
         """
         with self._lock:
-            answers = [self._answers(*each) for each in received]
+            answers = [self._answers(*arrival) for arrival in received]
         return any(answers)
 
     def _answers(self, beat: Heartbeat, source: Address, now: float) -> bool:
@@ -288,8 +288,10 @@ class HeartbeatExchange:
         is_first = self._began is not None and now < self._began + _AT_FIRST
         if now >= self._clocks_due or is_first:
             self._clocks_due = now + _CLOCKS_EVERY
-            found = {name: each.at(now) for name, each in sorted(self._offsets.items())}
-            self.clocks = {name: clock for name, clock in found.items() if clock}
+            clocks = {
+                name: offset.at(now) for name, offset in sorted(self._offsets.items())
+            }
+            self.clocks = {name: clock for name, clock in clocks.items() if clock}
 
     def _judge(self, now: float, age: float) -> None:
         """Tell the containers when the lease ends, or that it has ended."""

@@ -20,43 +20,43 @@ from poise.suggest import did_you_mean, listed
 
 def find(implementation: str, folder: str) -> type[Component]:
     """Return the component class ``package.module:Class``."""
-    found = find_type(implementation, folder)
-    if not issubclass(found, Component):
+    class_ = find_type(implementation, folder)
+    if not issubclass(class_, Component):
         raise RobotError(
-            f"'{implementation}' is not a component: class {found.__qualname__} must "
+            f"'{implementation}' is not a component: class {class_.__qualname__} must "
             "inherit from poise.Component"
         )
-    return found
+    return class_
 
 
 def find_type(reference: str, folder: str) -> type[Any]:
     """Return any class ``package.module:Class``; raises as `find` does."""
-    found = _find_any(reference, folder)
-    if not isinstance(found, type):
+    type_ = _find_any(reference, folder)
+    if not isinstance(type_, type):
         raise RobotError(
-            f"'{reference}' is of type {type(found).__name__}, not a class"
+            f"'{reference}' is of type {type(type_).__name__}, not a class"
         )
-    return found
+    return type_
 
 
 def find_function(reference: str, folder: str = "") -> Callable[[Any], Any]:
     """Return any function ``package.module:function``; raises as `find` does."""
-    found = _find_any(reference, folder)
-    if not callable(found):
+    function = _find_any(reference, folder)
+    if not callable(function):
         raise RobotError(
-            f"'{reference}' is of type {type(found).__name__}, not a function"
+            f"'{reference}' is of type {type(function).__name__}, not a function"
         )
-    return found  # type: ignore[no-any-return]
+    return function  # type: ignore[no-any-return]
 
 
 def _find_any(reference: str, folder: str) -> Any:  # noqa: ANN401, whatever it names
     module_name, _, path = reference.partition(":")
-    found: Any = load_module(module_name, folder)
+    attribute: Any = load_module(module_name, folder)
     for name in path.split("."):
-        if not hasattr(found, name):
-            raise RobotError(_no_attribute(reference, found, name))
-        found = getattr(found, name)
-    return found
+        if not hasattr(attribute, name):
+            raise RobotError(_no_attribute(reference, attribute, name))
+        attribute = getattr(attribute, name)
+    return attribute
 
 
 def search_also(folders: Iterable[str]) -> None:

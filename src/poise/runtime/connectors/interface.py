@@ -30,16 +30,16 @@ class Method(Struct, frozen=True):
 @cache
 def methods(interface: type) -> Mapping[int, Method]:
     """Return the methods of an interface by tag."""
-    found: dict[int, Method] = {}
+    by_tag: dict[int, Method] = {}
     for name in methods_of(interface):
         method = _method(interface, name)
-        if method.tag in found:
+        if method.tag in by_tag:
             raise UsageError(
-                f"methods {name} and {found[method.tag].name} of "
+                f"methods {name} and {by_tag[method.tag].name} of "
                 f"{interface.__qualname__} have the same tag: rename one"
             )
-        found[method.tag] = method
-    return found
+        by_tag[method.tag] = method
+    return by_tag
 
 
 def tag_of(description: str) -> int:
@@ -104,7 +104,7 @@ class Proxy:
 
     def __getattr__(self, name: str) -> NoReturn:
         """Name the methods that exist; Python asks only for one that does not."""
-        known = [each for each in vars(self) if not each.startswith("_")]
+        known = [var for var in vars(self) if not var.startswith("_")]
         raise AttributeError(
             f"{self._what} has no method '{name}'{did_you_mean(name, known)}; "
             f"methods: {listed(known)}"

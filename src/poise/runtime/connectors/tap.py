@@ -109,8 +109,8 @@ def observed_send(
     """Return a function that sends a message or one-way call, and lets it be noted."""
 
     def go(value: object, method: Any = None) -> None:  # noqa: ANN401, as the sender's
-        for each in observers:
-            each.note(lambda: value if method is None else {method.name: value})
+        for observer in observers:
+            observer.note(lambda: value if method is None else {method.name: value})
         send(value, method)
 
     return go
@@ -135,8 +135,8 @@ def observed_call(
         finally:
             took = time.monotonic() - began
             said = {name: [*args, *kwargs.values()], **outcome, "seconds": took}
-            for each in observers:
-                each.note(lambda: said)
+            for observer in observers:
+                observer.note(lambda: said)
 
     return run
 
@@ -167,7 +167,7 @@ class Plain:
         if isinstance(value, msgspec.Struct):
             return partial(self._fields, value, value.__struct_fields__)
         if dataclasses.is_dataclass(value):
-            names = [each.name for each in dataclasses.fields(value)]
+            names = [field.name for field in dataclasses.fields(value)]
             return partial(self._fields, value, names)
         if isinstance(value, Mapping):
             return partial(self._entries, value)
@@ -177,11 +177,11 @@ class Plain:
 
     def _entries(self, value: Mapping[Any, object], depth: int) -> dict[str, Any]:
         first = islice(value.items(), self._items)
-        named = {self._cut(str(key)): self.of(each, depth) for key, each in first}
+        named = {self._cut(str(key)): self.of(item, depth) for key, item in first}
         return named | dict.fromkeys(self._more(value), "")
 
     def _list(self, value: Collection[object], depth: int) -> list[Any]:
-        first = [self.of(each, depth) for each in islice(value, self._items)]
+        first = [self.of(item, depth) for item in islice(value, self._items)]
         return [*first, *self._more(value)]
 
     def _fields(self, value: object, names: Iterable[str], depth: int) -> Any:  # noqa: ANN401, JSON's
@@ -245,14 +245,18 @@ class Taps:
         if not self._observed:
             return
         until = time.monotonic() - KEPT_FOR
-        gone = [key for key, each in self._observed.items() if each.read_at < until]
+        gone = [
+            key for key, observer in self._observed.items() if observer.read_at < until
+        ]
         for key in gone:
             del self._observed[key]
             self._show(key[0])
 
     def _show(self, sender: Sender) -> None:
         sender.observe(
-            tuple(o for (each, _), o in self._observed.items() if each is sender)
+            tuple(
+                o for (observed, _), o in self._observed.items() if observed is sender
+            )
         )
 
 

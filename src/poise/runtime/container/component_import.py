@@ -21,9 +21,9 @@ def implementation_of(spec: ComponentSpec, folder: str) -> type[Component]:
     if spec.command:
         own = {"command": spec.command, "folder": folder or "."}
         return type("CommandLine", (CommandLine,), own)
-    found = find(spec.implementation, folder)
-    special = getattr(found, "__poise_specialised__", None)
-    return special(spec.parameters, folder) if special else found
+    class_ = find(spec.implementation, folder)
+    special = getattr(class_, "__poise_specialised__", None)
+    return special(spec.parameters, folder) if special else class_
 
 
 def prepare(

@@ -165,7 +165,7 @@ class Container:
     def _missed(self) -> int:
         """Return how many deadlines of timers were missed."""
         now = self._clock.now()
-        return sum(each.timers.missed(now) for each in self._runners.values())
+        return sum(runner.timers.missed(now) for runner in self._runners.values())
 
     def _listen(self, limit: float) -> bool:
         """Wait up to `limit` [s] for news, take it in, return whether to report it."""
@@ -199,8 +199,8 @@ class Container:
     def _note_pauses(self) -> None:
         """Say which components wait amid a move that its manager has left, once."""
         now = self._clock.now()
-        paused = [each for each in self._runners.values() if each.is_paused]
-        self._paused = {each: self._paused.get(each, now) for each in paused}
+        paused = [runner for runner in self._runners.values() if runner.is_paused]
+        self._paused = {runner: self._paused.get(runner, now) for runner in paused}
         for runner, since in self._paused.items():
             if now - since > _LONG_PAUSE:
                 self._paused[runner] = math.inf  # it is said once
@@ -262,7 +262,7 @@ class Container:
         # While others work here they would wait for the interpreter, which a thread
         # that hardly gets a CPU may hold.
         is_idle = all(
-            each.life_cycle.state != "active" for each in self._runners.values()
+            runner.life_cycle.state != "active" for runner in self._runners.values()
         )
         preparation = prepare(
             component,
@@ -285,7 +285,7 @@ class Container:
 
     def _take_prepared(self) -> bool:
         """Start the components whose preparation is done; whether there were any."""
-        done = [key for key, (_, each) in self._preparing.items() if each.done()]
+        done = [key for key, (_, future) in self._preparing.items() if future.done()]
         for key in done:
             spec, prepared = self._preparing.pop(key)
             if error := prepared.exception():
@@ -321,7 +321,7 @@ class Container:
 
     def _end_removed(self) -> bool:
         """Forget removed components that have ended; whether there were any."""
-        ended = [key for key, (each, _) in self._ending.items() if each.has_ended()]
+        ended = [key for key, (runner, _) in self._ending.items() if runner.has_ended()]
         for key in ended:
             del self._ending[key]
         for key, (runner, limit) in self._ending.items():
@@ -333,13 +333,13 @@ class Container:
     def _status(self) -> ContainerStatus:
         used = self._stats_page.cpu()
         broken = {key: status for key, (_, status) in self._broken.items()}
-        components = {key: each.status() for key, (each, _) in self._ending.items()}
+        components = {key: runner.status() for key, (runner, _) in self._ending.items()}
         components |= {
             key: ComponentStatus(name=key[0], epoch=key[1], state="unconfigured")
             for key in self._preparing
         }
         components |= {
-            key: each.status(used.get(key)) for key, each in self._runners.items()
+            key: runner.status(used.get(key)) for key, runner in self._runners.items()
         }
         return ContainerStatus(
             name=self._name,
@@ -355,10 +355,10 @@ class Container:
     def _stop(self) -> None:
         deadline = self._clock.now() + self._stop_limit
         running = {**self._runners, **{k: r for k, (r, _) in self._ending.items()}}
-        for each in running.values():
-            each.aim("finalized")
-        for (name, _), each in running.items():
-            if not each.wait_ended(max(0.0, deadline - self._clock.now())):
+        for runner in running.values():
+            runner.aim("finalized")
+        for (name, _), runner in running.items():
+            if not runner.wait_ended(max(0.0, deadline - self._clock.now())):
                 log.warning("component '%s' did not end in time", name)
         with contextlib.suppress(Timeout):  # nobody may be left to tell
             self._report(self._status())

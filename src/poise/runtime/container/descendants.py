@@ -33,15 +33,15 @@ def children() -> set[int]:
 
 def _children_by_thread() -> dict[int, set[int]]:
     """Return each thread's children, the main thread's last, as it inherits others'."""
-    found: dict[int, set[int]] = {}
+    children: dict[int, set[int]] = {}
     main, tasks = os.getpid(), Path("/proc/self/task")
     with contextlib.suppress(OSError):
         threads = {int(folder.name) for folder in tasks.iterdir()}
         for thread in (*(threads - {main}), main):
             with contextlib.suppress(OSError):  # it has ended
                 text = (tasks / str(thread) / "children").read_text()
-                found[thread] = set(map(int, text.split()))
-    return found
+                children[thread] = set(map(int, text.split()))
+    return children
 
 
 class Orphans:
@@ -64,7 +64,7 @@ class Orphans:
         adopted = by_thread.pop(os.getpid(), set())
         forked = set().union(*by_thread.values())
         # a child that has just got another parent thread may be in neither list
-        self._forked = {each for each in forked | self._forked if _is_child(each)}
+        self._forked = {child for child in forked | self._forked if _is_child(child)}
         before, self._ended = self._ended, {}
         for child in adopted - self._forked:
             with contextlib.suppress(ProcessLookupError, ChildProcessError):

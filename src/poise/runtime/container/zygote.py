@@ -196,10 +196,10 @@ class _Zygote:
             while info := os.waitid(os.P_ALL, 0, _LOOK_AT_ENDED):
                 # before it is reaped no other process has its number
                 kill_all({info.si_pid} & self._containers)
-                found = os.waitpid(info.si_pid, 0)
+                end = os.waitpid(info.si_pid, 0)
                 if info.si_pid in self._containers:
                     self._containers.remove(info.si_pid)
-                    ended.append(found)
+                    ended.append(end)
         kill_all(children() - self._containers)
         return ended
 

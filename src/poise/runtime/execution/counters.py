@@ -87,18 +87,18 @@ class StatsPage:
         ends: Iterable[OpenEndpoints],
     ) -> None:
         """Let the agent see the counters of these, and of no others."""
-        components = {key: each.counters for key, each in running.items()}
+        components = {key: runner.counters for key, runner in running.items()}
         connectors = list(ends)
         wanted: set[ComponentCounters | Counts] = {*components.values()}
-        wanted |= {each.counts for each in connectors}
+        wanted |= {connector.counts for connector in connectors}
         for gone in self._shown - wanted:
             gone.leave()
         new, self._shown = wanted - self._shown, wanted
         for (name, epoch), counters in components.items():
             if counters in new and not counters.enter(self._native, name, epoch):
                 self._refuse(counters, f"component '{name}'")
-        for each in connectors:
-            spec, counts = each.spec, each.counts
+        for connector in connectors:
+            spec, counts = connector.spec, connector.counts
             if counts in new and not counts.enter(self._native, spec.name):
                 self._refuse(counts, f"connector {spec.name}")
             # during a move a sender has two routes: the later one is the one it uses
@@ -109,9 +109,9 @@ class StatsPage:
 
     def cpu(self) -> dict[ComponentKey, float]:
         """Return the CPU time of each component so far [s]."""
-        found = self._sampler.read()
-        return {} if found is None else {(c[0], c[1]): c[2] for c in found[2]}
+        reading = self._sampler.read()
+        return {} if reading is None else {(c[0], c[1]): c[2] for c in reading[2]}
 
-    def _refuse(self, each: ComponentCounters | Counts, what: str) -> None:
-        self._shown.discard(each)
+    def _refuse(self, counters: ComponentCounters | Counts, what: str) -> None:
+        self._shown.discard(counters)
         log.warning("%s is not counted: all %d records are in use", what, MOST)

@@ -105,7 +105,7 @@ class Timers:
                 self._releases[name].restart(start, stopped)
             else:
                 self._releases[name] = Releases(timer, start)
-        return [(each.start, each.timer.period) for each in self]
+        return [(releases.start, releases.timer.period) for releases in self]
 
     def stop(self, now: float) -> None:
         """Count no release after `now` [s]."""
@@ -113,21 +113,21 @@ class Timers:
 
     def next_due(self) -> float | None:
         """Return when a timer is due next [s]; None when there is none."""
-        return min((each.due for each in self), default=None)
+        return min((releases.due for releases in self), default=None)
 
     def left(self, now: float) -> dict[str, float]:
         """Return the time until each is due next [s]."""
-        return {each.timer.name: each.due - now for each in self}
+        return {releases.timer.name: releases.due - now for releases in self}
 
     def missed(self, now: float) -> int:
         """Return how many releases missed their deadlines, as `status`."""
         until = self._until(now)
-        return sum(each.missed(until) for each in self)
+        return sum(releases.missed(until) for releases in self)
 
     def status(self, now: float) -> tuple[TimerStatus, ...]:
         """Return what was counted until `now` [s], or until they were stopped."""
         until = self._until(now)
-        return tuple(each.status(until) for each in self)
+        return tuple(releases.status(until) for releases in self)
 
     def _until(self, now: float) -> float:
         return now if self._stopped_at is None else self._stopped_at

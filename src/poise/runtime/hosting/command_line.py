@@ -137,11 +137,11 @@ def program(name: str, folder: str) -> str:
     if name in {"python", "python3"}:
         return sys.executable
     beside = Path(folder, name).resolve()
-    found = shutil.which(str(beside)) if "/" in name else shutil.which(name)
-    if found is None:
+    path = shutil.which(str(beside)) if "/" in name else shutil.which(name)
+    if path is None:
         where = f"as {beside}" if "/" in name else "on the PATH"
         raise FileNotFoundError(f"there is no such program {where}")
-    return found
+    return path
 
 
 def die_with_parent() -> None:

@@ -112,14 +112,14 @@ def read_output(folder: Path, asked: ReadOutput) -> OutputLines:
     """Return what the containers of a folder have written."""
     until = int(wall_time() * 1e9) - _BEING_WRITTEN
     # a set: a file that is put aside meanwhile is read twice
-    found = {
+    kept = {
         line
         for ending in (_NOW, _BEFORE)
         for path in folder.glob(f"*{ending}")
         for line in _lines(path, asked.after)
         if asked.after < line.at <= until and asked.component in {"", line.component}
     }
-    lines = sorted(found, key=lambda line: line.at)
+    lines = sorted(kept, key=lambda line: line.at)
     told = lines[-asked.most :]
     return OutputLines(lines=tuple(told), omitted=len(lines) - len(told))
 

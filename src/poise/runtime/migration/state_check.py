@@ -31,7 +31,7 @@ def check_fits(described: str, taken: Any, by: str) -> None:  # noqa: ANN401, an
     """Raise UsageError when a described state is not what method `by` takes."""
     is_union = get_origin(taken) in {Union, UnionType}
     options = get_args(taken) if is_union else (taken,)
-    if taken is Any or any(describe_type(each) == described for each in options):
+    if taken is Any or any(describe_type(option) == described for option in options):
         return
     raise UsageError(
         f"the state has the fields {described}, but {by} takes "
@@ -107,7 +107,7 @@ def types_of(
 ) -> tuple[Mapping[str, Any], Mapping[str, Any]]:
     """Return which states a function takes, and which it gives: component -> type."""
     hints = get_type_hints(adapt)
-    found = []
+    messages = []
     for name in (*inspect.signature(adapt).parameters, "return"):
         type_ = hints.get(name)
         if not (isinstance(type_, type) and issubclass(type_, Struct)):
@@ -116,7 +116,7 @@ def types_of(
                 "classes with a field for each component whose state it takes or gives"
             )
         types = get_type_hints(type_)
-        found.append({field: types[field] for field in type_.__struct_fields__})
-    if len(found) != 2:  # noqa: PLR2004, one in, one out
+        messages.append({field: types[field] for field in type_.__struct_fields__})
+    if len(messages) != 2:  # noqa: PLR2004, one in, one out
         raise UsageError(f"{adapt.__qualname__} must take one argument: the old states")
-    return found[0], found[1]
+    return messages[0], messages[1]

@@ -74,8 +74,11 @@ class ContainerProcess:
             return False
         if self.status is None:  # one that was adopted may run anything
             return not self._is_adopted
-        known = {(each.name, each.epoch) for each in wanted.components}
-        return all((each.name, each.epoch) in known for each in self._components())
+        known = {(component.name, component.epoch) for component in wanted.components}
+        return all(
+            (component.name, component.epoch) in known
+            for component in self._components()
+        )
 
     def close(self) -> None:
         """Let go of what leads to it."""

@@ -122,12 +122,12 @@ class HealthRecords:
 
     def records(self, usage: Usage) -> tuple[ContainerHealth, ...]:
         """Return the health of all containers, with what they use now."""
-        since, found = self._clock() - _LATELY, []
+        since, records = self._clock() - _LATELY, []
         for name, health in self._of.items():
             used = structs.asdict(usage.get(name, _NOTHING))
             lately = sum(moment > since for moment in self._restarts.get(name, ()))
-            found.append(structs.replace(health, **used, restarts_lately=lately))
-        return tuple(found)
+            records.append(structs.replace(health, **used, restarts_lately=lately))
+        return tuple(records)
 
     def _enter(
         self,
@@ -210,10 +210,10 @@ class Watchdog:
             elif known.silence is None:
                 if was_away:
                     known.looked_at = 0.0
-                found = self._diagnosis(name, pid, known, now)
-                if found is not None:
-                    known.silence = found
-                    yield found
+                silence = self._diagnosis(name, pid, known, now)
+                if silence is not None:
+                    known.silence = silence
+                    yield silence
             self._watched[pid] = known
 
     def _diagnosis(
@@ -224,11 +224,11 @@ class Watchdog:
         if seconds < _SUSPICIOUS:
             return None
         kernel = self._processes
-        found = partial(
+        silence = partial(
             Silence, container=name, pid=pid, seconds=seconds, heartbeat=known.beat
         )
         if kernel.is_stopped(pid):
-            return found(
+            return silence(
                 reason="its process is stopped (SIGSTOP)",
                 remedy=f"`kill -CONT {pid}` lets it go on",
             )
@@ -252,8 +252,8 @@ class Watchdog:
             reason = "a thread holds its interpreter (GIL)"
         elif is_starved:
             remedy = "Give its computer more CPU, or move components to another"
-            return found(reason="it gets no CPU", remedy=remedy, is_starved=True)
+            return silence(reason="it gets no CPU", remedy=remedy, is_starved=True)
         else:
             reason = "a thread waits while it holds its interpreter (GIL)"
         remedy = f"`kill -KILL {pid}` ends it, and it is started again"
-        return found(reason=reason, remedy=remedy)
+        return silence(reason=reason, remedy=remedy)

@@ -188,9 +188,9 @@ class ProcessHost:
         self, name: str, connection: socket.socket, stats_page: int
     ) -> ControlLink:
         """Return the agent's end of a connection to a container that it owns now."""
-        found = ControlLink(name, connection, stats_page)
-        self._links = [*self.links(), found]
-        return found
+        link = ControlLink(name, connection, stats_page)
+        self._links = [*self.links(), link]
+        return link
 
     def links(self) -> list[ControlLink]:
         """Return the connections that are open; from any thread."""
@@ -198,7 +198,7 @@ class ProcessHost:
 
     def pages(self) -> list[tuple[str, int, PageSampler]]:
         """Return name, process and stats page of what was born; from any thread."""
-        return [(each.name, each.pid, each.page) for each in self.links() if each.page]
+        return [(link.name, link.pid, link.page) for link in self.links() if link.page]
 
     def settle(self, spec: ContainerSpec, pid: int) -> None:
         """Give a process what its container is to have of the CPU and the memory."""
@@ -301,13 +301,13 @@ def own_group() -> Path | None:
     if folder is not None:
         return Path(folder) if folder else None
     for mount in mounts():
-        found = mount.own
-        if found == mount.top or "cpu" not in mount.controllers:
+        group = mount.own
+        if group == mount.top or "cpu" not in mount.controllers:
             continue
-        if found.name == "agent":  # of an agent before, or systemd's DelegateSubgroup
-            found = found.parent
-        if os.access(found / "cgroup.procs", os.W_OK):
-            return found
+        if group.name == "agent":  # of an agent before, or systemd's DelegateSubgroup
+            group = group.parent
+        if os.access(group / "cgroup.procs", os.W_OK):
+            return group
     return None
 
 

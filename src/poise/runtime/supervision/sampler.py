@@ -97,18 +97,18 @@ class Sampler:
         containers = self._containers()
         self._weigh(containers)
         growth = self._follow_growth(containers, time.monotonic())
-        found = []
+        samples = []
         for name, pid, page in containers:
             read = page.read()
             if read is not None:
                 at, cpu, components, connectors = read
                 memory = self._memory[pid].proportional
-                found.append((name, pid, at, cpu, memory, components, connectors))
+                samples.append((name, pid, at, cpu, memory, components, connectors))
         now, own = time.monotonic(), time.process_time()
-        used = {n: (cpu, memory) for n, _, _, cpu, memory, *_ in found}
+        used = {n: (cpu, memory) for n, _, _, cpu, memory, *_ in samples}
         self._note_usage(now, own, used, growth)
         # an `AgentSample`, whose records are arrays
-        sample = (self._computer, now, own, found, self._computer_cpu.read())
+        sample = (self._computer, now, own, samples, self._computer_cpu.read())
         return self._encoder.encode(sample)
 
     def _follow_growth(

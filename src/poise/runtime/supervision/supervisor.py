@@ -174,8 +174,8 @@ class Supervisor:
 
     def name_of(self, pid: int) -> str:
         """Return the container of a process; empty: it is of none."""
-        found = (p.name for p in self.processes.values() if p.pid == pid)
-        return next(found, "")
+        names = (p.name for p in self.processes.values() if p.pid == pid)
+        return next(names, "")
 
     def adopt(self, name: str, pid: int, control: ContainerControl) -> bool:
         """Take over a container of an earlier agent; return whether that is done."""
@@ -234,8 +234,8 @@ class Supervisor:
     def _specs(self) -> dict[str, ContainerSpec]:
         containers = self.wanted.containers if self.wanted else ()
         if self.is_cut_off:
-            containers = tuple(each.without_lease() for each in containers)
-        return {each.name: each for each in containers}
+            containers = tuple(container.without_lease() for container in containers)
+        return {container.name: container for container in containers}
 
     def _moments(self) -> Iterator[float]:
         again_at = self._supervised.again_at
@@ -318,7 +318,7 @@ class Supervisor:
 
 
 def _named(name: str, containers: Iterable[ContainerSpec]) -> ContainerSpec | None:
-    return next((each for each in containers if each.name == name), None)
+    return next((container for container in containers if container.name == name), None)
 
 
 def part_of(container: str) -> str:

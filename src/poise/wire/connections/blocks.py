@@ -118,8 +118,8 @@ class Blocks:
         """Return the block whose loan begins where `sent` does, if there is one."""
         address = _channel.address(sent)
         with self._changing:
-            found = (b for b in self._blocks.values() if b.address == address)
-            return next(found, None)
+            blocks = (b for b in self._blocks.values() if b.address == address)
+            return next(blocks, None)
 
     def allocate_slot(self) -> int | None:
         """Return a slot for a connection; None when all are used."""

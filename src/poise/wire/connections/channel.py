@@ -157,8 +157,8 @@ class Channel:
         deadline = time.monotonic() + limit
         connections = self._calls
         while True:
-            found = self._fresh(connections)
-            connection = found or self._connect(CALLS, deadline)
+            idle = self._fresh(connections)
+            connection = idle or self._connect(CALLS, deadline)
             try:
                 answer = connection.ask(pieces, deadline)
             except BaseException:
@@ -172,7 +172,7 @@ class Channel:
             connections.drop(connection)
             if answer is not None:
                 return answer
-            if found is None:  # else the receiver had closed it while it was idle
+            if idle is None:  # else the receiver had closed it while it was idle
                 raise Unavailable(f"{self._connector}: {self._address} went away")
 
     def push(
@@ -208,13 +208,13 @@ class Channel:
         """Send a message over the open connection or a new one; return that."""
         connections = self._messages
         while True:
-            found = self._fresh(connections)
-            connection = found or self._connect(MESSAGES, deadline)
+            idle = self._fresh(connections)
+            connection = idle or self._connect(MESSAGES, deadline)
             try:
                 connection.send(pieces, deadline)
             except Unavailable:
                 connections.drop(connection)
-                if found is None or self._is_lost:
+                if idle is None or self._is_lost:
                     raise
                 # the receiver closed it while it was idle, and has got nothing
             except BaseException:

@@ -126,8 +126,8 @@ class ContainerSpec(Struct, frozen=True, kw_only=True, tag=True):
     def without_lease(self) -> ContainerSpec:
         """Return it with its leased components inactive, with their state."""
         components = (
-            replace(each, goal="inactive") if each.leased else each
-            for each in self.components
+            replace(component, goal="inactive") if component.leased else component
+            for component in self.components
         )
         return replace(self, components=tuple(components))
 

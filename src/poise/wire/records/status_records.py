@@ -167,16 +167,24 @@ class ContainerStatus(Struct, frozen=True, kw_only=True, tag=True, dict=True):
     def states(self) -> tuple[object, ...]:
         """What is worth a word at once when it changes; counters are not."""
         components = [
-            (each.name, each.epoch, each.state, each.errors, each.task_requests)
-            for each in self.components
+            (
+                component.name,
+                component.epoch,
+                component.state,
+                component.errors,
+                component.task_requests,
+            )
+            for component in self.components
         ]
-        connectors = [(each.name, each.ready) for each in self.connectors]
+        connectors = [
+            (connector.name, connector.ready) for connector in self.connectors
+        ]
         return self.name, components, connectors
 
     @cached_property
     def missed(self) -> int:
         """How many deadlines its timers have missed."""
-        timers = (timer for each in self.components for timer in each.timers)
+        timers = (timer for component in self.components for timer in component.timers)
         return sum(timer.missed for timer in timers)
 
 
@@ -259,7 +267,7 @@ class AgentStatus(Struct, frozen=True, kw_only=True, dict=True):
     @cached_property
     def components(self) -> tuple[ComponentStatus, ...]:
         """The components in all containers."""
-        return tuple(c for each in self.containers for c in each.components)
+        return tuple(c for container in self.containers for c in container.components)
 
     @cached_property
     def states(self) -> tuple[object, ...]:
