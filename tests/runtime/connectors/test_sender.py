@@ -132,6 +132,13 @@ def test_a_marker_goes_behind_all_that_went(sender: Sender, old: FakeRoute) -> N
     assert old.went == [1, "marker 7"]
 
 
+def test_where_only_calls_go_out_no_marker_is_sent() -> None:
+    sender = Sender("a.sums-b.sums", Port("sums", "requires", Sums), Proxy("a"), 0.05)
+    sender.add("old", path := FakeRoute())
+    sender.send_marker(7)
+    assert path.went == []
+
+
 def test_no_marker_goes_to_nobody(sender: Sender) -> None:
     with pytest.raises(Unavailable, match="nobody at its other end"):
         sender.send_marker(7)

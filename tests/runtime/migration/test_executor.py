@@ -148,7 +148,7 @@ def test_a_release_waits_for_calls_at_the_former_target(
 ) -> None:
     """Over a link that was cut they come late: the source must not end before."""
     looks = iter(range(1, left_after))
-    wiring = Mock()
+    wiring = Mock(with_messages=lambda names, _: set(names))
     wiring.sender.return_value.name = "calls"
     wiring.sender.return_value.has_left = lambda: not next(looks, 0)
     release = Step("release to targets", connectors=("key",))
@@ -210,7 +210,7 @@ def test_over_a_cut_link_no_marker_is_sent_and_nobody_is_waited_for(
 
 
 def test_what_arrives_late_over_a_cut_link_is_taken_no_more(runner: Runner) -> None:
-    wiring = Mock()
+    wiring = Mock(with_messages=lambda names, _: set(names))
     executor = MigrationExecutor({("one", 0): runner}, wiring, Mock())
     drain = Step("drain channels", "one", 0, late={"key": 1})
     assert isinstance(executor.receive(batch(drain))(), StepsDone)

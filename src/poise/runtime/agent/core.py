@@ -120,7 +120,8 @@ class AgentCore:
 
     def on_request(self, asked: ManagerRequest, reply: Reply) -> None:
         """Do what a manager asks for, or refuse it; it is answered once."""
-        self._has_news = True
+        # steps and taps change nothing that a tick does, and callers wait for them
+        self._has_news |= not isinstance(asked.request, Order)
         try:
             self._attend(asked, reply)
         except Exception as error:  # noqa: BLE001, it is logged and shown
@@ -258,6 +259,7 @@ class AgentCore:
                 reply(StepsFailed(request.number, refusal))
             else:
                 self._relay.pass_on(request, reply, self._clock.now())
+                self._due = min(self._due, self._relay.moment())
         elif refusal:
             reply(Refused(refusal))
         elif isinstance(request, ReadOutput | CheckpointCopy):

@@ -11,7 +11,7 @@ from typing import Any, NoReturn, get_type_hints
 from msgspec import Struct
 
 from poise.errors import Unavailable, UsageError
-from poise.runtime.component.ports import is_oneway, methods_of
+from poise.runtime.component.ports import Port, is_oneway, methods_of
 from poise.suggest import did_you_mean, listed
 from poise.wire.codec import Codec, codec
 
@@ -40,6 +40,13 @@ def methods(interface: type) -> Mapping[int, Method]:
             )
         by_tag[method.tag] = method
     return by_tag
+
+
+def carries_messages(port: Port) -> bool:
+    """Return whether messages or one-way calls go over a port's connectors."""
+    if port.kind in {"publishes", "subscribes"}:
+        return True
+    return any(method.oneway for method in methods(port.type).values())
 
 
 def tag_of(description: str) -> int:

@@ -22,6 +22,7 @@ from poise.runtime.component.ports import Port
 from poise.runtime.connectors.interface import (
     Method,
     Proxy,
+    carries_messages,
     methods,
     oneway_function,
     refusing,
@@ -158,7 +159,12 @@ class Sender:
         return not any(route.is_calling() for route in others)
 
     def send_marker(self, number: int) -> None:
-        """Send a marker behind all that went out, within `limit` [s]."""
+        """Send a marker behind all messages that went out, within `limit` [s].
+
+        Where only calls go out there are none: those in progress end before a pause.
+        """
+        if not carries_messages(self.port):
+            return
         with self._lock:
             if not self._wait(
                 lambda: not (self._is_claimed or self._is_draining), self._limit

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from collections.abc import Set as AbstractSet
 from contextlib import ExitStack
 from functools import partial
@@ -15,6 +15,7 @@ from poise.runtime.component.error_report import traceback_of
 from poise.runtime.component.ports import Kind, Port
 from poise.runtime.connectors.channel_route import ChannelRoute, receiving
 from poise.runtime.connectors.flow_control import Credit, CreditIssuer
+from poise.runtime.connectors.interface import carries_messages
 from poise.runtime.connectors.route import DirectRoute, Route
 from poise.runtime.connectors.sender import Sender
 from poise.runtime.connectors.tap import InputFile
@@ -106,6 +107,17 @@ class Wiring:
             if ends.sender and connector in {ends.spec.name, ends.spec.key}:
                 return ends.sender
         raise UsageError(f"no connector '{connector}' begins in this container")
+
+    def with_messages(self, connectors: Iterable[str], target: Runner) -> set[str]:
+        """Return those over which messages come to a target: not only calls."""
+        only_calls = {
+            ends.spec.name
+            for ends in self.endpoints()
+            if ends.spec.target == target.spec.name
+            and (port := target.ports.get(ends.spec.target_port)) is not None
+            and not carries_messages(port)
+        }
+        return set(connectors) - only_calls
 
     def shut(self, key: str) -> None:
         """Take nothing more over a connector until `apply` joins it again."""

@@ -225,11 +225,12 @@ class MigrationExecutor:
                     text += "the computer that its target left"
                     poll_until(sender.has_left, deadline, text)
             case "drain channels":
-                markers = dict.fromkeys(step.connectors, migration)
-                left = max(0.0, deadline - time.monotonic())
+                runner = self._runner(step)
+                marked = self._wiring.with_messages(step.connectors, runner)
+                markers = dict.fromkeys(marked, migration)
                 for key in step.late:
                     self._wiring.shut(key)
-                self._runner(step).endpoints.wait_markers(markers, left)
+                runner.endpoints.wait_markers(markers, _left(deadline))
         if step.role is not None:
             participant = self._participant(self._runner(step), step.role, migration)
             with participant.phases.taking(step.name, step.phase):

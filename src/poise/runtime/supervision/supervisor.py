@@ -126,7 +126,9 @@ class Supervisor:
         return process is not None and not process.is_deaf and not is_resting
 
     def is_news(self, container: str, said: FromContainer) -> bool:
-        """Return whether what a container says is more than that it counted on."""
+        """Return whether what a container says changes what a tick does."""
+        if isinstance(said, Outcome):
+            return False
         process = self.processes.get(container)
         before = None if process is None else process.status
         return (
