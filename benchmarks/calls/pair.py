@@ -26,7 +26,7 @@ IDLE = 0.5
 
 
 class Row(Struct, frozen=True):
-    """What was measured; `idle` is the CPU of both processes at rest [cores]."""
+    """What was measured; `idle` is the CPU of both idle processes [cores]."""
 
     title: str
     key: str

@@ -257,8 +257,8 @@ class ComputerMemory:
                     if limit >= NO_LIMIT:
                         continue
                     used = int((group / use).read_text())
-                    spare = table((group / "memory.stat").read_text()).get(cache, 0)
-                    yield MemoryRoom(limit, max(0.0, limit - used + spare))
+                    cached = table((group / "memory.stat").read_text()).get(cache, 0)
+                    yield MemoryRoom(limit, max(0.0, limit - used + cached))
 
 
 def table(text: str) -> dict[str, int]:

@@ -160,7 +160,7 @@ def trouble_of(s: State) -> str:
     elif any(runs > 1 for _, runs in s.runs):
         trouble = "a call was run twice"
     elif any(one.phase != "work" and _has_chains(one) for one in both):
-        trouble = "a chain is inside what is at rest"
+        trouble = "a chain is inside what is paused"
     elif s.spec == "old" and any(item % 1 for item in got):
         trouble = "what was not kept has spoken"
     elif s.round == "end" and is_quiet(s):

@@ -1,1 +1,1 @@
-"""What runs on a robot's computers: agents, containers, components."""
+"""The agents, containers and components of a robot's computers."""

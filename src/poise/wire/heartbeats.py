@@ -29,7 +29,7 @@ from poise.wire.records.heartbeat_records import MANAGER, Echo, Heartbeat, LinkQ
 EVERY = 0.1
 """A heartbeat goes out this often [s]."""
 _PATIENT = 0.13
-"""Who answers the manager's heartbeats sends one by itself only after this time [s]."""
+"""An agent that answers heartbeats sends others only after this time [s]."""
 ASK_AFTER = 0.2
 """Who is silent for longer is asked for a heartbeat [s]."""
 ASK_EVERY = 0.025
@@ -46,7 +46,7 @@ UNCUT_SURELY_ENDED = 11.0
 _WINDOW = 50
 """The number of heartbeats over which loss is counted."""
 _IN_A_ROW = 2
-"""Of heartbeats in a row that did not come, so many count as lost: else one short cut
+"""Of heartbeats in a row that did not come, this many count as lost: else one short cut
 would look like a bad link for as long as the window lasts."""
 _DELAYS = 15
 _FORGOTTEN = 3.0

@@ -64,10 +64,10 @@ def test_an_implementation_is_not_replaced(layer: str) -> None:
 def test_an_architecture_is_not_replaced(layer: str) -> None:
     robot = robot_of_two(layer)
     high, low = robot.architectures
-    spare = replace(
+    other = replace(
         low, name="spare", components=(replace(low.components[0], name="spare"),)
     )
-    robbed = Robbed(replace(robot, architectures=(high, low, spare)))
+    robbed = Robbed(replace(robot, architectures=(high, low, other)))
     with pytest.raises(UsageError, match=f"{layer} layer, which stays as it is"):
         replace_architecture(robbed.run, "low-task", "spare")
 

@@ -46,7 +46,7 @@ class Rig:
         self.prefetch.update(likely, loads or {})
 
     def told(self, computer: str) -> list[tuple[str, Any]]:
-        """Return the containers that an agent was told last, with their spare CPU."""
+        """Return the containers sent last to an agent, and their preparation CPU."""
         found = [told for at, told in self.agents.deployed if at == computer]
         return [(each.name, each.preparation_cpu) for each in found[-1].containers]
 

@@ -147,7 +147,7 @@ def _branch(tree: list[tuple[Postures, int]], end: int) -> list[Postures]:
 
 
 def timed(way: Postures) -> Postures:
-    """Return postures `STEP` apart along a way that starts and ends at rest."""
+    """Return postures `STEP` apart along a way that starts and ends without speed."""
     lengths = np.abs(np.diff(way, axis=0)).max(axis=1)
     along = np.concatenate([[0.0], np.cumsum(lengths)])
     seconds = max(0.2, 1.5 * along[-1] / SPEED)

@@ -102,11 +102,11 @@ class DeploymentPlan:
         incarnations: Iterable[Incarnation],
         generation: int,
         gateways: Mapping[str, str],
-        spare: Mapping[str, float] = {},
+        preparation_cpu: Mapping[str, float] = {},
     ) -> dict[str, Deployment]:
         """Return what should run on each computer, by its name.
 
-        `spare`: computer -> CPU for what is being prepared there [cores].
+        `preparation_cpu`: computer -> CPU for what is being prepared there [cores].
         """
         placed = tuple(incarnations)
         connectors = self._connectors(placed, gateways)
@@ -121,7 +121,7 @@ class DeploymentPlan:
                     folder=self._robot.folder,
                     weight=self._weights[container].weight,
                     nice=self._weights[container].nice,
-                    preparation_cpu=spare.get(computer, 0.0)
+                    preparation_cpu=preparation_cpu.get(computer, 0.0)
                     if all(
                         incarnation.unjoined and incarnation.gently
                         for incarnation in inside

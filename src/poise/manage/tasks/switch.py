@@ -41,9 +41,9 @@ def prepare(
         for name, computer in placement.items()
         if name not in run.placed
     ]
-    spare = {**run.desired.preparation_cpu, **cpu}
+    preparation_cpu = {**run.desired.preparation_cpu, **cpu}
     run.commit(
-        replace(run.desired, preparation_cpu=spare).preparing(new),
+        replace(run.desired, preparation_cpu=preparation_cpu).preparing(new),
         "prepare what is next",
     )
 

@@ -70,7 +70,7 @@ class Fence:
             self._is_expired = True
             self._say(
                 "cut off from its manager, which may start movable components "
-                "elsewhere: they are inactive here until it says what runs where"
+                "elsewhere: they are inactive here until it sends a deployment"
             )
 
     def cut(self) -> None:
@@ -79,7 +79,7 @@ class Fence:
         self._wake()
 
     def note_told(self) -> None:
-        """Note that the manager, which knows what runs elsewhere, says what runs."""
+        """Note that a deployment came: its manager knows the other computers."""
         if self.cut_off:
             self.cut_off, self.is_cut_off = 0.0, False
             self._say("reached by its manager again")
@@ -89,7 +89,7 @@ class Fence:
         return self.manager is not None and self.manager.key not in self._ended
 
     def lapse(self) -> None:
-        """Let nothing leased run until the manager that claims says what runs."""
+        """Let nothing leased run until the manager that claims sends a deployment."""
         self.is_cut_off = True
         self.cut_off = self.cut_off or self._wall()
 

@@ -204,7 +204,7 @@ class HeartbeatExchange:
         """Note that the lease ended while there was no agent here.
 
         So leased components may run elsewhere by now: none is active here until the
-        manager says what runs.
+        manager sends a deployment.
         """
         if self.agents.keys() > {self._computer}:
             self._fence.lapse()

@@ -242,7 +242,7 @@ def within(seconds: float) -> Iterator[None]:
 
 
 def time_left() -> float:
-    """Return how long the caller of what runs on this thread waits still [s].
+    """Return how long the caller of the call on this thread still waits [s].
 
     0 when it gave up or ended: nobody takes the answer, and the callee may
     stop. Infinite in a timer, a message and a hook, and on threads of your own.

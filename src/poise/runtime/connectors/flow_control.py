@@ -1,7 +1,7 @@
 """Back-pressure between containers: a source sends only what its target has room for.
 
 A target whose queue blocks sends *credit*: how many messages the source may have sent
-in all, since the route began (its number is random, so a restarted end begins anew). As
+in all, since the route began (its number is random, so a restarted end differs). As
 a total it may be lost, doubled or late. A source without credit *requests* it in the
 stream of its messages: what it sent before has arrived by then, or never will. Each
 connection begins with a request, so that lost messages are counted at once. Credit goes

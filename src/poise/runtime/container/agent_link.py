@@ -84,12 +84,12 @@ class AgentLink:
         if self._connection is None:
             return None
         try:
-            told: ToContainer = frame.receive_record(self._connection, ToContainer)
+            record: ToContainer = frame.receive_record(self._connection, ToContainer)
         except Unavailable:
             self._lose()
             return None
         self._lost_at = float("inf")
-        return told
+        return record
 
     def send(self, record: FromContainer) -> None:
         """Tell the agent, if there is one; raises Timeout and WireError as `send`."""

@@ -1,7 +1,7 @@
 """A container: the process in which components run.
 
 The control thread brings it to what its agent says should run (`ContainerSpec`), and
-reports what runs at every change and once a second. It waits for no import and no
+reports its status at every change and once a second. It waits for no import and no
 component.
 """
 

@@ -63,7 +63,7 @@ class Inbox:
         self._counters = counters
         self._waiting: deque[tuple[Entry, Feed, float]] = deque()
         self._changing = threading.Lock()
-        self._spare = 0
+        self._while_paused = 0
         self._is_unbounded = False
 
     def add(self, entry: Entry, feed: Feed) -> None:
@@ -89,7 +89,7 @@ class Inbox:
         with self._changing:
             if not self._waiting:
                 return None
-            self._spare = max(0, self._spare - 1)
+            self._while_paused = max(0, self._while_paused - 1)
             entry, feed, came = self._waiting.popleft()
             feed.waiting -= 1
         feed.counts.wait.add(time.monotonic() - came)
@@ -108,7 +108,7 @@ class Inbox:
         """Drop nothing and let nobody wait while the component is paused."""
         with self._changing:
             self._is_unbounded = unbounded
-            self._spare = len(self._waiting)
+            self._while_paused = len(self._waiting)
             feeds = {feed for _, feed, _ in self._waiting}
         if unbounded:
             for feed in feeds:
@@ -123,7 +123,7 @@ class Inbox:
         # what came while it was paused has room of its own until it is taken
         return (
             not self._is_unbounded
-            and len(self._waiting) >= self.queue.size + self._spare
+            and len(self._waiting) >= self.queue.size + self._while_paused
         )
 
     def _drop_oldest(self) -> None:

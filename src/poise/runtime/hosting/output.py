@@ -73,15 +73,15 @@ class KeptStream(TextIOBase):
     def __init__(self, stream: TextIO, file: OutputFile) -> None:
         self._stream = stream
         self._file = file
-        self._begun = threading.local()
+        self._line = threading.local()
 
     def write(self, text: str) -> int:
         """Pass text on; keep each line that is complete."""
         self._stream.write(text)
-        *lines, rest = (getattr(self._begun, "text", "") + text).split("\n")
+        *lines, unended = (getattr(self._line, "text", "") + text).split("\n")
         for line in lines:
             self._file.add(line)
-        self._begun.text = rest[:LONGEST]
+        self._line.text = unended[:LONGEST]
         return len(text)
 
     def flush(self) -> None:
@@ -111,7 +111,7 @@ def keep_output(folder: Path, container: str) -> None:
 def read_output(folder: Path, asked: ReadOutput) -> OutputLines:
     """Return what the containers of a folder have written."""
     until = int(wall_time() * 1e9) - _BEING_WRITTEN
-    # a set: a file that is put aside meanwhile is read twice
+    # a set: a file that is renamed meanwhile is read twice
     kept = {
         line
         for ending in (_NOW, _BEFORE)
@@ -120,8 +120,8 @@ def read_output(folder: Path, asked: ReadOutput) -> OutputLines:
         if asked.after < line.at <= until and asked.component in {"", line.component}
     }
     lines = sorted(kept, key=lambda line: line.at)
-    told = lines[-asked.most :]
-    return OutputLines(lines=tuple(told), omitted=len(lines) - len(told))
+    last = lines[-asked.most :]
+    return OutputLines(lines=tuple(last), omitted=len(lines) - len(last))
 
 
 def forget_output(folder: Path) -> None:
@@ -136,7 +136,7 @@ def _lines(path: Path, after: int) -> Iterator[OutputLine]:
         if path.stat().st_mtime_ns + _BEING_WRITTEN < after:
             return  # nothing new in it
         text = path.read_text(encoding="utf-8", errors="replace")
-    except FileNotFoundError:  # it was just put aside: the next time
+    except FileNotFoundError:  # it was just renamed: the next time
         return
     for line in text.split("\n"):
         at, _, rest = line.partition("\t")

@@ -159,14 +159,14 @@ class MigrationExecutor:
         self._beginning = threading.Lock()
         self._num_deployments = 0
         self._is_committed = False
-        self._told: ContainerSpec | None = None
+        self._deployed: ContainerSpec | None = None
 
     def note_deployment(self, spec: ContainerSpec) -> None:
         """Refuse the steps received until now: a manager's deployment counts."""
         with self._beginning:
             self._num_deployments += 1
-            if self._told is None or not self._told.is_told_by(spec):
-                self._told, self._is_committed = spec, False
+            if self._deployed is None or not self._deployed.agrees_with(spec):
+                self._deployed, self._is_committed = spec, False
 
     def halt(self, batch: MigrationSteps) -> StepsDone:
         """Refuse the steps that were received until now; return how far they got."""

@@ -104,7 +104,7 @@ class Supervisor:
         self.deploy(Deployment(generation=1 << 62, containers=()))
 
     def reconcile(self) -> None:
-        """Take the steps from what runs to what should run."""
+        """Take the steps from the running containers to the deployment."""
         now, wanted = self._clock.now(), self._specs()
         self._supervised.run("count of OOM kills", self._host.count_kills, now)
         for name in {**self.processes, **wanted}:

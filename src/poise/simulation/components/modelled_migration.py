@@ -42,15 +42,15 @@ class MigrationModel:
         self._container = container
         self._num_deployments = 0
         self._is_committed = False
-        self._told: ContainerSpec | None = None
+        self._deployed: ContainerSpec | None = None
         self._phases: dict[tuple[str, int], tuple[int, MigrationPhases]] = {}
         self.states: dict[tuple[str, int], ExecutorState] = {}
 
     def note_deployment(self, spec: ContainerSpec) -> None:
         """Refuse the steps that were received until now."""
         self._num_deployments += 1
-        if self._told is None or not self._told.is_told_by(spec):
-            self._told, self._is_committed = spec, False
+        if self._deployed is None or not self._deployed.agrees_with(spec):
+            self._deployed, self._is_committed = spec, False
 
     def receive(self, batch: MigrationSteps) -> None:
         """Take steps on a task of their own, and answer; `halt` at once."""

@@ -49,9 +49,9 @@ class _Connections:
 
     def is_alive(self) -> bool:
         """Return at once whether one reaches the other end, as far as is known."""
-        spare = {*self}
+        idle = {*self}
         return any(
-            connection not in spare or connection.is_idle()
+            connection not in idle or connection.is_idle()
             for connection in list(self._open)
         )
 

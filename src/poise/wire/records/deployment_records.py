@@ -13,7 +13,7 @@ Goal = Literal["inactive", "active", "stay"]
 container that ends in the middle of a move begins again with nothing of it active."""
 
 Aim = Literal["inactive", "ready", "active", "finalized"]
-"""Where a component goes. `ready`: activated, and at rest until it is `active`."""
+"""Where a component goes. `ready`: activated, and paused until it is `active`."""
 
 ConnectorKind = Literal["direct", "local", "remote"]
 
@@ -59,7 +59,7 @@ class ComponentSpec(Struct, frozen=True, kw_only=True):
     chains: tuple[ChainPart, ...] = ()  # Those that it is part of
     # Whether it is inactive while its agent is cut off: it may be active elsewhere
     leased: bool = False
-    # Whether it is inactive only until it is known what runs elsewhere; it is no target
+    # Whether it is inactive only until the other computers are known; it is no target
     # of a migration
     held: bool = False
     # The ports with which it says that an action is done, or has failed
@@ -131,7 +131,7 @@ class ContainerSpec(Struct, frozen=True, kw_only=True, tag=True):
         )
         return replace(self, components=tuple(components))
 
-    def is_told_by(self, spec: ContainerSpec) -> bool:
+    def agrees_with(self, spec: ContainerSpec) -> bool:
         """Return whether an agent says the same: again, or as its lease ended."""
         return spec in (self, self.without_lease())
 

@@ -90,7 +90,7 @@ class OutputLines(Struct, frozen=True, tag=True, kw_only=True):
 
 
 SHOWN_ITEMS = 16
-"""So many items of a list, an array or a mapping are shown to people."""
+"""The most items of a list, an array or a mapping that are shown to people."""
 
 
 class Tap(Struct, frozen=True, tag=True, kw_only=True):
@@ -102,8 +102,8 @@ class Tap(Struct, frozen=True, tag=True, kw_only=True):
     number: int  # Tells this request from others
     container: str
     connector: str
-    viewer: str  # Who looks: each gets all for itself
-    # So many messages a second are told with their content; 0: none is
+    viewer: str  # Each viewer gets everything
+    # Messages a second that are reported with their content; 0: none
     rate: float = 0.0
     # Of longer lists, arrays and mappings the rest is left out; up to `SHOWN_ITEMS`,
     # lists and mappings then end with how much that is

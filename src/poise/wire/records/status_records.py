@@ -1,4 +1,4 @@
-"""What agents and containers report: what runs, how it does, and what went wrong."""
+"""What agents and containers report: states, counters and faults."""
 
 from __future__ import annotations
 

@@ -144,14 +144,14 @@ def test_it_is_taken_back_when_its_code_has_changed(tmp_path: Path) -> None:
 
 def test_an_alternative_takes_its_place() -> None:
     robot = robot_with()
-    spare = Architecture(
+    other = Architecture(
         name="spare-task",
         function="low",
         components=(
             ComponentEntry(name="spare", implementation="a:B", demand={"cpu": 0.4}),
         ),
     )
-    robbed = Crashing(replace(robot, architectures=(*robot.architectures, spare)))
+    robbed = Crashing(replace(robot, architectures=(*robot.architectures, other)))
     robbed.crashing = {"left", "right"}
     robbed.look(2)
     assert robbed.run.placement() == HIGH
