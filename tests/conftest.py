@@ -15,7 +15,7 @@ from hypothesis import HealthCheck, settings
 
 from poise.emulate import sweep
 from poise.emulate.registry import registered
-from poise.session.launch.temporary_folders import scratch_folder
+from poise.session.folders import scratch_folder
 from tests import busy, machine, order, quick
 from tests.command import Poise, run_poise
 from tests.waiting import LIMIT, wait_until

@@ -13,8 +13,8 @@ import msgspec
 from benchmarks.experiment.analysis import Comparison
 from benchmarks.experiment.results import BASE, LOADS, Extent, TrialResult
 from benchmarks.experiment.summary import ArmSummary, ExperimentReport, Share
-from poise.session.pages.picture import line, svg, text
-from poise.session.pages.report_page import document, html_table
+from poise.session.render.picture import line, svg, text
+from poise.session.render.report_page import document, html_table
 from poise.units import format_seconds
 
 _COLOURS = (

@@ -22,11 +22,11 @@ from poise.model.robot import Robot
 from poise.session.callbacks import Check, nothing
 from poise.session.placing.placement import Placement, place
 from poise.session.profiling.stored_profiles import as_when_profiled
-from poise.session.render.move_tables import outcome_sentence
 from poise.session.render.run_progress import progress
-from poise.session.reports.run_report import RunReport
+from poise.session.render.tables import outcome_sentence
 from poise.session.robot_file import load
 from poise.session.run import Meanwhile, run
+from poise.session.run_report import RunReport
 from poise.units import format_seconds
 from poise.wire.records.status_records import Summary, TimerStatus
 

@@ -21,7 +21,7 @@ from poise.errors import PoiseError
 from poise.manage.agent_connections.statuses import components_of
 from poise.model.robot import Robot
 from poise.session.callbacks import Check, Say
-from poise.session.launch.emulated_agents import emulated
+from poise.session.launch.computers import emulated
 from poise.session.running_robots.running import Running
 
 _MOVED, _HOME, _TARGET = "passer", "left", "right"

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 
 from msgspec import Struct
 
-from poise.session.pages.picture import line, text
+from poise.session.render.picture import line, text
 
 _COLOURS = ("#c0392b", "#1f77b4", "#2e8b57", "#8e44ad")
 _SCALE = 55.0

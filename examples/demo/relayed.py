@@ -16,7 +16,7 @@ from examples.demo.waiting import WARM_UP, measures, wait, wait_until
 from poise.emulate import EmulatedSet
 from poise.model.robot import Robot
 from poise.session.callbacks import Check, Say
-from poise.session.launch.emulated_agents import emulated
+from poise.session.launch.computers import emulated
 from poise.session.placing.placement import place
 from poise.session.running_robots.running import Running
 from poise.session.up import up

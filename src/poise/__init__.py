@@ -38,20 +38,20 @@ if TYPE_CHECKING:
     from poise.runtime.component.ports import subscribed as subscribed
     from poise.session.diagrams.draw import Drawing as Drawing
     from poise.session.diagrams.draw import draw as draw
-    from poise.session.launch.emulated_agents import emulated as emulated
+    from poise.session.launch.computers import emulated as emulated
     from poise.session.placing.placement import Placement as Placement
     from poise.session.placing.placement import place as place
     from poise.session.profiling.calibrate import Calibration as Calibration
     from poise.session.profiling.calibrate import calibrate as calibrate
     from poise.session.profiling.profile_robot import Profiling as Profiling
     from poise.session.profiling.profile_robot import profile as profile
-    from poise.session.recordings.recorded_run import PolicyEvent as PolicyEvent
-    from poise.session.recordings.recorded_run import RecordedRun as RecordedRun
-    from poise.session.recordings.recorded_run import test_policies as test_policies
-    from poise.session.reports.run_report import RunReport as RunReport
+    from poise.session.recorded_run import PolicyEvent as PolicyEvent
+    from poise.session.recorded_run import RecordedRun as RecordedRun
+    from poise.session.recorded_run import test_policies as test_policies
     from poise.session.robot_file import check as check
     from poise.session.robot_file import load as load
     from poise.session.run import run as run
+    from poise.session.run_report import RunReport as RunReport
     from poise.session.running_robots.running import NoManager as NoManager
     from poise.session.running_robots.running import RolledBack as RolledBack
     from poise.session.running_robots.running import Running as Running
@@ -62,14 +62,10 @@ if TYPE_CHECKING:
     from poise.session.running_robots.without_manager import (
         stop_without_manager as stop_without_manager,
     )
-    from poise.session.simulating.simulate import Simulation as Simulation
-    from poise.session.simulating.simulate import (
-        SimulationComparison as SimulationComparison,
-    )
-    from poise.session.simulating.simulate import (
-        compare_simulations as compare_simulations,
-    )
-    from poise.session.simulating.simulate import simulate as simulate
+    from poise.session.simulate import Simulation as Simulation
+    from poise.session.simulate import SimulationComparison as SimulationComparison
+    from poise.session.simulate import compare_simulations as compare_simulations
+    from poise.session.simulate import simulate as simulate
     from poise.session.up import up as up
     from poise.simulation.faults import SimulatedFault as SimulatedFault
     from poise.view.robot_recording import RobotRecording as RobotRecording
@@ -89,24 +85,24 @@ else:
         "Placement": "session.placing.placement",
         "PoiseError": "errors",
         "PolicyAction": "model.policy.policy",
-        "PolicyEvent": "session.recordings.recorded_run",
+        "PolicyEvent": "session.recorded_run",
         "Profiling": "session.profiling.profile_robot",
         "Provided": "runtime.component.ports",
         "Published": "runtime.component.ports",
-        "RecordedRun": "session.recordings.recorded_run",
+        "RecordedRun": "session.recorded_run",
         "Required": "runtime.component.ports",
         "Robot": "model.robot",
         "RobotError": "errors",
         "RobotRecording": "view.robot_recording",
         "RolledBack": "session.running_robots.running",
         "RunError": "errors",
-        "RunReport": "session.reports.run_report",
+        "RunReport": "session.run_report",
         "Running": "session.running_robots.running",
         "Seen": "model.policy.policy",
         "Conditions": "estimate.success_rates",
         "SimulatedFault": "simulation.faults",
-        "Simulation": "session.simulating.simulate",
-        "SimulationComparison": "session.simulating.simulate",
+        "Simulation": "session.simulate",
+        "SimulationComparison": "session.simulate",
         "Stamp": "clock",
         "TakenOver": "errors",
         "Timeout": "errors",
@@ -114,10 +110,10 @@ else:
         "UsageError": "errors",
         "calibrate": "session.profiling.calibrate",
         "check": "session.robot_file",
-        "compare_simulations": "session.simulating.simulate",
+        "compare_simulations": "session.simulate",
         "connect": "session.running_robots.running",
         "draw": "session.diagrams.draw",
-        "emulated": "session.launch.emulated_agents",
+        "emulated": "session.launch.computers",
         "every": "runtime.component.ports",
         "load": "session.robot_file",
         "loan": "wire.connections.blocks",
@@ -128,11 +124,11 @@ else:
         "read_journal": "manage.journal",
         "record": "view.robot_recording",
         "run": "session.run",
-        "simulate": "session.simulating.simulate",
+        "simulate": "session.simulate",
         "status_without_manager": "session.running_robots.without_manager",
         "stop_without_manager": "session.running_robots.without_manager",
         "subscribed": "runtime.component.ports",
-        "test_policies": "session.recordings.recorded_run",
+        "test_policies": "session.recorded_run",
         "time_left": "runtime.component.component",
         "up": "session.up",
         "within": "runtime.component.component",

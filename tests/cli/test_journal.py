@@ -11,7 +11,7 @@ import pytest
 
 from poise.errors import UsageError
 from poise.manage.journal import Journal, read_journal
-from poise.session.state_folder import make_journal
+from poise.session.folders import make_journal
 from tests.command import POISE, Poise
 
 pytestmark = pytest.mark.slow

@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 from poise.cli.command_table import build
 from poise.errors import UsageError
-from poise.session.state_folder import to_write
+from poise.session.folders import to_write
 
 pytestmark = pytest.mark.slow
 

@@ -21,7 +21,7 @@ from poise.errors import PoiseError
 from poise.manage.control_socket.location import path_of
 from poise.manage.journal import read_journal
 from poise.runtime.waker import wait_readable
-from poise.session.state_folder import find_journal
+from poise.session.folders import find_journal
 from tests.command import POISE, called, run_poise
 from tests.waiting import wait_until
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests.command import Poise
-from tests.session.simulating.fake_rehearsal import HELLO, FakeRehearsal, rehearsal
+from tests.session.fake_rehearsal import HELLO, FakeRehearsal, rehearsal
 
 pytestmark = pytest.mark.slow
 """Another process reads the robot's code."""

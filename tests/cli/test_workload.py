@@ -13,7 +13,7 @@ from poise.estimate import profiles as profile_file
 from poise.model import load
 from poise.model.robot import Generated, Robot, Workload
 from poise.session.profiling.rig import OTHERS, PLAYER, played, rig_of
-from poise.session.recordings.record_run import tapped
+from poise.session.record_run import tapped
 from poise.session.robot_file import check
 from poise.wire.recording_file import Input, inputs_of, samples_of
 from tests.command import Poise

@@ -12,7 +12,7 @@ from msgspec.structs import replace
 
 from examples.demo.drives import find_trouble
 from poise.session.reports.run_records import ComponentReport
-from poise.session.reports.run_report import RunReport
+from poise.session.run_report import RunReport
 from poise.wire.records.status_records import Summary, TimerStatus
 from tests.waiting import LONG
 

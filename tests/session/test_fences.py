@@ -17,7 +17,7 @@ import pytest
 
 import poise
 from poise.emulate import EmulatedSet
-from poise.session.launch.emulated_agents import EmulatedAgents
+from poise.session.launch.computers import EmulatedAgents
 from tests.session.emulated_robot import written
 from tests.waiting import LONG, wait_long
 

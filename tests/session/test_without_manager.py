@@ -18,8 +18,7 @@ import pytest
 
 import poise
 from poise.emulate import look
-from poise.session.render.robot_list import listing
-from poise.session.running_robots.local_robots import robots_here
+from poise.session.running_robots.local_robots import listing, robots_here
 from poise.view.robot_view import LiveReader
 from tests.command import run_poise
 from tests.waiting import LONG, wait_long

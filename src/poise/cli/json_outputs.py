@@ -27,7 +27,7 @@ from poise.plan.phases.phase_result import PlainPhases
 from poise.plan.result import PlainResult
 from poise.session.placing.first_phase import Described, Listed
 from poise.session.profiling.calibrate import Calibration
-from poise.session.reports.run_report import RunReport
+from poise.session.run_report import RunReport
 from poise.session.running_robots.local_robots import Rate, Robots
 from poise.simulation.predicted_times import PredictedTimes
 from poise.simulation.simulation_report import SimulationReport

@@ -20,16 +20,16 @@ from poise.manage.observe.estimates import Estimates
 from poise.manage.observe.sample_recording import Recording
 from poise.model.robot import Robot
 from poise.session.callbacks import Check, Say, log, nothing
+from poise.session.folders import make_journal
 from poise.session.launch.start import Sampling, Started, started
 from poise.session.placing.first_phase import first_phase, note_architectures
 from poise.session.placing.placement import Placement
 from poise.session.profiling.stored_profiles import read_profile
-from poise.session.recordings.record_run import keeping
+from poise.session.record_run import keeping
 from poise.session.reports.history import History
 from poise.session.reports.last_seen import LastSeen
-from poise.session.reports.run_report import MeasuredRun, RunReport, reported
 from poise.session.robot_file import task_of
-from poise.session.state_folder import make_journal
+from poise.session.run_report import MeasuredRun, RunReport, reported
 from poise.units import counted
 
 Meanwhile = Callable[[RunningComponents, float], object]

@@ -23,13 +23,13 @@ from poise.manage.observe.sample_recording import Recording, RecordingFile
 from poise.manage.tasks.saved_tasks import goes_on_with
 from poise.model.robot import Robot
 from poise.session.callbacks import Check, Say, log, nothing
+from poise.session.folders import make_journal
 from poise.session.launch.start import Sampling, Started, started
 from poise.session.placing.first_phase import first_phase, note_architectures
 from poise.session.placing.placement import Placement
 from poise.session.profiling.stored_profiles import read_profile
 from poise.session.robot_file import task_of
 from poise.session.running_robots.running import Running
-from poise.session.state_folder import make_journal
 
 if TYPE_CHECKING:
     from poise.manage.observe.opentelemetry import Telemetry

@@ -8,7 +8,7 @@ from msgspec.structs import replace
 from poise.errors import UsageError
 from poise.manage.adaptation.move_forecast import alternatives, check_move, what_if
 from poise.model.robot import Architecture, Computer, Robot
-from poise.session.render.move_tables import what_if_lines
+from poise.session.render.tables import what_if_lines
 from tests.manage.adaptation.conftest import Make
 
 

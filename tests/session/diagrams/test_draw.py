@@ -20,7 +20,7 @@ from poise.model.robot import (
     Link,
     Robot,
 )
-from poise.session.diagrams.diagram_records import BoxDiagram, Join, SequenceDiagram
+from poise.session.diagrams.diagram import BoxDiagram, Join, SequenceDiagram
 from poise.session.diagrams.draw import FORMATS, Drawing, draw
 
 GIB = 2**30

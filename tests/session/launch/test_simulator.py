@@ -9,7 +9,7 @@ import pytest
 
 from poise.errors import RobotError, RunError
 from poise.model.robot import Robot, Simulator
-from poise.session.launch.world import SimulatorProcess, world_of
+from poise.session.launch.start import SimulatorProcess, world_of
 from tests.waiting import wait_until
 
 pytestmark = pytest.mark.slow

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from poise.session.launch.temporary_folders import scratch_folder
+from poise.session.folders import scratch_folder
 from tests.waiting import wait_until
 
 pytestmark = pytest.mark.slow
@@ -19,7 +19,7 @@ pytestmark = pytest.mark.slow
 PREFIX = "poise-test-"
 OWNER = f"""
 import os, sys
-from poise.session.launch.temporary_folders import scratch_folder
+from poise.session.folders import scratch_folder
 
 with scratch_folder("{PREFIX}") as folder:
     (folder / "deep").mkdir()

@@ -8,9 +8,9 @@ import pytest
 from msgspec.structs import replace
 
 from poise.session.render.simulation_tables import compared, late, span, verdict
-from poise.session.simulating.simulate import Simulation, SimulationComparison
+from poise.session.simulate import Simulation, SimulationComparison
 from poise.simulation.simulation_report import SimulationReport
-from tests.session.simulating.fake_rehearsal import REPORT, timer
+from tests.session.fake_rehearsal import REPORT, timer
 
 
 def lines(report: SimulationReport) -> list[str]:

@@ -17,7 +17,7 @@ from poise.endpoint import AGENT_PORT, Endpoint
 from poise.errors import PoiseError, UsageError
 from poise.runtime.agent.agent import Agent
 from poise.runtime.agent.surroundings import BROKEN, AgentSetup
-from poise.session.launch.temporary_folders import agent_folder
+from poise.session.folders import agent_folder
 from poise.units import SECONDS
 from poise.wire.control_session import LEASE
 

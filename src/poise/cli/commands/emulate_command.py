@@ -15,7 +15,7 @@ from poise.cli.interrupts import Interrupts
 from poise.cli.options import AsJson, RobotFile, parse_option, print_json
 from poise.emulate import EmulatedSet, InjectedFault, all_sets, find_set
 from poise.errors import UsageError
-from poise.session.launch.emulated_agents import emulated
+from poise.session.launch.computers import emulated
 from poise.session.launch.printer import Printer, log_printer
 from poise.session.render.printable import console_to
 from poise.session.robot_file import load

@@ -19,11 +19,16 @@ from poise.cli.options import AsJson, print_json, running
 from poise.errors import UsageError
 from poise.manage.agent_connections.statuses import connectors_of
 from poise.manage.journal import KINDS, JournalEntry, read_journal
+from poise.session.folders import find_journal
 from poise.session.render.printable import console_to
-from poise.session.render.robot_list import listing
-from poise.session.running_robots.local_robots import Rate, Thing, names_of, robots_here
+from poise.session.running_robots.local_robots import (
+    Rate,
+    Thing,
+    listing,
+    names_of,
+    robots_here,
+)
 from poise.session.running_robots.running import Running, connect
-from poise.session.state_folder import find_journal
 from poise.units import format_bytes
 from poise.wire.records.request_records import OutputLine
 

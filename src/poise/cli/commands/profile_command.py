@@ -19,6 +19,7 @@ from poise.errors import RobotError, RunError
 from poise.estimate.demands import overheads
 from poise.estimate.profiles import Profile
 from poise.model.robot import Robot
+from poise.session.folders import to_write
 from poise.session.profiling.calibrate import Calibration, calibrate
 from poise.session.profiling.profile_robot import Profiling, Tick, profile
 from poise.session.profiling.stored_profiles import (
@@ -31,7 +32,6 @@ from poise.session.render.printable import console_to
 from poise.session.render.profile_tables import history_table, show_profile
 from poise.session.render.tables import table
 from poise.session.robot_file import load_bare
-from poise.session.state_folder import to_write
 from poise.units import SECONDS
 
 Write = Annotated[

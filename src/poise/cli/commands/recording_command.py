@@ -18,12 +18,12 @@ from poise.cli.options import AsJson, print_json, running
 from poise.errors import UsageError
 from poise.manage.agent_connections.statuses import connectors_of
 from poise.manage.observe.estimates import DemandEstimate
-from poise.session.recordings.recorded_run import RecordedRun
+from poise.session.folders import to_write
+from poise.session.recorded_run import RecordedRun
 from poise.session.render.printable import console_to
 from poise.session.render.tables import table
 from poise.session.robot_file import load_bare
 from poise.session.running_robots.running import connect
-from poise.session.state_folder import to_write
 from poise.view.robot_recording import record
 
 

@@ -20,7 +20,7 @@ from poise.model.load import load
 from poise.model.policy.policy import Policy
 from poise.model.policy.shipped import policies_of
 from poise.session.placing.first_phase import Described, Listed, listed
-from poise.session.recordings.recorded_run import PolicyEvent, test_policies
+from poise.session.recorded_run import PolicyEvent, test_policies
 from poise.session.render.printable import console_to
 from poise.session.render.tables import table
 from poise.session.robot_file import check

@@ -13,12 +13,12 @@ from rich.markup import escape
 from poise.cli.interrupts import Interrupts
 from poise.cli.options import AsJson, Method, RobotFile, RobotTask, parse_option
 from poise.errors import UsageError
+from poise.session.folders import to_write
 from poise.session.placing.placement import place
 from poise.session.render.printable import console_to
 from poise.session.render.run_progress import progress
 from poise.session.robot_file import load, task_of
 from poise.session.run import run
-from poise.session.state_folder import to_write
 from poise.units import SECONDS
 
 

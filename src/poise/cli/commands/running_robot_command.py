@@ -19,9 +19,15 @@ from poise.cli.options import AsJson, busy, print_json, running
 from poise.errors import PoiseError, UsageError
 from poise.manage.tasks.concurrent_tasks import TaskReport
 from poise.model import load
-from poise.session.render.move_tables import Outcome, outcome_lines, what_if_lines
 from poise.session.render.printable import console_to
-from poise.session.render.tables import action_lines, task_lines, task_table
+from poise.session.render.tables import (
+    Outcome,
+    action_lines,
+    outcome_lines,
+    task_lines,
+    task_table,
+    what_if_lines,
+)
 from poise.session.running_robots.running import NoManager, RolledBack, Running, Status
 
 TELL_EVERY = 1.0

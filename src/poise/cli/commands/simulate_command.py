@@ -22,18 +22,18 @@ from poise.cli.options import (
 )
 from poise.errors import UsageError
 from poise.model.load import load
+from poise.session.folders import to_write
 from poise.session.placing.placement import place
 from poise.session.profiling.stored_profiles import profiled
 from poise.session.render.printable import console_to
 from poise.session.render.run_progress import virtual_progress
 from poise.session.robot_file import task_of, with_code
-from poise.session.simulating.simulate import (
+from poise.session.simulate import (
     Simulation,
     SimulationComparison,
     compare_simulations,
     simulate,
 )
-from poise.session.state_folder import to_write
 from poise.units import SECONDS
 
 

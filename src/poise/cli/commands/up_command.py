@@ -16,9 +16,9 @@ from poise.cli.interrupts import Interrupts
 from poise.cli.options import AnyMethod, RobotFile
 from poise.errors import UsageError
 from poise.model.steps import Prefetch
+from poise.session.folders import to_write
 from poise.session.launch.printer import Printer, log_printer
 from poise.session.robot_file import load, task_of
-from poise.session.state_folder import to_write
 
 _LOOK_EVERY = 0.2
 

@@ -22,16 +22,17 @@ from poise.model.robot import (
 )
 from poise.runtime.component.implementation import find, search_also
 from poise.runtime.component.ports import ports_of
-from poise.session.diagrams.diagram_records import (
+from poise.session.diagrams.diagram import (
     Arrow,
     Box,
     BoxDiagram,
     Diagram,
     Join,
     SequenceDiagram,
+    mermaid,
+    plantuml,
 )
 from poise.session.diagrams.svg_notation import svg
-from poise.session.diagrams.text_notations import mermaid, plantuml
 from poise.units import (
     counted,
     format_amount,

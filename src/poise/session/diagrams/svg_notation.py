@@ -8,7 +8,7 @@ from math import ceil, sqrt
 
 from msgspec import Struct
 
-from poise.session.diagrams.diagram_records import (
+from poise.session.diagrams.diagram import (
     Box,
     BoxDiagram,
     Diagram,

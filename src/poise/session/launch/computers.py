@@ -3,20 +3,206 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import subprocess
+import sys
+import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import Self
 
+from poise import threads
+from poise.back_off import BackOff
 from poise.clock import SystemClock
-from poise.emulate import EmulatedComputer, EmulatedSet, StarvationWatch, set_for
-from poise.endpoint import Endpoint
-from poise.errors import RunError
+from poise.emulate import (
+    EmulatedComputer,
+    EmulatedSet,
+    Emulation,
+    StarvationWatch,
+    find_set,
+    set_for,
+)
+from poise.emulate.registry import locked
+from poise.endpoint import AGENT_PORT, Endpoint
+from poise.errors import PoiseError, RunError, UsageError
+from poise.manage.control_socket.location import forget
 from poise.model.robot import Robot
-from poise.session.callbacks import Say
-from poise.session.launch.emulated_agents import agent_of, emulated_agents
+from poise.runtime.agent.surroundings import BROKEN
+from poise.runtime.waker import Waker, wait_readable
+from poise.session.callbacks import Say, log
+from poise.session.folders import scratch_folder
+from poise.session.launch.printer import STDERR, Printer, relay
+from poise.units import counted
 from poise.wire.control_session import LEASE, locator
 from poise.wire.heartbeats import UNCUT_LEASE
 from poise.wire.records.status_records import SAMPLE_EVERY
+
+_LOOK_EVERY = 0.02
+"""While an agent has ended, it is looked whether it may start so often [s]."""
+
+
+class EmulatedAgents:
+    """The agents of emulated computers, as a context; those of a `kept` set restart."""
+
+    def __init__(
+        self,
+        robot: str,
+        emulation: Emulation,
+        output: int,
+        lifeline: int,
+        sample_every: float,
+        say: Say,
+        kept: EmulatedSet | None,
+    ) -> None:
+        lease = UNCUT_LEASE if kept is None else LEASE
+        self.emulation = emulation
+        self.processes: dict[str, subprocess.Popen[bytes]] = {}
+        self._robot = robot
+        self._output = output
+        self._lifeline = lifeline
+        self._options = ["--lease", f"{lease}", "--sample-every", f"{sample_every}"]
+        self._say = say
+        self._kept = kept
+        self._ended = {name: BackOff() for name in emulation.computers}
+        self._down: set[str] = set()
+        self._closing = Waker()
+        self._keeper = threads.daemon(self._keep, "keeper", again=True)
+
+    def __enter__(self) -> Self:
+        for name in self.emulation.computers:
+            self._start(name)
+        self._keeper.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._closing.wake()
+        self._keeper.join()
+        self._closing.close()
+
+    def _start(self, name: str) -> None:
+        computer = self.emulation.computers[name]
+        argv = [sys.executable, "-m", "poise", "agent", name, "--robot", self._robot]
+        argv += ["--address", computer.address, "--folder", str(computer.folder)]
+        self.processes[name] = computer.popen(
+            [*argv, "--lifeline", str(self._lifeline), *self._options],
+            stdin=subprocess.DEVNULL,
+            stdout=self._output,
+            stderr=self._output,
+            pass_fds=[self._lifeline],
+        )
+
+    def _keep(self) -> None:
+        while not self._wait():
+            for name, process in list(self.processes.items()):
+                if process.poll() is not None:
+                    self._look_after(name, process.returncode)
+
+    def _wait(self) -> bool:
+        """Wait until an agent has ended or may start; return whether all end."""
+        with contextlib.ExitStack() as stack:
+            fds = [self._closing.fileno()]
+            for process in self.processes.values():
+                if process.poll() is None:
+                    fds.append(os.pidfd_open(process.pid))
+                    stack.callback(os.close, fds[-1])
+            limit = _LOOK_EVERY if len(fds) <= len(self.processes) else None
+            return fds[0] in wait_readable(fds, limit)
+
+    def _look_after(self, name: str, code: int) -> None:
+        """Start an agent again that has ended, when it is time."""
+        now, back_off = time.monotonic(), self._ended[name]
+        if name not in self._down:
+            self._down.add(name)
+            back_off.note_end(now)
+        if now < back_off.again_at:
+            return
+        try:
+            with locked():  # or it might start while its computer is being crashed
+                ended = 0 <= code != BROKEN  # as it was asked, or as it had to
+                stays_down = self._kept.is_crashed(name) if self._kept else ended
+                if stays_down:
+                    return
+                self._start(name)
+        except (PoiseError, OSError) as error:
+            back_off.note_end(now)
+            self._say(f"the agent of '{name}' cannot be started again: {error}")
+        else:
+            self._down.discard(name)
+            self._say(f"the agent of '{name}' ended ({code}) and is started again")
+
+
+def agent_of(computer: EmulatedComputer) -> Endpoint:
+    """Return where the agent of an emulated computer listens."""
+    return Endpoint(computer.address, AGENT_PORT)
+
+
+@contextlib.contextmanager
+def emulated_agents(
+    robot: Robot,
+    folder: Path,
+    say: Say,
+    *,
+    sample_every: float = SAMPLE_EVERY,
+    keep: bool = False,
+) -> Iterator[EmulatedAgents]:
+    """Emulate a robot's computers, with an agent each; `keep`: for others, too."""
+    say(f"emulating {counted(len(robot.computers), 'computer')} on this one")
+    # an agent ends at the end of its lifeline, so even a killed process leaves none
+    lifeline, held = os.pipe()
+    try:
+        with (
+            # what components print must not get into a JSON report
+            Printer(STDERR) as printer,
+            relay(printer) as output,
+            Emulation(robot, folder, keep=keep) as emulation,
+        ):
+            for sentence in emulation.without:
+                say(f"  without {sentence}")
+            kept = find_set(robot.name) if keep else None
+            with EmulatedAgents(
+                robot.name, emulation, output, lifeline, sample_every, say, kept
+            ) as agents:
+                yield agents
+    finally:
+        os.close(lifeline)
+        os.close(held)
+
+
+@contextlib.contextmanager
+def emulated(robot: Robot, *, say: Say = log.info) -> Iterator[EmulatedSet]:
+    """Emulate a robot's computers inside the ``with`` block, with an agent on each.
+
+    Meanwhile `run` and `up` of this robot use them, from any process of this user, and
+    leave them up. An agent that ends is started again, as systemd would on a real
+    computer, unless its computer was crashed.
+
+    Parameters
+    ----------
+    say
+        Takes sentences, also on a thread of its own.
+
+    Raises
+    ------
+    UsageError
+        The robot's computers have addresses, or are kept by another process.
+    RobotError, RunError
+        They cannot be emulated; nothing is left.
+    """
+    real = [computer.name for computer in robot.computers if computer.address]
+    if real:
+        raise UsageError(
+            f"robot '{robot.name}' has real computers ({', '.join(real)}): only "
+            "computers without `address` are emulated"
+        )
+    with (
+        scratch_folder("poise-run-") as folder,
+        emulated_agents(robot, folder / "computers", say, keep=True),
+    ):
+        try:
+            yield find_set(robot.name)
+        finally:
+            forget(robot.name)  # what runs there ends, with a manager or without
+
 
 _TOLERATED = 0.1
 """A run is invalid when the host starved computers for more than this share of it."""

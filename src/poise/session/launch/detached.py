@@ -16,8 +16,8 @@ from poise.emulate import set_for
 from poise.errors import PoiseError, RunError
 from poise.model.robot import Robot
 from poise.session.callbacks import Check, Say
+from poise.session.folders import state_folder
 from poise.session.running_robots.running import Running
-from poise.session.state_folder import state_folder
 
 _LOOK_EVERY = 0.05
 _LARGE_LOG = 1_000_000

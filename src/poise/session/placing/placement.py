@@ -16,8 +16,8 @@ from poise.errors import UsageError
 from poise.estimate.success_rates import WELL, Conditions, actions_in, learned
 from poise.model.robot import Robot
 from poise.plan.portfolio import METHODS as SOLVERS
-from poise.session.pages.picture import planned_picture
 from poise.session.placing.by_time import decide_by_time
+from poise.session.render.picture import planned_picture
 from poise.session.render.plan_tables import plan_parts
 from poise.session.render.printable import Printable
 from poise.simulation.predicted_times import PredictedTimes

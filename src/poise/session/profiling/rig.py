@@ -29,7 +29,7 @@ from poise.model.robot import (
 from poise.runtime.component.implementation import find, search_also
 from poise.runtime.component.ports import ports_of
 from poise.runtime.replay import PlayedPort
-from poise.session.recordings.record_run import interface_type, message_type
+from poise.session.record_run import interface_type, message_type
 from poise.wire.recording_file import inputs_of
 
 PLAYER = "player-of-workload"

@@ -18,7 +18,7 @@ from poise.model.load import load_source
 from poise.model.robot import Robot
 from poise.model.yaml.tree import with_values
 from poise.runtime.calibration import score
-from poise.session.state_folder import to_write
+from poise.session.folders import to_write
 
 _MOST_NAMED = 4
 STORE = Path(".poise") / "profiles.sqlite"

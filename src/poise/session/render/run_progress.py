@@ -15,7 +15,7 @@ from poise.manage.deploy.running_components import RunningComponents
 from poise.session.callbacks import nothing
 from poise.session.render.simulation_tables import span
 from poise.session.run import Meanwhile
-from poise.session.simulating.simulate import Watch
+from poise.session.simulate import Watch
 
 _LINE_EVERY = 5.0
 _DRAW_EVERY = 0.2

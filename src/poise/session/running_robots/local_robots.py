@@ -8,12 +8,15 @@ from statistics import fmean, pstdev
 from typing import Literal
 
 from msgspec import Struct
+from rich.console import RenderableType
+from rich.text import Text
 
 from poise.errors import PoiseError
-from poise.manage.agent_connections.statuses import connectors_of
+from poise.manage.agent_connections.statuses import components_of, connectors_of
 from poise.manage.control_socket.agents_without_manager import robots_without_manager
 from poise.manage.control_socket.commands import RobotStatus
 from poise.manage.control_socket.location import running_here
+from poise.session.render.tables import NamedRows, table
 from poise.session.running_robots.running import Running
 from poise.units import format_seconds
 
@@ -51,6 +54,35 @@ def _names(status: RobotStatus, what: str) -> Iterable[str]:
     if what == "connectors":
         return [end.name for end in connectors_of(status.computers)]
     return status.computers if what == "computers" else status.placement
+
+
+def listing(robots: Robots) -> Iterator[RenderableType]:
+    """Yield each robot with its components and connectors."""
+    if not robots:
+        yield "no robot runs here; `poise up FILE` starts one"
+    for name, status in robots.items():
+        if status is None:
+            yield f"robot '{name}' gives no status: it may be starting"
+            continue
+        if status.by_agents:
+            yield Text(status.deviations[0].what, style="red")
+        else:
+            yield f"robot '{name}', task '{status.task}'"
+        states = {c.name: c.state for c in components_of(status.computers)}
+        rows = table("component", "computer", "state")
+        unknown = status.not_known()
+        for component, computer in sorted(status.placement.items()):
+            state = states.get(component, "not there")
+            rows.add_row(
+                component, computer, "unknown" if computer in unknown else state
+            )
+        yield rows
+        kinds = {end.name: end.kind for end in connectors_of(status.computers)}
+        joined = NamedRows("connector", "kind")
+        for connector, kind in sorted(kinds.items()):
+            joined.add_row(connector, kind)
+        if kinds:
+            yield joined
 
 
 class Rate(Struct, frozen=True):

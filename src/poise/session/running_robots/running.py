@@ -36,9 +36,9 @@ from poise.manage.migration.migration_report import MigrationReport
 from poise.manage.observe.chains import ChainReport
 from poise.manage.tasks.concurrent_tasks import TaskReport
 from poise.manage.tasks.task_progress import OVER
-from poise.session.render.move_tables import Outcome, outcome_sentence
 from poise.session.render.printable import Printable
 from poise.session.render.status_tables import detail_parts, status_parts
+from poise.session.render.tables import Outcome, outcome_sentence
 from poise.session.running_robots.without_manager import stop_agents
 from poise.wire.records.request_records import SHOWN_ITEMS, TapReading
 

@@ -14,8 +14,8 @@ import msgspec
 from nicegui import run, ui
 
 from poise.errors import PoiseError
-from poise.session.pages.report_page import html_table
-from poise.session.render.move_tables import outcome_sentence, what_if_lines
+from poise.session.render.report_page import html_table
+from poise.session.render.tables import outcome_sentence, what_if_lines
 from poise.session.running_robots.running import JournalEntry, Running, WhatIf
 from poise.view.dashboard.history import Page
 from poise.view.dashboard.state import proposal_in, why

@@ -15,7 +15,7 @@ from poise.model import load
 from poise.model.robot import Computer, Robot
 from poise.session.reports.history import MOST, History, Moment
 from poise.session.reports.run_records import ComponentReport
-from poise.session.reports.run_report import RunReport
+from poise.session.run_report import RunReport
 from poise.wire.records.status_records import (
     AgentStatus,
     ComponentStatus,

@@ -6,9 +6,9 @@ import re
 
 from msgspec.structs import replace
 
-from poise.session.simulating.simulate import Simulation, SimulationComparison
+from poise.session.simulate import Simulation, SimulationComparison
 from poise.simulation.simulation_report import SimulationReport
-from tests.session.simulating.fake_rehearsal import REPORT
+from tests.session.fake_rehearsal import REPORT
 
 
 def page(report: SimulationReport) -> str:

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from poise.errors import UsageError
-from poise.session.recordings.recorded_run import COLUMNS, Which, export
+from poise.session.recorded_run import COLUMNS, Which, export
 from tests.manage.observe.conftest import Sampler
 
 
@@ -53,7 +53,7 @@ def test_many_rows_are_written_piece_by_piece(
     steady: Sampler, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     parquet = pytest.importorskip("pyarrow.parquet")
-    monkeypatch.setattr("poise.session.recordings.recorded_run._MANY", 3)
+    monkeypatch.setattr("poise.session.recorded_run._MANY", 3)
     path = tmp_path / "run.parquet"
     assert export([steady(0.2 * k) for k in range(10)], path, "components") == 20
     file = parquet.ParquetFile(path)

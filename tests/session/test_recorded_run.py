@@ -9,7 +9,7 @@ from msgspec.structs import replace
 
 from poise.errors import UsageError
 from poise.model.robot import Robot
-from poise.session.recordings.recorded_run import RecordedRun
+from poise.session.recorded_run import RecordedRun
 from poise.simulation.workload import workload_of
 from poise.wire.records.status_records import (
     AgentSample,

@@ -17,16 +17,17 @@ from rich.console import RenderableType
 from poise.errors import RobotError, RunError, UsageError
 from poise.model.robot import Robot
 from poise.session.callbacks import Check, Say, log, nothing
-from poise.session.pages.simulation_page import (
+from poise.session.fault_file import Faults, faults_of
+from poise.session.placing.first_phase import first_phase
+from poise.session.placing.placement import Placement, place
+from poise.session.profiling.stored_profiles import read_profile
+from poise.session.recorded_run import RecordedRun
+from poise.session.render.printable import Printable
+from poise.session.render.simulation_page import (
     comparison_page,
     simulation_page,
     simulation_picture,
 )
-from poise.session.placing.first_phase import first_phase
-from poise.session.placing.placement import Placement, place
-from poise.session.profiling.stored_profiles import read_profile
-from poise.session.recordings.recorded_run import RecordedRun
-from poise.session.render.printable import Printable
 from poise.session.render.simulation_tables import (
     comparison_parts,
     ended_early,
@@ -34,7 +35,6 @@ from poise.session.render.simulation_tables import (
     verdict,
 )
 from poise.session.robot_file import task_of
-from poise.session.simulating.fault_file import Faults, faults_of
 from poise.simulation.faults import SimulatedFault
 from poise.simulation.simulation_report import SimulationReport
 

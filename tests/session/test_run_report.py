@@ -13,7 +13,7 @@ from poise.session.reports.run_records import (
     HungHandler,
     component_reports,
 )
-from poise.session.reports.run_report import RunReport
+from poise.session.run_report import RunReport
 from poise.wire.records.status_records import (
     AgentStatus,
     ComponentStatus,

@@ -13,7 +13,7 @@ import poise
 from poise.model.load import load
 from poise.model.robot import Robot
 from poise.simulation.faults import SimulatedFault
-from tests.session.simulating.fake_rehearsal import HELLO, FakeRehearsal, rehearsal
+from tests.session.fake_rehearsal import HELLO, FakeRehearsal, rehearsal
 from tests.waiting import LONG
 
 __all__ = ["rehearsal"]

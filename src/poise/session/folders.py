@@ -1,4 +1,4 @@
-"""Temporary folders, locked while in use: the next process removes the others."""
+"""The folders of a user's robots: journals and logs that stay, and temporary ones."""
 
 from __future__ import annotations
 
@@ -11,7 +11,54 @@ from collections.abc import Iterator
 from hashlib import blake2s
 from pathlib import Path
 
-from poise.errors import RunError
+from poise.errors import RunError, UsageError
+
+_JOURNAL = "journal.jsonl"
+
+
+def state_folder() -> Path:
+    """Return the folder of this user's robots."""
+    state = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state"
+    return Path(state) / "poise"
+
+
+def make_journal(robot: str) -> Path:
+    """Return the file of a robot's journal, in a folder that is there if possible."""
+    path = state_folder() / robot / _JOURNAL
+    with contextlib.suppress(OSError):  # the journal itself says that it has none
+        path.parent.mkdir(parents=True, exist_ok=True)
+    return path
+
+
+def find_journal(robot: str | None = None) -> Path:
+    """Return a robot's journal, or the one written last; UsageError: there is none."""
+    found = list(state_folder().glob(f"{robot or '*'}/{_JOURNAL}"))
+    if not found:
+        of = f" of robot '{robot}'" if robot else ""
+        known = sorted(
+            each.parent.name for each in state_folder().glob(f"*/{_JOURNAL}")
+        )
+        raise UsageError(
+            f"there is no journal{of} in {state_folder()} (there: "
+            f"{', '.join(known) or 'none'}): `poise up` writes one, or name a file"
+        )
+    return max(found, key=lambda each: each.stat().st_mtime_ns)
+
+
+def to_write(path: Path | None) -> Path | None:
+    """Return a path to be written at the end; UsageError when it cannot be."""
+    if path is None:
+        return None
+    is_new = not path.exists()
+    try:
+        with path.open("ab"):
+            pass
+    except OSError as error:
+        raise UsageError(f"{path} cannot be written: {error.strerror}") from error
+    if is_new:
+        path.unlink()
+    return path
+
 
 _MOST_TRIES = 10
 

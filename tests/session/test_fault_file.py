@@ -8,7 +8,7 @@ import pytest
 
 from poise.errors import RobotError, UsageError
 from poise.model.robot import Computer, Robot
-from poise.session.simulating.fault_file import faults_of, read_faults
+from poise.session.fault_file import faults_of, read_faults
 from poise.simulation.faults import KINDS, LINK_KINDS, SimulatedFault
 
 ROBOT = Robot(

@@ -17,10 +17,10 @@ from poise.manage.observe.chains import ChainReport
 from poise.manage.observe.deviations import faults_after
 from poise.manage.tasks.concurrent_tasks import TaskReport
 from poise.session.launch.start import Started
-from poise.session.pages.picture import Hosted, picture
-from poise.session.pages.report_page import page
 from poise.session.placing.placement import Placement
+from poise.session.render.picture import Hosted, picture
 from poise.session.render.printable import Printable
+from poise.session.render.report_page import page
 from poise.session.render.run_tables import report_parts
 from poise.session.reports.history import Moment, cpu_shares
 from poise.session.reports.last_seen import LastSeen

@@ -7,7 +7,7 @@ from html import escape
 from typing import NamedTuple
 
 from poise.manage.journal import JournalEntry
-from poise.session.pages.picture import Point, line, svg, text
+from poise.session.render.picture import Point, line, svg, text
 from poise.session.reports.history import Moment
 from poise.session.reports.run_records import RunRecord
 from poise.units import counted, format_seconds

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from html import escape
 
-from poise.session.pages.picture import bar_row
-from poise.session.pages.report_page import Mark, document, html_table, over_time
+from poise.session.render.picture import bar_row
+from poise.session.render.report_page import Mark, document, html_table, over_time
 from poise.session.render.simulation_tables import late, share, took, verdict
 from poise.simulation.simulation_report import SimulatedEvent, SimulationReport
 

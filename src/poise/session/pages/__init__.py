@@ -1,1 +1,0 @@
-"""Pages and pictures of runs and placements as HTML and SVG."""

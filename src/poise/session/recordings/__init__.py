@@ -1,1 +1,0 @@
-"""Records what a run used and what its architectures sent, and reads it again."""

@@ -1,1 +1,0 @@
-"""A robot in virtual time: what it does, with which placement, under which faults."""
