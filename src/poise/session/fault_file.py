@@ -58,7 +58,12 @@ Faults: TypeAlias = Sequence[SimulatedFault] | str | PathLike[str]
 RANDOM = "random"
 _LONGEST_PAUSE, _FEWEST = 300.0, 6
 """The seed picks a fault every five minutes, or about six in a short simulation."""
-_TIMELESS: tuple[Kind, ...] = ("kill container", "step wall clock", "another manager")
+_TIMELESS: tuple[Kind, ...] = (
+    "kill container",
+    "step wall clock",
+    "another manager",
+    "take over",
+)
 """These are over at once: `for` says nothing about them."""
 _AT_ONCE = 1.0
 """What such a fault has instead [s]."""

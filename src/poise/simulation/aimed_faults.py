@@ -17,6 +17,7 @@ _KINDS: tuple[Kind, ...] = (
     "pause computer",
     "cut link",
     "isolate computer",
+    "take over",
 )
 _IN_RUNS = 0.5
 _OFTEN = {"steps": 0.03, "up": 0.3}

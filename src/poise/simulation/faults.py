@@ -36,6 +36,7 @@ Kind = Literal[
     "slow disk",
     "full disk",
     "another manager",
+    "take over",
 ]
 KINDS: tuple[Kind, ...] = Kind.__args__  # type: ignore[attr-defined]
 LINK_KINDS: tuple[Kind, ...] = ("cut link", "cut one way", "clog link")
@@ -138,6 +139,7 @@ def _begin(robot: SimulatedRobot, fault: SimulatedFault) -> Mend:
         "slow": _slow_disk,
         "full": _fill_disk,
         "another": _start_manager,
+        "take": _start_manager,
     }
     return begin[verb](robot, fault)
 
@@ -162,8 +164,12 @@ def _kill(robot: SimulatedRobot, fault: SimulatedFault) -> Mend:
 
 
 def _start_manager(robot: SimulatedRobot, fault: SimulatedFault) -> Mend:
-    """Let somebody run `poise up` on a computer, though another may be at work."""
-    robot.start_manager(fault.target)
+    """Let somebody run `poise up` on a computer, though another may be at work.
+
+    They say `--take-over` only when no computer is out of reach, as is asked of them.
+    """
+    takes_over = fault.kind == "take over" and robot.is_reached()
+    robot.start_manager(fault.target, take_over=takes_over)
     return _nothing
 
 

@@ -39,6 +39,8 @@ INVARIANTS: Mapping[str, str] = {
     "nothing-active-twice": "No two incarnations of a component work at one time.",
     "each-message-once-in-order": "No message is processed twice, or out of order.",
     "committed-stays": "A committed move is never undone.",
+    "nothing-is-lost": "While nothing is broken, no message is lost.",
+    "moves-succeed": "While nothing is broken, a move that has begun is committed.",
     "commands-end": "An accepted command ends within its limit.",
     "desired-is-reached": "What is desired runs soon after the last fault ended.",
     "failures-are-shown": "A failure is in `status` within a second.",
@@ -215,6 +217,7 @@ class _Run:
             robot.start_agent(computer)
         robot.start_manager(next(iter(robot.computers)))
         self._until(UP_LIMIT, "the robot is not up")
+        robot.ledger.is_whole = True
         begin = self._scheduler.now
         end = begin + self._scenario.seconds
         self.faults = self._scenario.faults or ()
@@ -260,6 +263,7 @@ class _Run:
 
     def _inject(self, fault: SimulatedFault) -> None:
         """Let a fault begin; in a second `status` has to say what is lost."""
+        self.robot.ledger.is_whole = False
         manager, agent = self.robot.manager, self.robot.agents.get(fault.target)
         was_heard = self._is_heard(fault.target)
         inject(self.robot, fault)
@@ -336,11 +340,15 @@ class _Run:
         def take(result: Result | Refusal) -> None:
             nonlocal is_done
             is_done = True
-            if isinstance(result, MigrationReport) and result.committed:
+            robot.note("client", f"move {component} to {computer}: {_short(result)}")
+            if not isinstance(result, MigrationReport):
+                return
+            if result.committed:
                 assert manager.run is not None  # noqa: S101, it answered
                 epoch = manager.run.placed[component].epoch
                 robot.ledger.commit(component, epoch)
-            robot.note("client", f"move {component} to {computer}: {_short(result)}")
+            elif robot.ledger.is_whole:
+                robot.ledger.violate("moves-succeed", f"{command}: {result.reason}")
 
         def look() -> None:
             if not is_done and not manager.process.is_dead:

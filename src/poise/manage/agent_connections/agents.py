@@ -161,6 +161,19 @@ class Agents(AgentReports):
         self._heartbeats.close()
         self._session.close()  # type: ignore[no-untyped-call]
 
+    def take_status(self, status: AgentStatus) -> None:
+        """Store what an agent reported.
+
+        One that obeys another manager answers the heartbeats of that one only: for this
+        one it would be out of reach for ever, also once that manager is gone.
+        """
+        manager = status.manager
+        if manager is not None and manager.key != self.manager.key:
+            with self._changed:
+                self._silent.pop(status.computer, None)
+                self._heartbeats.forget(status.computer)
+        super().take_status(status)
+
     def obey(self, computer: str) -> bool:
         """Return whether an agent is reached and obeys this manager."""
         with self._changed:

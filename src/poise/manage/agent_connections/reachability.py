@@ -151,7 +151,7 @@ class AgentHeartbeats:
         key: str,
         endpoints: Mapping[str, str],
         clock: Clock,
-        on_silent: Callable[[set[str]], object],
+        on_silent: Callable[[list[str]], object],
         surely_ended: float,
         datagrams: Datagrams | None = None,
     ) -> None:
@@ -234,5 +234,5 @@ class AgentHeartbeats:
             has_changed, self._silent = silent != self._silent, silent
             beat = self._contacts.next_beat(now, asks=asks, revoked=dict(self._revoked))
         if has_changed:
-            self._on_silent(set(silent))
+            self._on_silent(sorted(silent))
         return beat, ASK_EVERY if asks else EVERY

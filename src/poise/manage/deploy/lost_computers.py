@@ -68,7 +68,7 @@ class LostComputers:
         away = self._lost_at.keys() & agents.out_of_reach().keys() & self._run.claimed
         return frozenset(
             name
-            for name in away
+            for name in sorted(away)
             if not agents.heard_by(name) and agents.ends_soon(name)
         )
 

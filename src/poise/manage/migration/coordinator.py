@@ -83,7 +83,11 @@ class Migration:
         self._late: list[PlacedStep] = []
 
     def run(self) -> MigrationReport:
-        """Migrate, or roll back; never raises for what goes wrong on the way."""
+        """Migrate, or roll back.
+
+        Nothing that goes wrong on the way is raised, but `RunError` where another
+        manager has the robot: that one decides whether what is half done is finished.
+        """
         downtime, reason = 0.0, ""
         self._phases.enter("prepare")
         try:
@@ -108,6 +112,7 @@ class Migration:
         else:
             self._run.reconcile()
         self._wait_ended(self._targets if reason else self._sources)
+        self._raise_on_successor()
         return structs.replace(
             self._report,
             committed=not reason,
@@ -117,6 +122,14 @@ class Migration:
             steps=tuple(self._taken),
             late={} if reason else self._dropped,
         )
+
+    def _raise_on_successor(self) -> None:
+        successor = self._run.agents.successor()
+        if successor is not None:
+            raise RunError(
+                f"{successor} has taken the robot over amid the {self._what}: "
+                "`poise status` says where it runs now"
+            )
 
     def _planned(self) -> MigrationPlan:
         """Return the steps; raise RunError when they could not all be taken."""

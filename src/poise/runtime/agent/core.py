@@ -85,7 +85,7 @@ class AgentCore:
             world.disk.checkpoint_age,
         )
         if left.wanted is not None:
-            self.supervisor.deploy(left.wanted)
+            self.supervisor.deploy(left.wanted, is_left=True)
             world.disk.keep_only(left.wanted)
         self._relay = MigrationRelay(self.supervisor.processes)
         self.fence = Fence(

@@ -56,6 +56,7 @@ class Supervisor:
         self.trouble = ""
         self.lease_end = -inf
         self._is_cut_off = False
+        self._is_left = False
         self._cut_off_at = inf
         self._host = host
         self._clock = clock
@@ -89,9 +90,13 @@ class Supervisor:
             ):
                 process.extend_lease(until)
 
-    def deploy(self, wanted: Deployment) -> None:
-        """Work towards a deployment from now on."""
-        self.wanted = wanted
+    def deploy(self, wanted: Deployment, *, is_left: bool = False) -> None:
+        """Work towards a deployment from now on.
+
+        `is_left`: an earlier agent left it on its disk, which may be late: a leased
+        component that is not active may run elsewhere by now.
+        """
+        self.wanted, self._is_left = wanted, is_left
         names = self._specs().keys()
         self._backoffs = {n: b for n, b in self._backoffs.items() if n in names}
         for health in self.health.records({}):
@@ -237,7 +242,17 @@ class Supervisor:
         containers = self.wanted.containers if self.wanted else ()
         if self.is_cut_off:
             containers = tuple(container.without_lease() for container in containers)
+        elif self._is_left:
+            containers = tuple(map(self._left, containers))
         return {container.name: container for container in containers}
+
+    def _left(self, spec: ContainerSpec) -> ContainerSpec:
+        """Return what goes on of what an earlier agent left."""
+        process = self.processes.get(spec.name)
+        status = process.status if process else None
+        here = status.components if status else ()
+        at_work = {(c.name, c.epoch) for c in here if c.state == "active"}
+        return spec.without_lease(at_work)
 
     def _moments(self) -> Iterator[float]:
         again_at = self._supervised.again_at
@@ -257,7 +272,7 @@ class Supervisor:
                 process.stop(now)
             process.keep_limits(now)
             self._fence(process, now)
-            if spec is not None:
+            if spec is not None and (process.status or not self._is_left):
                 self._tell(process, spec)
         elif spec is not None and not self.trouble and not self._awaits(name):
             backoff = self._backoffs.get(name)

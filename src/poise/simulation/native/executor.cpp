@@ -73,13 +73,13 @@ void Executor::take(Item item) {
   work();
 }
 
-bool Executor::drop_oldest(const Slot* slot) {
+bool Executor::drop_oldest(Slot* slot) {
   const auto oldest = std::find_if(mailbox_.begin(), mailbox_.end(), [slot](const Item& item) {
     return item.kind == Item::Kind::message && item.connector->slot == slot;
   });
   if (oldest == mailbox_.end()) return false;
   mailbox_.erase(oldest);
-  ++engine_.ledger.dropped;
+  engine_.ledger.drop(*slot);
   return true;
 }
 

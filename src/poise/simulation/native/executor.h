@@ -98,7 +98,7 @@ class Executor {
   double now() const;
   bool may_work() const { return container_.may_work(is_leased_); }
   // Make room; return whether there was a message to drop.
-  bool drop_oldest(const Slot* slot);
+  bool drop_oldest(Slot* slot);
   // Look again when a timer is due.
   void plan();
   void on_due(double due);

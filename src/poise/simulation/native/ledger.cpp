@@ -1,5 +1,6 @@
 #include "ledger.h"
 
+#include <algorithm>
 #include <cstdio>
 
 namespace poise::simulation {
@@ -67,6 +68,12 @@ void Ledger::process(Slot& slot, std::uint64_t number, const Incarnation& who) {
     violate("each-message-once-in-order", text(who) + " processed message " +
                                               std::to_string(number) + " of '" + slot.name +
                                               "' after " + std::to_string(slot.last));
+  const std::uint64_t missing = number - slot.last - 1;
+  if (is_whole && slot.last && number > slot.last && missing > slot.dropped)
+    violate("nothing-is-lost", text(who) + " processed message " + std::to_string(number) + " of '" +
+                                   slot.name + "' after " + std::to_string(slot.last) +
+                                   ", and nothing was broken");
+  slot.dropped -= std::min(missing, slot.dropped);
   slot.last = number;
 }
 

@@ -30,11 +30,11 @@ struct Incarnation {
   bool is_dead = false;  // its process has ended
 };
 
-// What a component sends over, whichever target it leads to: messages sent, and the last
-// that was processed.
+// What a component sends over, whichever target it leads to: messages sent, the last that
+// was processed, and those since then that made room for newer ones.
 struct Slot {
   std::string name;
-  std::uint64_t sent = 0, last = 0;
+  std::uint64_t sent = 0, last = 0, dropped = 0;
 };
 
 class Ledger {
@@ -54,6 +54,8 @@ class Ledger {
   void act(const Incarnation& who, double now);
   // Note that a client was told that a move to an incarnation is committed.
   void commit(const std::string& component, int epoch) { lives_[component].committed = epoch; }
+  // Note that a message makes room for newer ones.
+  void drop(Slot& slot) { ++slot.dropped, ++dropped; }
   // Note that a message is processed.
   void process(Slot& slot, std::uint64_t number, const Incarnation& who);
   // Note what must never be.
@@ -61,6 +63,8 @@ class Ledger {
     violations_.emplace_back(std::move(invariant), std::move(what));
   }
 
+  // Nothing is broken: no message may be lost.
+  bool is_whole = false;
   // (invariant, sentence) in the order in which it was seen
   const std::vector<std::pair<std::string, std::string>>& violations() const {
     return violations_;

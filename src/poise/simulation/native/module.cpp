@@ -172,6 +172,7 @@ void bind_ledger(nb::module_& module) {
       .def("commit", &Ledger::commit, "component"_a, "epoch"_a)
       .def("violate", &Ledger::violate, "invariant"_a, "what"_a)
       .def_prop_ro("violations", &Ledger::violations)
+      .def_rw("is_whole", &Ledger::is_whole)
       .def_ro("handled", &Ledger::handled)
       .def_ro("processed", &Ledger::processed)
       .def_ro("dropped", &Ledger::dropped)

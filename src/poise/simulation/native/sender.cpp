@@ -39,12 +39,14 @@ Stamps Sender::stamps(Executor& source) const {
 }
 
 void Sender::put(Item item) {
-  if (!is_buffering_)
+  if (!is_buffering_) {
     send(std::move(item));
-  else if (buffer_.size() < most_buffered)
+  } else if (buffer_.size() < most_buffered) {
     buffer_.push_back(std::move(item));
-  else
+  } else {
     ++drops_;
+    container_.engine().ledger.drop(*connector_->slot);
+  }
 }
 
 void Sender::send(Item item) {

@@ -164,6 +164,15 @@ class SimulatedRobot:
         if self.manager is None and not self.is_stopped:
             self.start_manager(computer)
 
+    def is_reached(self) -> bool:
+        """Return whether each agent runs, and each computer reaches each other one."""
+        running = [a for a in self.agents.values() if not a.process.is_paused]
+        return len(running) == len(self.computers) and not any(
+            self.network.is_cut(here, there)
+            for here in (*self.computers, OUTSIDE)
+            for there in self.others_than(here)
+        )
+
     @property
     def manager(self) -> SimulatedManager | None:
         """The last manager that is up, or starts; None: none runs."""
