@@ -19,7 +19,7 @@ from poise.simulation.simulation_report import (
     TimerMisses,
 )
 
-HELLO = Path(__file__).parents[3] / "examples/hello/robot.yaml"
+HELLO = Path(__file__).parents[2] / "examples/hello/robot.yaml"
 
 
 def timer(
