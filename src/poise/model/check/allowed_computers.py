@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from itertools import combinations
+from typing import NamedTuple
 
 from poise.model.check.names import check_components_known, components
 from poise.model.hardware import fits
@@ -15,12 +16,50 @@ from poise.units import format_amount
 Names = frozenset[str]
 
 
+class _Places(NamedTuple):
+    """Where things are on a robot: its computers, and that of each device."""
+
+    computers: Names
+    devices: Mapping[str, str]
+
+    @staticmethod
+    def of(robot: Robot) -> _Places:
+        return _Places(
+            frozenset(computer.name for computer in robot.computers),
+            {device.name: device.computer for device in robot.devices},
+        )
+
+    def limits(
+        self,
+        architecture: Architecture,
+        component: ComponentEntry,
+        *,
+        layers_stay: bool = True,
+    ) -> dict[str, Names]:
+        """Return what limits a component, for people, -> the computers it leaves.
+
+        Names that are unknown limit nothing: they are problems of their own.
+        """
+        limits = {
+            f"device '{name}' is on": frozenset({self.devices[name]})
+            for name in component.devices
+            if name in self.devices
+        }
+        if component.only:
+            limits["`only` allows"] = frozenset(component.only)
+        is_fixed = layers_stay and architecture.layer != "sequencing"
+        if is_fixed and architecture.home is not None:
+            reason = f"the {architecture.layer} layer stays at its home"
+            limits[reason] = frozenset({architecture.home})
+        return {reason: on for reason, on in limits.items() if on & self.computers}
+
+
 def allowed_computers(robot: Robot, *, layers_stay: bool = True) -> Mapping[str, Names]:
     """Return component -> the computers it may run on; names must be known."""
-    everywhere = frozenset(computer.name for computer in robot.computers)
+    places = _Places.of(robot)
     return {
-        component.name: everywhere.intersection(
-            *_limits(robot, architecture, component, layers_stay=layers_stay).values()
+        component.name: places.computers.intersection(
+            *places.limits(architecture, component, layers_stay=layers_stay).values()
         )
         for _, architecture, component in components(robot)
     }
@@ -28,8 +67,9 @@ def allowed_computers(robot: Robot, *, layers_stay: bool = True) -> Mapping[str,
 
 def check_allowed_computers(robot: Robot) -> Iterator[Finding]:
     """Yield the components whose pins, devices and home leave no computer."""
+    places = _Places.of(robot)
     for path, architecture, component in components(robot):
-        limits = _limits(robot, architecture, component)
+        limits = places.limits(architecture, component)
         if limits and not frozenset.intersection(*limits.values()):
             reasons = "; ".join(f"{r} {listed(sorted(h))}" for r, h in limits.items())
             yield Finding(
@@ -44,58 +84,48 @@ def check_demands(robot: Robot) -> Iterator[Finding]:
     Where another architecture of the same function has none, that one can be chosen.
     """
     hosts = allowed_computers(robot)
+    largest = _Largest(robot.computers)
     found: dict[str, list[Finding]] = {a.name: [] for a in robot.architectures}
     for path, architecture, component in components(robot):
-        allowed = [c for c in robot.computers if c.name in hosts[component.name]]
-        if allowed:
-            found[architecture.name] += _too_large(path, component, allowed)
+        if allowed := hosts[component.name]:
+            found[architecture.name] += _too_large(path, component, allowed, largest)
     can = {a.function for a in robot.architectures if not found[a.name]}
     for architecture in robot.architectures:
         if architecture.function not in can:
             yield from found[architecture.name]
 
 
+class _Largest(dict[tuple[Names, str], Computer]):
+    """Which of some computers has most of a resource, found when it is asked for."""
+
+    def __init__(self, computers: tuple[Computer, ...]) -> None:
+        super().__init__()
+        self._computers = computers
+
+    def __missing__(self, key: tuple[Names, str]) -> Computer:
+        names, resource = key
+        allowed = (each for each in self._computers if each.name in names)
+        found = max(allowed, key=lambda computer: computer.usable(resource))
+        self[key] = found
+        return found
+
+
 def _too_large(
-    path: Path, component: ComponentEntry, allowed: list[Computer]
+    path: Path, component: ComponentEntry, allowed: Names, largest: _Largest
 ) -> Iterator[Finding]:
     for resource, amount in component.demand.items():
-        largest = max(allowed, key=lambda computer: computer.usable(resource))
-        usable = largest.usable(resource)
+        computer = largest[allowed, resource]
+        usable = computer.usable(resource)
         if not fits(amount, usable):
             key = () if resource in ("cpu", "memory") else ("resources",)
             yield Finding(
                 (*path, *key, resource),
                 f"component '{component.name}' needs "
                 f"{format_amount(resource, amount)} of {resource}, but the largest "
-                f"computer that it may run on, '{largest.name}', has "
+                f"computer that it may run on, '{computer.name}', has "
                 f"{format_amount(resource, usable)} usable (capacity x speed - "
                 "reserve)",
             )
-
-
-def _limits(
-    robot: Robot,
-    architecture: Architecture,
-    component: ComponentEntry,
-    *,
-    layers_stay: bool = True,
-) -> dict[str, Names]:
-    """Return what limits a component, for people, -> the computers it leaves.
-
-    Names that are unknown limit nothing: they are problems of their own.
-    """
-    known = frozenset(computer.name for computer in robot.computers)
-    limits = {
-        f"device '{device.name}' is on": frozenset({device.computer})
-        for device in robot.devices
-        if device.name in component.devices
-    }
-    limits["`only` allows"] = frozenset(component.only)
-    is_fixed = layers_stay and architecture.layer != "sequencing"
-    if is_fixed and architecture.home is not None:
-        reason = f"the {architecture.layer} layer stays at its home"
-        limits[reason] = frozenset({architecture.home})
-    return {reason: hosts for reason, hosts in limits.items() if hosts & known}
 
 
 def check_together_apart(robot: Robot) -> Iterator[Finding]:

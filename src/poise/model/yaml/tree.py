@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
+from typing import Protocol
 
 import yaml
 from msgspec import Struct
-from yaml.reader import ReaderError
+from yaml.reader import Reader
 
 from poise.errors import FileProblem
 from poise.units import quoted
@@ -20,7 +21,7 @@ DEEPEST = 40
 """[levels] Deeper nesting is an error."""
 MOST = 100_000
 """[values] More of them in one file, after aliases are expanded, are an error."""
-_TAGS = {"str", "int", "float", "bool", "null", "timestamp", "merge", "value"}
+_TAGS = {"!", "str", "int", "float", "bool", "null", "timestamp", "map", "seq"}
 _NO_TEXT = re.compile("[\0\ud800-\udfff]")
 _YAML = "tag:yaml.org,2002:"
 
@@ -71,108 +72,153 @@ def parse(text: str, file: str, problems: list[FileProblem]) -> Node | None:
     Every problem is added to `problems`: syntax, duplicate keys, tags, nesting
     deeper than `DEEPEST`, and more than `MOST` values.
     """
+    if found := Reader.NON_PRINTABLE.search(text):
+        before = text[: found.start()]
+        column = found.start() - before.rfind("\n")
+        place = Location(file, before.count("\n") + 1, column)
+        problems.append(place.problem("not YAML: special characters are not allowed"))
+        return None
+    builder = _Builder(text, file, problems)
     try:
-        return _Converter(file, problems).node(_compose(text, file), None, 0)
+        return builder.document()
     except _Bad as error:
         problems.append(error.problem)
-        return None
-
-
-def _compose(text: str, file: str) -> yaml.Node:
-    try:
-        loader = _Loader(text, file)
-    except ReaderError as error:
-        before = text[: error.position]
-        column = error.position - before.rfind("\n")
-        place = Location(file, before.count("\n") + 1, column)
-        raise _Bad(place.problem(f"not YAML: {error.reason}")) from error
-    try:
-        root = loader.get_single_node()
     except yaml.MarkedYAMLError as error:
-        raise _Bad(_syntax_problem(error, file)) from error
-    except (ValueError, OverflowError) as error:
-        # PyYAML raises these for some escapes, such as "\UFFFFFFFF".
-        place = _place(file, loader.get_mark())
-        raise _Bad(place.problem(f"not YAML: {error}")) from error
-    if root is None:
-        raise _Bad(Location(file, 1, 1).problem("the file is empty"))
-    return root
+        problems.append(_syntax_problem(error, file))
+    except (ValueError, OverflowError, yaml.YAMLError) as error:
+        # PyYAML raises these for some escapes, such as "\UFFFFFFFF"
+        problems.append(builder.last.problem(f"not YAML: {error}"))
+    return None
 
 
-class _Loader(yaml.SafeLoader):
-    """A safe loader that returns nodes only, and rejects deep nesting."""
-
-    def __init__(self, text: str, file: str) -> None:
-        super().__init__(text)
-        self._file = file
-        self._depth = 0
-
-    def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
-        self._depth += 1
-        if self._depth > DEEPEST:
-            place = _place(self._file, self.peek_event().start_mark)  # type: ignore[no-untyped-call]
-            raise _Bad(place.problem(f"nested more than {DEEPEST} levels deep"))
-        node = super().compose_node(parent, index)
-        self._depth -= 1
-        return node
+_Parser: type[yaml.SafeLoader] = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+"""Of these only the parser is used: it makes events of a text, in C where it can."""
 
 
-class _Converter:
-    """Turns PyYAML's nodes into ours."""
+class _Builder:
+    """Makes a tree of the events of a YAML text."""
 
-    def __init__(self, file: str, problems: list[FileProblem]) -> None:
+    def __init__(self, text: str, file: str, problems: list[FileProblem]) -> None:
+        self._events = _Parser(text)
         self._file = file
         self._problems = problems
+        self._anchors: dict[str | None, Node | None] = {}  # None: not complete yet
         self._count = 0
+        self.last = Location(file, 1, 1)
 
-    def node(self, source: yaml.Node, key: yaml.Node | None, depth: int) -> Node:
-        place = _place(self._file, (key or source).start_mark)
-        self._count += 1
-        if self._count > MOST or depth > DEEPEST:
-            raise _Bad(place.problem(f"more than {MOST} values or {DEEPEST} levels"))
-        if isinstance(source, yaml.MappingNode):
-            return Node(place, dict(self._entries(source, depth)))
-        if isinstance(source, yaml.SequenceNode):
-            return Node(place, [self.node(s, None, depth + 1) for s in source.value])
-        self._check_scalar(source, place)
-        plain = isinstance(source, yaml.ScalarNode) and source.style is None
-        return Node(place, Scalar(source.value, plain))
+    def document(self) -> Node:
+        """Return the tree of the only document."""
+        self._next()
+        if isinstance(self._next(), yaml.StreamEndEvent):
+            raise _Bad(Location(self._file, 1, 1).problem("the file is empty"))
+        root = self._node(self._next(), None, 0)
+        self._next()
+        if not isinstance(self._next(), yaml.StreamEndEvent):
+            raise _Bad(self.last.problem("not YAML: expected a single document"))
+        return root
 
-    def _entries(
-        self, source: yaml.MappingNode, depth: int
-    ) -> Iterator[tuple[str, Node]]:
+    def _next(self) -> yaml.Event:
+        event: yaml.Event = self._events.get_event()  # type: ignore[no-untyped-call]
+        assert event.start_mark is not None  # noqa: S101 - it is of a text
+        self.last = _place(self._file, event.start_mark)
+        return event
+
+    def _node(self, event: yaml.Event, key: Location | None, depth: int) -> Node:
+        place = key or self.last
+        self._check_size(place, depth)
+        if isinstance(event, yaml.AliasEvent):
+            return Node(place, self._copy(self._anchored(event.anchor), depth).value)
+        assert isinstance(event, yaml.ScalarEvent | yaml.CollectionStartEvent)  # noqa: S101
+        if event.anchor is not None:
+            self._anchors[event.anchor] = None
+        self._check_tag(event.tag, place)
+        node = Node(place, self._value(event, place, depth))
+        if event.anchor is not None:
+            self._anchors[event.anchor] = node
+        return node
+
+    def _value(
+        self, event: yaml.Event, place: Location, depth: int
+    ) -> dict[str, Node] | list[Node] | Scalar:
+        if isinstance(event, yaml.MappingStartEvent):
+            return dict(self._entries(depth))
+        if isinstance(event, yaml.ScalarEvent):
+            self._check_text(event.value, place)
+            return Scalar(event.value, plain=not event.style)
+        return list(self._items(depth))
+
+    def _items(self, depth: int) -> Iterator[Node]:
+        while not isinstance(event := self._next(), yaml.SequenceEndEvent):
+            yield self._node(event, None, depth + 1)
+
+    def _entries(self, depth: int) -> Iterator[tuple[str, Node]]:
         first: dict[str, Location] = {}
-        for key, value in source.value:
-            place = _place(self._file, key.start_mark)
-            if not isinstance(key, yaml.ScalarNode):
-                self._problems.append(
-                    place.problem("a key must be a word, not a list or mapping")
-                )
-                continue
-            self._check_scalar(key, place)
-            if key.value in first:
+        while not isinstance(event := self._next(), yaml.MappingEndEvent):
+            place = self.last
+            key = self._node(event, None, depth + 1).value
+            self._count -= 1  # only values count
+            value = self._node(self._next(), place, depth + 1)
+            if not isinstance(key, Scalar):
+                text = "a key must be a word, not a list or mapping"
+                self._problems.append(place.problem(text))
+            elif key.text in first:
                 self._problems.append(
                     place.problem(
-                        f"the key {quoted(key.value)} is defined twice, "
-                        f"first at {first[key.value]}"
+                        f"the key {quoted(key.text)} is defined twice, "
+                        f"first at {first[key.text]}"
                     )
                 )
             else:
-                first[key.value] = place
-                yield key.value, self.node(value, key, depth + 1)
+                first[key.text] = place
+                yield key.text, value
 
-    def _check_scalar(self, source: yaml.Node, place: Location) -> None:
-        if _NO_TEXT.search(source.value):
-            text = quoted(source.value)
+    def _anchored(self, name: str | None) -> Node:
+        node = self._anchors.get(name)
+        if node is None:
+            what = "contains itself" if name in self._anchors else "has no anchor"
+            raise _Bad(self.last.problem(f"not YAML: the alias *{name} {what}"))
+        return node
+
+    def _copy(self, node: Node, depth: int) -> Node:
+        """Return a tree of its own, for what an alias stands for may be changed."""
+        self._check_size(node.place, depth)
+        if isinstance(node.value, dict):
+            entries = node.value.items()
+            value = {key: self._copy(each, depth + 1) for key, each in entries}
+            return Node(node.place, value)
+        if isinstance(node.value, list):
+            return Node(node.place, [self._copy(e, depth + 1) for e in node.value])
+        return node
+
+    def _check_size(self, place: Location, depth: int) -> None:
+        self._count += 1
+        if depth >= DEEPEST:
+            raise _Bad(place.problem(f"nested more than {DEEPEST} levels deep"))
+        if self._count > MOST:
+            raise _Bad(place.problem(f"more than {MOST} values, with those of aliases"))
+
+    def _check_text(self, text: str, place: Location) -> None:
+        if _NO_TEXT.search(text):
             self._problems.append(
-                place.problem(f"{text} contains a character that is not allowed")
+                place.problem(
+                    f"{quoted(text)} contains a character that is not allowed"
+                )
             )
-        if source.tag.removeprefix(_YAML) not in _TAGS:
-            tag = quoted(source.tag)
-            self._problems.append(place.problem(f"YAML tags are not supported: {tag}"))
+
+    def _check_tag(self, tag: str | None, place: Location) -> None:
+        if tag is not None and tag.removeprefix(_YAML) not in _TAGS:
+            text = f"YAML tags are not supported: {quoted(tag)}"
+            self._problems.append(place.problem(text))
 
 
-def _place(file: str, mark: yaml.Mark) -> Location:
+class _Mark(Protocol):
+    """PyYAML's mark, of its parser in C or in Python; counts from 0."""
+
+    line: int
+    column: int
+
+
+def _place(file: str, mark: _Mark) -> Location:
     return Location(file, mark.line + 1, mark.column + 1)
 
 
