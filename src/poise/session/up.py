@@ -208,10 +208,10 @@ def up(  # noqa: PLR0913 - each is a choice of the user
         )
         agents = it.run.agents
         if metrics is not None:
-            from poise.manage.observe.metrics import MetricsServer
+            from poise.manage.observe.prometheus import MetricsCollector, MetricsServer
 
-            to = MetricsServer(estimates, agents.statuses, ("127.0.0.1", metrics))
-            stack.callback(to.close)
+            collector = MetricsCollector(estimates, agents.statuses)
+            stack.callback(MetricsServer(collector, "127.0.0.1", metrics).close)
         if send is not None and otel is not None:
             sender = send(robot.name, estimates, agents.statuses, otel)
             stack.callback(sender.close)
