@@ -12,8 +12,8 @@ from typing import Any, TypedDict
 
 import msgspec
 
-from poise.cli.commands.demo_command import demo_module
 from poise.cli.commands.emulate_command import ListedSet
+from poise.cli.commands.run_command import demo_module
 from poise.errors import FileProblem
 from poise.estimate.profiles import Profile
 from poise.manage.adaptation.proposals import WhatIf

@@ -2,13 +2,7 @@ import pytest
 from msgspec.structs import replace
 
 from poise.errors import RunError
-from poise.session.profiling.connector_costs import (
-    EMPTY,
-    PAIRS,
-    TICKING,
-    Pair,
-    costs_of,
-)
+from poise.session.profiling.calibrate import EMPTY, PAIRS, TICKING, Pair, costs_of
 from poise.wire.records.status_records import (
     AgentSample,
     ConnectorSample,

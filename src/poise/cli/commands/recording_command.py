@@ -104,10 +104,10 @@ def record_command(
         bool, typer.Option("--all", help="Messages and calls of all connectors.")
     ] = False,
     rate: Annotated[
-        float, typer.Option(help="At most so many messages of each a second.")
+        float, typer.Option(help="Most messages of each a second.")
     ] = 400.0,
     seconds: Annotated[
-        float, typer.Option("--for", help="End after so many seconds.")
+        float, typer.Option("--for", help="End after this time [s].")
     ] = math.inf,
     robot: Robot = None,
     as_json: AsJson = False,

@@ -1,19 +1,33 @@
-"""`poise run`: start what a task needs, watch it, and report."""
+"""`poise run`, `up` and `demo`: start a robot, and watch it or keep it up."""
 
 from __future__ import annotations
 
+import contextlib
+import importlib
 import sys
 from pathlib import Path
-from typing import Annotated
+from types import ModuleType
+from typing import Annotated, Literal
 
 import msgspec
 import typer
+from msgspec.structs import replace
 from rich.markup import escape
 
+from poise.cli.commands.dashboard_command import check_dashboard, dashboard_beside
 from poise.cli.interrupts import Interrupts
-from poise.cli.options import AsJson, Method, RobotFile, RobotTask, parse_option
+from poise.cli.options import (
+    AnyMethod,
+    AsJson,
+    Method,
+    RobotFile,
+    RobotTask,
+    parse_option,
+)
 from poise.errors import UsageError
+from poise.model.steps import Prefetch
 from poise.session.folders import to_write
+from poise.session.launch.printer import Printer, log_printer
 from poise.session.placing.placement import place
 from poise.session.render.printable import console_to
 from poise.session.render.run_progress import progress
@@ -110,3 +124,176 @@ def _make_folder(path: Path) -> None:
     except OSError as error:
         raise UsageError(f"--report {path}: {error.strerror}") from error
     to_write(path / "report.json")
+
+
+_LOOK_EVERY = 0.2
+
+
+def up_command(
+    file: RobotFile,
+    task: Annotated[
+        list[str] | None,
+        typer.Option("--task", help="A task, or several; else the file's first."),
+    ] = None,
+    placement: AnyMethod = None,
+    journal: Annotated[
+        Path | None,
+        typer.Option(help="File for the journal; else `poise journal` finds it."),
+    ] = None,
+    metrics: Annotated[
+        int | None,
+        typer.Option(
+            min=1, max=65535, help="TCP port for Prometheus, on this computer."
+        ),
+    ] = None,
+    otel: Annotated[
+        str | None, typer.Option(help="URL of an OpenTelemetry collector (OTLP/HTTP).")
+    ] = None,
+    adapt: Annotated[
+        bool, typer.Option(help="Change the placement when deadlines are missed.")
+    ] = True,
+    prefetch: Annotated[
+        bool, typer.Option(help="Prepare what the next actions need.")
+    ] = True,
+    take_over: Annotated[
+        bool, typer.Option("--take-over", help="Replace the manager that it has.")
+    ] = False,
+    detach: Annotated[
+        bool, typer.Option("--detach", help="Return once it is up; it goes on.")
+    ] = False,
+    dashboard: Annotated[
+        bool, typer.Option("--dashboard", help="Show it as a web page meanwhile.")
+    ] = False,
+    record: Annotated[
+        Path | None,
+        typer.Option(
+            help="File for what is used, and what policies see.", callback=to_write
+        ),
+    ] = None,
+) -> None:
+    """Start a robot and keep it running until Ctrl-C or `poise stop`.
+
+    With --detach it goes on in the background, and returns once the robot is up.
+
+    Meanwhile `poise status`, `task`, `move`, `replace` and `balance` work on it. It
+    prints each move, what its tasks do, and everything that is not as the robot file
+    says.
+
+    Example: poise up robot.yaml --task fetch
+    """
+    if dashboard:
+        check_dashboard()
+    with Printer() as printer, log_printer():
+        say = printer.print
+        robot = load(file, say=say, meanwhile=_import_the_rest)
+        from poise.session.launch.detached import up_detached
+        from poise.session.placing.placement import place
+        from poise.session.up import up
+
+        if detach:
+            with Interrupts() as interrupts:
+                words = [word for word in sys.argv[1:] if word != "--detach"]
+                say(str(up_detached(robot, file, words, say, interrupts.check)))
+            if dashboard:
+                say("its log says where the dashboard is")
+            return
+        if not prefetch:
+            robot = replace(robot, prefetch=Prefetch(off=True))
+        tasks = task or [task_of(robot, None)]
+        if placement and len(tasks) > 1:
+            raise UsageError("--placement places one task: start the others afterwards")
+        placed = (
+            place(robot, tasks[0], method=placement, fewer=True) if placement else None
+        )
+        with (
+            Interrupts() as interrupts,
+            up(
+                robot,
+                tasks,
+                placement=placed,
+                journal=journal,
+                metrics=metrics,
+                otel=otel,
+                record=record,
+                adapt=adapt,
+                take_over=take_over,
+                say=say,
+                check=interrupts.check,
+            ) as running,
+            dashboard_beside(robot.name) if dashboard else contextlib.nullcontext(),
+        ):
+            ends = "Ctrl-C" if sys.stdin.isatty() else "`poise stop`"
+            names = "' and '".join(tasks)
+            say(f"robot '{robot.name}' is up with task '{names}'; {ends} ends it")
+            while not running.wait(_LOOK_EVERY):
+                interrupts.check()
+            say("stopping")
+
+
+def _import_the_rest() -> None:
+    """Import the manager, so that a robot waits for it no longer than it must."""
+    importlib.import_module("poise.session.up")
+
+
+_CLONE = Path(__file__).parents[4]
+
+
+def demo_command(
+    as_json: AsJson = False,
+    scene: Annotated[
+        Literal[
+            "overload",
+            "lost-computer",
+            "cut-link",
+            "cut-one-link",
+            "frozen-agent",
+            "manager-killed",
+            "tasks",
+        ]
+        | None,
+        typer.Option(help="Show instead how a running robot adapts, or runs tasks."),
+    ] = None,
+) -> None:
+    """Drive a home service robot through a home, placed by hand and by Poise.
+
+    25 components on two emulated computers, as in the paper's case study: first all on
+    the main computer that can run there, then where Poise puts them. Takes about a
+    minute, and draws both drives in poise-demo.svg.
+
+    With --scene, a small robot adapts by itself: another program overloads one of its
+    computers, a computer loses power or is cut off, one link of three is cut, an agent
+    is stopped, or the manager is killed amid a move; or three tasks share functions,
+    and one pauses another.
+
+    The robots and the home are in the folder `examples` of Poise's repository: run it
+    in a clone.
+
+    Examples
+    --------
+    poise demo
+
+    poise demo --scene overload
+    """
+    demo = demo_module()
+    if scene is None:
+        demo.play_drives(as_json=as_json)
+    else:
+        demo.play_scene(scene, as_json=as_json)
+
+
+def demo_module() -> ModuleType:
+    """Return `examples/demo/play.py` of the clone where this is, or the command runs.
+
+    Raises
+    ------
+    UsageError
+        Neither is a clone.
+    """
+    for clone in (_CLONE, Path.cwd()):
+        if (clone / "examples/demo/play.py").is_file():
+            sys.path.insert(0, str(clone))
+            return importlib.import_module("examples.demo.play")
+    raise UsageError(
+        "the demo is in the folder `examples` of Poise's repository, which is not "
+        f"installed with Poise: clone it, and run `poise demo` there (not {Path.cwd()})"
+    )

@@ -31,7 +31,7 @@ from poise.session.render.tables import (
 from poise.session.running_robots.running import NoManager, RolledBack, Running, Status
 
 TELL_EVERY = 1.0
-"""What is under way is told this often [s]."""
+"""How often it says what is under way [s]."""
 
 
 @contextmanager
@@ -270,7 +270,7 @@ def start_command(
 
 
 def pause_command(task: Name, robot: Robot = None, as_json: AsJson = False) -> None:
-    """Let a task rest: its components keep their state, and use no CPU.
+    """Pause a task: its components keep their state, and use no CPU.
 
     Example: poise task pause fetch
     """

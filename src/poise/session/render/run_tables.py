@@ -72,7 +72,7 @@ def report_parts(report: RunRecord) -> Iterator[RenderableType]:
         f"{name} {share:.0%}" for name, share in report.cpu_share.items()
     )
     yield f"ran for {report.seconds:.1f} s; CPU used: {shares}"
-    yield from task_lines(report.tasks)
+    yield from task_lines(report.tasks, is_over=True)
     for name in report.put_aside:
         yield f"[red]architecture '{name}' was put aside: not all fits[/]"
     yield from _failures(report)

@@ -17,6 +17,7 @@ from poise.manage.control_socket.commands import Rebalanced
 from poise.manage.migration.migration_report import MigrationReport, TransitionReport
 from poise.manage.observe.chains import ChainReport
 from poise.manage.tasks.concurrent_tasks import ActionReport, TaskReport
+from poise.manage.tasks.task_progress import OVER
 from poise.units import format_bytes, format_seconds
 from poise.wire.records.heartbeat_records import ClockStatus
 from poise.wire.records.status_records import ConnectorStatus, Summary
@@ -217,13 +218,16 @@ def task_table(tasks: Iterable[TaskReport]) -> Table:
     return rows
 
 
-def task_lines(tasks: Iterable[TaskReport]) -> Iterator[str]:
-    """Yield a line for each task."""
+def task_lines(tasks: Iterable[TaskReport], *, is_over: bool = False) -> Iterator[str]:
+    """Yield a line for each task; `is_over`: of a robot that runs no more."""
     for each in tasks:
+        was_cut = is_over and each.state not in OVER
         colour = _COLOURS.get(each.state, "")
         at = f" with {', '.join(map(_action, each.actions))}" if each.actions else ""
         why = f": {each.why}" if each.why else ""
-        line = escape(f"task '{each.name}' is {each.state}{at}{why}")
+        state = f"was {each.state}" if was_cut else f"is {each.state}"
+        end = " when the run ended" if was_cut else ""
+        line = escape(f"task '{each.name}' {state}{at}{end}{why}")
         yield f"[{colour}]{line}[/]" if colour else line
 
 

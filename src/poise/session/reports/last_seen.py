@@ -98,7 +98,7 @@ Place = tuple[str, str]
 _Stay = tuple[Place, int, int]
 """Where, in which process, and as which incarnation."""
 _MOST = 50
-"""So many stays of a component are told apart."""
+"""Up to this number of stays of a component are kept apart."""
 
 
 class LastSeen:

@@ -66,7 +66,7 @@ class RunningTasks:
         return self._do("start", task, priority)
 
     def pause(self, task: str) -> TaskReport:
-        """Let a task rest until it is resumed; its components keep their state."""
+        """Pause a task until it is resumed; its components keep their state."""
         return self._do("pause", task)
 
     def resume(self, task: str) -> TaskReport:
