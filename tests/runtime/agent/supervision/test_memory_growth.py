@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable
 
 import pytest
 
-from poise.runtime.supervision.memory_growth import MemoryGrowth
+from poise.runtime.supervision.sampler import MemoryGrowth
 
 MB = 1e6
 START = 100 * MB
