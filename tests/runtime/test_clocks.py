@@ -18,7 +18,7 @@ from poise.manage.journal import Journal
 from poise.model import load
 from poise.runtime.agent.fence import Fence
 from poise.runtime.agent.heartbeat_exchange import HeartbeatExchange
-from poise.runtime.execution.clocks import ComputerClock
+from poise.runtime.execution.data_age import ComputerClock
 from poise.runtime.supervision.container_processes import ContainerProcess
 from poise.runtime.supervision.health import Silence
 from poise.runtime.supervision.process_host import ControlLink

@@ -10,8 +10,8 @@ from poise.runtime.component.ports import ports_of
 from poise.runtime.connectors.channel_route import receiving
 from poise.runtime.connectors.endpoints import OvertakenSources
 from poise.runtime.connectors.interface import message_tag
-from poise.runtime.execution.clocks import RemoteClock
 from poise.runtime.execution.counters import Counts
+from poise.runtime.execution.data_age import RemoteClock
 from poise.wire import frame
 from poise.wire.codec import codec
 from poise.wire.frame import Kind

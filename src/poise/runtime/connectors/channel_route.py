@@ -17,10 +17,15 @@ from poise.runtime.connectors.flow_control import Credit, CreditIssuer
 from poise.runtime.connectors.interface import Method, message_tag, methods
 from poise.runtime.connectors.route import raise_callee_error
 from poise.runtime.connectors.sender import Sender
-from poise.runtime.execution.clocks import RemoteClock
 from poise.runtime.execution.container_lease import LeaseEnd, LeaseEnded, check_lease
 from poise.runtime.execution.counters import Counts
-from poise.runtime.execution.data_age import Stamped, served, stamped_value, with_stamps
+from poise.runtime.execution.data_age import (
+    RemoteClock,
+    Stamped,
+    served,
+    stamped_value,
+    with_stamps,
+)
 from poise.runtime.execution.exclusion import Redirected, current_chain
 from poise.runtime.execution.mailbox import Feed
 from poise.wire import frame

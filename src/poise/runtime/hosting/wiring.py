@@ -19,9 +19,8 @@ from poise.runtime.connectors.interface import carries_messages
 from poise.runtime.connectors.route import DirectRoute, Route
 from poise.runtime.connectors.sender import Sender
 from poise.runtime.connectors.tap import InputFile
-from poise.runtime.execution.clocks import RemoteClock
 from poise.runtime.execution.counters import Counts
-from poise.runtime.execution.data_age import SentChains
+from poise.runtime.execution.data_age import RemoteClock, SentChains
 from poise.runtime.hosting.runner import Runner
 from poise.wire.address import Address
 from poise.wire.connections.channel import Channel
