@@ -2,6 +2,7 @@
 
 import itertools
 import math
+from collections import Counter
 from random import Random
 
 import pytest
@@ -99,6 +100,70 @@ def test_no_placement_costs_less_with_soft_limits(seeds: range) -> None:
         assert found.objective.total == pytest.approx(least(asked), abs=1e-9)
         assert found.bound is not None
         assert found.bound <= least(asked) + 1e-9
+
+
+@pytest.mark.slow
+def test_of_equally_good_sets_the_best_is_kept() -> None:
+    """As many as fit are kept, and of all sets of so many none has a lower F."""
+    dropped = 0
+    for seed in range(60):
+        random = Random(seed)
+        asked = problem(random, random.randint(3, 5), 2)
+        names = [c.name for c in asked.components]
+        bundles = (Bundle(name=f"of {name}", components=(name,)) for name in names)
+        asked = replace(asked, architectures=tuple(bundles))
+        result = plan.solve(asked, 60.0, fewer=True, why=False)
+        totals = (
+            [
+                least(plan.keep_components(asked, {*kept}))
+                for kept in itertools.combinations(names, count)
+            ]
+            for count in range(len(names), -1, -1)
+        )
+        best = next(t for each in totals if (t := min(each)) < math.inf)
+        assert result.proven
+        assert result.objective is not None
+        assert result.objective.total == pytest.approx(best, abs=1e-9)
+        dropped += bool(result.aside)
+    assert dropped > 10
+
+
+def least_raise(asked: Problem) -> float:
+    """Return the least that capacities together must rise by, in shares of usual."""
+    usual = {r: max(h.capacity[r] for h in asked.computers) for r in asked.resources}
+    every = [h.name for h in asked.computers]
+    return min(
+        sum(
+            max(0.0, load[h.name, r] - h.usable(r)) / usual[r]
+            for h in asked.computers
+            for r in usual
+        )
+        for x in itertools.product(*(c.only or every for c in asked.components))
+        for load in [_load(asked, x)]
+    )
+
+
+def _load(asked: Problem, placed: tuple[str, ...]) -> Counter[tuple[str, str]]:
+    used: Counter[tuple[str, str]] = Counter()
+    for component, computer in zip(asked.components, placed, strict=True):
+        for resource, amount in component.demand.items():
+            used[computer, resource] += amount  # type: ignore[assignment]
+    return used
+
+
+@pytest.mark.slow
+def test_the_way_out_raises_several_limits_where_that_is_least() -> None:
+    """One limit alone took up to 7.5 times as much."""
+    shares = []
+    for seed in range(200):
+        random = Random(seed)
+        asked = problem(random, random.randint(3, 7), random.randint(2, 3))
+        found = plan.solve(asked, 60.0).conflict
+        if found is not None:
+            assert found.price is not None
+            shares.append(found.price / least_raise(asked))
+    assert len(shares) > 50
+    assert max(shares) < 1.001
 
 
 @pytest.mark.slow
@@ -234,3 +299,24 @@ def test_alternatives_are_chosen_with_the_placement() -> None:
         if result.objective is not None:
             assert result.objective.total == pytest.approx(best, abs=1e-9)
             assert result.bound == pytest.approx(best, abs=1e-9)
+
+
+@pytest.mark.slow
+@pytest.mark.exhaustive
+def test_no_proof_of_500_robots_is_wrong() -> None:
+    """By CP-SAT and by enumeration; CPU may be short in half of them."""
+    cpsat = pytest.importorskip("benchmarks.cpsat")
+    for seed in range(1000, 1500):
+        random = Random(seed)
+        asked = problem(random, random.randint(3, 6), random.randint(2, 3))
+        asked = softened(random, asked) if seed % 2 else asked
+        ours, theirs = plan.solve(asked, 60.0), cpsat.certificate(asked, 60.0)
+        optimum = least(asked)
+        assert ours.proven
+        assert theirs.proven
+        assert ours.feasible == bool(theirs.placed) == math.isfinite(optimum)
+        if ours.objective is None:
+            assert ours.conflict is not None
+            continue
+        assert ours.objective.total == pytest.approx(optimum, abs=1e-9), seed
+        assert theirs.objective == pytest.approx(optimum, abs=2e-3), seed

@@ -1,5 +1,6 @@
 """F of a problem, its parts and its alternatives is in one unit."""
 
+from math import inf
 from pathlib import Path
 
 import msgspec
@@ -168,6 +169,8 @@ def test_what_if_a_component_ran_there_is_in_the_same_unit() -> None:
 def test_a_problem_written_as_json_is_the_same(tmp_path: Path) -> None:
     part = plan.keep_components(FOUR, {"a", "c"})
     assert part.overhead_scale == pytest.approx(1 / 12)
+    unlimited = Link(between=("h0", "h1"), bandwidth=inf, latency=0.001)
+    part = replace(part, links=(unlimited,))
     path = tmp_path / "part.json"
     path.write_bytes(msgspec.json.encode(part))
     assert plan.load(path) == part

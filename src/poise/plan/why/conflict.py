@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from math import inf, isinf
 from typing import NamedTuple
 
@@ -80,6 +80,19 @@ class Oracle:
         placed, *_, steps = core.search([], 1e9, STEPS, 0, self._stop)
         self._left -= steps
         return True if placed else None
+
+    def least(self, problem: Problem) -> Mapping[str, str]:
+        """Return a placement of least F, as far as that is found; empty: none is."""
+        if self.is_spent():
+            return {}
+        arrays = arrays_of(problem)
+        core = _core.Core(arrays)
+        if core.provable:
+            placed, *_, steps = core.exact([], 1e9, STEPS, self._stop)
+        else:
+            placed, *_, steps = core.search([], 1e9, STEPS, 0, self._stop)
+        self._left -= steps
+        return arrays.placement(placed) if placed else {}
 
 
 def is_hopeless(arrays: Arrays) -> bool:

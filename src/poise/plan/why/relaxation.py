@@ -8,7 +8,9 @@ from typing import NamedTuple, Protocol
 
 from msgspec.structs import replace
 
-from poise.model.robot import Computer
+from poise.model.hardware import fits
+from poise.model.robot import Computer, Objective
+from poise.plan.problem.items import SoftLimit
 from poise.plan.problem.problem import LEAST, MOST, Problem
 from poise.plan.result_records import More
 from poise.plan.why.violations import amount_of, longest
@@ -30,6 +32,9 @@ class Asks(Protocol):
 
     def is_spent(self) -> bool:
         """Return whether it answers no more."""
+
+    def least(self, problem: Problem) -> Mapping[str, str]:
+        """Return a placement of least F, as far as that is found; empty: none is."""
 
 
 class Limit(NamedTuple):
@@ -103,6 +108,27 @@ def _in_range(amount: float) -> float:
     return min(max(amount, LEAST), MOST)
 
 
+def softened(problem: Problem, capacities: list[Limit]) -> Problem:
+    """Return the problem whose F is what capacities must rise by, as shares of usual.
+
+    A soft limit of each is about one computer: on the others it is out of reach.
+    """
+    soft = list(problem.soft_limits)
+    for limit in capacities:
+        (computer, resource) = limit.names
+        share = next(
+            _share(h, resource) for h in problem.computers if h.name == computer
+        )
+        others = {h.name: MOST for h in problem.computers if h.name != computer}
+        price = _in_range(1 / usual(problem, limit) / share)
+        soft.append(SoftLimit(resource=resource, limits=others, price=price))
+    return replace(
+        problem,
+        objective=Objective(communication=0.0, balance=0.0),
+        soft_limits=tuple(soft),
+    )
+
+
 def in_words(raises: Raises) -> str:
     """Return what has to give way, for people."""
     amounts = (
@@ -167,12 +193,35 @@ class Relaxation:
             if limit.most > 0 and self._holds(problem, {limit: inf})
         ]
         one = min(ways, key=lambda way: price(problem, way), default=None)
-        if one is not None and len(limits) == 1:
-            return one
-        several = self._several(problem, limits)
+        several = self._capacities(problem) or self._several(problem, limits)
         if one is None or price(problem, several) < SIMPLER * price(problem, one):
             return several
         return one
+
+    def _capacities(self, problem: Problem) -> Raises:
+        """Return the least rises of capacities that are enough, if any are.
+
+        A placement tells them that is best where what is short is all that counts.
+        """
+        soft = [k for k in limits_of(problem) if k.kind == "capacity"]
+        if len(soft) > MOST_TRIES or len(problem.components) > MOST_TRIES:
+            return {}
+        placement = self._oracle.least(softened(problem, soft))
+        raises: dict[Limit, float] = {}
+        for limit in soft if placement else ():
+            computer, resource = limit.names
+            h = next(each for each in problem.computers if each.name == computer)
+            used = sum(
+                c.demand.get(resource, 0.0)
+                for c in problem.components
+                if placement[c.name] == computer
+            )
+            if not fits(used, usable := h.usable(resource)):
+                raises[limit] = (used - usable) / _share(h, resource)
+        for limit, enough in list(raises.items()):
+            others = {k: more for k, more in raises.items() if k is not limit}
+            raises[limit] = self._at_most(relaxed(problem, others), limit, enough)
+        return raises if self._holds(problem, raises) else {}
 
     def _several(self, problem: Problem, limits: list[Limit]) -> Raises:
         """Lift what is in conflict, over and over; then take back what was needless."""
@@ -296,8 +345,12 @@ def _groups(
 
 
 def _capacity(h: Computer, resource: str, total: float) -> Limit:
-    has = h.capacity.get(resource, 0.0)
-    share = (h.speed if resource == "cpu" else 1.0) * (1 - h.reserve.get(resource, 0.0))
+    has, share = h.capacity.get(resource, 0.0), _share(h, resource)
     usable = f" ({amount_of(resource, has * share)} usable)" if share != 1 else ""
     text = f"{h.name} has {amount_of(resource, has)} {resource}{usable}"
     return Limit("capacity", (h.name, resource), text, now=has, most=total / share)
+
+
+def _share(h: Computer, resource: str) -> float:
+    """Return how much of a unit of capacity can be used."""
+    return (h.speed if resource == "cpu" else 1.0) * (1 - h.reserve.get(resource, 0.0))
