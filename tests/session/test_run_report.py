@@ -7,11 +7,11 @@ from msgspec.structs import replace
 
 from poise.manage.agent_connections.statuses import connectors_of
 from poise.model.robot import Computer, Robot
-from poise.session.reports.history import cpu_shares
 from poise.session.reports.run_records import (
     ComponentError,
     HungHandler,
     component_reports,
+    cpu_shares,
 )
 from poise.session.run_report import RunReport
 from poise.wire.records.status_records import (

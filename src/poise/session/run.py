@@ -26,8 +26,8 @@ from poise.session.placing.first_phase import first_phase, note_architectures
 from poise.session.placing.placement import Placement
 from poise.session.profiling.stored_profiles import read_profile
 from poise.session.record_run import keeping
-from poise.session.reports.history import History
 from poise.session.reports.last_seen import LastSeen
+from poise.session.reports.run_records import History
 from poise.session.robot_file import task_of
 from poise.session.run_report import MeasuredRun, RunReport, reported
 from poise.units import counted

@@ -22,13 +22,14 @@ from poise.session.render.picture import Hosted, picture
 from poise.session.render.printable import Printable
 from poise.session.render.report_page import page
 from poise.session.render.run_tables import report_parts
-from poise.session.reports.history import Moment, cpu_shares
 from poise.session.reports.last_seen import LastSeen
 from poise.session.reports.run_records import (
+    Moment,
     RunRecord,
     clocks_of,
     component_errors,
     component_reports,
+    cpu_shares,
     hung_handlers,
     refused_messages,
     silent_ports,

@@ -67,15 +67,22 @@ def detail_parts(status: RobotStatus) -> Iterator[RenderableType]:
 
 
 def component_table(answer: RobotStatus) -> Table:
-    """Return where components are and what they need, by computer."""
+    """Return where components are, or should be, and what they need, by computer."""
     rows = table("component", "computer", "state", "CPU", "profile", folds=1)
-    unknown = answer.not_known()
+    unknown, missing = answer.not_known(), dict(answer.placement)
     for computer, component, standing in _each(answer):
-        state: str = "unknown" if computer in unknown else component.state
+        missing.pop(component.name, None)
+        state: str = component.state
         is_prepared = answer.prefetch.prepared.get(component.name) == computer
         if state == "inactive" and is_prepared:
             state = "prepared"
-        rows.add_row(component.name, computer, state, *_needs(standing))
+        needs = _needs(standing)
+        if computer in unknown:
+            state, needs = "unknown", ("", needs[1])
+        rows.add_row(component.name, computer, state, *needs)
+    for name, computer in sorted(missing.items()):
+        state = "unknown" if computer in unknown else "[red]not there[/]"
+        rows.add_row(name, computer, state)
     return rows
 
 

@@ -12,11 +12,12 @@ from rich.console import RenderableType
 from rich.text import Text
 
 from poise.errors import PoiseError
-from poise.manage.agent_connections.statuses import components_of, connectors_of
+from poise.manage.agent_connections.statuses import connectors_of
 from poise.manage.control_socket.agents_without_manager import robots_without_manager
 from poise.manage.control_socket.commands import RobotStatus
 from poise.manage.control_socket.location import running_here
-from poise.session.render.tables import NamedRows, table
+from poise.session.render.status_tables import component_table
+from poise.session.render.tables import NamedRows
 from poise.session.running_robots.running import Running
 from poise.units import format_seconds
 
@@ -68,16 +69,13 @@ def listing(robots: Robots) -> Iterator[RenderableType]:
             yield Text(status.deviations[0].what, style="red")
         else:
             yield f"robot '{name}', task '{status.task}'"
-        states = {c.name: c.state for c in components_of(status.computers)}
-        rows = table("component", "computer", "state")
-        unknown = status.not_known()
-        for component, computer in sorted(status.placement.items()):
-            state = states.get(component, "not there")
-            rows.add_row(
-                component, computer, "unknown" if computer in unknown else state
-            )
-        yield rows
-        kinds = {end.name: end.kind for end in connectors_of(status.computers)}
+        yield component_table(status)
+        kinds: dict[str, str] = {}
+        for computer, report in status.computers.items():
+            for end in connectors_of({computer: report}):
+                if computer not in status.not_known():
+                    kinds[end.name] = end.kind
+                kinds.setdefault(end.name, "unknown")
         joined = NamedRows("connector", "kind")
         for connector, kind in sorted(kinds.items()):
             joined.add_row(connector, kind)
