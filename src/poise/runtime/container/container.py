@@ -60,6 +60,9 @@ REPORT_EVERY = 1.0
 """A status goes out at least this often [s]."""
 BEAT_EVERY = 0.2
 """The heartbeat that the agent watches is incremented at least this often [s]."""
+_WHILE_PAUSED, _WHILE_RESUMED = 0.15, 0.02
+"""News waits this long after steps of a migration came [s]: callers wait meanwhile, and
+a status takes longer to make and to pass on than they do."""
 _JOINING_EVERY = 0.02
 """While a connector is not joined, it is looked for this often [s]."""
 _STOP_LIMIT = 1.0
@@ -104,6 +107,7 @@ class Container:
         # steps wait for components and for other computers; the control thread must not
         self._step_threads = ThreadPoolExecutor(_STEP_THREADS, "step", go_first)
         self._paused: dict[Runner, float] = {}
+        self._news_waits_until = 0.0
         self._stopping = False
         self._thread_failures = threads.Failures(f"container '{name}'")
         self._stop_limit = _STOP_LIMIT
@@ -140,16 +144,18 @@ class Container:
 
     def _serve(self) -> None:
         report_at, unjoined, missed = 0.0, self._wiring.unjoined(), 0
+        has_news = False
         orphans = Orphans()
         while not self._stopping:
             self._stats_page.beat()
             self._link.ask_when_due()
             freeze_fenced(self._runners.values())
             beat_at = self._clock.now() + BEAT_EVERY
-            look_at = min(report_at, beat_at, self._link.due)
+            news_at = self._news_waits_until if has_news else report_at
+            due = min(report_at, news_at, beat_at, self._link.due)
             if unjoined:
-                look_at = min(look_at, self._clock.now() + _JOINING_EVERY)
-            has_news = self._listen(max(0.0, look_at - self._clock.now()))
+                due = min(due, self._clock.now() + _JOINING_EVERY)
+            has_news |= self._listen(max(0.0, due - self._clock.now()))
             has_news |= self._settle()
             self._raise_on_hang()
             self._note_pauses()
@@ -157,8 +163,10 @@ class Container:
             before = unjoined, missed
             unjoined, missed = self._wiring.unjoined(), self._missed()
             has_news |= (unjoined, missed) != before
-            if has_news or self._clock.now() >= report_at:
+            now = self._clock.now()
+            if now >= report_at or (has_news and now >= self._news_waits_until):
                 self._report(self._status())
+                has_news = False
                 report_at = self._clock.now() + REPORT_EVERY
                 orphans.reap()
 
@@ -223,10 +231,13 @@ class Container:
             outcome = self._steps.halt(what)
             self._take_steps(lambda: outcome)
         elif isinstance(what, MigrationSteps):
+            is_paused = what.steps[-1].phase in {"quiesce", "transfer"}
+            wait = _WHILE_PAUSED if is_paused else _WHILE_RESUMED
+            self._news_waits_until = self._clock.now() + wait
             self._step_threads.submit(self._take_steps, self._steps.receive(what))
         else:
             self._steps.note_deployment(what)
-            self._wanted = what
+            self._wanted, self._news_waits_until = what, 0.0
             with as_usual():
                 self._apply(what)
 
