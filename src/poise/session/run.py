@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import re
 import time
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 
@@ -92,7 +94,8 @@ def run(  # noqa: PLR0913 - each is a choice of the user
     placed = first.placed
     with contextlib.ExitStack() as stack:
         check_journal(journal)
-        book = Journal(journal or make_journal(robot.name), _saying(say))
+        warnings = Warnings(say)
+        book = Journal(journal or make_journal(robot.name), warnings.hear)
         stack.callback(book.close)
         book.note("decided", f"task '{chosen}', {placed.method} placement")
         for sentence in sentences:
@@ -132,6 +135,7 @@ def run(  # noqa: PLR0913 - each is a choice of the user
         say(f"running task '{chosen}' for up to {seconds:g} s{shows}")
         seen = _measure(up, seconds, manager, check, meanwhile)
         drain(up.run)
+        warnings.end()
         entries = tuple(book.entries())
         if book.forgotten:
             lacks = counted(book.forgotten, "earlier line")
@@ -139,9 +143,33 @@ def run(  # noqa: PLR0913 - each is a choice of the user
         return reported(up, placed, manager.tasks.reports, seen, entries)
 
 
-def _saying(say: Say) -> Callable[[JournalEntry], object]:
-    """Return what says the entries about what is wrong, and that it is right again."""
-    return lambda each: say(str(each)) if each.kind in {"wrong", "right"} else None
+class Warnings:
+    """Says what is wrong when it comes first, and in the end how often it came."""
+
+    def __init__(self, say: Say) -> None:
+        self._say = say
+        self._first: dict[str, str] = {}
+        self._times: Counter[str] = Counter()
+
+    def hear(self, entry: JournalEntry) -> None:
+        """Take an entry of the journal."""
+        if entry.kind not in {"wrong", "right"} or entry.what.startswith("no more: "):
+            return
+        # the same thing with other figures, or another cause, is the same
+        key = _FIGURES.sub("", entry.what.partition(": ")[0])
+        self._times[key] += 1
+        if key not in self._first:
+            self._first[key] = entry.what
+            self._say(str(entry))
+
+    def end(self) -> None:
+        """Say what came more than once."""
+        for key, times in self._times.most_common():
+            if times > 1:
+                self._say(f"{times} times: {self._first[key]}")
+
+
+_FIGURES = re.compile(r"[\d.]+")
 
 
 def _server(robot: str, stack: contextlib.ExitStack, say: Say) -> ControlServer | None:
