@@ -11,6 +11,7 @@ from poise.model.robot import (
     Computer,
     Connector,
     ConnectorEnd,
+    Link,
     Robot,
     Task,
 )
@@ -40,6 +41,8 @@ def small_scenario(seconds: float = 10.0) -> Scenario:
         name="small",
         folder="/robot",
         computers=computers,
+        # over which messages are on their way while something moves
+        links=(Link(between=("a", "c"), latency=0.01),),
         architectures=(
             Architecture(
                 name="see",

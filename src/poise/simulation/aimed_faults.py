@@ -20,7 +20,7 @@ _KINDS: tuple[Kind, ...] = (
     "take over",
 )
 _IN_RUNS = 0.5
-_OFTEN = {"steps": 0.03, "up": 0.3}
+_OFTEN = {"steps": 0.05, "up": 0.3}
 """How often one follows on steps of a migration that a container gets, and on a manager
 that is up."""
 _WITHIN = {"steps": 0.02, "up": 0.3}

@@ -44,6 +44,8 @@ INVARIANTS: Mapping[str, str] = {
     "commands-end": "An accepted command ends within its limit.",
     "desired-is-reached": "What is desired runs soon after the last fault ended.",
     "failures-are-shown": "A failure is in `status` within a second.",
+    "what-is-lost-runs": "What a lost computer ran runs elsewhere soon.",
+    "one-manager-is-obeyed": "An agent does nothing for a manager that was replaced.",
     "no-bug-stops-the-robot": "No error ends a manager, an agent or a thread of them.",
 }
 """Id -> what it says; `docs/design/simulation.md` cites the ids."""
@@ -70,6 +72,8 @@ CONVERGE_LIMIT = 5.0
 """What is desired runs this long [s] after the last fault ended, at most."""
 SHOWN_WITHIN = 1.0
 """A lost computer or agent is in `status` within this time [s]."""
+FAILED_OVER_WITHIN = 4.0
+"""What a computer that is cut off ran works elsewhere within this time [s]."""
 _LOSSES = {"kill agent", "pause agent", "pause computer", "isolate computer"}
 _BAD_LINKS = {*LINK_KINDS, "isolate computer", "lose datagrams"}
 COMMAND_LIMIT = 60.0
@@ -267,6 +271,9 @@ class _Run:
         manager, agent = self.robot.manager, self.robot.agents.get(fault.target)
         was_heard = self._is_heard(fault.target)
         inject(self.robot, fault)
+        if fault.kind == "isolate computer" and fault.lasts > FAILED_OVER_WITHIN:
+            at = self._scheduler.now + FAILED_OVER_WITHIN
+            self._scheduler.at(at, partial(self._check_failover, fault))
         if fault.kind not in _LOSSES or fault.lasts < SHOWN_WITHIN or not was_heard:
             return
         is_judge = manager is not None and manager.process.computer.name != fault.target
@@ -291,6 +298,32 @@ class _Run:
                 )
 
         self._scheduler.at(at + SHOWN_WITHIN, look)
+
+    def _check_failover(self, fault: SimulatedFault) -> None:
+        """See that all works elsewhere, if nothing else was broken meanwhile."""
+        manager, begin = self.robot.manager, fault.at - CONVERGE_LIMIT
+        is_judge = manager is not None and manager.process.computer.name != fault.target
+        others = [
+            each
+            for each in self.all_faults()
+            if each is not fault
+            and each.at < self._scheduler.now
+            and begin < each.at + each.lasts
+        ]
+        if manager is None or not is_judge or manager.up_since > begin or others:
+            return
+        works = {
+            component.spec.name
+            for container in self.robot.containers()
+            if container.process.computer.name != fault.target
+            for component in container.components.values()
+            if component.is_working()
+        }
+        if missing := sorted(self._scenario.placement.keys() - works):
+            self.robot.ledger.violate(
+                "what-is-lost-runs",
+                f"{missing} works nowhere {FAILED_OVER_WITHIN:g} s after {fault}",
+            )
 
     def _is_heard(self, computer: str) -> bool:
         """Return whether the manager has heard heartbeats of an agent for a while.

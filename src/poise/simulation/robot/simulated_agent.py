@@ -12,7 +12,7 @@ from poise.clock import SystemClock, time_asleep
 from poise.endpoint import Endpoint
 from poise.runtime.agent.core import AgentCore
 from poise.runtime.agent.inbox import AgentInbox
-from poise.runtime.agent.surroundings import AgentSetup, Surroundings
+from poise.runtime.agent.surroundings import AgentSetup, Reply, Surroundings
 from poise.simulation.components.modelled_container import World
 from poise.simulation.robot.container_host import (
     SimulatedAdoption,
@@ -25,6 +25,8 @@ from poise.simulation.robot.simulated_sampler import SimulatedSampler
 from poise.simulation.schedule.scheduler import SimulatedTask
 from poise.wire.control_session import identity_key, locator, open_session
 from poise.wire.heartbeats import Hear, Heartbeats, NextBeat
+from poise.wire.records.migration_records import StepsDone
+from poise.wire.records.request_records import Accepted, Answer, Claimed, ManagerRequest
 from poise.wire.records.status_records import AgentStatus
 
 PORT = 7447
@@ -69,6 +71,7 @@ class SimulatedAgent:
         self._events: deque[Callable[[], object]] = deque()
         self._task: SimulatedTask | None = None
         self._is_woken = False
+        self._claimed = 0
         self._sampler: SimulatedSampler
         self.core: AgentCore
         self.watchdog: SimulatedWatchdog
@@ -113,9 +116,7 @@ class SimulatedAgent:
                 self._surroundings(adoption, status.put, appear),
                 self._disk.left,
             )
-            inbox = AgentInbox(
-                name, self.core.on_request, self.wake, self.core.supervised
-            )
+            inbox = AgentInbox(name, self._on_request, self.wake, self.core.supervised)
             session.declare_queryable(f"{prefix}/agent/{name}", inbox.hear)
             session.liveliness().declare_subscriber(
                 f"{prefix}/manager/*", self._note_manager, history=True
@@ -166,6 +167,25 @@ class SimulatedAgent:
             pid=process.pid,
             key=f"{process.random.getrandbits(128):032x}",
         )
+
+    def _on_request(self, asked: ManagerRequest, reply: Reply) -> None:
+        """Let the core answer, and see that it does nothing for an earlier manager."""
+
+        claimed = self._claimed
+
+        def check(answer: Answer) -> None:
+            is_done = isinstance(answer, Accepted | StepsDone)
+            if is_done and asked.token < claimed:
+                self._world.ledger.violate(
+                    "one-manager-is-obeyed",
+                    f"{self.process.name}, claimed with token {claimed}, did "
+                    f"{type(asked.request).__name__} for token {asked.token}",
+                )
+            if isinstance(answer, Claimed):
+                self._claimed = asked.token
+            reply(answer)
+
+        self.core.on_request(asked, check)
 
     def _note_manager(self, sample: zenoh.Sample) -> None:
         key = str(sample.key_expr).rpartition("/")[2]
