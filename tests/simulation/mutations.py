@@ -16,6 +16,8 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any, cast
 
+from msgspec import structs
+
 from poise.manage.agent_connections.agents import Agents
 from poise.manage.agent_connections.reports import AgentReports
 from poise.manage.deploy import desired_state, takeover
@@ -201,6 +203,15 @@ def _no_roll_back() -> None:
     setattr(Desired, "aiming", without)
 
 
+def _claims_by_force() -> None:
+    claim = Fence.claim
+
+    def by_force(self: Fence, asked: Any, token: int) -> Any:
+        return claim(self, structs.replace(asked, take_over=True), token)
+
+    setattr(Fence, "claim", by_force)
+
+
 def _commit_that_rolls_back() -> None:
     original = Migration._switch
 
@@ -268,10 +279,7 @@ DEFECTS: Defects = {
         _put(MigrationPlan, "_drain_channels", lambda *_: []),
     ),
     "false-commit": ("a failed move counts as committed", _commit_that_rolls_back),
-    "fence": (
-        "an agent obeys any token",
-        _put(Fence, "refusal", lambda *_: ""),
-    ),
+    "any-claim": ("an agent obeys whoever claims it", _claims_by_force),
     "no-failover": (
         "what was lost is not started again",
         _put(failover, "start_together", lambda *_: False),

@@ -170,7 +170,6 @@ class SimulatedAgent:
 
     def _on_request(self, asked: ManagerRequest, reply: Reply) -> None:
         """Let the core answer, and see that it does nothing for an earlier manager."""
-
         claimed = self._claimed
 
         def check(answer: Answer) -> None:
