@@ -102,32 +102,6 @@ def test_no_placement_costs_less_with_soft_limits(seeds: range) -> None:
         assert found.bound <= least(asked) + 1e-9
 
 
-@pytest.mark.slow
-def test_of_equally_good_sets_the_best_is_kept() -> None:
-    """As many as fit are kept, and of all sets of so many none has a lower F."""
-    dropped = 0
-    for seed in range(60):
-        random = Random(seed)
-        asked = problem(random, random.randint(3, 5), 2)
-        names = [c.name for c in asked.components]
-        bundles = (Bundle(name=f"of {name}", components=(name,)) for name in names)
-        asked = replace(asked, architectures=tuple(bundles))
-        result = plan.solve(asked, 60.0, fewer=True, why=False)
-        totals = (
-            [
-                least(plan.keep_components(asked, {*kept}))
-                for kept in itertools.combinations(names, count)
-            ]
-            for count in range(len(names), -1, -1)
-        )
-        best = next(t for each in totals if (t := min(each)) < math.inf)
-        assert result.proven
-        assert result.objective is not None
-        assert result.objective.total == pytest.approx(best, abs=1e-9)
-        dropped += bool(result.aside)
-    assert dropped > 10
-
-
 def least_raise(asked: Problem) -> float:
     """Return the least that capacities together must rise by, in shares of usual."""
     usual = {r: max(h.capacity[r] for h in asked.computers) for r in asked.resources}
