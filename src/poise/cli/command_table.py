@@ -6,9 +6,13 @@ import importlib
 import inspect
 import sys
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Annotated
 
 import typer
+
+from poise.errors import UsageError
+from poise.suggest import did_you_mean, listed
 
 COMMANDS = {
     "check": ("robot_file", "Check a robot file and the code that it names."),
@@ -93,6 +97,18 @@ def build(arguments: Sequence[str]) -> typer.Typer:
         elif not asked.startswith(f"{name} "):
             app.command(name, help=help_)(_not_loaded)
     return app
+
+
+def check_words(arguments: Sequence[str]) -> None:
+    """Raise UsageError for a second word that is neither a command nor a file."""
+    first, second, *_ = (*arguments, "", "")
+    choices = [n.partition(" ")[2] for n in COMMANDS if n.startswith(f"{first} ")]
+    is_word = second[:1].isalpha() and not {".", "/"} & {*second}
+    if choices and is_word and second not in choices and not Path(second).exists():
+        raise UsageError(
+            f"there is no command '{first} {second}'{did_you_mean(second, choices)}, "
+            f"and no file '{second}'; commands: {listed(choices)}"
+        )
 
 
 def _group_of(app: typer.Typer, name: str) -> tuple[typer.Typer, str]:

@@ -20,7 +20,7 @@ def main() -> None:
     end_at_once()  # before anything is imported that takes long
     import typer
 
-    from poise.cli.command_table import build
+    from poise.cli.command_table import build, check_words
     from poise.errors import PoiseError, RunError, UsageError
 
     words = sys.argv[1:]
@@ -28,6 +28,8 @@ def main() -> None:
     # all that typer raises for arguments that it refuses has this base
     misuse = cast("tuple[type[typer.BadParameter], ...]", typer.BadParameter.__bases__)
     try:
+        if not completed:
+            check_words(words)
         app = build(completed or words)
         sys.exit(app(prog_name="poise", standalone_mode="--json" not in words))
     except misuse as error:

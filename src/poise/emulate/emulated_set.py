@@ -305,9 +305,7 @@ def _add(
 ) -> None:
     before = _find(faults, kind, on)
     if before is not None:
-        way_out = "heal" if kind == "cut" else "boot"
-        command = f"`poise emulate {way_out} {' '.join(on)}` ends it"
-        raise UsageError(f"there is already: {before}; {command}")
+        raise UsageError(f"there is already: {before}; {before.way_out}")
     faults.append(
         InjectedFault(
             kind=kind,
@@ -331,7 +329,8 @@ def _both(on: tuple[str, ...]) -> str:
 
 
 def _said(faults: list[InjectedFault]) -> str:
-    return f" (in force: {', '.join(map(str, faults)) or 'nothing'})"
+    known = "; ".join(f"{fault}: {fault.way_out}" for fault in faults)
+    return f" (in force: {known or 'nothing'})"
 
 
 def _wait(holds: Callable[[], bool], limit: float, what: str) -> None:

@@ -57,6 +57,15 @@ class InjectedFault(Struct, frozen=True, kw_only=True):
             what += f" with {self.shape.latency * 1e3:g} ms"
         return f"{what} since {since}"
 
+    @property
+    def way_out(self) -> str:
+        """What ends it, for people."""
+        on = " ".join(self.on)
+        if self.kind == "load":
+            return f"`poise emulate load {on} --cpu 0` ends it"
+        verb = "heal" if self.kind in {"cut", "slow"} else "boot"
+        return f"`poise emulate {verb} {on}` ends it"
+
 
 class ComputerLayout(Struct, frozen=True, kw_only=True):
     """The layout of one computer."""

@@ -104,7 +104,9 @@ def cut_command(
 
     Example: poise emulate cut main vision
     """
-    find_set(robot).cut(computer, other)
+    kept = find_set(robot)
+    kept.cut(computer, other)
+    _say_last(kept)
 
 
 def slow_command(
@@ -120,12 +122,14 @@ def slow_command(
 
     Example: poise emulate slow main vision --bandwidth 1Mbit/s
     """
-    find_set(robot).slow(
+    kept = find_set(robot)
+    kept.slow(
         computer,
         other,
         bandwidth=_quantity("--bandwidth", bandwidth, BANDWIDTH),
         latency=_quantity("--latency", latency, SECONDS),
     )
+    _say_last(kept)
 
 
 def heal_command(
@@ -136,6 +140,8 @@ def heal_command(
     Example: poise emulate heal main vision
     """
     find_set(robot).heal(computer, other)
+    what = f"'{computer}'" if other is None else f"the link {computer} - {other}"
+    console_to().print(f"{what} is as it was", highlight=False)
 
 
 def crash_command(computer: Computer, robot: Robot = None) -> None:
@@ -143,7 +149,9 @@ def crash_command(computer: Computer, robot: Robot = None) -> None:
 
     Example: poise emulate crash vision
     """
-    find_set(robot).crash(computer)
+    kept = find_set(robot)
+    kept.crash(computer)
+    _say_last(kept)
 
 
 def freeze_command(
@@ -161,7 +169,9 @@ def freeze_command(
 
     poise emulate freeze vision --agent
     """
-    find_set(robot).freeze(computer, agent=agent)
+    kept = find_set(robot)
+    kept.freeze(computer, agent=agent)
+    _say_last(kept)
 
 
 def boot_command(computer: Computer, robot: Robot = None) -> None:
@@ -170,6 +180,7 @@ def boot_command(computer: Computer, robot: Robot = None) -> None:
     Example: poise emulate boot vision
     """
     find_set(robot).boot(computer)
+    console_to().print(f"'{computer}' is back", highlight=False)
 
 
 def load_command(
@@ -181,7 +192,12 @@ def load_command(
 
     Example: poise emulate load vision --cpu 0.3
     """
-    find_set(robot).load(computer, parse_option("--cpu", cpu, CORES))
+    kept, cores = find_set(robot), parse_option("--cpu", cpu, CORES)
+    kept.load(computer, cores)
+    if cores:
+        _say_last(kept)
+    else:
+        console_to().print(f"the load on '{computer}' has ended", highlight=False)
 
 
 def stop_command(
@@ -202,6 +218,12 @@ def stop_command(
         raise UsageError(f"give {file} or --robot, not both")
     find_set(load(file).name if file is not None else robot).stop()
     console_to().print("stopped")
+
+
+def _say_last(kept: EmulatedSet) -> None:
+    """Print the fault that was injected last, and what ends it."""
+    fault = kept.state().faults[-1]
+    console_to().print(f"{fault}; {fault.way_out}", highlight=False)
 
 
 def _quantity(option: str, text: str | None, dimension: Dimension) -> float | None:
