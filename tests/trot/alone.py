@@ -11,6 +11,7 @@ from poise import testing
 from poise.clock import ComponentClock
 from poise.runtime.component.component import Component, Context, create
 from poise.runtime.component.ports import Published, ports_of
+from sorter.device import NAMES
 from trot.packets import DEVICES
 
 C = TypeVar("C", bound=Component)
@@ -47,7 +48,7 @@ def alone(
     """Return a configured component; devices that are not given are away."""
     published: dict[str, list[Any]] = defaultdict(list)
     measured: dict[str, list[float]] = defaultdict(list)
-    away = {name: f"/nowhere/{name}.sock" for name in DEVICES}
+    away = {name: f"/nowhere/{name}.sock" for name in (*DEVICES, *NAMES)}
     context = Context(
         name=implementation.__name__,
         parameters=parameters or {},
