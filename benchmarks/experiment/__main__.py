@@ -1,10 +1,10 @@
-"""Serves with T-Rot again and again: each way to place, each condition, many seeds.
+"""Lets a robot work again and again: each way to place, each condition, many seeds.
 
 Ctrl-C ends it, and the same command goes on. It takes about five hours, with --quick
 five minutes, with --one half a minute, and writes a line for each run and a page.
 
-Usage: python -m benchmarks.experiment [--one | --quick | --full] [--hours HOURS]
-[--folder FOLDER] [--json]
+Usage: python -m benchmarks.experiment [--robot trot | sorter] [--one | --quick |
+--full] [--hours HOURS] [--folder FOLDER] [--json]
 
 It imports internal modules: it measures runs from outside.
 """
@@ -20,13 +20,12 @@ from rich.console import Console
 from rich.markup import escape
 
 import poise
-from benchmarks.experiment.results import FULL, ONE, SHORT, USUAL
+from benchmarks.experiment.results import extents
+from benchmarks.experiment.robots import SUBJECTS
 from benchmarks.experiment.series import PAGE, experiment
 from benchmarks.experiment.tables import experiment_parts
 from poise.cli.interrupts import Interrupts
 from poise.cli.options import print_json
-
-ROBOT = Path(__file__).parents[2] / "examples/trot/robot.yaml"
 
 
 def main() -> int:
@@ -34,6 +33,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(
         "python -m benchmarks.experiment", description=__doc__
     )
+    parser.add_argument("--robot", choices=SUBJECTS, default="trot")
     extent = parser.add_mutually_exclusive_group()
     extent.add_argument("--one", action="store_true", help="one run")
     extent.add_argument("--quick", action="store_true", help="four ways, two runs")
@@ -41,31 +41,34 @@ def main() -> int:
     parser.add_argument(
         "--hours", type=float, default=math.inf, help="begin no run after this time"
     )
-    parser.add_argument("--folder", type=Path, default=Path("poise-experiment"))
+    parser.add_argument(
+        "--folder", type=Path, help="for results; else poise-experiment-ROBOT"
+    )
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
-    extents = {"one": ONE, "quick": SHORT, "full": FULL}
+    subject = SUBJECTS[options.robot]
+    folder = options.folder or Path(f"poise-experiment-{options.robot}")
     console = Console(stderr=options.json, highlight=False)
 
     def say(sentence: str) -> None:
         console.print(escape(sentence), soft_wrap=True)
 
-    robot = poise.load(ROBOT, say=say)
-    flags = (flag for flag in extents if getattr(options, flag))
-    chosen = extents.get(next(flags, ""), USUAL)
+    robot = poise.load(subject.file, say=say)
+    flags = (flag for flag in ("one", "quick", "full") if getattr(options, flag))
+    chosen = extents(subject.conditions)[next(flags, "usual")]
     with Interrupts() as interrupts:
         try:
             report = experiment(
                 robot,
-                "serve",
+                subject.task,
                 chosen,
-                options.folder,
+                folder,
                 hours=options.hours,
                 say=say,
                 check=interrupts.check,
             )
         finally:
-            say(f"the page of all runs so far is {(options.folder / PAGE).absolute()}")
+            say(f"the page of all runs so far is {(folder / PAGE).absolute()}")
             if interrupts.has_come():
                 say("the same command goes on from here")
     if options.json:

@@ -112,15 +112,16 @@ def curves(
     return svg(_WIDTH, height, label, parts)
 
 
-_HOW = """<p>Each run is of real processes on emulated computers, in a simulated home,
+_HOW = """<p>Each run is of real processes on emulated computers, in a simulated world,
 which alone says what worked. Of each seed all arms run, in an order of its own: what
 else this machine does hits all alike. Intervals are Wilson's, of 95 %. Timers begin in
 each run with phases of their own; ages are medians over the runs. A run whose simulated
 world or measurement broke, or in which this machine was too busy, is invalid: it counts
 nowhere else, and is made again when the experiment goes on.</p>"""
-_LOAD = """<p>Under a load of 120 % both computers are slower by a factor of 1.2; 100 %
-is the robot file. The planner knows the load, but not the overrun: there the localiser
-has half as many particles more than its demand was measured with.</p>"""
+_LOAD = """<p>Under a load of 120 % all computers are slower by a factor of 1.2; 100 %
+is the robot file. The planner knows the load, but neither the overrun, where a
+component has half as much to do more than when its demand was measured, nor the other
+program.</p>"""
 _RAW = """<h2>Raw data</h2><p>A line of JSON for each run, as in
 <code>results.jsonl</code> beside this page.</p>"""
 

@@ -20,12 +20,6 @@ from poise.errors import UsageError
 from poise.model.robot import ComponentEntry, Robot
 
 BASE = "as in the robot file"
-SLOW_LINK = "link of 10 Mbit/s"
-FULL_CPU = "98 % of the CPU is needed"
-OVERRUN = "the localiser overruns by half"
-DRIFT = "another program takes 0 to 30 % of main"
-_SLOW = 10e6 / 8
-"""[bytes/s]"""
 
 
 class Arm(Struct, frozen=True, kw_only=True):
@@ -123,17 +117,6 @@ LOADS = tuple(
     TrialCondition(name=f"load of {share} %", load=share / 100)
     for share in (60, 80, 120, 140)
 )
-CONDITIONS = (
-    TrialCondition(name=BASE),
-    *LOADS,
-    TrialCondition(name=SLOW_LINK, bandwidth=_SLOW),
-    TrialCondition(name=FULL_CPU, fill=0.98),
-    TrialCondition(name=OVERRUN, parameters={"localiser": {"particles": 3000}}),
-    TrialCondition(
-        name=DRIFT,
-        programs=((0.2, "main", 0.1), (0.4, "main", 0.1), (0.6, "main", 0.1)),
-    ),
-)
 
 
 class Trial(Struct, frozen=True):
@@ -153,20 +136,22 @@ class Extent(Struct, frozen=True, kw_only=True):
         Runs of each arm in the first condition, and in each other one.
     """
 
+    conditions: tuple[TrialCondition, ...]
     arms: tuple[Arm, ...] = ARMS
-    conditions: tuple[TrialCondition, ...] = CONDITIONS
     base_seeds: int = 10
     seeds: int = 6
 
 
-USUAL = Extent()
-FULL = Extent(base_seeds=79, seeds=20)
-SHORT = Extent(
-    arms=tuple(arm for arm in ARMS if arm.name in QUICK),
-    conditions=CONDITIONS[:1],
-    base_seeds=2,
-)
-ONE = replace(SHORT, arms=SHORT.arms[:1], base_seeds=1)
+def extents(conditions: tuple[TrialCondition, ...]) -> dict[str, Extent]:
+    """Return the extents to choose from: one, quick, usual, full."""
+    arms = tuple(arm for arm in ARMS if arm.name in QUICK)
+    quick = Extent(arms=arms, conditions=conditions[:1], base_seeds=2)
+    return {
+        "one": replace(quick, arms=arms[:1], base_seeds=1),
+        "quick": quick,
+        "usual": Extent(conditions=conditions),
+        "full": Extent(conditions=conditions, base_seeds=79, seeds=20),
+    }
 
 
 def schedule(extent: Extent) -> list[Trial]:

@@ -8,13 +8,21 @@ import pytest
 
 import poise
 from benchmarks.experiment.measure import measure
-from benchmarks.experiment.results import ARMS, CONDITIONS, Extent, named, read
+from benchmarks.experiment.results import (
+    ARMS,
+    BASE,
+    Extent,
+    TrialCondition,
+    named,
+    read,
+)
 from benchmarks.experiment.series import PAGE, RAW, experiment
 from benchmarks.experiment.summary import ArmSummary
 from poise.session.callbacks import nothing
 from tests.session.emulated_robot import written
 from tests.waiting import LONG
 
+OWN = TrialCondition(name=BASE)
 WORK = """
 from poise import Component, Published, every
 
@@ -73,7 +81,7 @@ def test_a_run_whose_world_died_is_made_again(tmp_path: Path) -> None:
     (tmp_path / "deadly").touch()
     robot = poise.load(written(tmp_path, "tried", "tried_work", WORK, ROBOT))
     extent = Extent(
-        arms=(named(ARMS, "Poise, adapts"),), conditions=CONDITIONS[:1], base_seeds=2
+        arms=(named(ARMS, "Poise, adapts"),), conditions=(OWN,), base_seeds=2
     )
     folder, said = tmp_path / "results", list[str]()
 
@@ -116,7 +124,7 @@ def test_a_run_ends_with_its_task(tmp_path: Path) -> None:
     (tmp_path / "world.py").write_text(WORLD)
     text = ROBOT.replace("tried_work", "counted_work")
     robot = poise.load(written(tmp_path, "counted", "counted_work", WORK, text))
-    arm, (condition, *_) = named(ARMS, "Poise"), CONDITIONS
-    result = measure(robot, "count", arm, condition, 0, LONG, nothing)
+    arm = named(ARMS, "Poise")
+    result = measure(robot, "count", arm, OWN, 0, LONG, nothing)
     assert 0 < result.seconds < LONG / 2
     assert result.functions == {"work": True}

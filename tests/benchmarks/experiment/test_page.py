@@ -11,16 +11,13 @@ import msgspec
 from rich.console import Console
 
 from benchmarks.experiment.page import experiment_page
-from benchmarks.experiment.results import (
-    SHORT,
-    USUAL,
-    Extent,
-    Missed,
-    TrialResult,
-    schedule,
-)
+from benchmarks.experiment.results import Extent, Missed, TrialResult, extents, schedule
+from benchmarks.experiment.robots import SUBJECTS
 from benchmarks.experiment.summary import ExperimentReport, summarised
 from benchmarks.experiment.tables import experiment_parts
+
+EXTENTS = extents(SUBJECTS["trot"].conditions)
+SHORT, USUAL = EXTENTS["quick"], EXTENTS["usual"]
 
 
 def found(

@@ -10,17 +10,16 @@ import pytest
 from benchmarks.experiment.results import (
     ARMS,
     BASE,
-    CONDITIONS,
-    FULL,
-    SHORT,
-    USUAL,
     Extent,
     TrialCondition,
     as_it_runs,
+    extents,
     named,
     schedule,
     under,
 )
+from benchmarks.experiment.robots import SUBJECTS, Subject
+from poise.model import load
 from poise.model.robot import (
     Architecture,
     ComponentEntry,
@@ -30,6 +29,8 @@ from poise.model.robot import (
     Simulator,
 )
 
+CONDITIONS = SUBJECTS["trot"].conditions
+EXTENTS = extents(CONDITIONS)
 ROBOT = Robot(
     name="tried",
     computers=(Computer(name="left", capacity={"cpu": 1.0}, speed=0.5),),
@@ -47,7 +48,9 @@ ROBOT = Robot(
 )
 
 
-@pytest.mark.parametrize("extent", [USUAL, FULL, SHORT])
+@pytest.mark.parametrize(
+    "extent", [EXTENTS[name] for name in ("usual", "full", "quick")]
+)
 def test_random_and_no_adaptation_are_always_tried(extent: Extent) -> None:
     names = {arm.name for arm in extent.arms}
     assert names >= {"static", "random", "Poise"}
@@ -56,17 +59,17 @@ def test_random_and_no_adaptation_are_always_tried(extent: Extent) -> None:
 
 
 def test_each_arm_runs_as_often_as_the_extent_says() -> None:
-    counts = Counter((each.arm, each.condition) for each in schedule(FULL))
+    counts = Counter((each.arm, each.condition) for each in schedule(EXTENTS["full"]))
     assert {c for (_, cond), c in counts.items() if cond == BASE} == {79}
     assert {c for (_, cond), c in counts.items() if cond != BASE} == {20}
     assert len(counts) == len(ARMS) * len(CONDITIONS)
-    assert len(schedule(SHORT)) == 8
+    assert len(schedule(EXTENTS["quick"])) == 8
 
 
 def test_arms_take_turns_in_an_order_of_their_own() -> None:
     """Of each seed and condition all arms run before the next; orders differ."""
-    trials = schedule(USUAL)
-    assert trials == schedule(USUAL)
+    trials = schedule(EXTENTS["usual"])
+    assert trials == schedule(EXTENTS["usual"])
     orders = [
         tuple(each.arm for each in group)
         for _, group in groupby(trials, lambda t: (t.seed, t.condition))
@@ -102,3 +105,19 @@ def test_static_has_no_priorities_and_nice_has() -> None:
         for name in ("static", "static, nice")
     )
     assert (plain.priority, nice.priority) == (0, 7)
+
+
+@pytest.mark.parametrize("subject", SUBJECTS.values(), ids=SUBJECTS)
+def test_conditions_are_about_what_the_robot_has(subject: Subject) -> None:
+    """A name that the robot does not have would change nothing, and say nothing."""
+    robot = load(subject.file)
+    components = {each.name: each for each in robot.components()}
+    computers = {each.name for each in robot.computers}
+    assert subject.task in {task.name for task in robot.tasks}
+    assert subject.conditions[0] == TrialCondition(name=BASE)
+    for condition in subject.conditions:
+        assert {computer for _, computer, _ in condition.programs} <= computers
+        for name, parameters in condition.parameters.items():
+            component = components[name]
+            changed = {**component.parameters, **parameters}
+            assert changed != component.parameters

@@ -1,0 +1,62 @@
+"""The robots of the experiment, each with its task and the conditions it runs under.
+
+It imports internal modules: it names what changes in a robot that runs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from msgspec import Struct
+
+from benchmarks.experiment.results import BASE, LOADS, TrialCondition
+
+SLOW_LINK = TrialCondition(name="link of 10 Mbit/s", bandwidth=10e6 / 8)
+FULL_CPU = TrialCondition(name="98 % of the CPU is needed", fill=0.98)
+COMMON = (TrialCondition(name=BASE), *LOADS, SLOW_LINK, FULL_CPU)
+_EXAMPLES = Path(__file__).parents[2] / "examples"
+
+
+class Subject(Struct, frozen=True, kw_only=True):
+    """A robot, the task that each run is of, and all conditions; its own one first."""
+
+    file: Path
+    task: str
+    conditions: tuple[TrialCondition, ...]
+
+
+def _drift(computer: str) -> TrialCondition:
+    """Return that another program takes more and more of a computer's CPU."""
+    return TrialCondition(
+        name=f"another program takes 0 to 30 % of {computer}",
+        programs=tuple((start, computer, 0.1) for start in (0.2, 0.4, 0.6)),
+    )
+
+
+SUBJECTS: Mapping[str, Subject] = {
+    "trot": Subject(
+        file=_EXAMPLES / "trot/robot.yaml",
+        task="serve",
+        conditions=(
+            *COMMON,
+            TrialCondition(
+                name="the localiser overruns by half",
+                parameters={"localiser": {"particles": 3000}},
+            ),
+            _drift("main"),
+        ),
+    ),
+    "sorter": Subject(
+        file=_EXAMPLES / "sorter/robot.yaml",
+        task="sort",
+        conditions=(
+            *COMMON,
+            TrialCondition(
+                name="the inspector overruns by half",
+                parameters={"inspector": {"directions": 12}},
+            ),
+            _drift("vision"),
+        ),
+    ),
+}
