@@ -137,11 +137,13 @@ def test_the_hand_reaches_bins_and_zone_and_points_down(
 
 
 def test_the_arm_follows_the_motion_only_while_the_guard_says_so() -> None:
-    """From 1 to 2 rad in 0.06 s: 1.5 rad after 0.03 s."""
+    """From 1 to 3 rad in 0.06 s: 2 rad after 0.03 s."""
     clock = VirtualClock()
     arm = alone(ArmController, clock=clock).component
     arm._arm = motors = Port(([1.0] * 4,))
-    arm.motion(Motion(Stamp(0.0), np.array([[1.0] * 4, [2.0] * 4], np.float32)))
+    arm.motion(
+        Motion(Stamp(0.0), np.array([[1.0] * 4, [2.0] * 4, [3.0] * 4], np.float32))
+    )
     arm.control()
     arm.guard(Guard(Stamp(0.0), clear=True))
     clock.time = 0.03
@@ -151,7 +153,7 @@ def test_the_arm_follows_the_motion_only_while_the_guard_says_so() -> None:
     arm.guard(Guard(Stamp(0.03), clear=True))
     clock.time = 0.03 + TRUSTED + 0.01
     arm.control()
-    stands, moves = [1.0] * 4, [1.5] * 4
+    stands, moves = [1.0] * 4, [2.0] * 4
     assert motors.sent == [stands, pytest.approx(moves), stands, stands]
 
 

@@ -34,7 +34,7 @@ def hand(angles: Angles) -> NDArray[np.float64]:
 def solve(target: tuple[float, float, float], start: Angles) -> Angles:
     """Return the angles [rad] that bring the hand to `target` [m], pointing down.
 
-    It searches from `start` and from `REST`, and prefers postures near `REST`.
+    The search begins at `start`; of all postures it prefers those near `REST`.
     """
     goal = np.array([*target, -np.pi / 2])
 
@@ -42,8 +42,4 @@ def solve(target: tuple[float, float, float], start: Angles) -> Angles:
         return np.concatenate([hand(angles) - goal, _COMFORT * (angles[1:] - REST[1:])])
 
     begin = np.clip(start, _LOW + 1e-3, _HIGH - 1e-3)
-    found = (
-        least_squares(off, each, bounds=(_LOW, _HIGH), xtol=1e-5)
-        for each in (begin, REST)
-    )
-    return np.asarray(min(found, key=lambda each: float(each.cost)).x)
+    return np.asarray(least_squares(off, begin, bounds=(_LOW, _HIGH), xtol=1e-5).x)

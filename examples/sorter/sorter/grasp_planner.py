@@ -10,7 +10,7 @@ from poise.errors import CallError
 from sorter import arm_model, cell
 from sorter.messages import STEP, Belt, Defects, Grip, Guard, Motion, Tracks
 
-AHEAD = [STEP * step for step in range(12)]
+AHEAD = [STEP * step for step in range(24)]
 """[s] from now: a motion has a posture for each."""
 
 REACH, SINK, HOLD, LIFT, CARRY = 0.6, 0.25, 0.08, 0.15, 0.75
@@ -93,7 +93,7 @@ class GraspPlanner(Component):
         for ahead, way in zip(AHEAD, ways, strict=True):
             angles = arm_model.solve(self._target(now + ahead, at, way), angles)
             postures.append(angles)
-        self._angles = postures[2]
+        self._angles = postures[3]
         self.motion.publish(
             Motion(self.clock.stamp(now), np.array(postures, np.float32))
         )

@@ -49,7 +49,7 @@ class Motion(Message, frozen=True):
     angles: NDArray[np.float32]
 
 
-STEP = 0.06
+STEP = 0.03
 """[s] between the postures of a motion."""
 
 
