@@ -55,8 +55,8 @@ def open_session(
         session = zenoh.open(config)
     except zenoh.ZError as error:
         # without zenoh's source location
-        said = re.search(r"[^:\[]+\(os error \d+\)", str(error))
-        why = said.group().strip() if said else str(error)
+        cause = re.search(r"[^:\[]+\(os error \d+\)", str(error))
+        why = cause.group().strip() if cause else str(error)
         raise RunError(f"cannot listen on {', '.join(listen)}: {why}") from None
     session.info.declare_link_events_listener(_close_without_waiting, history=True)
     return session

@@ -97,8 +97,8 @@ def failure(
     type_name: str, message: str, traceback: str = "", number: int = 0
 ) -> Pieces:
     """Return the answer to a call that failed; a callee's error has a traceback."""
-    said = type_name, message, traceback
-    return segments(FAILURE, said, Kind.ERROR, number=number)
+    body = type_name, message, traceback
+    return segments(FAILURE, body, Kind.ERROR, number=number)
 
 
 def size_of(pieces: Pieces) -> int:

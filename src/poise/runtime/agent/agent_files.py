@@ -44,7 +44,7 @@ class AgentFolder:
         self._path = folder / "state"
         self._lock = os.open(folder / "lock", os.O_RDWR | os.O_CREAT, 0o600)
         self._boot = boot_id()
-        self._kept = AgentState()
+        self._saved = AgentState()
         self.trouble = ""
         try:
             # a lock of this process alone: what it forks does not hold it
@@ -59,19 +59,19 @@ class AgentFolder:
     def left(self) -> AgentState:
         """Return what an agent that was killed has kept here; nothing: as it began."""
         try:
-            kept = msgspec.msgpack.decode(self._path.read_bytes(), type=AgentState)
+            state = msgspec.msgpack.decode(self._path.read_bytes(), type=AgentState)
         except FileNotFoundError:
             return AgentState()
         except (OSError, msgspec.DecodeError) as error:
             log.warning("what an earlier agent kept in %s: %s", self._path, error)
             return AgentState()
-        is_valid = kept.boot == self._boot and kept.protocol == PROTOCOL
-        return kept if is_valid else AgentState()
+        is_valid = state.boot == self._boot and state.protocol == PROTOCOL
+        return state if is_valid else AgentState()
 
     def keep(self, state: AgentState) -> None:
         """Keep what the next agent must know, if it changed; `trouble` says why not."""
         state = msgspec.structs.replace(state, boot=self._boot)
-        if state == self._kept:
+        if state == self._saved:
             return
         new = self._path.with_suffix(".new")
         try:
@@ -79,13 +79,13 @@ class AgentFolder:
             new.replace(self._path)
         except OSError as error:
             self.forget()  # better nothing than what holds no more
-            self._kept = AgentState()
+            self._saved = AgentState()
             self.trouble = (
                 f"the agent cannot keep what should run: {error}; if it is killed, the "
                 "next one waits for its manager"
             )
         else:
-            self._kept, self.trouble = state, ""
+            self._saved, self.trouble = state, ""
 
     def forget(self) -> None:
         """Leave nothing for the next agent."""
@@ -205,7 +205,7 @@ class DiskThread:
         self._folder = folder
         self._checkpoints = checkpoints
         self._clock = clock
-        self._kept: AgentState | None = None
+        self._saved: AgentState | None = None
         self._jobs: dict[object, Callable[[], object]] = {}
         self._changed = threading.Condition()
         self._busy_since = float("inf")
@@ -230,13 +230,13 @@ class DiskThread:
 
     def keep(self, state: AgentState) -> None:
         """Keep what the next agent must know, if it changed; the last one counts."""
-        if state != self._kept:
-            self._kept = state
+        if state != self._saved:
+            self._saved = state
             self._put("state", lambda: self._keep(state))
 
     def forget(self) -> None:
         """Leave nothing to the next agent: nothing runs any more."""
-        self._kept = None
+        self._saved = None
         self._put("state", self._forget)
 
     def serve(self, request: ReadOutput | CheckpointCopy, reply: Reply) -> None:
@@ -296,7 +296,7 @@ class DiskThread:
     def _keep(self, state: AgentState) -> None:
         self._folder.keep(state)
         if self._folder.trouble:
-            self._kept = None  # it is tried again
+            self._saved = None  # it is tried again
 
     def _forget(self) -> None:
         self._folder.forget()

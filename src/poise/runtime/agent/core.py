@@ -118,26 +118,26 @@ class AgentCore:
         self._has_news = True
         self._world.wake()
 
-    def on_request(self, asked: ManagerRequest, reply: Reply) -> None:
+    def on_request(self, request: ManagerRequest, reply: Reply) -> None:
         """Do what a manager asks for, or refuse it; it is answered once."""
         # steps and taps change nothing that a tick does, and callers wait for them
-        self._has_news |= not isinstance(asked.request, Order)
+        self._has_news |= not isinstance(request.request, Order)
         try:
-            self._attend(asked, reply)
+            self._attend(request, reply)
         except Exception as error:  # noqa: BLE001, it is logged and shown
             self.supervised.report("requests", error)
             why = f"its agent failed at that, which is an error of Poise: {error!r}"
-            if isinstance(asked.request, Order):
-                reply(StepsFailed(asked.request.number, why))
+            if isinstance(request.request, Order):
+                reply(StepsFailed(request.request.number, why))
             else:
                 reply(Refused(why))
 
-    def on_record(self, container: str, said: FromContainer) -> None:
+    def on_record(self, container: str, record: FromContainer) -> None:
         """Take in what a container says."""
-        if self.fence.is_cut_off or self.supervisor.is_news(container, said):
+        if self.fence.is_cut_off or self.supervisor.is_news(container, record):
             self._has_news = True
         note = self.supervisor.note
-        outcome = self.supervised.attempt(part_of(container), note, container, said)
+        outcome = self.supervised.attempt(part_of(container), note, container, record)
         if outcome is not None:
             self.supervised.attempt("steps", self._relay.end, outcome)
 
@@ -357,17 +357,17 @@ class StatusReports:
     ) -> None:
         self._publish = publish
         self._clock = clock
-        self._seen = 0, first.states
+        self._published = 0, first.states
         self._missed, self._sent = 0, 0.0
         self.due = 0.0
 
     def note(self, status: AgentStatus, arrivals: int) -> None:
         """Publish a status if it says something new, or if it is due."""
-        seen = arrivals, status.states
+        news = arrivals, status.states
         if status.missed != self._missed:
             self.due = min(self.due, self._sent + _MISSES_EVERY)
-        if seen != self._seen or self._clock.now() >= self.due:
+        if news != self._published or self._clock.now() >= self.due:
             self._publish(status)
-            self._seen, self._missed = seen, status.missed
+            self._published, self._missed = news, status.missed
             self._sent = self._clock.now()
             self.due = self._sent + REPORT_EVERY

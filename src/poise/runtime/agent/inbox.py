@@ -141,7 +141,7 @@ class _Spoken(Struct, frozen=True):
     protocol: int = PROTOCOL
 
 
-def answer(query: zenoh.Query, said: Answer) -> None:
+def answer(query: zenoh.Query, reply: Answer) -> None:
     """Answer a request, once."""
-    query.reply(query.key_expr, msgspec.msgpack.encode(said))
+    query.reply(query.key_expr, msgspec.msgpack.encode(reply))
     query.drop()  # type: ignore[no-untyped-call]

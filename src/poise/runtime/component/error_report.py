@@ -98,8 +98,8 @@ def traceback_of(error: BaseException) -> str:
 def brief_traceback(error: BaseException) -> str:
     """Return what an error says, then the lines outside Poise that it came through."""
     lines = _outside(extract_tb(error.__traceback__)).format()
-    said = "".join(format_exception_only(error)).strip()
-    return "".join([f"{said}\n", *lines]).rstrip()
+    message = "".join(format_exception_only(error)).strip()
+    return "".join([f"{message}\n", *lines]).rstrip()
 
 
 def _keep_outside(text: TracebackException) -> bool:

@@ -134,9 +134,9 @@ def observed_call(
             return result
         finally:
             took = time.monotonic() - began
-            said = {name: [*args, *kwargs.values()], **outcome, "seconds": took}
+            summary = {name: [*args, *kwargs.values()], **outcome, "seconds": took}
             for observer in observers:
-                observer.note(lambda: said)
+                observer.note(lambda: summary)
 
     return run
 
@@ -223,32 +223,32 @@ class Taps:
         self._sender_of = sender_of
         self._observed: dict[tuple[Sender, str], Observer] = {}
 
-    def read(self, asked: Tap) -> TapReading | StepsFailed:
+    def read(self, tap: Tap) -> TapReading | StepsFailed:
         """Return what has gone out since a viewer asked last; from now on note it."""
         try:
-            sender = self._sender_of(asked.connector)
+            sender = self._sender_of(tap.connector)
         except UsageError as error:
-            return StepsFailed(asked.number, str(error))
-        key = sender, asked.viewer
+            return StepsFailed(tap.number, str(error))
+        key = sender, tap.viewer
         if key not in self._observed:
             if len(self._observed) >= MOST_VIEWERS:
                 text = f"{MOST_VIEWERS} viewers look at this container already"
-                return StepsFailed(asked.number, text)
+                return StepsFailed(tap.number, text)
             self._observed[key] = Observer(
-                asked.connector, sender.port.type, asked.rate, asked.items
+                tap.connector, sender.port.type, tap.rate, tap.items
             )
             self._show(sender)
-        return self._observed[key].read(asked.number)
+        return self._observed[key].read(tap.number)
 
     def end_unread(self) -> None:
         """Remove the observers of viewers that do not look any more."""
         if not self._observed:
             return
         until = time.monotonic() - KEPT_FOR
-        gone = [
+        unread = [
             key for key, observer in self._observed.items() if observer.read_at < until
         ]
-        for key in gone:
+        for key in unread:
             del self._observed[key]
             self._show(key[0])
 

@@ -91,8 +91,8 @@ class StatsPage:
         connectors = list(ends)
         wanted: set[ComponentCounters | Counts] = {*components.values()}
         wanted |= {connector.counts for connector in connectors}
-        for gone in self._shown - wanted:
-            gone.leave()
+        for removed in self._shown - wanted:
+            removed.leave()
         new, self._shown = wanted - self._shown, wanted
         for (name, epoch), counters in components.items():
             if counters in new and not counters.enter(self._native, name, epoch):

@@ -70,8 +70,8 @@ class Checkpoints:
         if state is None:
             return
         pieces = frame.segments(codec(type(state)), state, Kind.MESSAGE)
-        kept = _Checkpoint(describe_type(type(state)), b"".join(pieces))
-        data = b"".join(frame.segments(_CHECKPOINT, kept, Kind.RECORD))
+        checkpoint = _Checkpoint(describe_type(type(state)), b"".join(pieces))
+        data = b"".join(frame.segments(_CHECKPOINT, checkpoint, Kind.RECORD))
         if len(data) > MOST_KEPT:
             raise RunError(
                 f"its state of {len(data) / 2**20:.0f} MiB is too large for a "

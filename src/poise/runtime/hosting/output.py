@@ -59,8 +59,8 @@ class OutputFile:
             except OSError as error:  # the component goes on; all was passed on
                 if str(error) != self._trouble:
                     self._trouble = str(error)
-                    said = f"output of '{self._container}' is not kept: {error}\n"
-                    os.write(_STDERR, said.encode())
+                    message = f"output of '{self._container}' is not kept: {error}\n"
+                    os.write(_STDERR, message.encode())
 
     def _open(self) -> None:
         self._fd = os.open(self._path, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o600)
@@ -108,19 +108,20 @@ def keep_output(folder: Path, container: str) -> None:
             handler.setStream(sys.stderr)
 
 
-def read_output(folder: Path, asked: ReadOutput) -> OutputLines:
+def read_output(folder: Path, request: ReadOutput) -> OutputLines:
     """Return what the containers of a folder have written."""
     until = int(wall_time() * 1e9) - _BEING_WRITTEN
     # a set: a file that is renamed meanwhile is read twice
-    kept = {
+    matching = {
         line
         for ending in (_NOW, _BEFORE)
         for path in folder.glob(f"*{ending}")
-        for line in _lines(path, asked.after)
-        if asked.after < line.at <= until and asked.component in {"", line.component}
+        for line in _lines(path, request.after)
+        if request.after < line.at <= until
+        and request.component in {"", line.component}
     }
-    lines = sorted(kept, key=lambda line: line.at)
-    last = lines[-asked.most :]
+    lines = sorted(matching, key=lambda line: line.at)
+    last = lines[-request.most :]
     return OutputLines(lines=tuple(last), omitted=len(lines) - len(last))
 
 
@@ -140,6 +141,6 @@ def _lines(path: Path, after: int) -> Iterator[OutputLine]:
         return
     for line in text.split("\n"):
         at, _, rest = line.partition("\t")
-        component, _, said = rest.partition("\t")
+        component, _, message = rest.partition("\t")
         if at.isdecimal():
-            yield OutputLine(at=int(at), component=component, text=said)
+            yield OutputLine(at=int(at), component=component, text=message)

@@ -166,25 +166,25 @@ class ContainerProcess:
     def last_error(self) -> str:
         """Return the last lines of the errors that it ended with, or nothing."""
         failed = [c for c in self._components() if c.error and c.state == "failed"]
-        said = [f"{c.name}: {c.error.splitlines()[-1]}" for c in failed]
-        return "; ".join(filter(None, [*said, self._why_ended]))
+        errors = [f"{c.name}: {c.error.splitlines()[-1]}" for c in failed]
+        return "; ".join(filter(None, [*errors, self._why_ended]))
 
     def loss(self, age_of: Callable[[str, int], float | None]) -> str:
         """Return what became of the states of its components, in words."""
         active = [c for c in self._components() if c.state == "active"]
         ages = {c.name: age_of(c.name, c.epoch) for c in active}
-        kept = "; ".join(
+        restored = "; ".join(
             f"'{name}' restarts with its state of {age:.1f} s ago"
             for name, age in sorted(ages.items())
             if age is not None
         )
         lost = sorted(name for name, age in ages.items() if age is None)
         if not lost:
-            return kept
+            return restored
         names = ", ".join(f"'{name}'" for name in lost)
         restart = "it restarts" if len(lost) == 1 else "they restart"
-        gone = f"the state of {names} is gone: {restart}"
-        return f"{kept}; {gone}" if kept else gone
+        lost_states = f"the state of {names} is gone: {restart}"
+        return f"{restored}; {lost_states}" if restored else lost_states
 
     def may_be_oom(self, how: ProcessEnd | str) -> bool:
         """Return whether the kernel may have ended it, or one of its commands."""

@@ -59,8 +59,8 @@ class ControlLink:
 
     def next(self) -> FromContainer | None:
         """Return what the container says next, as `RecordReader.next` does."""
-        said: FromContainer | None = self._reader.next(FromContainer)
-        return said
+        record: FromContainer | None = self._reader.next(FromContainer)
+        return record
 
     def note_born(self, pid: int) -> None:
         """Take note of its process; OSError or RuntimeError: no memory is free."""
@@ -111,16 +111,16 @@ class OomKills:
         ]
         self._file = next((f for f in counters if _count(f) is not None), None)
         self._limits = group / "memory.max", group / "memory.limit_in_bytes"
-        self._seen = (_count(self._file) or 0) if self._file else 0
+        self._counted = (_count(self._file) or 0) if self._file else 0
         self._unclaimed: deque[float] = deque()
 
     def update(self, now: float) -> None:
         """Take note of kills until `now` [s]; call it a few times a second."""
         count = _count(self._file) if self._file else None
         if count is None:  # no file descriptor is free at the moment
-            count = self._seen
-        self._unclaimed.extend([now] * (count - self._seen))
-        self._seen = count
+            count = self._counted
+        self._unclaimed.extend([now] * (count - self._counted))
+        self._counted = count
         while self._unclaimed and self._unclaimed[0] < now - _LATE:
             self._unclaimed.popleft()
 

@@ -130,23 +130,23 @@ class Supervisor:
         is_resting = self._supervised.is_resting(part_of(container))
         return process is not None and not process.is_deaf and not is_resting
 
-    def is_news(self, container: str, said: FromContainer) -> bool:
+    def is_news(self, container: str, record: FromContainer) -> bool:
         """Return whether what a container says changes what a tick does."""
-        if isinstance(said, Outcome):
+        if isinstance(record, Outcome):
             return False
         process = self.processes.get(container)
         before = None if process is None else process.status
         return (
             before is None
-            or not isinstance(said, ContainerStatus)
-            or said.states != before.states
-            or said.missed != before.missed
+            or not isinstance(record, ContainerStatus)
+            or record.states != before.states
+            or record.missed != before.missed
         )
 
-    def note(self, container: str, said: FromContainer) -> Outcome | None:
+    def note(self, container: str, record: FromContainer) -> Outcome | None:
         """Take in what a container says; return the outcome of a step, if it is one."""
         process = self.processes.get(container)
-        return None if process is None else process.note(said)
+        return None if process is None else process.note(record)
 
     def note_deaf(self, container: str, why: str) -> None:
         """Kill a container that cannot be heard any more, and record why."""
@@ -215,13 +215,13 @@ class Supervisor:
         if silence.reason:
             lasted = f"has not responded for {silence.seconds:.1f} s"
             why = f"{silence.reason}. {silence.remedy}"
-            said = f"{lasted}: {why}"
+            message = f"{lasted}: {why}"
             self.health.enter(silence.container, "unresponsive", why)
         else:
-            said = f"responds again, after {silence.seconds:.1f} s"
+            message = f"responds again, after {silence.seconds:.1f} s"
             self.health.enter(silence.container, "running")
-        log.warning("container '%s' %s", silence.container, said)
-        self.health.note_fault(silence.container, said, is_over=not silence.reason)
+        log.warning("container '%s' %s", silence.container, message)
+        self.health.note_fault(silence.container, message, is_over=not silence.reason)
 
     def statuses(self) -> tuple[ContainerStatus, ...]:
         """Return what the containers said last."""
@@ -323,12 +323,12 @@ class Supervisor:
             how = self._host.explain_kill(self._clock.now()) or how
         loss = process.loss(self._checkpoint_age)
         parts = [str(how), process.last_error(), loss]
-        said = "; ".join(filter(None, parts))
-        self._note_end(process.name, said)
+        message = "; ".join(filter(None, parts))
+        self._note_end(process.name, message)
 
-    def _note_end(self, container: str, said: str) -> None:
-        log.warning("container '%s' %s", container, said)
-        self.health.note_fault(container, said)
+    def _note_end(self, container: str, message: str) -> None:
+        log.warning("container '%s' %s", container, message)
+        self.health.note_fault(container, message)
         self.health.enter(container, "restarting")
         backoff = self._backoffs.setdefault(container, BackOff())
         backoff.note_end(self._clock.now(), self._random.uniform(0.5, 1))

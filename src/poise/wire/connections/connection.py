@@ -83,8 +83,8 @@ class Connection:
     def is_idle(self) -> bool:
         """Return at once whether the other end is there, and said nothing."""
         try:
-            said = self._connection.recv(1, socket.MSG_PEEK | socket.MSG_DONTWAIT)
-            return bool(said) and self._reader is not None
+            data = self._connection.recv(1, socket.MSG_PEEK | socket.MSG_DONTWAIT)
+            return bool(data) and self._reader is not None
         except BlockingIOError:
             self.is_lost = self._channel.is_lost()
             return not self.is_lost
