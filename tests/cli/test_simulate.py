@@ -116,7 +116,7 @@ def test_ctrl_c_prints_what_is_known_so_far(
 @pytest.mark.parametrize(
     ("words", "says"),
     [
-        (("--for", "0s"), "--for 0s: a simulation lasts longer than 0 s"),
+        (("--for", "0s"), "--for 0s: a simulation must last longer than 0 s"),
         (("--for", "1 hour"), "unknown unit 'hour'"),
         (("--placement", "best"), "no method 'best'"),
         (("--placement", "auto", "--compare", "static"), "--compare static and"),

@@ -19,7 +19,7 @@ from poise.runtime.component.ports import (
 RATE = 50.0
 """Rate of calls and messages [1/s]."""
 SCORES = ("score_0", "score_1", "score_2", "score_3")
-"""Series of measurements, in turn: their largest values agree, or are not believed."""
+"""Series of measurements, in turn: their largest values agree, or are discarded."""
 _PIECE = 0.05
 _LOOP = 2_000
 

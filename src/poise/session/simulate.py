@@ -214,7 +214,7 @@ def _asked(
     """Return what the user asks for, when it can be simulated."""
     _engine()  # before anything is decided
     if not (isfinite(seconds) and seconds > 0):
-        raise UsageError(f"{seconds:g} s: a simulation lasts longer than 0 s")
+        raise UsageError(f"{seconds:g} s: a simulation must last longer than 0 s")
     return _Asked(
         robot=robot,
         task=task_of(robot, task),

@@ -172,7 +172,7 @@ def record(  # noqa: PLR0913 - each is a choice of the user
     seconds
         For how long [s]; `KeyboardInterrupt` ends it earlier.
     rate
-        So many messages of each connector a second at most.
+        Most messages of each connector a second.
     say
         Takes a sentence at every step, and at the end about what was left out.
     check

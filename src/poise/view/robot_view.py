@@ -260,7 +260,7 @@ def _traffic(end: ConnectorStatus) -> int:
 
 
 MOST_ENTRIES = 500
-"""So many decisions are kept."""
+"""How many decisions are kept."""
 
 
 class Look(Struct, frozen=True, kw_only=True):

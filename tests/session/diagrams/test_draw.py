@@ -132,7 +132,7 @@ def test_a_transition_that_does_not_fit_says_why() -> None:
 
 
 def test_what_is_missing_is_said() -> None:
-    with pytest.raises(UsageError, match="transition was given 1"):
+    with pytest.raises(UsageError, match="transition got 1"):
         draw(ROBOT, "transition", {"now": NOW})
     with pytest.raises(UsageError, match="no task 'dance'"):
         draw(ROBOT, task="dance")

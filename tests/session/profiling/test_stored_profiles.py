@@ -76,7 +76,7 @@ def test_says_that_the_robot_files_own_demands_go_first(robot: Robot) -> None:
     robot = load(folder / "robot.yaml")
     write(robot, measured(robot))
     found = profiled(robot)
-    assert "demands from the robot file, which win: eye" in found.says
+    assert "demands from the robot file, which take precedence: eye" in found.says
     assert next(found.robot.components()).demand == {"cpu": 0.3, "memory": 20e6}
 
 

@@ -91,7 +91,7 @@ def echo_command(
     poise echo counter.count --count 1 --json
     """
     if not (math.isfinite(rate) and rate > 0):
-        raise UsageError(f"--rate {rate:g}: it is a positive number of messages")
+        raise UsageError(f"--rate {rate:g}: must be a positive number of messages")
     shown = 0
     for reading in Running(robot).echo(connector, rate=rate):
         for passed in reading.passed[: None if count is None else count - shown]:
@@ -178,7 +178,7 @@ def hz_command(
     Example: poise hz counter.count
     """
     if not (math.isfinite(seconds) and seconds > 0):
-        raise UsageError(f"--for {seconds:g}: it is a positive number of seconds")
+        raise UsageError(f"--for {seconds:g}: must be a positive number of seconds")
     running, lines = Running(robot), 0
     times: list[float] = []
     missing, until = 0, time.monotonic() + seconds

@@ -153,7 +153,7 @@ def _report_silence(measured: Profiling, console: Console) -> None:
         for port in ports:
             console.print(
                 f"[yellow]port '{port}' of component '{component}' got nothing during "
-                f"the measurement{'; its figures are not believed' if doubt else ''}[/]"
+                f"the measurement{'; its figures are discarded' if doubt else ''}[/]"
             )
     if measured.unrecorded:
         console.print(
@@ -211,7 +211,7 @@ def calibrate_command(
 
         def check() -> None:
             interrupts.check()
-            shown.update(f"measuring since {time.monotonic() - began:.0f} s")
+            shown.update(f"measuring for {time.monotonic() - began:.0f} s")
 
         result = calibrate(
             robot, reference=reference, seconds=seconds, force=force, check=check

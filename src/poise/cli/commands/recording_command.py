@@ -129,7 +129,7 @@ def record_command(
     """
     for option, value in ("--rate", rate), ("--for", seconds):
         if not value > 0:
-            raise UsageError(f"{option} {value:g}: it is a positive number")
+            raise UsageError(f"{option} {value:g}: must be a positive number")
     status = connect(robot).status()
     names = connectors or []
     if every:

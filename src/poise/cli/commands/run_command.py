@@ -79,7 +79,7 @@ def run_command(
     """
     seconds = parse_option("--for", for_, SECONDS)
     if not seconds > 0:
-        raise UsageError(f"--for {for_}: a run lasts longer than 0 s")
+        raise UsageError(f"--for {for_}: a run must last longer than 0 s")
     console = console_to(stderr=as_json)
 
     def say(sentence: str) -> None:

@@ -199,7 +199,7 @@ def balance_command(
     Example: poise balance --dry-run
     """
     if not (math.isfinite(cost) and cost >= 0):
-        raise UsageError(f"--cost {cost:g}: it is a number that is not negative")
+        raise UsageError(f"--cost {cost:g}: must be a number, 0 or more")
     running = Running(robot)
     _act(lambda: running.balance(cost=cost, dry_run=dry), as_json=as_json)
 

@@ -89,7 +89,7 @@ def simulate_command(
     """
     seconds = parse_option("--for", for_, SECONDS)
     if not seconds > 0:
-        raise UsageError(f"--for {for_}: a simulation lasts longer than 0 s")
+        raise UsageError(f"--for {for_}: a simulation must last longer than 0 s")
     if compare is not None and placement is not None:
         raise UsageError(
             f"--compare {compare} and --placement {placement} together: add "

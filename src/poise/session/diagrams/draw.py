@@ -121,7 +121,7 @@ def draw(
         return Drawing(sequence_diagram(robot, " → ".join(named), steps))
     raise UsageError(
         "a deployment diagram is of one placement or more, a transition of two: "
-        f"{what} was given {len(named)}"
+        f"{what} got {len(named)}"
     )
 
 
@@ -189,7 +189,7 @@ def _of_class(
 
 
 _MOST_CROSSING = 4
-"""So many connectors between two computers are named; of more, how many there are."""
+"""Up to this number of connectors between two computers are named, else counted."""
 
 
 def deployment_diagram(

@@ -265,7 +265,7 @@ class Calibration(Struct, frozen=True, kw_only=True):
     costs
         Kind of connector (``direct``, ``local``, ``remote``) -> CPU time of each end.
     busy
-        Why the result is not believed, one sentence each; empty: it is.
+        Why the result is discarded, one sentence each; empty: it is.
     kept
         Whether the costs were written to the store, and to the profile if there is one.
     """
@@ -340,7 +340,7 @@ def _keep(robot: Robot, costs: Mapping[str, KindCosts]) -> None:
 def _speeds(
     robot: Robot, reference: str, seconds: float, check: Check
 ) -> tuple[dict[str, ComputerSpeed], list[str]]:
-    """Return the speeds, and why they are not believed."""
+    """Return the speeds, and why they are discarded."""
     bare, placement = yardsticks(robot)
     journal = Journal(":memory:")
     with started(bare, placement, journal, nothing, check=check) as up:
@@ -371,7 +371,7 @@ def _measures(statuses: Statuses) -> dict[str, tuple[float, ...]]:
 
 
 def _doubt(computer: str, scores: Sequence[float]) -> str:
-    """Return why a computer's speed is not believed; empty: it is."""
+    """Return why a computer's speed is discarded; empty: it is."""
     if not scores:
         return f"computer '{computer}' was too busy to be measured"
     spread = max(scores) / min(scores) - 1

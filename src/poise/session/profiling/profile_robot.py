@@ -61,7 +61,7 @@ class Profiling(Struct, frozen=True, kw_only=True):
     silent
         Component -> its ports that got nothing during the measurement.
     unrecorded
-        The components whose figures are not believed, because their inputs were silent.
+        The components whose figures are discarded, because their inputs were silent.
     """
 
     profile: Profile

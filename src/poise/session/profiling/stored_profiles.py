@@ -75,7 +75,7 @@ def profiled(robot: Robot) -> Profiled:
         and {"cpu", "memory"} <= component.demand.keys()
     ]
     if own:
-        says.append(f"demands from the robot file, which win: {_some(own)}")
+        says.append(f"demands from the robot file, which take precedence: {_some(own)}")
     gaps = missing(robot, profile)
     if gaps:
         says.append(f"no demand is known of: {_some(gaps)}")

@@ -70,7 +70,7 @@ def _chains(times: Mapping[str, PredictedTimes]) -> Iterator[RenderableType]:
         if predicted.unknown:
             yield _line(
                 "no data age is predicted",
-                f"of {', '.join(predicted.unknown)}: by what is known, data does not "
+                f"of {', '.join(predicted.unknown)}: as far as is known, data does not "
                 f"get to the end. {'; '.join(predicted.guesses)}",
             )
         late = [

@@ -274,8 +274,8 @@ class Running:
         connector
             Its name, or ``component.port`` of one of its ends.
         rate
-            So many messages or calls a second come with their content; of the others
-            it is told when they went out.
+            This number of messages or calls a second comes with its content, the
+            others with their time alone.
         """
         viewer = secrets.token_hex(8)
         while True:
@@ -293,7 +293,7 @@ class Running:
             Tells it from others that look at the same. Three seconds after its last
             look, nothing is noted for it any more.
         rate
-            So many messages or calls a second come with their content.
+            This number of messages or calls a second comes with its content.
         items
             Of longer lists, arrays and mappings the rest is left out.
         """

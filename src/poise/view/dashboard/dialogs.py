@@ -25,7 +25,7 @@ _LOG_EVERY = 0.5
 _TAKEN_WITHIN = 10.0
 """The next lines are sent when the page has the last ones, or after this time [s]."""
 _MOST_LINES = 200
-"""So many lines of a log are shown."""
+"""How many lines of a log are shown."""
 
 
 class PageActions:

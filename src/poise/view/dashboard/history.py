@@ -11,7 +11,7 @@ Page = dict[str, Records]
 """Part -> name -> what is shown of it."""
 
 SPAN = 600
-"""So many moments are kept, one a second: ten minutes."""
+"""How many moments are kept, one a second: ten minutes."""
 
 
 class RecentHistory:

@@ -12,7 +12,7 @@ from poise.view.dashboard.history import Page, RecentHistory, Records
 from poise.view.robot_view import ConnectorRow, Look, Reader, TimerRow, containers
 
 MOST_SHOWN = 200
-"""So many decisions are shown."""
+"""How many decisions are shown."""
 _NEWS_EVERY = 1.0
 """A page is sent at least an empty update so often [s]."""
 
