@@ -153,7 +153,7 @@ poise.simulate, poise.SimulatedFault(at=1.0, kind="kill agent", target="left")
 
 @pytest.mark.parametrize("seconds", [0.0, -1.0, float("inf"), float("nan")])
 def test_a_simulation_takes_time(seconds: float, hello: Robot) -> None:
-    with pytest.raises(poise.UsageError, match="lasts longer than 0 s"):
+    with pytest.raises(poise.UsageError, match="must last longer than 0 s"):
         poise.simulate(hello, seconds=seconds)
 
 

@@ -265,7 +265,7 @@ class Calibration(Struct, frozen=True, kw_only=True):
     costs
         Kind of connector (``direct``, ``local``, ``remote``) -> CPU time of each end.
     busy
-        Why the result is discarded, one sentence each; empty: it is.
+        Why the result is discarded, one sentence each; empty: it is kept.
     kept
         Whether the costs were written to the store, and to the profile if there is one.
     """
@@ -340,7 +340,7 @@ def _keep(robot: Robot, costs: Mapping[str, KindCosts]) -> None:
 def _speeds(
     robot: Robot, reference: str, seconds: float, check: Check
 ) -> tuple[dict[str, ComputerSpeed], list[str]]:
-    """Return the speeds, and why they are discarded."""
+    """Return the speeds, and why they are doubtful."""
     bare, placement = yardsticks(robot)
     journal = Journal(":memory:")
     with started(bare, placement, journal, nothing, check=check) as up:
