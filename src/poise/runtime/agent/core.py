@@ -42,7 +42,11 @@ from poise.wire.records.request_records import (
     ReadOutput,
     Refused,
 )
-from poise.wire.records.status_records import AgentStatus, FromContainer, Order
+from poise.wire.records.status_records import (
+    AgentStatus,
+    ContainerRequest,
+    FromContainer,
+)
 
 T = TypeVar("T")
 
@@ -121,13 +125,13 @@ class AgentCore:
     def on_request(self, request: ManagerRequest, reply: Reply) -> None:
         """Do what a manager asks for, or refuse it; it is answered once."""
         # steps and taps change nothing that a tick does, and callers wait for them
-        self._has_news |= not isinstance(request.request, Order)
+        self._has_news |= not isinstance(request.request, ContainerRequest)
         try:
             self._attend(request, reply)
         except Exception as error:  # noqa: BLE001, it is logged and shown
             self.supervised.report("requests", error)
             why = f"its agent failed at that, which is an error of Poise: {error!r}"
-            if isinstance(request.request, Order):
+            if isinstance(request.request, ContainerRequest):
                 reply(StepsFailed(request.request.number, why))
             else:
                 reply(Refused(why))
@@ -254,7 +258,7 @@ class AgentCore:
                 )
                 self._world.disk.resend()
             reply(refused or Claimed(wanted, self.fence.is_cut_off))
-        elif isinstance(request, Order):
+        elif isinstance(request, ContainerRequest):
             if refusal:
                 reply(StepsFailed(request.number, refusal))
             else:

@@ -48,9 +48,9 @@ from poise.wire.records.migration_records import MigrationSteps
 from poise.wire.records.request_records import Tap
 from poise.wire.records.status_records import (
     ComponentStatus,
+    ContainerAnswer,
     ContainerFailure,
     ContainerStatus,
-    Outcome,
     ToContainer,
 )
 
@@ -241,7 +241,7 @@ class Container:
             with as_usual():
                 self._apply(what)
 
-    def _take_steps(self, take: Callable[[], Outcome]) -> None:
+    def _take_steps(self, take: Callable[[], ContainerAnswer]) -> None:
         outcome = take()
         with contextlib.suppress(Timeout):  # the agent gave up on us
             self._link.send(outcome)

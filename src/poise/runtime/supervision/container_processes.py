@@ -17,11 +17,11 @@ from poise.wire.records.heartbeat_records import Clocks, ClockStatus
 from poise.wire.records.migration_records import StepsFailed
 from poise.wire.records.status_records import (
     ComponentStatus,
+    ContainerAnswer,
     ContainerFailure,
+    ContainerRequest,
     ContainerStatus,
     FromContainer,
-    Order,
-    Outcome,
     ToContainer,
 )
 
@@ -99,7 +99,7 @@ class ContainerProcess:
             self._clocks = known
             self._send(Clocks(known))
 
-    def pass_on(self, steps: Order) -> None:
+    def pass_on(self, steps: ContainerRequest) -> None:
         """Let it take steps of a migration, or read a tap."""
         if not self.is_deaf:
             self._send(steps)
@@ -122,7 +122,7 @@ class ContainerProcess:
             and silence.heartbeat == self._control.heartbeat()
         )
 
-    def note(self, what: FromContainer) -> Outcome | None:
+    def note(self, what: FromContainer) -> ContainerAnswer | None:
         """Take in what it says; return the outcome of a step, if it is one."""
         if isinstance(what, ContainerStatus):
             self.status = what
@@ -227,7 +227,7 @@ class ProcessEnd(Struct, frozen=True):
 
 
 class _Pending(Struct, frozen=True):
-    steps: Order
+    steps: ContainerRequest
     reply: Reply
     limit: float
 
@@ -239,7 +239,7 @@ class MigrationRelay:
         self._processes = processes
         self._pending: dict[int, _Pending] = {}
 
-    def pass_on(self, steps: Order, reply: Reply, now: float) -> None:
+    def pass_on(self, steps: ContainerRequest, reply: Reply, now: float) -> None:
         """Pass steps or a tap, which came at `now` [s], to their container."""
         process = self._processes.get(steps.container)
         if process is None or process.is_deaf:
@@ -252,7 +252,7 @@ class MigrationRelay:
         process.pass_on(steps)
         self._pending[steps.number] = _Pending(steps, reply, now + steps.limit)
 
-    def end(self, outcome: Outcome) -> None:
+    def end(self, outcome: ContainerAnswer) -> None:
         """Answer with an outcome, unless that was answered before."""
         pending = self._pending.pop(outcome.number, None)
         if pending is not None:

@@ -23,10 +23,10 @@ from poise.runtime.supervision.health import HealthRecords, Silence, Usage
 from poise.wire.records.deployment_records import ContainerSpec, Deployment
 from poise.wire.records.heartbeat_records import ClockStatus
 from poise.wire.records.status_records import (
+    ContainerAnswer,
     ContainerHealth,
     ContainerStatus,
     FromContainer,
-    Outcome,
 )
 
 log = logging.getLogger(__name__)
@@ -132,7 +132,7 @@ class Supervisor:
 
     def is_news(self, container: str, record: FromContainer) -> bool:
         """Return whether what a container says changes what a tick does."""
-        if isinstance(record, Outcome):
+        if isinstance(record, ContainerAnswer):
             return False
         process = self.processes.get(container)
         before = None if process is None else process.status
@@ -143,7 +143,7 @@ class Supervisor:
             or record.missed != before.missed
         )
 
-    def note(self, container: str, record: FromContainer) -> Outcome | None:
+    def note(self, container: str, record: FromContainer) -> ContainerAnswer | None:
         """Take in what a container says; return the outcome of a step, if it is one."""
         process = self.processes.get(container)
         return None if process is None else process.note(record)

@@ -353,12 +353,11 @@ class ContainerFailure(Struct, frozen=True, tag=True):
     reason: str
 
 
-Order = MigrationSteps | Tap
-"""What a container answers with an outcome."""
-Outcome = StepsDone | StepsFailed | TapReading
+ContainerRequest = MigrationSteps | Tap
+"""What a manager asks of a container by way of its agent."""
+ContainerAnswer = StepsDone | StepsFailed | TapReading
 
-
-ToContainer = ContainerSpec | Clocks | Order
-"""What an agent tells a container."""
-FromContainer = ContainerStatus | ContainerFailure | Outcome
-"""What a container tells its agent."""
+ToContainer = ContainerSpec | Clocks | ContainerRequest
+"""What an agent sends a container."""
+FromContainer = ContainerStatus | ContainerFailure | ContainerAnswer
+"""What a container sends its agent."""
