@@ -8,7 +8,7 @@ from time import perf_counter, thread_time
 from typing import NamedTuple, cast
 
 from poise.errors import UsageError
-from poise.plan import _core
+from poise.plan._core import Core
 from poise.plan.problem.arrays import Placed
 from poise.plan.problem.snapshot import Snapshot
 from poise.plan.result import Result
@@ -69,13 +69,13 @@ class Effort(NamedTuple):
         """Whether there is no time for anything but the greedy."""
         return self.seconds <= 0 if self.steps is None else self.steps == 0
 
-    def exact(self, core: _core.Core, known: Placed) -> Answer:
+    def exact(self, core: Core, known: Placed) -> Answer:
         """Spend it on a proof."""
         if self.steps is not None:
             return Answer(*core.exact(known, inf, self.steps, self.stop))
         return Answer(*core.exact(known, self.seconds, UNLIMITED, self.stop))
 
-    def search(self, core: _core.Core, known: Placed) -> Answer:
+    def search(self, core: Core, known: Placed) -> Answer:
         """Spend it on search."""
         seconds, steps = inf, self.steps
         if steps is None:

@@ -16,7 +16,7 @@ from time import perf_counter
 
 from msgspec.structs import replace
 
-from poise.plan import _core
+from poise.plan._core import Core
 from poise.plan.phases.phase_problem import PhasedProblem, beside, with_moves
 from poise.plan.phases.phase_result import PhasedResult
 from poise.plan.planner import BUDGET, Planner
@@ -315,7 +315,7 @@ class PhaseSearch:
             arrays = replace(snapshot.arrays, cost=arrays_of(part).cost)
             parts.append(weighted(arrays, self._weights[name]))
         known = [unit for name in names for unit in held[name].placed]
-        core = _core.Core(merged(parts, self._between(names, held)))
+        core = Core(merged(parts, self._between(names, held)))
         effort = self._effort.share(TOGETHER)
         seconds = max(0.0, min(effort.seconds, left))
         answer = effort._replace(seconds=seconds, seed=seed).search(core, known)

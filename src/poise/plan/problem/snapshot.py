@@ -7,7 +7,7 @@ from functools import cached_property
 from msgspec.structs import replace
 
 from poise.errors import UsageError
-from poise.plan import _core
+from poise.plan._core import Core
 from poise.plan.problem.arrays import Arrays, Placed, arrays_of
 from poise.plan.problem.problem import Problem
 from poise.plan.result_records import ComputerTried, GreedyStep, Terms
@@ -21,12 +21,12 @@ class Snapshot:
     with these, and its arrays, are made when they are asked for.
     """
 
-    def __init__(self, problem: Problem, core: _core.Core | None = None) -> None:
+    def __init__(self, problem: Problem, core: Core | None = None) -> None:
         self._problem = problem
         self._is_current = core is None
         if core is None:
             self.arrays = arrays_of(problem)
-            core = _core.Core(self.arrays)
+            core = Core(self.arrays)
         self.core = core
 
     def updated(self, demands: dict[str, dict[str, float]]) -> Snapshot:

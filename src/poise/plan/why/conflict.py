@@ -10,7 +10,7 @@ from msgspec.structs import replace
 
 from poise.model.hardware import fits
 from poise.model.robot import Objective
-from poise.plan import _core
+from poise.plan._core import Core
 from poise.plan.problem.arrays import Arrays, arrays_of
 from poise.plan.problem.changed_problem import keep_components
 from poise.plan.problem.problem import Problem
@@ -68,7 +68,7 @@ class Oracle:
             return not _late(arrays)
         if is_hopeless(arrays):
             return False
-        core = _core.Core(arrays)
+        core = Core(arrays)
         if core.greedy()[1]:
             return True
         proven = False
@@ -86,7 +86,7 @@ class Oracle:
         if self.is_spent():
             return {}
         arrays = arrays_of(problem)
-        core = _core.Core(arrays)
+        core = Core(arrays)
         if core.provable:
             placed, *_, steps = core.exact([], 1e9, STEPS, self._stop)
         else:
