@@ -15,7 +15,7 @@ from poise.errors import UsageError
 from poise.plan import Problem, portfolio
 from poise.plan._core import Core
 from poise.plan.portfolio import Effort
-from poise.plan.problem.snapshot import Snapshot
+from poise.plan.snapshot import Snapshot
 from tests.waiting import LONG
 
 

@@ -1,5 +1,8 @@
 """Where each component runs: the objective, the greedy, search, proof, explanation."""
 
+from poise.plan.explanation import Explanation, Option, Rejection, explain
+from poise.plan.fewest_computers import Smallest, smallest
+from poise.plan.from_robot import problem_of, static
 from poise.plan.phases.phase_problem import (
     PhasedProblem,
     PhaseProblem,
@@ -9,7 +12,6 @@ from poise.plan.phases.phase_result import PhasedResult, PhaseMove
 from poise.plan.phases.phase_search import solve_phases
 from poise.plan.planner import Overload, Planner, evaluate, solve
 from poise.plan.problem.changed_problem import add, keep_components, scale, without
-from poise.plan.problem.from_robot import problem_of, static
 from poise.plan.problem.items import Bundle, Edge, Hop, Item, Run, SoftLimit, TimeLimit
 from poise.plan.problem.problem import Problem, load, schema
 from poise.plan.problem.share_cpu import PRICE, Margin, share_cpu
@@ -24,8 +26,6 @@ from poise.plan.result_records import (
     Tightest,
     TimeTaken,
 )
-from poise.plan.why.explain import Explanation, Option, Rejection, explain
-from poise.plan.why.fewest_computers import Smallest, smallest
 
 __all__ = [
     "PRICE",

@@ -16,9 +16,9 @@ from poise.plan.problem.changed_problem import keep_components, scale_of
 from poise.plan.problem.items import Item
 from poise.plan.problem.problem import Problem
 from poise.plan.problem.share_cpu import share_cpu
-from poise.plan.problem.snapshot import Snapshot
 from poise.plan.result import Result
 from poise.plan.result_records import Ask
+from poise.plan.snapshot import Snapshot
 from poise.suggest import unknown
 
 LONGEST = 1e9

@@ -10,9 +10,9 @@ from typing import NamedTuple, cast
 from poise.errors import UsageError
 from poise.plan._core import Core
 from poise.plan.problem.arrays import Placed
-from poise.plan.problem.snapshot import Snapshot
 from poise.plan.result import Result
 from poise.plan.result_records import Answer, Ask, Stopped
+from poise.plan.snapshot import Snapshot
 from poise.plan.why.conflict import is_hopeless
 
 BUSY = 4.0

@@ -11,7 +11,6 @@ import msgspec
 
 from poise.plan.problem.arrays import Placed
 from poise.plan.problem.problem import Problem
-from poise.plan.problem.snapshot import Snapshot
 from poise.plan.result_records import (
     Ask,
     Conflict,
@@ -22,6 +21,7 @@ from poise.plan.result_records import (
     Tightest,
     TimeTaken,
 )
+from poise.plan.snapshot import Snapshot
 from poise.plan.why.conflict import conflict
 from poise.plan.why.violations import loads, seconds, shortages, tightest, violations
 

@@ -301,7 +301,7 @@ def test_policies(
     UsageError
         It cannot be read, or nothing that policies see was recorded.
     """
-    policies = Policies(policies_of(robot), robot.folder)
+    policies = Policies(policies_of(robot.policies), robot.folder)
     found: list[PolicyEvent] = []
     began: float | None = None
     troubles: set[str] = set()

@@ -11,7 +11,7 @@ from msgspec.structs import replace
 from poise.errors import FileProblem, RobotError
 from poise.model.load import Source, load_source
 from poise.model.robot import Robot
-from poise.plan.why.late_chains import check_late_chains
+from poise.plan.late_chains import check_late_chains
 from poise.runtime.code_check import check_code_isolated
 from poise.session.callbacks import Say, log, nothing
 from poise.session.profiling.stored_profiles import profiled

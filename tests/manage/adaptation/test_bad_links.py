@@ -34,7 +34,7 @@ def seen(situation: Make, robot: Robot, **links: LinkQuality) -> list[str]:
     linked = replace(robot, links=(Link(between=("left", "right"), latency=0.002),))
     left = AgentStatus(computer="left", generation=1, uptime=1.0, cpu=0.0, links=links)
     now = replace(situation(robot=linked), statuses={"left": left})
-    policies = Policies(policies_of(linked))
+    policies = Policies(policies_of(linked.policies))
     for at in (0.0, 5.0):
         found = policies.evaluate(lambda subject: values_of(now, subject), at)
     return [symptom.policy.name for symptom in found]

@@ -70,7 +70,7 @@ def test_a_robot_file_changes_what_it_names(tmp_path: Path) -> None:
         ROBOT + "overload: off\n  deadlines: {lasts: 2 s}\n"
         "  mine: {for each: robot, when: late > 3, do: notify, cool down: 1 min}\n"
     )
-    found = {policy.name: policy for policy in policies_of(load(path))}
+    found = {policy.name: policy for policy in policies_of(load(path).policies)}
     assert found["overload"].off
     assert found["deadlines"].lasts == 2.0
     assert found["deadlines"].when == "late"

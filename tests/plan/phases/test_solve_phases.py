@@ -15,7 +15,7 @@ from poise.plan import Bundle, Edge, Item, Problem, _core
 from poise.plan.phases.phase_problem import NEVER
 from poise.plan.phases.phase_search import Unit, merged
 from poise.plan.problem.arrays import arrays_of
-from poise.plan.problem.snapshot import Snapshot
+from poise.plan.snapshot import Snapshot
 
 HALVES = tuple(Computer(name=name, capacity={"cpu": 0.5}) for name in ("one", "two"))
 

@@ -107,7 +107,7 @@ def policy_command(
     """
     robot, console = load(file), console_to(stderr=as_json)
     if what == "list":
-        policies = policies_of(robot)
+        policies = policies_of(robot.policies)
         if as_json:
             print_json(policies)
         else:

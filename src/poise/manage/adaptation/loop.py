@@ -64,7 +64,7 @@ class Adaptation:
         self._acts = acts
         self._keep = keep
         self._clock = clock
-        self._policies = Policies(policies_of(run.robot), run.robot.folder)
+        self._policies = Policies(policies_of(run.robot.policies), run.robot.folder)
         self._needs = NeededFunctions(run.journal)
         self._transitions = Transitions(run, self._policies, suspensions)
         limits = self._transitions.limits

@@ -21,7 +21,7 @@ def check_policies(robot: Robot) -> Iterator[Finding]:
     """Yield what is wrong with the policies of a robot."""
     known = {policy.name for policy in shipped()}
     written = {policy.name for policy in robot.policies}
-    for policy in policies_of(robot):
+    for policy in policies_of(robot.policies):
         if policy.name not in written:
             continue
         if policy.off:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
 from typing import Annotated
@@ -12,7 +13,6 @@ from msgspec import Struct
 from poise.errors import FileProblem, RobotError
 from poise.model.file_keys import says
 from poise.model.policy.policy import COOL_DOWN, LASTS, POLICIES, Policy
-from poise.model.robot import Robot
 from poise.model.yaml.tree import Node, parse
 from poise.model.yaml.validate import validate
 
@@ -37,14 +37,14 @@ def shipped() -> tuple[Policy, ...]:
     raise RobotError(problems=problems)
 
 
-def policies_of(robot: Robot) -> tuple[Policy, ...]:
-    """Return the policies of a robot, `off` ones too: shipped ones first, by name.
+def policies_of(written: Iterable[Policy]) -> tuple[Policy, ...]:
+    """Return a robot's policies, `off` ones too: shipped ones first, then its own.
 
     What a policy of the robot file does not give is that of the shipped one of its
     name, or a default.
     """
     found = {policy.name: policy for policy in shipped()}
-    for own in robot.policies:
+    for own in written:
         found[own.name] = _changed(found.get(own.name, Policy(name=own.name)), own)
     return tuple(map(_whole, found.values()))
 

@@ -9,8 +9,8 @@ from msgspec.structs import force_setattr, replace
 
 from poise.model.phases import assumed, phases_of
 from poise.model.robot import Computer, Robot
+from poise.plan.from_robot import MEGABYTE, check_task, problem_of
 from poise.plan.problem.arrays import arrays_of, overhead_scale
-from poise.plan.problem.from_robot import MEGABYTE, check_task, problem_of
 from poise.plan.problem.problem import Problem
 
 MOVE = 0.3

@@ -8,11 +8,11 @@ from typing import TypedDict
 from msgspec import Struct, to_builtins
 
 from poise.errors import UsageError
+from poise.plan.explanation import Explanation, Rejection, explain
 from poise.plan.phases.phase_problem import NEVER, PhasedProblem, with_moves
 from poise.plan.problem.problem import Problem
 from poise.plan.result import PlainResult, Result
 from poise.plan.result_records import Stopped
-from poise.plan.why.explain import Explanation, Rejection, explain
 from poise.suggest import unknown
 
 

@@ -24,10 +24,10 @@ from poise.plan.portfolio import Budget, Effort
 from poise.plan.problem.arrays import Arrays, Placed, arrays_of
 from poise.plan.problem.changed_problem import keep_components
 from poise.plan.problem.problem import Problem
-from poise.plan.problem.snapshot import Snapshot
 from poise.plan.problem.time_arrays import LimitArray, Times
 from poise.plan.result import Result, Selection
 from poise.plan.result_records import Ask
+from poise.plan.snapshot import Snapshot
 
 Unit = tuple[int, int]
 """A phase, and a unit in it."""

@@ -1,1 +1,1 @@
-"""What is to be decided: written, read, made from a robot, checked, and as arrays."""
+"""What is to be decided: written, read, checked, changed, and as arrays."""

@@ -1,1 +1,1 @@
-"""Explanations: why a component is where it is, and why nothing can hold."""
+"""Which limits a placement breaks, why nothing can hold, and what has to give way."""

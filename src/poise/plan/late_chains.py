@@ -8,8 +8,8 @@ from msgspec.structs import replace
 
 from poise.model.robot import Robot
 from poise.model.yaml.tree import Finding
+from poise.plan.from_robot import problem_of
 from poise.plan.problem.changed_problem import keep_components
-from poise.plan.problem.from_robot import problem_of
 from poise.plan.why.conflict import conflict
 from poise.units import format_seconds
 

@@ -12,8 +12,8 @@ from poise.plan.planner import evaluate, solve
 from poise.plan.problem.arrays import Placed
 from poise.plan.problem.items import Bundle
 from poise.plan.problem.problem import Problem
-from poise.plan.problem.snapshot import Snapshot
 from poise.plan.result_records import Terms
+from poise.plan.snapshot import Snapshot
 from poise.plan.why.violations import obstacle
 
 
