@@ -10,7 +10,7 @@ from msgspec import Struct
 from rich.console import RenderableType
 
 from poise.errors import RunError
-from poise.manage.agent_connections.statuses import Statuses, connectors_of
+from poise.manage.agent_connections.statuses import Statuses
 from poise.manage.deploy.deactivation import unprocessed
 from poise.manage.journal import JournalEntry
 from poise.manage.observe.chains import ChainReport
@@ -182,7 +182,7 @@ def reported(
         seconds=seen.seconds,
         cpu_share=cpu_shares(robot, seen.begin, seen.end, up.computers.faster),
         components=component_reports(seen.begin, final),
-        connectors=tuple(connectors_of(final)),
+        connectors=tuple(seen.last_seen.connectors()),
         began=seen.began,
         history=seen.history,
         journal=journal,

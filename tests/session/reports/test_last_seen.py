@@ -79,6 +79,16 @@ def test_keeps_what_a_container_had_counted_when_another_took_its_place() -> Non
     assert [end.messages for end in seen.ended] == [3]
 
 
+def test_a_connector_counts_what_all_processes_at_its_end_did() -> None:
+    """Of a source that began again after an action, the target counts all."""
+    seen = LastSeen()
+    seen.look(on("left", "eye", ends=[("eye.x-hand.x", 30)]))
+    seen.look(on("left", "eye", ends=[("eye.x-hand.x", 4)], pid=2))
+    seen.look(on("left", "eye", ends=[("eye.x-hand.x", 20)], pid=2))
+    seen.look(on("left"))
+    assert [end.messages for end in seen.connectors()] == [50]
+
+
 def test_what_comes_back_from_elsewhere_has_its_count_with_it() -> None:
     seen = LastSeen()
     seen.look(on("left", "eye", ends=[("eye.x-hand.x", 3)]))

@@ -127,7 +127,9 @@ class LastSeen:
         place = computer, container.name
         before = self._containers.get(place, container)
         if before.pid != container.pid:
-            self.ended += self._ends_at(place)
+            for (_, side), (at, known) in self._ends.items():
+                if at == place:  # a source with two paths counts the same at both
+                    self.ended += known[:1] if side == "source" else known
         self._containers[place] = container
         for each in container.components:
             self._places[each.name] = place
@@ -157,6 +159,25 @@ class LastSeen:
             for computer, status in statuses.items()
         }
 
+    def connectors(self) -> Iterator[ConnectorStatus]:
+        """Yield each end of each connector, with the counts of all its stays.
+
+        What a container did after its last status is not known.
+        """
+        with self._lock:
+            before: dict[tuple[str, Side], ConnectorStatus] = {}
+            for end in self.ended:
+                if any(end is each for each in self._ends[_key(end)][1]):
+                    continue  # no other took its place
+                known = before.get(_key(end))
+                before[_key(end)] = _end_after(known, end) if known else end
+            for key, (_, same) in sorted(self._ends.items()):
+                earlier = before.pop(key, None)
+                adds = len(same) if key[1] == "source" else 1
+                for each in same[:adds]:
+                    yield _end_after(earlier, each) if earlier else each
+                yield from same[adds:]
+
     def stays(self) -> Iterator[tuple[str, ComponentStatus]]:
         """Yield each component's last status in each place, with its computer."""
         for stays in self._stays.values():
@@ -173,6 +194,15 @@ class LastSeen:
         for at, same in self._ends.values():
             if at == place:
                 yield from same
+
+
+def _end_after(before: ConnectorStatus, last: ConnectorStatus) -> ConnectorStatus:
+    """Return an end's last status, with what it had counted in a process before."""
+    counts = "calls", "messages", "bytes_out", "bytes_in", "errors", "drops"
+    times = "delay", "wait", "size", "latency"
+    sums = {name: getattr(before, name) + getattr(last, name) for name in counts}
+    both = {n: together(getattr(before, n), getattr(last, n)) for n in times}
+    return replace(last, **sums, **both)
 
 
 def _fold(stays: dict[_Stay, ComponentStatus]) -> None:
