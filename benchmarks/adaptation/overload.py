@@ -17,7 +17,7 @@ from msgspec import Struct
 
 import poise
 from examples.demo.overload import Deadlines
-from poise.emulate.background_load import background_load
+from poise.emulate.cpu_load import background_load
 from poise.errors import PoiseError
 from poise.session.running_robots.running import Running, Status
 

@@ -27,7 +27,7 @@ from benchmarks.experiment.results import (
     under,
 )
 from poise.clock import wall_time
-from poise.emulate.background_load import background_load
+from poise.emulate.cpu_load import background_load
 from poise.errors import PoiseError, RunError
 from poise.manage.agent_connections.statuses import Statuses, components_of
 from poise.manage.observe.chains import chain_reports

@@ -10,7 +10,7 @@ import time
 from msgspec import Struct
 
 from examples.demo.waiting import LOOK_EVERY, WARM_UP, wait
-from poise.emulate.background_load import background_load
+from poise.emulate.cpu_load import background_load
 from poise.manage.agent_connections.statuses import components_of
 from poise.model.robot import Robot
 from poise.session.callbacks import Check, Say

@@ -13,7 +13,7 @@ from benchmarks.random_robots import random_robot
 from poise import plan
 from poise.model.robot import Link
 from poise.plan import Hop, Problem, Run, TimeLimit
-from poise.plan.phases.phase_search import merged
+from poise.plan.phases.merged_arrays import merged
 from poise.plan.problem.arrays import arrays_of
 from poise.plan.why.violations import violations
 from tests.plan.native import Native

@@ -1,9 +1,9 @@
 """One Linux machine as a robot's several computers (docs/emulation.md)."""
 
 from poise.emulate.computer import EmulatedComputer
+from poise.emulate.cpu_load import full_speed
 from poise.emulate.emulated_set import EmulatedSet, all_sets, find_set, set_for
 from poise.emulate.emulation import Emulation
-from poise.emulate.full_speed import full_speed
 from poise.emulate.layout import InjectedFault
 from poise.emulate.probe import Probe, look
 from poise.emulate.registry import sweep

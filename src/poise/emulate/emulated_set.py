@@ -20,8 +20,8 @@ from msgspec.structs import replace
 
 from poise.clock import wall_time
 from poise.emulate import emulated_network, processes, registry
-from poise.emulate.background_load import background_load
 from poise.emulate.computer import EmulatedComputer
+from poise.emulate.cpu_load import background_load
 from poise.emulate.emulated_network import NetworkPlan, Shape
 from poise.emulate.layout import EmulationLayout, FaultKind, InjectedFault, KeptSet
 from poise.errors import RunError, UsageError

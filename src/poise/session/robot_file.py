@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from os import PathLike
 from pathlib import Path
 
@@ -11,10 +11,13 @@ from msgspec.structs import replace
 from poise.errors import FileProblem, RobotError
 from poise.model.load import Source, load_source
 from poise.model.robot import Robot
-from poise.plan.late_chains import check_late_chains
+from poise.model.yaml.tree import Finding
+from poise.plan import keep_components, problem_of
+from poise.plan.why.conflict import conflict
 from poise.runtime.code_check import check_code_isolated
 from poise.session.callbacks import Say, log, nothing
 from poise.session.profiling.stored_profiles import profiled
+from poise.units import format_seconds
 
 
 def check(file: str | PathLike[str]) -> tuple[FileProblem, ...]:
@@ -81,6 +84,26 @@ def _checked(
         problems = sorted(map(source.positions.problem, findings))
         raise RobotError(problems=problems)
     return replace(source, robot=replace(source.robot, code=found.code))
+
+
+def check_late_chains(robot: Robot) -> Iterator[Finding]:
+    """Yield the chains whose data spends more time on links than their deadline."""
+    if not robot.chains:
+        return
+    problem = problem_of(robot)
+    for limit in problem.time_limits:
+        part = keep_components(problem, {*limit.components})
+        part = replace(part, time_limits=(), architectures=())
+        if conflict(part) is not None:
+            continue  # it has no place at all: that is said where it is placed
+        found = conflict(replace(part, time_limits=(replace(limit, price=0.0),)))
+        if found is not None:
+            yield Finding(
+                ("chains", limit.name, "deadline"),
+                f"chain '{limit.name}' cannot keep its "
+                f"{format_seconds(limit.limit)}, wherever its components run: "
+                f"{'; '.join(found.limits)}. It could with {found.relaxation}",
+            )
 
 
 def with_code(robot: Robot) -> Robot:

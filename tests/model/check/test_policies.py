@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from poise.model import load
-from poise.model.policy.shipped import policies_of, shipped
+from poise.model.policy.policy import policies_of, shipped
 from tests.model.conftest import Find, Refuse
 
 ROBOT = """

@@ -12,8 +12,8 @@ from poise import plan
 from poise.errors import UsageError
 from poise.model.robot import Computer, Link, Objective
 from poise.plan import Bundle, Edge, Item, Problem, _core
+from poise.plan.phases.merged_arrays import Unit, merged
 from poise.plan.phases.phase_problem import NEVER
-from poise.plan.phases.phase_search import Unit, merged
 from poise.plan.problem.arrays import arrays_of
 from poise.plan.snapshot import Snapshot
 

@@ -18,8 +18,7 @@ from poise.cli.options import AsJson, RobotFile, RobotTask, busy, print_json
 from poise.errors import FileProblem, RobotError, UsageError
 from poise.estimate.success_rates import Belief, beliefs_about, forget
 from poise.model.load import load
-from poise.model.policy.policy import Policy
-from poise.model.policy.shipped import policies_of
+from poise.model.policy.policy import Policy, policies_of
 from poise.model.robot import Robot
 from poise.session.diagrams.draw import FORMATS, What, draw
 from poise.session.placing.first_phase import Described, Listed, listed

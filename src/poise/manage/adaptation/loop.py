@@ -36,8 +36,7 @@ from poise.manage.shortages.suspension import (
     StopWithoutNeeded,
     Suspensions,
 )
-from poise.model.policy.policy import Seen
-from poise.model.policy.shipped import policies_of
+from poise.model.policy.policy import Seen, policies_of
 from poise.units import counted
 
 

@@ -8,8 +8,14 @@ from poise.model.check.connectors import KnownPort, Ports, no_such_port
 from poise.model.check.names import component_names
 from poise.model.phases import MOST_PHASES, TooManyPhasesError, clashes, phases_of
 from poise.model.policy.condition import check_sentence, parse_condition
-from poise.model.policy.policy import ACTIONS, SUBJECTS, Policy, Subject
-from poise.model.policy.shipped import policies_of, shipped
+from poise.model.policy.policy import (
+    ACTIONS,
+    SUBJECTS,
+    Policy,
+    Subject,
+    policies_of,
+    shipped,
+)
 from poise.model.repository import Repository
 from poise.model.robot import ConnectorEnd, Robot
 from poise.model.steps import Action, Repeat, Subtask, Task, Until, walk

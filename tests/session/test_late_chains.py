@@ -5,8 +5,7 @@ from pathlib import Path
 import pytest
 
 from poise.model import load
-from poise.plan.late_chains import check_late_chains
-from poise.session.robot_file import check
+from poise.session.robot_file import check, check_late_chains
 
 FILE = """
 robot: hunter
