@@ -21,7 +21,7 @@ from rich.markup import escape
 
 import poise
 from benchmarks.experiment.results import extents
-from benchmarks.experiment.robots import SUBJECTS
+from benchmarks.experiment.robots import ROBOTS
 from benchmarks.experiment.series import PAGE, experiment
 from benchmarks.experiment.tables import experiment_parts
 from poise.cli.interrupts import Interrupts
@@ -33,7 +33,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(
         "python -m benchmarks.experiment", description=__doc__
     )
-    parser.add_argument("--robot", choices=SUBJECTS, default="trot")
+    parser.add_argument("--robot", choices=ROBOTS, default="trot")
     extent = parser.add_mutually_exclusive_group()
     extent.add_argument("--one", action="store_true", help="one run")
     extent.add_argument("--quick", action="store_true", help="four ways, two runs")
@@ -46,21 +46,21 @@ def main() -> int:
     )
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
-    subject = SUBJECTS[options.robot]
+    tried = ROBOTS[options.robot]
     folder = options.folder or Path(f"poise-experiment-{options.robot}")
     console = Console(stderr=options.json, highlight=False)
 
     def say(sentence: str) -> None:
         console.print(escape(sentence), soft_wrap=True)
 
-    robot = poise.load(subject.file, say=say)
+    robot = poise.load(tried.file, say=say)
     flags = (flag for flag in ("one", "quick", "full") if getattr(options, flag))
-    chosen = extents(subject.conditions)[next(flags, "usual")]
+    chosen = extents(tried.conditions)[next(flags, "usual")]
     with Interrupts() as interrupts:
         try:
             report = experiment(
                 robot,
-                subject.task,
+                tried.task,
                 chosen,
                 folder,
                 hours=options.hours,

@@ -18,7 +18,7 @@ COMMON = (TrialCondition(name=BASE), *LOADS, SLOW_LINK, FULL_CPU)
 _EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
-class Subject(Struct, frozen=True, kw_only=True):
+class ExperimentRobot(Struct, frozen=True, kw_only=True):
     """A robot, the task that each run is of, and all conditions; its own one first."""
 
     file: Path
@@ -34,8 +34,8 @@ def _drift(computer: str) -> TrialCondition:
     )
 
 
-SUBJECTS: Mapping[str, Subject] = {
-    "trot": Subject(
+ROBOTS: Mapping[str, ExperimentRobot] = {
+    "trot": ExperimentRobot(
         file=_EXAMPLES / "trot/robot.yaml",
         task="serve",
         conditions=(
@@ -47,7 +47,7 @@ SUBJECTS: Mapping[str, Subject] = {
             _drift("main"),
         ),
     ),
-    "sorter": Subject(
+    "sorter": ExperimentRobot(
         file=_EXAMPLES / "sorter/robot.yaml",
         task="sort",
         conditions=(

@@ -12,11 +12,11 @@ from rich.console import Console
 
 from benchmarks.experiment.page import experiment_page
 from benchmarks.experiment.results import Extent, Missed, TrialResult, extents, schedule
-from benchmarks.experiment.robots import SUBJECTS
+from benchmarks.experiment.robots import ROBOTS
 from benchmarks.experiment.summary import ExperimentReport, summarised
 from benchmarks.experiment.tables import experiment_parts
 
-EXTENTS = extents(SUBJECTS["trot"].conditions)
+EXTENTS = extents(ROBOTS["trot"].conditions)
 SHORT, USUAL = EXTENTS["quick"], EXTENTS["usual"]
 
 

@@ -18,7 +18,7 @@ from benchmarks.experiment.results import (
     schedule,
     under,
 )
-from benchmarks.experiment.robots import SUBJECTS, Subject
+from benchmarks.experiment.robots import ROBOTS, ExperimentRobot
 from poise.model import load
 from poise.model.robot import (
     Architecture,
@@ -29,7 +29,7 @@ from poise.model.robot import (
     Simulator,
 )
 
-CONDITIONS = SUBJECTS["trot"].conditions
+CONDITIONS = ROBOTS["trot"].conditions
 EXTENTS = extents(CONDITIONS)
 ROBOT = Robot(
     name="tried",
@@ -107,15 +107,15 @@ def test_static_has_no_priorities_and_nice_has() -> None:
     assert (plain.priority, nice.priority) == (0, 7)
 
 
-@pytest.mark.parametrize("subject", SUBJECTS.values(), ids=SUBJECTS)
-def test_conditions_are_about_what_the_robot_has(subject: Subject) -> None:
+@pytest.mark.parametrize("tried", ROBOTS.values(), ids=ROBOTS)
+def test_conditions_are_about_what_the_robot_has(tried: ExperimentRobot) -> None:
     """A name that the robot does not have would change nothing, and say nothing."""
-    robot = load(subject.file)
+    robot = load(tried.file)
     components = {each.name: each for each in robot.components()}
     computers = {each.name for each in robot.computers}
-    assert subject.task in {task.name for task in robot.tasks}
-    assert subject.conditions[0] == TrialCondition(name=BASE)
-    for condition in subject.conditions:
+    assert tried.task in {task.name for task in robot.tasks}
+    assert tried.conditions[0] == TrialCondition(name=BASE)
+    for condition in tried.conditions:
         assert {computer for _, computer, _ in condition.programs} <= computers
         for name, parameters in condition.parameters.items():
             component = components[name]
