@@ -1,0 +1,57 @@
+"""The robot file and its profile: placement decides whether it works."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from msgspec.structs import replace
+
+import poise
+from poise.estimate import profiles as profile_file
+from poise.estimate.demands import with_profile
+from poise.model import load
+from tests.sorter.loop import EXAMPLE, LESSER
+
+FILE = EXAMPLE / "robot.yaml"
+PROFILE = profile_file.read(Path(EXAMPLE / "profile.yaml"))
+ROBOT = with_profile(load(FILE), PROFILE)
+COARSE = {"coarse_detection", "coarse_inspection"}
+USABLE = {c.name: 0.95 * c.capacity["cpu"] * c.speed for c in ROBOT.computers}
+NEEDS = {each.name: each.demand["cpu"] for each in ROBOT.components()}
+
+
+def test_every_component_is_profiled() -> None:
+    assert NEEDS.keys() == PROFILE.components.keys()
+    assert len(NEEDS.keys() - LESSER) == 10
+
+
+def test_fills_three_computers_to_nine_tenths() -> None:
+    needed = sum(cpu for name, cpu in NEEDS.items() if name not in LESSER)
+    assert 0.85 < needed / sum(USABLE.values()) < 0.95
+
+
+def test_the_lesser_alternatives_need_less() -> None:
+    assert NEEDS["small_detector"] < 0.5 * NEEDS["detector"]
+    assert NEEDS["quick_inspector"] < 0.6 * NEEDS["inspector"]
+
+
+def test_each_function_at_home_overloads_a_computer() -> None:
+    at_home = sum(
+        component.demand["cpu"]
+        for each in ROBOT.architectures
+        if each.home == "vision" and each.name not in COARSE
+        for component in each.components
+    )
+    assert at_home > 1.2 * USABLE["vision"]
+
+
+@pytest.mark.slow
+def test_all_fits_and_without_a_computer_the_lesser_alternatives_do() -> None:
+    placed = poise.place(ROBOT, "sort")
+    assert not COARSE & set(placed.architectures.values())
+    assert set(placed.where.values()) == {"arm", "vision", "cell"}
+    *others, cell = ROBOT.computers
+    weak = replace(cell, capacity={**cell.capacity, "cpu": 0.3})
+    chosen = poise.place(replace(ROBOT, computers=(*others, weak)), "sort")
+    assert COARSE & set(chosen.architectures.values())
