@@ -31,7 +31,6 @@ from poise.manage.migration.migration_plan import MigrationPlan
 from poise.manage.observe.troubles import SupervisedTick
 from poise.manage.shortages import failover
 from poise.manage.tasks.prefetch import Prefetcher
-from poise.manage.tasks.task_manager import TaskManager
 from poise.runtime.agent import fence
 from poise.runtime.agent.fence import Fence, Lease
 from poise.runtime.agent.heartbeat_exchange import HeartbeatExchange
@@ -51,15 +50,19 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("names", nargs="*", help="defects; none: all")
     parser.add_argument("--seeds", type=int, default=MOST_SEEDS)
+    parser.add_argument("--shrink", type=int, default=40, help="runs, at most")
     parser.add_argument("--here", action="store_true", help="in this process")
     asked = parser.parse_args()
     if asked.here:
-        return look_for(asked.names[0], asked.seeds)
+        return look_for(asked.names[0], asked.seeds, asked.shrink)
     missed = 0
     for name in asked.names or DEFECTS:
         words = "-m", "tests.simulation.mutations", name, "--here"
         done = subprocess.run(
-            [sys.executable, *words, "--seeds", str(asked.seeds)],
+            [
+                *(sys.executable, *words, "--seeds", str(asked.seeds)),
+                *("--shrink", str(asked.shrink)),
+            ],
             stderr=subprocess.DEVNULL,
             check=False,
         )
@@ -68,7 +71,7 @@ def main() -> int:
     return bool(missed)
 
 
-def look_for(name: str, seeds: int) -> int:
+def look_for(name: str, seeds: int, most: int) -> int:
     """Run seeds until one shows a defect; print one line of the table."""
     what, break_it = DEFECTS[name]
     break_it()
@@ -77,7 +80,7 @@ def look_for(name: str, seeds: int) -> int:
         outcome = simulate(scenario, seed)
         if outcome.failure and not _fails_without(seed):
             shrunk = Shrunk(scenario, outcome)
-            shrunk.shrink()
+            shrunk.shrink(most)
             found = shrunk.outcome
             faults = ", ".join(fault.kind for fault in found.faults) or "none"
             print(
@@ -283,10 +286,6 @@ DEFECTS: Defects = {
     "no-failover": (
         "what was lost is not started again",
         _put(failover, "start_together", lambda *_: False),
-    ),
-    "tasks": (
-        "actions are never switched",
-        _put(TaskManager, "_reconcile", lambda _: False),
     ),
 }
 

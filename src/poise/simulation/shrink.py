@@ -33,7 +33,7 @@ class Shrunk:
     """
 
     def __init__(self, scenario: Scenario, first: RunOutcome) -> None:
-        self.runs = 0
+        self.runs, self._most = 0, MOST_RUNS
         self.outcome = first
         self.scenario = structs.replace(scenario, faults=first.faults)
         self.recorded: Recorded = {}
@@ -41,8 +41,9 @@ class Shrunk:
             # the faults' own draws came before: without them all others are as before
             self._try(self.scenario, first.choices)
 
-    def shrink(self) -> None:
-        """Take away what the failure does not need, for at most `MOST_RUNS`."""
+    def shrink(self, most: int = MOST_RUNS) -> None:
+        """Take away what the failure does not need, in at most so many runs."""
+        self._most = most
         cut = self.outcome.virtual
         faults = tuple(f for f in self.outcome.faults if f.at <= cut)
         self._try(structs.replace(self.scenario, faults=faults), self.recorded)
@@ -74,7 +75,7 @@ class Shrunk:
     def _calm(self, stream: str) -> None:
         """Let choices of a stream be the first that offers, in halves."""
         parts = [(0, len(self.outcome.choices.get(stream, ())))]
-        while parts and self.runs < MOST_RUNS:
+        while parts and self.runs < self._most:
             start, end = parts.pop(0)
             made = list(self.outcome.choices.get(stream, ()))
             if start >= len(made) or not any(made[start:end]):
@@ -88,7 +89,7 @@ class Shrunk:
 
     def _try(self, scenario: Scenario, recorded: Recorded) -> bool:
         """Run it; keep it when it fails in the same way."""
-        if self.runs >= MOST_RUNS:
+        if self.runs >= self._most:
             return False
         self.runs += 1
         outcome = simulate(scenario, self.outcome.seed, recorded)
