@@ -76,7 +76,7 @@ def measure(
             blank,
             placement=placed.where,
             decision_seconds=placed.result.seconds,
-            put_aside=placed.result.aside,
+            suspended=placed.result.suspended,
         )
         with up(
             as_when_profiled(as_it_runs(known, arm, condition, seed)),

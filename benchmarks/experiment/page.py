@@ -287,9 +287,9 @@ def _rows(arms: Sequence[ArmSummary]) -> Iterator[tuple[str, ...]]:
     yield "placement decided in", *(_time(each.decision_seconds) for each in arms)
     yield "moves", *("" if each.moves is None else f"{each.moves:g}" for each in arms)
     yield (
-        "put aside",
+        "suspended",
         *(
-            escape(", ".join(f"{name} in {n}" for name, n in each.put_aside.items()))
+            escape(", ".join(f"{name} in {n}" for name, n in each.suspended.items()))
             for each in arms
         ),
     )

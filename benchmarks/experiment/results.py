@@ -251,7 +251,7 @@ class TrialResult(Struct, frozen=True, kw_only=True):
         Component -> computer, at the start.
     decision_seconds
         How long that took to decide [s].
-    put_aside
+    suspended
         Architectures that did not run, because not all fits.
     functions
         Function -> whether it worked, as the simulated world saw it.
@@ -279,7 +279,7 @@ class TrialResult(Struct, frozen=True, kw_only=True):
     seconds: float = 0.0
     placement: Mapping[str, str] = {}
     decision_seconds: float = 0.0
-    put_aside: tuple[str, ...] = ()
+    suspended: tuple[str, ...] = ()
     functions: Mapping[str, bool] = {}
     world: Mapping[str, Any] = {}
     chains: Mapping[str, Missed] = {}

@@ -61,7 +61,7 @@ class ArmSummary(Struct, frozen=True, kw_only=True):
         Medians over the runs [m], [s], and a count.
     cpu_share
         Computer -> share of its CPU used, in the mean.
-    put_aside
+    suspended
         Architecture -> in how many runs it did not run, because not all fits.
     """
 
@@ -79,7 +79,7 @@ class ArmSummary(Struct, frozen=True, kw_only=True):
     decision_seconds: float | None
     moves: float | None
     cpu_share: Mapping[str, float]
-    put_aside: Mapping[str, int]
+    suspended: Mapping[str, int]
 
 
 class ExperimentReport(Struct, frozen=True, kw_only=True):
@@ -151,7 +151,7 @@ def _summary(
     timers = _by_name(each.timers for each in valid)
     cpu_shares = _by_name(each.cpu_share for each in valid)
     errors = [each.world.get("path_error") for each in valid]
-    aside = [name for each in valid for name in each.put_aside]
+    suspended = [name for each in valid for name in each.suspended]
     return ArmSummary(
         placement=arm,
         condition=condition,
@@ -170,7 +170,7 @@ def _summary(
         decision_seconds=_median(each.decision_seconds for each in valid),
         moves=_median(each.moves for each in valid),
         cpu_share={name: fmean(shares) for name, shares in cpu_shares.items()},
-        put_aside={name: aside.count(name) for name in dict.fromkeys(aside)},
+        suspended={name: suspended.count(name) for name in dict.fromkeys(suspended)},
     )
 
 

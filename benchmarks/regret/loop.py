@@ -270,7 +270,7 @@ def _transitions() -> Sequence[tuple[ModuleType, str]]:
 
 
 class _Nothing:
-    """Takes all calls, and does nothing: a journal, and what puts aside."""
+    """Takes all calls, and does nothing: a journal, and what suspends."""
 
     def __getattr__(self, _: str) -> Callable[..., None]:
         return lambda *_, **__: None

@@ -166,7 +166,7 @@ def test_shows_what_was_put_aside(tmp_path: Path) -> None:
     result = call(path, "--fewer")
     assert result.exit_code == 0
     said = " ".join(result.stdout.split())
-    assert "put aside: B, as not all fits: a, b together need 4 cpu" in said
+    assert "suspended: B, as not all fits: a, b together need 4 cpu" in said
     assert "not feasible" not in said
 
 

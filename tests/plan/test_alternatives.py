@@ -1,4 +1,4 @@
-"""Priorities and alternatives: what is put aside, and which architecture is chosen."""
+"""Priorities and alternatives: what is suspended, and which architecture is chosen."""
 
 from msgspec.structs import replace
 
@@ -32,7 +32,7 @@ def test_puts_the_lowest_priority_aside() -> None:
         room=2.0,
     )
     result = plan.solve(asked, fewer=True)
-    assert result.aside == ("talk",)
+    assert result.suspended == ("talk",)
     assert set(result.placement) == {"drive.part", "see.part"}
     assert result.feasible
     # All three need 3 cores, and there are 2.
@@ -58,7 +58,7 @@ def test_puts_aside_as_few_as_possible() -> None:
         (architecture("c"), 2.0),
         room=2.0,
     )
-    assert plan.solve(asked, fewer=True).aside == ("c",)
+    assert plan.solve(asked, fewer=True).suspended == ("c",)
 
 
 def test_keeps_a_low_priority_that_still_fits() -> None:
@@ -68,14 +68,14 @@ def test_keeps_a_low_priority_that_still_fits() -> None:
         (architecture("low", priority=0), 1.0),
         room=4.0,
     )
-    assert plan.solve(asked, fewer=True).aside == ("middle",)
+    assert plan.solve(asked, fewer=True).suspended == ("middle",)
 
 
 def test_puts_nothing_aside_unless_asked() -> None:
     asked = problem((architecture("a"), 2.0), (architecture("b"), 2.0), room=3.0)
     result = plan.solve(asked)
     assert not result.feasible
-    assert result.aside == ()
+    assert result.suspended == ()
 
 
 def test_chooses_the_better_alternative_that_fits() -> None:
@@ -99,7 +99,7 @@ def test_takes_a_lesser_alternative_before_putting_something_aside() -> None:
         room=3.0,
     )
     result = plan.solve(asked, fewer=True)
-    assert result.aside == ()
+    assert result.suspended == ()
     assert result.architectures == {"see": "plain"}
 
 

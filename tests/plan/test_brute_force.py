@@ -242,8 +242,8 @@ def test_as_few_as_possible_are_put_aside_and_the_least_important() -> None:
             for kept in [[a.priority for a in asked.architectures if a not in dropped]]
         )
         result = plan.solve(asked, steps=20_000, fewer=True)
-        aside = tuple(a for a in asked.architectures if a.name in result.aside)
-        kept = [a.priority for a in asked.architectures if a not in aside]
+        suspended = tuple(a for a in asked.architectures if a.name in result.suspended)
+        kept = [a.priority for a in asked.architectures if a not in suspended]
         assert result.feasible
         assert [kept.count(level) for level in (2, 1, 0)] == kept_at_best
         assert len(result.placement) == 2 * len(kept)

@@ -143,7 +143,7 @@ def test_layers_below_are_never_put_aside(robot: Robot) -> None:
         connectors=(),
     )
     result = plan.solve(plan.problem_of(full), fewer=True)
-    assert result.aside == ("talk",)
+    assert result.suspended == ("talk",)
     assert result.placement == {"loop": "head"}
 
 

@@ -109,7 +109,7 @@ PARTS: dict[str, Callable[[Buggy], tuple[object, str]]] = {
                 "restart what was on lost computers",
                 "stop a task that lacks what it needs",
                 "carry out policies",
-                "start again what was put aside",
+                "start again what was suspended",
                 "plan again",
                 "use computers that are back",
             ]

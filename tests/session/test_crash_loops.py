@@ -1,4 +1,4 @@
-"""Components that crash again and again run elsewhere, or are put aside."""
+"""Components that crash again and again run elsewhere, or are suspended."""
 
 from __future__ import annotations
 

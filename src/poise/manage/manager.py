@@ -79,7 +79,7 @@ class Manager:
         samples: Recording,
         *,
         adapts: bool = False,
-        aside: str = "",  # why not all that the task needs runs; empty: it does
+        suspended: str = "",  # why not all that the task needs runs; empty: it does
         recording: RecordingFile | None = None,
     ) -> None:
         self._run = run
@@ -104,8 +104,8 @@ class Manager:
         self._lost = LostComputers(run)
         self._reader = SituationReader(run, estimates, self._lost)
         self.tasks = TaskManager(run, tasks, self._situation)
-        self._suspensions = Suspensions(run, self.tasks.now, aside)
-        if aside:
+        self._suspensions = Suspensions(run, self.tasks.now, suspended)
+        if suspended:
             self._suspensions.record()
         self._prefetch = Prefetcher(run)
         keep = recording.add_seen if recording else None

@@ -212,7 +212,7 @@ class Architecture(Struct, frozen=True, kw_only=True):
     priority: Annotated[
         int,
         says(
-            "Under overload the higher get more CPU; the lowest is put aside first "
+            "Under overload the higher get more CPU; the lowest is suspended first "
             "when not all fit.",
             ge=-1000,
             le=1000,

@@ -1,8 +1,8 @@
-"""When not all fits: which architectures to choose, and which to put aside.
+"""When not all fits: which architectures to choose, and which to suspend.
 
 Architectures of the same function are alternatives: exactly one of them is chosen,
 quality against fit (each unit of quality lost adds `Objective.quality` to F). When not
-all functions fit, as few as possible are put aside, of the lowest priority first; never
+all functions fit, as few as possible are suspended, of the lowest priority first; never
 one that is required.
 """
 
@@ -64,7 +64,7 @@ def chosen_by(
 ) -> tuple[Selection, Problem]:
     """Return what a placement chooses, and the problem without the rest.
 
-    `partial`: what has no component in the placement was put aside.
+    `partial`: what has no component in the placement was suspended.
     """
     if not (has_choice(problem) or partial):
         return Selection(), problem
@@ -91,7 +91,7 @@ def chosen_by(
 
 
 def admit(problem: Problem, decide: Decide, *, fewer: bool) -> Result:
-    """Choose among alternatives and, when `fewer`, put aside what does not fit."""
+    """Choose among alternatives and, when `fewer`, suspend what does not fit."""
     every = needs(problem)
     result = _choose(problem, every, decide, 0.7)
     if result.feasible:
@@ -118,9 +118,9 @@ def admit(problem: Problem, decide: Decide, *, fewer: bool) -> Result:
             min(bounds) if admission.is_complete else -inf,
             proven=proven and admission.is_complete,
         )
-    aside = tuple(need[0].name for need in every if need not in admitted)
-    why = result.reason if aside else ""
-    best.choice = best.choice._replace(aside=aside, whole=problem, why=why)
+    suspended = tuple(need[0].name for need in every if need not in admitted)
+    why = result.reason if suspended else ""
+    best.choice = best.choice._replace(suspended=suspended, whole=problem, why=why)
     return best
 
 

@@ -96,7 +96,7 @@ class Planner:
             Limit of search moves or nodes instead of the budget: then the same seed
             gives the same placement.
         fewer
-            Put architectures aside, lowest priority first, when not all fits.
+            Suspend architectures, lowest priority first, when not all fits.
         overload
             ``share``: CPU may be short; the placement has the least shortage, counted
             by priority, and of such placements the least F. `Result.shortages` says
@@ -258,7 +258,7 @@ def solve(  # noqa: PLR0913 - each says how to decide, and has a default
     ----------
     why
         Look at once for what cannot hold together where nothing holds, or not all that
-        was put aside; that takes up to a second or two on top of the budget.
+        was suspended; that takes up to a second or two on top of the budget.
     """
     start = perf_counter()
     planner = Planner(problem)

@@ -37,11 +37,11 @@ class Selection(NamedTuple):
 
     # function -> the architecture chosen for it, where there was a choice
     architectures: Mapping[str, str] = {}
-    aside: tuple[str, ...] = ()  # architectures put aside because not all fits
+    suspended: tuple[str, ...] = ()  # architectures suspended because not all fits
     lost: float = 0.0  # what F grows by for the quality that was lost
-    # the problem with all architectures; None when nothing was put aside
+    # the problem with all architectures; None when nothing was suspended
     whole: Problem | None = None
-    why: str = ""  # why something was put aside, for people
+    why: str = ""  # why something was suspended, for people
     # the problems with other alternatives, where nothing holds with any
     others: tuple[Problem, ...] = ()
 
@@ -65,7 +65,7 @@ class PlainResult(TypedDict):
     times: tuple[TimeTaken, ...]
     trace: tuple[GreedyStep, ...]
     architectures: Mapping[str, str]
-    aside: tuple[str, ...]
+    suspended: tuple[str, ...]
     unknown: tuple[str, ...]
     scale: str
     spread: str
@@ -170,7 +170,7 @@ class Result:
 
     @property
     def reason(self) -> str:
-        """Why it is not feasible, or why architectures were put aside, for people.
+        """Why it is not feasible, or why architectures were suspended, for people.
 
         Empty when it is feasible with all of them.
         """
@@ -186,7 +186,7 @@ class Result:
 
     @property
     def conflict(self) -> Conflict | None:
-        """What cannot hold together where nothing holds, or not all that was put aside.
+        """What cannot hold together where nothing holds, or not all that was suspended.
 
         None when nothing was missed, or when it is not known. Finding it takes up to a
         second or two.
@@ -195,11 +195,15 @@ class Result:
 
     def find_conflict(self, stop: Ask | None = None) -> Conflict | None:
         """Return `conflict`; `stop` says when to give up looking for it."""
-        aside, whole = self.choice.aside, self.choice.whole
-        if self._conflict is not None or (self._complete and not aside) or self._given:
+        suspended, whole = self.choice.suspended, self.choice.whole
+        if (
+            self._conflict is not None
+            or (self._complete and not suspended)
+            or self._given
+        ):
             return self._conflict
-        problem = whole if aside and whole is not None else self.problem
-        if aside and self.choice.architectures:
+        problem = whole if suspended and whole is not None else self.problem
+        if suspended and self.choice.architectures:
             return None
         problems = problem, *self.choice.others
         found = [conflict(each, stop, 1.0 / len(problems)) for each in problems]
@@ -305,9 +309,9 @@ class Result:
         return self.choice.architectures
 
     @property
-    def aside(self) -> tuple[str, ...]:
-        """Architectures put aside because not all fits."""
-        return self.choice.aside
+    def suspended(self) -> tuple[str, ...]:
+        """Architectures suspended because not all fits."""
+        return self.choice.suspended
 
     def to_dict(self) -> PlainResult:
         """Return all of it as plain values, for JSON; the conflict if it was found."""

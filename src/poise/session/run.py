@@ -123,7 +123,7 @@ def run(  # noqa: PLR0913 - each is a choice of the user
             Estimates(robot, read_profile(robot), emulated=emulated),
             samples,
             adapts=adapt,
-            aside=placed.why_aside,
+            suspended=placed.why_suspended,
             recording=kept.recorder,
         )
         stack.enter_context(threads.failures_heard(manager.failures.note))

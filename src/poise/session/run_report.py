@@ -67,7 +67,7 @@ class RunReport(Printable, RunRecord, frozen=True, kw_only=True):
         How old the data of the robot's chains was when it was used.
     tasks
         How the tasks went, the first one that which was asked for.
-    put_aside
+    suspended
         Architectures that did not run, because not all fits.
     errors
         All that the components' code raised, by line and type.
@@ -187,7 +187,7 @@ def reported(
         history=seen.history,
         journal=journal,
         chains=seen.chains,
-        put_aside=placed.result.aside,
+        suspended=placed.result.suspended,
         errors=component_errors(seen.last_seen.stays()),
         hung=hung_handlers(final),
         refused=refused_messages(final),

@@ -221,7 +221,7 @@ def up(  # noqa: PLR0913 - each is a choice of the user
             estimates,
             waiting,
             adapts=adapt,
-            aside=placed.why_aside,
+            suspended=placed.why_suspended,
             recording=recorder,
         )
         stack.enter_context(threads.failures_heard(manager.failures.note))

@@ -16,7 +16,7 @@ from poise.manage.adaptation.transitions import BUDGET, MoveLimits
 from poise.manage.migration.migration_report import TransitionStep
 from poise.model.policy.policy import Policy
 from poise.model.robot import Computer
-from tests.manage.adaptation.shortages.test_put_aside import (
+from tests.manage.adaptation.shortages.test_suspension import (
     BOTH,
     HIGH,
     Robbed,
@@ -33,7 +33,7 @@ def take(
     situation = robbed.situation()
     policies = Policies([replace(policy, lasts=0.0)])
     symptom = policies.evaluate(partial(values_of, situation), now)[0]
-    actions = Actions(robbed.run, robbed.aside, limits or MoveLimits(), policies)
+    actions = Actions(robbed.run, robbed.suspensions, limits or MoveLimits(), policies)
     actions.act(symptom, situation, now)
 
 
@@ -45,21 +45,21 @@ def about(name: str, **keys: object) -> Policy:
 
 def test_the_architecture_of_a_component_is_put_aside() -> None:
     robbed = Robbed(robot_with())
-    take(robbed, about("low", do="put aside"))
+    take(robbed, about("low", do="suspend"))
     assert robbed.run.placement() == HIGH
-    (deviation,) = robbed.aside.deviations()
+    (deviation,) = robbed.suspensions.deviations()
     assert deviation.what.startswith("architecture 'low-task' is suspended: ")
 
 
 def test_of_a_computer_the_lowest_priority_is_put_aside() -> None:
     robbed = Robbed(robot_with())
-    take(robbed, Policy(name="p", for_each="computer", when="not lost", do="put aside"))
+    take(robbed, Policy(name="p", for_each="computer", when="not lost", do="suspend"))
     assert robbed.run.placement() == HIGH
 
 
 def test_of_equal_priorities_a_computer_keeps_all() -> None:
     robbed = Robbed(robot_with(1, 1))
-    policy = Policy(name="p", for_each="computer", when="not lost", do="put aside")
+    policy = Policy(name="p", for_each="computer", when="not lost", do="suspend")
     with pytest.raises(RunError, match="no architecture on 'left' has a lower"):
         take(robbed, policy)
     assert robbed.run.placement() == BOTH
@@ -69,7 +69,7 @@ def test_of_equal_priorities_a_computer_keeps_all() -> None:
 def test_other_layers_are_not_put_aside(layer: str) -> None:
     robbed = Robbed(robot_with(layer=layer))
     with pytest.raises(UsageError, match=f"{layer} layer"):
-        take(robbed, about("low", do="put aside", force=True))
+        take(robbed, about("low", do="suspend", force=True))
     assert robbed.run.placement() == BOTH
 
 
@@ -113,7 +113,9 @@ def test_the_loop_says_what_a_policy_saw_and_what_came_of_it() -> None:
     policies = (about("low", do="restart", lasts=0.0, cool_down=60.0),)
     robbed = Robbed(replace(robot, policies=policies))
     now = [0.0]
-    loop = Adaptation(robbed.run, robbed.situation, robbed.aside, clock=lambda: now[0])
+    loop = Adaptation(
+        robbed.run, robbed.situation, robbed.suspensions, clock=lambda: now[0]
+    )
     loop.adapt()
     assert robbed.run.placed["low"].epoch == 1
     (entry,) = [e for e in robbed.journal.entries() if "policy" in e.what]
@@ -131,7 +133,9 @@ def test_the_loop_says_what_a_policy_saw_and_what_came_of_it() -> None:
 def test_an_action_that_fails_is_said_and_the_loop_goes_on() -> None:
     policies = (about("low", do="replace", lasts=0.0, cool_down=60.0),)
     robbed = Robbed(replace(robot_with(), policies=policies))
-    loop = Adaptation(robbed.run, robbed.situation, robbed.aside, clock=lambda: 0.0)
+    loop = Adaptation(
+        robbed.run, robbed.situation, robbed.suspensions, clock=lambda: 0.0
+    )
     loop.adapt()
     (entry,) = [e for e in robbed.journal.entries() if e.kind == "failed"]
     assert entry.what.endswith("architecture 'low-task' has no alternative")

@@ -172,7 +172,7 @@ class World:
 
 
 class Nothing:
-    """Takes all calls, and does nothing: a journal, and what puts aside."""
+    """Takes all calls, and does nothing: a journal, and what suspends."""
 
     def __getattr__(self, _: str) -> Callable[..., None]:
         return lambda *_, **__: None

@@ -59,7 +59,7 @@ def test_a_change_is_not_judged_before_it_is_measured() -> None:
 
 
 def test_what_moves_nothing_is_not_judged() -> None:
-    """Architectures are put aside for nothing that could be compared."""
+    """Architectures are suspended for nothing that could be compared."""
     loss = LossSuffered()
     loss.note_change(undone=0.0, gain=0.0, now=0.0)
     loss.judge(1.0, JUDGE_AFTER)

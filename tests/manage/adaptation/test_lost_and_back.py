@@ -8,7 +8,7 @@ from poise.manage.adaptation.loop import Adaptation
 from poise.manage.migration.transition_run import start_together
 from poise.manage.shortages.suspension import CALM
 from poise.model.robot import Computer
-from tests.manage.adaptation.shortages.test_put_aside import BOTH, Robbed, robot_with
+from tests.manage.adaptation.shortages.test_suspension import BOTH, Robbed, robot_with
 
 
 class Returning(Robbed):
@@ -25,7 +25,7 @@ class Returning(Robbed):
         self.loop = Adaptation(
             self.run,
             lambda: replace(self.situation(), lost=self.lost, loads={}),
-            self.aside,
+            self.suspensions,
             clock=lambda: self.now,
         )
         self.look(0.0)

@@ -8,13 +8,13 @@ from poise.manage.adaptation.loop import Adaptation
 from poise.manage.adaptation.situation import Change, Responder, Situation
 from poise.manage.deploy.desired import Desired
 from poise.testing.virtual_clock import VirtualClock
-from tests.manage.adaptation.shortages.test_put_aside import Robbed, robot_with
+from tests.manage.adaptation.shortages.test_suspension import Robbed, robot_with
 
 PURPOSES = [
     "restart what was on lost computers",
     "stop a task that lacks what it needs",
     "carry out policies",
-    "start again what was put aside",
+    "start again what was suspended",
     "plan again",
     "use computers that are back",
 ]
@@ -47,7 +47,7 @@ class Rig:
         self.loop = Adaptation(
             self.robbed.run,
             self.robbed.situation,
-            self.robbed.aside,
+            self.robbed.suspensions,
             clock=self.clock.now,
         )
         self.asked = [Asked(each) for each in self.loop.responders]
@@ -56,7 +56,7 @@ class Rig:
 
 def test_the_table_says_who_is_asked_in_which_order() -> None:
     robbed = Robbed(robot_with())
-    loop = Adaptation(robbed.run, robbed.situation, robbed.aside)
+    loop = Adaptation(robbed.run, robbed.situation, robbed.suspensions)
     assert [each.purpose for each in loop.responders] == PURPOSES
 
 

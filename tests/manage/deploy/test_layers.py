@@ -1,7 +1,7 @@
 """Reactive and deliberative architectures stay as they are, whatever is asked.
 
 That `plan --fewer` keeps them is in `tests/plan/test_choices.py`; that no architecture
-of theirs is put aside in `tests/manage/adaptation/shortages/test_put_aside.py`.
+of theirs is suspended in `tests/manage/adaptation/shortages/test_suspension.py`.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from poise.manage.migration.move import replace as replace_implementation
 from poise.manage.shortages.failover import fail_over
 from poise.model.policy.policy import Policy
 from poise.model.robot import Computer, Robot
-from tests.manage.adaptation.shortages.test_put_aside import BOTH, Robbed, robot_with
+from tests.manage.adaptation.shortages.test_suspension import BOTH, Robbed, robot_with
 from tests.manage.adaptation.test_actions import take
 
 pytestmark = pytest.mark.parametrize("layer", ["reactive", "deliberative"])

@@ -61,7 +61,7 @@ def plan_command(
     ] = None,
     fewer: Annotated[
         bool,
-        typer.Option("--fewer", help="Put aside what does not fit, by priority."),
+        typer.Option("--fewer", help="Suspend what does not fit, by priority."),
     ] = False,
     share: Annotated[
         bool,

@@ -57,7 +57,7 @@ class Actions:
             "replace": self._replace,
             "restart": self._restart,
             "restart elsewhere": CrashLoops(run, suspensions, limits).restart_elsewhere,
-            "put aside": self._put,
+            "suspend": self._put,
         }
 
     def respond(self, situation: Situation, _desired: Desired) -> Change | None:
@@ -193,7 +193,7 @@ class CrashLoops:
     def restart_elsewhere(
         self, symptom: Symptom, situation: Situation, now: float
     ) -> None:
-        """Restart a container where it has not crashed; else put it aside."""
+        """Restart a container where it has not crashed; else suspend it."""
         run, container = self._run, symptom.values.name
         names = components_in(run, symptom)
         pinned = _pinned(run.robot)
@@ -233,7 +233,7 @@ class CrashLoops:
         crashed: list[str],
         now: float,
     ) -> None:
-        """Put an architecture aside for good, and say what happened and the way out."""
+        """Suspend an architecture for good, and say what happened and the way out."""
         computers = " and ".join(f"'{computer}'" for computer in crashed)
         container = symptom.values.name
         health = situation.statuses[symptom.computer].health

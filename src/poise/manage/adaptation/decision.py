@@ -147,9 +147,9 @@ def decide(
     acts = bool(proposal.steps) and gain > _LEAST and gain * horizon > doubt * cost
     why = f"{causes}{_change(proposal, gain, cost)}"
     if not acts:
-        aside = _with_fewer(robot, situation) if short else None
-        if aside is not None:
-            return aside
+        suspended = _with_fewer(robot, situation) if short else None
+        if suspended is not None:
+            return suspended
         why = f"it stays as it is: {why}"
         if short:
             why = _why_not(situation, robot, causes, costs)
@@ -259,7 +259,7 @@ def _room(situation: Situation) -> str:
 
 
 def _with_fewer(robot: Robot, situation: Situation) -> Decision | None:
-    """Return what to put aside for the sake of architectures of higher priority.
+    """Return what to suspend for the sake of architectures of higher priority.
 
     CPU is short wherever components run, so the work of the lowest priorities is given
     up; but only when higher ones suffer in spite of their CPU weights.
@@ -270,17 +270,17 @@ def _with_fewer(robot: Robot, situation: Situation) -> Decision | None:
         proposal = propose(situation, left, fewer=True, is_quick=True)
     except RobotError:
         return None
-    aside = {
-        a.name: a.priority for a in robot.architectures if a.name in proposal.aside
+    suspended = {
+        a.name: a.priority for a in robot.architectures if a.name in proposal.suspended
     }
     helped = [
         a.priority
         for a in robot.architectures
-        if a.name not in aside and any(c.name in suffers for c in a.components)
+        if a.name not in suspended and any(c.name in suffers for c in a.components)
     ]
-    if not aside or not helped or max(aside.values()) >= max(helped):
+    if not suspended or not helped or max(suspended.values()) >= max(helped):
         return None
-    names = ", ".join(f"'{n}' (priority {p})" for n, p in sorted(aside.items()))
+    names = ", ".join(f"'{n}' (priority {p})" for n, p in sorted(suspended.items()))
     return Decision(acts=True, why=f"not all fits without {names}", proposal=proposal)
 
 

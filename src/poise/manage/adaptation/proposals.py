@@ -52,8 +52,8 @@ class Proposal(Struct, frozen=True, kw_only=True):
         From the one to the other; none when it is best to stay.
     proven
         Whether no placement is better.
-    aside
-        The architectures that are put aside: not all fits.
+    suspended
+        The architectures that are suspended: not all fits.
     """
 
     shifted: Mapping[str, PresentDemand]
@@ -63,7 +63,7 @@ class Proposal(Struct, frozen=True, kw_only=True):
     trouble: str = ""
     steps: tuple[TransitionStep, ...] = ()
     proven: bool = False
-    aside: tuple[str, ...] = ()
+    suspended: tuple[str, ...] = ()
 
 
 class WhatIf(Struct, frozen=True, tag=True, kw_only=True):

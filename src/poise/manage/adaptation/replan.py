@@ -180,7 +180,7 @@ def propose(
     price
         What F grows by for each core that is short, of the lowest priority.
     fewer
-        Whether architectures are put aside by priority until no CPU is short.
+        Whether architectures are suspended by priority until no CPU is short.
     is_quick
         Whether the robot waits: then why nothing fits is not looked for.
 
@@ -224,7 +224,7 @@ def propose(
         trouble=plan.evaluate(left, now).reason,
         steps=plan_transition(robot_now, now, result.placement, shares_cpu=True),
         proven=result.proven,
-        aside=result.aside,
+        suspended=result.suspended,
     )
 
 

@@ -277,7 +277,7 @@ class Transitions:
         self.loss.note_change(decision.undone, decision.gain, now)
         report = self.carry_out(proposal.steps if proposal else (), now)
         if report.committed and proposal:
-            self._suspensions.note_suspended(proposal.aside, decision.why, now)
+            self._suspensions.note_suspended(proposal.suspended, decision.why, now)
 
     def why_not(self, decision: Decision, now: float) -> str:
         """Return why a decision is not carried out; empty: it is."""

@@ -33,7 +33,7 @@ class Failover(Struct, frozen=True, kw_only=True):
     placement: Mapping[str, str]  # component -> the computer where it restarts
     missing: Mapping[str, str]
     waits_for_room: bool = False
-    aside: tuple[str, ...] = ()
+    suspended: tuple[str, ...] = ()
     steps: tuple[TransitionStep, ...] = ()  # moves of what works that make room before
 
 
@@ -69,7 +69,7 @@ class FailOver:
                 where = desired.placed[name].computer
                 what = f"component '{name}' of '{where}' is missing: {why}"
                 self._run.journal.note("wrong", what)
-        if not failover.placement and not failover.aside:
+        if not failover.placement and not failover.suspended:
             return None
         return Change(
             why=_sentence(failover.placement) if failover.placement else "",
@@ -78,9 +78,9 @@ class FailOver:
         )
 
     def _restart(self, failover: Failover, lost: Collection[str], now: float) -> None:
-        if failover.aside:
+        if failover.suspended:
             why = "components of a lost computer that have a higher priority need room"
-            self._suspensions.suspend(failover.aside, why, now)
+            self._suspensions.suspend(failover.suspended, why, now)
         if failover.placement:
             is_room = not failover.steps or transit(self._run, failover.steps).committed
             if is_room and start_together(self._run, failover.placement, lost):
@@ -145,10 +145,10 @@ def _by_priority(
 ) -> Failover:
     """Return what fits of the stranded, the highest priority first.
 
-    Architectures that run are put aside for higher ones only.
+    Architectures that run are suspended for higher ones only.
     """
     placement: dict[str, str] = {}
-    aside: tuple[str, ...] = ()
+    suspended: tuple[str, ...] = ()
     missing = dict(missing)
     for architecture in sorted(
         situation.robot.architectures, key=lambda a: -a.priority
@@ -165,7 +165,7 @@ def _by_priority(
                 where = {name: result.placement[name] for name in names}
                 placement |= where
                 kept = {**left, **{name: (at,) for name, at in where.items()}}
-                aside += tuple(a.name for a in lower)
+                suspended += tuple(a.name for a in lower)
                 break
         else:
             explain(result)
@@ -174,7 +174,7 @@ def _by_priority(
     return Failover(
         placement=placement,
         missing=missing,
-        aside=aside,
+        suspended=suspended,
         waits_for_room=placement.keys() != set(stranded),
     )
 

@@ -29,11 +29,11 @@ from poise.model.policy.policy import LASTS
 from poise.model.robot import Architecture, Robot, Task
 
 FIRST = 10.0
-"""An architecture stays aside for this time at least [s]; twice as long each time."""
+"""An architecture is suspended for this time at least [s]; twice as long each time."""
 LONGEST = 300.0
-"""It never has to stay aside for longer [s]."""
+"""It never has to stay suspended for longer [s]."""
 FORGET_AFTER = 600.0
-"""After so long at work [s] it counts as put aside for the first time again."""
+"""After so long at work [s] it counts as suspended for the first time again."""
 _LOOK_AT_CODE = 2.0
 """Whether the code of what crashed is another is looked at so often [s]."""
 
@@ -74,7 +74,7 @@ class Suspensions:
             if architecture.layer != "sequencing":
                 raise UsageError(
                     f"architecture '{name}' is in the {architecture.layer} layer, "
-                    "which Poise never puts aside"
+                    "which Poise never suspends"
                 )
             here = {
                 c.name: run.placed[c.name].computer
@@ -132,26 +132,27 @@ class Suspensions:
 
     def record(self) -> None:
         """Note what does not run, and what runs again."""
-        aside = {
-            architecture.name: architecture.function for architecture in self._aside()
+        suspended = {
+            architecture.name: architecture.function
+            for architecture in self._suspended()
         }
-        for name in sorted(self._known.keys() - aside.keys()):
+        for name in sorted(self._known.keys() - suspended.keys()):
             del self._known[name]
             self._run.journal.note("right", f"architecture '{name}' runs again")
-        known = {aside[name] for name in self._known}
-        for name, function in aside.items():
+        known = {suspended[name] for name in self._known}
+        for name, function in suspended.items():
             if function not in known:
                 known.add(function)
                 self._add(name, self._why or "it does not run")
 
     def functions(self) -> frozenset[str]:
-        """Return the functions of what is aside."""
+        """Return the functions of what is suspended."""
         known = self._known.keys()
         robot = self._run.robot
         return frozenset(a.function for a in robot.architectures if a.name in known)
 
     def deviations(self) -> tuple[Deviation, ...]:
-        """Return what is aside; from any thread."""
+        """Return what is suspended; from any thread."""
         return tuple(
             Deviation(
                 what=_sentence(name, suspended.why), computer="", since=suspended.since
@@ -162,7 +163,7 @@ class Suspensions:
     def due(self, now: float) -> list[Architecture]:
         """Return what may be started again, the highest priority first."""
         self._forgive_mended(now)
-        return [a for a in self._aside() if self._is_due(a.name, now)]
+        return [a for a in self._suspended() if self._is_due(a.name, now)]
 
     def pop_news(self) -> bool:
         """Return whether something may start since the last time that could not."""
@@ -177,7 +178,7 @@ class Suspensions:
         return transit(self._run, steps).committed
 
     def _stay(self, name: str, now: float, *, first: float) -> None:
-        """Let one stay aside: `first` [s], and longer when it is so again."""
+        """Let one stay suspended: `first` [s], and longer when it is so again."""
         until, stay = self._stays.get(name, (float("-inf"), 0.0))
         is_first = now - until >= FORGET_AFTER
         stay = max(first, FIRST / 2) if is_first else min(2 * stay, LONGEST)
@@ -204,7 +205,7 @@ class Suspensions:
         folders = robot.folder, *robot.repository
         return " ".join(version_of(c, *folders) for c in architecture.components)
 
-    def _aside(self) -> list[Architecture]:
+    def _suspended(self) -> list[Architecture]:
         task = self._task()
         robot = structs.replace(self._run.robot, tasks=(task,))
         return not_running(robot, task.name, self._run.placed)
@@ -345,7 +346,7 @@ class ResumeSuspended:
     What runs stays where it is.
     """
 
-    purpose = "start again what was put aside"
+    purpose = "start again what was suspended"
 
     def __init__(self, run: RunningComponents, suspensions: Suspensions) -> None:
         self._run = run

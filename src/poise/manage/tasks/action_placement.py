@@ -217,7 +217,7 @@ class Admission:
         self,
         situation: Situation,
         new: Iterable[tuple[TaskRecord, Attempt]],
-        aside: AbstractSet[str],
+        suspended: AbstractSet[str],
         *,
         explore: bool,
     ) -> Room:
@@ -235,7 +235,7 @@ class Admission:
             seed=self._tasks.saved.number,
         ).robot
         situation = replace(situation, robot=robot)
-        left_out = aside | self._serving.broken(situation.lost)
+        left_out = suspended | self._serving.broken(situation.lost)
         planned: dict[str, str] = {}
         for record, attempt in new:
             names = tuple(t.name for t in self._tasks.tries(record))

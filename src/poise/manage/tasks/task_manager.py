@@ -77,7 +77,7 @@ class TaskManager:
         self._idle = IdleComponents(run)
         self._room_at, self._room_again = 0.0, _ROOM_AGAIN
         self._lost: AbstractSet[str] = frozenset()
-        self._aside: AbstractSet[str] = frozenset()
+        self._suspended: AbstractSet[str] = frozenset()
         self._unlearned: list[tuple[ActionEnded, list[str]]] = []
         self._since = boot_time()
         self._ahead: list[tuple[TaskRecord, Attempt, float]] = []
@@ -108,9 +108,9 @@ class TaskManager:
         """Return whether no task runs, waits or is paused any more."""
         return all(record.state in OVER for record in self.tasks.records)
 
-    def advance(self, aside: Iterable[str] = ()) -> None:
+    def advance(self, suspended: Iterable[str] = ()) -> None:
         """Look at the tasks once: end, begin and rest what is due."""
-        self._aside = frozenset(aside)
+        self._suspended = frozenset(suspended)
         self._process_reports()
         self.tasks.end_due(boot_time(), self._condition_holds)
         self._note_ended()
@@ -169,9 +169,11 @@ class TaskManager:
             return False
         room = Room()
         there = self._serving.functions() | self._serving.broken(self._lost)
-        if wanted - there - self._aside:
+        if wanted - there - self._suspended:
             situation = self._situation()
-            room = self._room.admit(situation, new, self._aside, explore=self._explore)
+            room = self._room.admit(
+                situation, new, self._suspended, explore=self._explore
+            )
         if room.why:
             self._note_ended()
             return True
@@ -193,7 +195,7 @@ class TaskManager:
         except RunError as error:
             self._fail(new, begins, str(error))
             return True
-        served = self._serving.functions() | self._aside
+        served = self._serving.functions() | self._suspended
         began = [turn for turn in new if served.issuperset(turn[1].action.functions)]
         for record, attempt in began:
             said = heard.get(str(attempt.action.ends), EndReport())

@@ -209,7 +209,7 @@ Do: TypeAlias = Literal[
     "replace",
     "restart",
     "restart elsewhere",
-    "put aside",
+    "suspend",
     "notify",
 ]
 
@@ -220,7 +220,7 @@ ACTIONS: Mapping[Do, tuple[Subject, ...]] = {
     "replace": ("component", "container", "timer"),
     "restart": ("component", "container"),
     "restart elsewhere": ("container",),
-    "put aside": ("component", "container", "timer", "computer"),
+    "suspend": ("component", "container", "timer", "computer"),
     "notify": tuple(SUBJECTS),
 }
 """What may be done -> the subjects it can be done about."""

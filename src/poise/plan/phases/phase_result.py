@@ -140,7 +140,7 @@ class PhasedResult:
 
     @property
     def reason(self) -> str:
-        """Why it is not feasible, or something is put aside, by phase, for people."""
+        """Why it is not feasible, or something is suspended, by phase, for people."""
         said = [
             f"phase '{name}': {result.reason}"
             for name, result in self.results.items()

@@ -59,11 +59,11 @@ class Bundle(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     function
         What it provides. Of several architectures with the same function one is chosen.
     priority
-        The higher, the later it is put aside when not all fits.
+        The higher, the later it is suspended when not all fits.
     quality
         How well it provides its function, in (0, 1].
     required
-        Whether it is never put aside.
+        Whether it is never suspended.
     """
 
     name: str

@@ -73,7 +73,7 @@ def up_detached(
 
 
 def _log(name: str) -> Path:
-    """Return the path of a log, to append to; a large one is put aside first."""
+    """Return the path of a log, to append to; a large one is renamed first."""
     path = state_folder() / f"{name}.log"
     path.parent.mkdir(parents=True, exist_ok=True)
     if path.exists() and path.stat().st_size > _LARGE_LOG:

@@ -29,11 +29,11 @@ class FirstPhase(Struct, frozen=True):
     tasks: Tasks
     placed: Placement
 
-    def aside(self) -> frozenset[str]:
+    def suspended(self) -> frozenset[str]:
         """Return the functions that do not run, because not all fits."""
-        aside = self.placed.result.aside
+        suspended = self.placed.result.suspended
         bundles = self.placed.problem.architectures
-        return frozenset(b.function for b in bundles if b.name in aside)
+        return frozenset(b.function for b in bundles if b.name in suspended)
 
 
 def first_phase(
@@ -41,7 +41,7 @@ def first_phase(
 ) -> FirstPhase:
     """Start tasks, and place what their first actions need.
 
-    Architectures of low priority are put aside when not all fits.
+    Architectures of low priority are suspended when not all fits.
     """
     started = Tasks(robot, say, lambda c, _: choose(robot, c, WELL, say))
     now = boot_time()

@@ -147,7 +147,7 @@ class Placement(Printable, Struct, frozen=True, kw_only=True):
         What was asked to decide.
     phased
         The placements of the task's phases with the terms of F, their bounds, and what
-        was put aside; or why there are none. There is one phase where all runs at once.
+        was suspended; or why there are none. There is one phase where all runs at once.
     predicted
         Phase -> how old the data of its chains is predicted to be; empty where the
         robot has no chains.
@@ -196,9 +196,9 @@ class Placement(Printable, Struct, frozen=True, kw_only=True):
         }
 
     @property
-    def why_aside(self) -> str:
-        """Why architectures are put aside; empty when all of the task runs."""
-        return f"not all fits: {self.reason}" if self.result.aside else ""
+    def why_suspended(self) -> str:
+        """Why architectures are suspended; empty when all of the task runs."""
+        return f"not all fits: {self.reason}" if self.result.suspended else ""
 
     @property
     def feasible(self) -> bool:
@@ -270,7 +270,7 @@ def place(  # noqa: PLR0913 - each is a choice of the user
     seed
         Of the search, and of what is drawn to explore.
     fewer
-        Whether architectures of low priority are put aside when not all fits.
+        Whether architectures of low priority are suspended when not all fits.
     conditions
         For which success was learned (`poise.note_outcome`).
     explore

@@ -100,9 +100,9 @@ def _phase(result: plan.Result) -> tuple[RenderableType, ...]:
     parts: list[RenderableType] = [rows]
     if not result.feasible:
         parts.append(_line("not feasible", result.reason))
-    if result.aside:
+    if result.suspended:
         why = f", as not all fits: {result.reason}" if result.feasible else ""
-        parts.append(_line("put aside", f"{', '.join(result.aside)}{why}"))
+        parts.append(_line("suspended", f"{', '.join(result.suspended)}{why}"))
     parts += [f"{what}: by {by}" for what, by in result.architectures.items()]
     parts += _short(result)
     parts.append(_terms(result))
@@ -211,7 +211,7 @@ def _phases(phased: plan.PhasedResult) -> tuple[RenderableType, ...]:
         )
     parts: list[RenderableType] = [rows]
     if phased.reason:
-        head = "put aside, as not all fits" if phased.feasible else "not feasible"
+        head = "suspended, as not all fits" if phased.feasible else "not feasible"
         parts.append(_line(head, phased.reason))
     for name, result in phased.results.items():
         parts += [f"{name}: {f} by {by}" for f, by in result.architectures.items()]

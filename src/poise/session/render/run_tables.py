@@ -73,8 +73,8 @@ def report_parts(report: RunRecord) -> Iterator[RenderableType]:
     )
     yield f"ran for {report.seconds:.1f} s; CPU used: {shares}"
     yield from task_lines(report.tasks, is_over=True)
-    for name in report.put_aside:
-        yield f"[red]architecture '{name}' was put aside: not all fits[/]"
+    for name in report.suspended:
+        yield f"[red]architecture '{name}' was suspended: not all fits[/]"
     yield from _failures(report)
     yield from _world(report)
     if report.invalid:

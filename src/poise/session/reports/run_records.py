@@ -225,7 +225,7 @@ class RunRecord(Struct, frozen=True, kw_only=True):
     journal: tuple[JournalEntry, ...] = ()
     chains: tuple[ChainReport, ...] = ()
     tasks: tuple[TaskReport, ...] = ()
-    put_aside: tuple[str, ...] = ()
+    suspended: tuple[str, ...] = ()
     errors: tuple[ComponentError, ...] = ()
     hung: tuple[HungHandler, ...] = ()
     refused: Mapping[str, int] = {}
@@ -253,7 +253,7 @@ class RunRecord(Struct, frozen=True, kw_only=True):
             or self.hung
             or self.refused
             or self.faults
-            or self.put_aside
+            or self.suspended
             or any(each.state == "failed" for each in self.tasks)
         )
 

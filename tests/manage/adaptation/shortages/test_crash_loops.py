@@ -1,4 +1,4 @@
-"""Containers that crash again and again run elsewhere, or are put aside."""
+"""Containers that crash again and again run elsewhere, or are suspended."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from poise.manage.adaptation.situation import Situation
 from poise.manage.shortages.suspension import CALM
 from poise.model.robot import Architecture, ComponentEntry, Computer, Robot
 from poise.wire.records.status_records import AgentStatus, ContainerHealth, Fault
-from tests.manage.adaptation.shortages.test_put_aside import HIGH, Robbed, robot_with
+from tests.manage.adaptation.shortages.test_suspension import HIGH, Robbed, robot_with
 
 SPECS = {"cpu": 1.0, "memory": 1e9}
 
@@ -33,7 +33,7 @@ class Crashing(Robbed):
         self.faults: dict[str, tuple[Fault, ...]] = {}
         self.now = 0.0
         self.loop = Adaptation(
-            self.run, self.facts_of_crash, self.aside, clock=lambda: self.now
+            self.run, self.facts_of_crash, self.suspensions, clock=lambda: self.now
         )
 
     def facts_of_crash(self) -> Situation:
@@ -76,7 +76,7 @@ def test_it_runs_on_the_other_computer() -> None:
     robbed.look(300)
     assert robbed.run.placement() == {"high": "left", "low": "right"}
     assert robbed.run.placed["low"].epoch == 1
-    assert not robbed.aside.deviations()
+    assert not robbed.suspensions.deviations()
 
 
 def test_a_new_manager_knows_where_it_crashed_under_the_one_before() -> None:
@@ -86,7 +86,7 @@ def test_a_new_manager_knows_where_it_crashed_under_the_one_before() -> None:
     )
     robbed.look()
     assert robbed.run.placement() == HIGH
-    (deviation,) = robbed.aside.deviations()
+    (deviation,) = robbed.suspensions.deviations()
     assert "again and again on 'left' and 'right'" in deviation.what
 
 
@@ -95,7 +95,7 @@ def test_what_crashes_everywhere_is_put_aside_and_stays_so() -> None:
     robbed.crashing = {"left", "right"}
     robbed.look(2)
     assert robbed.run.placement() == HIGH
-    (deviation,) = robbed.aside.deviations()
+    (deviation,) = robbed.suspensions.deviations()
     assert deviation.what == (
         "architecture 'low-task' is suspended: container 'low-task' crashes again and "
         "again on 'left' and 'right' (the last time: ended with exit code 3); it is "

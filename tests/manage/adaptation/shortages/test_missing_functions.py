@@ -10,7 +10,7 @@ from msgspec.structs import replace
 from poise.manage.adaptation.loop import Adaptation
 from poise.manage.shortages.suspension import FIRST, NeededFunctions, missing_functions
 from poise.model.robot import Computer, Robot
-from tests.manage.adaptation.shortages.test_put_aside import (
+from tests.manage.adaptation.shortages.test_suspension import (
     BOTH,
     HIGH,
     Robbed,
@@ -46,7 +46,7 @@ class Loop:
         self._loop = Adaptation(
             self.robbed.run,
             lambda: replace(self.robbed.situation(), lost=self.lost),
-            self.robbed.aside,
+            self.robbed.suspensions,
             acts=acts,
             clock=lambda: self.now,
         )
@@ -121,7 +121,7 @@ def test_a_task_stops_when_what_it_needs_is_put_aside_and_all_of_that_comes_back
 ):
     loop = Loop("high", "low")
     loop.look(1.0)
-    loop.robbed.aside.suspend(["low-task"], "it crashes", loop.now)
+    loop.robbed.suspensions.suspend(["low-task"], "it crashes", loop.now)
     assert loop.look(3.0) == {}
     assert loop.look(FIRST) == {}
     assert loop.look(FIRST + 9.0) == APART

@@ -1,4 +1,4 @@
-"""Architectures are put aside by priority, and taken back when there is room."""
+"""Architectures are suspended by priority, and taken back when there is room."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def robot_with(high: int = 10, low: int = 1, layer: str = "sequencing") -> Robot
 
 
 class Robbed:
-    """A robot that runs, and what is put aside of it."""
+    """A robot that runs, and what is suspended of it."""
 
     def __init__(self, robot: Robot, placement: Mapping[str, str] = BOTH) -> None:
         self.agents = FakeAgents(*(computer.name for computer in robot.computers))
@@ -77,8 +77,10 @@ class Robbed:
         agents = cast("Agents", self.agents)
         self.run = RunningComponents(robot, placement, agents, self.journal, "/run")
         self.run.start()
-        self.aside = Suspensions(self.run, lambda: robot.task("work"), "not all fits")
-        self.taking_back = ResumeSuspended(self.run, self.aside)
+        self.suspensions = Suspensions(
+            self.run, lambda: robot.task("work"), "not all fits"
+        )
+        self.taking_back = ResumeSuspended(self.run, self.suspensions)
 
     def situation(self, background: float = 0.0, *late: str) -> Situation:
         """Return situation with a load of other programs, and late components."""
@@ -102,7 +104,7 @@ class Robbed:
 
     def take_back(self, now: float, background: float = 0.0) -> bool:
         """Look, and take back what fits."""
-        self.aside.record()
+        self.suspensions.record()
         return self.respond(self.taking_back, self.situation(background), now)
 
     def respond(self, responder: Responder, situation: Situation, now: float) -> bool:
@@ -122,22 +124,22 @@ class Robbed:
 
 def test_what_is_put_aside_stops_and_is_said() -> None:
     robbed = Robbed(robot_with())
-    assert robbed.aside.suspend(["low-task"], "it crashes", 0.0)
+    assert robbed.suspensions.suspend(["low-task"], "it crashes", 0.0)
     assert robbed.run.placement() == HIGH
-    (deviation,) = robbed.aside.deviations()
+    (deviation,) = robbed.suspensions.deviations()
     assert deviation.what == "architecture 'low-task' is suspended: it crashes"
     assert robbed.sentences() == [deviation.what]
 
 
 def test_it_is_taken_back_when_there_is_room_and_nothing_is_wrong() -> None:
     robbed = Robbed(robot_with())
-    robbed.aside.suspend(["low-task"], "it crashes", 0.0)
+    robbed.suspensions.suspend(["low-task"], "it crashes", 0.0)
     assert not robbed.take_back(FIRST - CALM)  # since now nothing is wrong
     assert not robbed.take_back(FIRST - 0.1)
     assert robbed.take_back(FIRST)
     assert robbed.run.placement() == BOTH
-    robbed.aside.record()
-    assert not robbed.aside.deviations()
+    robbed.suspensions.record()
+    assert not robbed.suspensions.deviations()
     assert robbed.sentences()[-1] == "architecture 'low-task' runs again"
 
 
@@ -159,7 +161,7 @@ def test_other_programs_count_for_more_before_it_is_taken_back() -> None:
 
 def test_nothing_is_taken_back_while_something_is_wrong() -> None:
     robbed = Robbed(robot_with(), HIGH)
-    robbed.aside.record()
+    robbed.suspensions.record()
     bad = Symptom(
         policy=Policy(name="p", for_each="computer", when="full", do="replan"),
         what="it is full",
@@ -174,27 +176,25 @@ def test_nothing_is_taken_back_while_something_is_wrong() -> None:
 
 def test_what_is_put_aside_again_stays_aside_for_longer() -> None:
     robbed = Robbed(robot_with())
-    robbed.aside.suspend(["low-task"], "it crashes", 0.0)
+    robbed.suspensions.suspend(["low-task"], "it crashes", 0.0)
     robbed.take_back(1.0)
     assert robbed.take_back(FIRST)
-    robbed.aside.suspend(["low-task"], "it crashes", 20.0)
+    robbed.suspensions.suspend(["low-task"], "it crashes", 20.0)
     assert not robbed.take_back(20.0 + FIRST)
     assert robbed.take_back(20.0 + 2 * FIRST)
 
 
 def test_what_is_aside_from_the_start_is_said() -> None:
     robbed = Robbed(robot_with(), HIGH)
-    robbed.aside.record()
+    robbed.suspensions.record()
     assert robbed.sentences() == ["architecture 'low-task' is suspended: not all fits"]
 
 
 @pytest.mark.parametrize("layer", ["reactive", "deliberative"])
 def test_other_layers_are_never_put_aside(layer: str) -> None:
     robbed = Robbed(robot_with(layer=layer))
-    with pytest.raises(
-        UsageError, match=f"{layer} layer, which Poise never puts aside"
-    ):
-        robbed.aside.suspend(["low-task"], "it crashes", 0.0)
+    with pytest.raises(UsageError, match=f"{layer} layer, which Poise never suspends"):
+        robbed.suspensions.suspend(["low-task"], "it crashes", 0.0)
     assert robbed.run.placement() == BOTH
     assert not_running(robbed.run.robot, "work", HIGH) == []
 
@@ -236,8 +236,8 @@ def test_of_alternatives_the_best_that_fits_is_taken_back() -> None:
     robbed.take_back(0.0)
     assert robbed.take_back(CALM)
     assert robbed.run.placement() == BOTH
-    robbed.aside.record()
-    assert not robbed.aside.deviations()
+    robbed.suspensions.record()
+    assert not robbed.suspensions.deviations()
 
 
 def test_a_lost_computer_puts_lower_priorities_aside_for_higher_ones() -> None:
@@ -263,14 +263,14 @@ def test_a_lost_computer_puts_lower_priorities_aside_for_higher_ones() -> None:
         lost=frozenset({"right"}),
     )
     found = fail_over(situation, {"right"})
-    assert (found.placement, found.aside) == ({"high": "left"}, ("low-task",))
+    assert (found.placement, found.suspended) == ({"high": "left"}, ("low-task",))
     assert not found.missing
     # the lowest itself gets only what is left
     swapped = replace(
         situation, placement={"low": "right", "middle": "left", "high": "left"}
     )
     found = fail_over(swapped, {"right"})
-    assert (found.placement, found.aside) == ({}, ())
+    assert (found.placement, found.suspended) == ({}, ())
     assert found.missing["low"].startswith("it fits nowhere beside what runs")
 
 
