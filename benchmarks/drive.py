@@ -18,7 +18,7 @@ import msgspec
 from msgspec import Struct
 from rich.console import Console
 
-from examples.demo.drives import Scene, move_while_driving, told
+from examples.demo.drives import Scene, load_trot, move_while_driving, told
 from examples.demo.play import EXAMPLES
 
 
@@ -42,9 +42,10 @@ def main() -> None:
     parser.add_argument("--times", type=int, default=10)
     options = parser.parse_args()
     scenes = []
+    robot = load_trot(EXAMPLES)
     for _ in range(options.times):
         silent = Console(file=io.StringIO())
-        scenes.append(move_while_driving(EXAMPLES, silent))
+        scenes.append(move_while_driving(robot, silent))
         phases = scenes[-1].move.phases.items()
         parts = ", ".join(f"{name} {1e3 * s:.1f}" for name, s in phases)
         void = f"; invalid: {scenes[-1].invalid}" if scenes[-1].invalid else ""

@@ -42,7 +42,7 @@ ROBOTS: Mapping[str, ExperimentRobot] = {
             *COMMON,
             TrialCondition(
                 name="the localiser overruns by half",
-                parameters={"localiser": {"particles": 3000}},
+                parameters={"localiser": {"particles": 10500}},
             ),
             _drift("main"),
         ),

@@ -5,10 +5,13 @@ It imports internal modules: it measures a running robot from outside.
 
 from __future__ import annotations
 
+import math
 import time
 
 from msgspec import Struct
+from msgspec.structs import replace
 
+from examples.adapt.grid import shortest
 from examples.demo.waiting import LOOK_EVERY, WARM_UP, wait
 from poise.emulate.cpu_load import background_load
 from poise.manage.agent_connections.statuses import components_of
@@ -22,6 +25,9 @@ _WATCH = 15.0
 """How long a robot is watched after something happened to it [s]."""
 _LOAD = 0.45
 """What the other program takes [cores]."""
+_SEARCH = 0.012
+"""How long a planner searches [s of CPU]: with the load, two overload the computer."""
+_TRIALS, _TRIAL_SIZE = 20, 110
 _SETTLES = 2.0
 """The moves of one transition are made within this time [s]."""
 
@@ -50,6 +56,9 @@ class OverloadScene(Struct, frozen=True, kw_only=True):
 
 def overload(robot: Robot, say: Say, check: Check) -> OverloadScene:
     """Load the computer on which all components run, with and without adaptation."""
+    size = map_size()
+    say(f"on this machine a search takes {1e3 * _SEARCH:g} ms with a map of {size}²")
+    robot = _with_size(robot, size)
     without, *_ = _under_load(robot, say, check, adapt=False)
     missed, met_again, moves_after = _under_load(robot, say, check, adapt=True)
     return OverloadScene(
@@ -59,6 +68,31 @@ def overload(robot: Robot, say: Say, check: Check) -> OverloadScene:
         missed=missed,
         missed_without=without,
     )
+
+
+def map_size() -> int:
+    """Return how large a map must be for a search to take `_SEARCH` on this machine."""
+    times = []
+    for _ in range(_TRIALS):
+        began = time.thread_time()
+        shortest(_TRIAL_SIZE, set())
+        times.append(time.thread_time() - began)
+    return round(_TRIAL_SIZE * math.sqrt(_SEARCH / min(times)))
+
+
+def _with_size(robot: Robot, size: int) -> Robot:
+    """Return the robot with planners whose maps are `size` cells wide."""
+    architectures = [
+        replace(
+            architecture,
+            components=tuple(
+                replace(c, parameters={"size": size}) if "size" in c.parameters else c
+                for c in architecture.components
+            ),
+        )
+        for architecture in robot.architectures
+    ]
+    return replace(robot, architectures=tuple(architectures))
 
 
 def _under_load(

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from msgspec.structs import replace
 
-from examples.demo.drives import find_trouble
+from examples.demo.drives import find_trouble, too_busy
 from poise.session.reports.run_records import ComponentReport
 from poise.session.run_report import RunReport
 from poise.wire.records.status_records import Summary, TimerStatus
@@ -40,7 +40,8 @@ def demo(folder: Path) -> subprocess.CompletedProcess[str]:
 @pytest.mark.exhaustive
 def test_drives_moves_and_calls(tmp_path: Path) -> None:
     done = demo(tmp_path)
-    assert done.returncode == 1, done.stderr  # for the outcome is not the paper's
+    # Poise does not get to the goal in 3 s, or this machine is too busy
+    assert done.returncode in {1, 2}, done.stderr
     assert done.stdout, done.stderr
     report = json.loads(done.stdout)
     assert "runs" in report, report
@@ -48,7 +49,7 @@ def test_drives_moves_and_calls(tmp_path: Path) -> None:
     on_main = [
         list(drive["placement"].values()).count("main") for drive in report["runs"]
     ]
-    assert on_main[0] == 22 > on_main[1]
+    assert on_main[0] == 23 > on_main[1]
     for drive in report["runs"]:
         assert not drive["simulation"]["goal_reached"]
         assert drive["cpu_share"].keys() == {"main", "vision"}
@@ -59,7 +60,7 @@ def test_drives_moves_and_calls(tmp_path: Path) -> None:
     assert report["scene"]["move"]["what"] == "localiser"
     assert {"direct", "message"} == report["calls"].keys()
     assert all(call["count"] > 0 for call in report["calls"].values())
-    assert (tmp_path / "poise-demo.svg").read_text().count("<polyline") == 10
+    assert (tmp_path / "poise-demo.svg").read_text().count("<g ") == 2
 
 
 def drive(method: str, *, missed: int, is_at_goal: bool) -> RunReport:
@@ -94,13 +95,17 @@ def drive(method: str, *, missed: int, is_at_goal: bool) -> RunReport:
     )
 
 
-def test_a_drive_without_a_result_is_trouble() -> None:
-    """The static drive should fail; one that says nothing has not."""
+def test_trouble_is_a_navigator_that_does_otherwise_than_in_the_paper() -> None:
     auto = drive("auto", missed=0, is_at_goal=True)
     static = drive("static", missed=100, is_at_goal=False)
-    missing = "the simulator ended without a result"
-    silent = replace(static, simulation={}, invalid=missing)
     assert find_trouble((static, auto)) == ""
-    assert missing in find_trouble((silent, auto))
-    assert "static placement" in find_trouble((auto, auto))
-    assert "failed: navigation" in find_trouble((static, static))
+    assert "worked with static placement" in find_trouble((auto, auto))
+    assert "with Poise's placement, too" in find_trouble((static, static))
+    late = drive("auto", missed=10, is_at_goal=True)
+    assert "deadlines" in find_trouble((static, late))
+
+
+def test_an_invalid_drive_says_that_the_machine_is_too_busy() -> None:
+    auto = drive("auto", missed=0, is_at_goal=True)
+    assert too_busy((auto, auto)) == ""
+    assert too_busy((auto, replace(auto, invalid="starved"))) == "starved"

@@ -11,7 +11,8 @@ from pathlib import Path
 
 from poise import threads
 from poise.clock import wall_time
-from poise.errors import PoiseError, RunError
+from poise.emulate import set_for
+from poise.errors import PoiseError, RunError, UsageError
 from poise.manage.control_socket.control_server import ControlServer
 from poise.manage.deploy.deactivation import drain
 from poise.manage.deploy.running_components import RunningComponents
@@ -26,7 +27,7 @@ from poise.session.folders import make_journal
 from poise.session.launch.start import Sampling, Started, started
 from poise.session.placing.first_phase import first_phase, note_architectures
 from poise.session.placing.placement import Placement
-from poise.session.profiling.stored_profiles import read_profile
+from poise.session.profiling.stored_profiles import is_emulated, read_profile
 from poise.session.record_run import keeping
 from poise.session.reports.last_seen import LastSeen
 from poise.session.reports.run_records import History
@@ -84,6 +85,8 @@ def run(  # noqa: PLR0913 - each is a choice of the user
 
     Raises
     ------
+    UsageError
+        The robot runs already.
     RobotError, RunError
         It cannot start, a component failed or a computer was lost; everything is down
         again.
@@ -101,7 +104,7 @@ def run(  # noqa: PLR0913 - each is a choice of the user
         for sentence in sentences:
             book.note("decided", sentence)
         note_architectures(book, robot, placed)
-        server = _server(robot.name, stack, say)
+        server = _server(robot, stack, say)
         kept = stack.enter_context(keeping(robot, placed.where, record, say))
         answering = stack.enter_context(contextlib.ExitStack())
         samples = Recording()
@@ -172,11 +175,19 @@ class Warnings:
 _FIGURES = re.compile(r"[\d.]+")
 
 
-def _server(robot: str, stack: contextlib.ExitStack, say: Say) -> ControlServer | None:
-    """Open the control socket; without one, a run goes on unwatched."""
+def _server(
+    robot: Robot, stack: contextlib.ExitStack, say: Say
+) -> ControlServer | None:
+    """Open the control socket; without one, a run goes on unwatched.
+
+    UsageError where the same agents obey another manager of this robot already.
+    """
     try:
-        return stack.enter_context(ControlServer(robot))
+        return stack.enter_context(ControlServer(robot.name))
     except PoiseError as error:
+        has_own_computers = is_emulated(robot) and set_for(robot) is None
+        if isinstance(error, UsageError) and not has_own_computers:
+            raise
         say(f"this run cannot be watched: {error}")
         return None
 

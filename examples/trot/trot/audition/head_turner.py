@@ -39,7 +39,7 @@ class HeadTurner(Component):
         try:
             pose = self.poses.latest_pose()
         except CallError as error:
-            self.log.info("somebody is seen from nowhere: %s", error)
+            self.log.debug("somebody is seen from nowhere: %s", error)
             return
         angle = pose.heading + message.bearing
         self._place = (
@@ -54,7 +54,7 @@ class HeadTurner(Component):
         try:
             pose = self.poses.latest_pose()
         except CallError as error:
-            self.log.info("the head stays where it is: %s", error)
+            self.log.debug("the head stays where it is: %s", error)
             return
         away = math.atan2(self._place[1] - pose.y, self._place[0] - pose.x)
         bearing = math.remainder(away - pose.heading, 2 * math.pi)

@@ -48,7 +48,7 @@ class SourceTracker(Component):
         try:
             pose = self.poses.latest_pose()
         except CallError as error:
-            self.log.info("a bearing from nowhere: %s", error)
+            self.log.debug("a bearing from nowhere: %s", error)
             return
         self._weigh(pose, message.angle)
         x, y = self._places.mean(axis=0)

@@ -56,7 +56,7 @@ class DialogueManager(Component):
         try:
             answer = self._answer(message.text)
         except CallError as error:
-            self.log.info("no knowledge: %s", error)
+            self.log.debug("no knowledge: %s", error)
             answer = "I have to think about it."
         self._turns += 1
         self.sentence.publish(Sentence(self.clock.now(), answer, message.text))

@@ -15,7 +15,7 @@ from trot.navigator.dynamic_window import Trial, lattice
 from trot.navigator.surroundings import Surroundings
 from trot.packets import pack_command
 
-BLIND = 0.6
+BLIND = 0.2
 """[s] With a pose or a map older than this the robot stands still."""
 
 LOOK_AHEAD = 0.7
@@ -45,7 +45,7 @@ class MotionController(Component):
         try:
             pose, seen = self.poses.latest_pose(), self.maps.latest_map()
         except CallError as error:
-            self.log.info("no command this time: %s", error)
+            self.log.debug("no command this time: %s", error)
             return
         speed, turn = self._best(pose, seen)
         ages = self._age("pose", pose.stamp), self._age("map", seen.stamp)

@@ -78,7 +78,7 @@ class PathPlanner(Component):
         try:
             pose = self.poses.latest_pose()
         except CallError as error:
-            self.log.info("somebody is seen from nowhere: %s", error)
+            self.log.debug("somebody is seen from nowhere: %s", error)
             return
         self._follower.note(pose, message)
 
@@ -87,7 +87,7 @@ class PathPlanner(Component):
         try:
             pose, seen = self.poses.latest_pose(), self.maps.latest_map()
         except CallError as error:
-            self.log.info("no plan this time: %s", error)
+            self.log.debug("no plan this time: %s", error)
             return
         goal = self._goal(pose)
         if goal is None:

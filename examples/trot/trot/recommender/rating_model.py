@@ -33,7 +33,7 @@ class Counts(Message, frozen=True):
 
 
 class RatingModel(Component):
-    """Improves its factors by all that was watched, five times a second."""
+    """Improves its factors by all that was watched, once a second."""
 
     ratings: Provided[Ratings]
 
@@ -55,7 +55,7 @@ class RatingModel(Component):
         np.add.at(self._counts, (message.pairs[:, 0], message.pairs[:, 1]), 1)
         self._is_new = True
 
-    @every(0.2)
+    @every(1.0)
     def learn(self) -> None:
         if self._is_new:
             self._is_new = False

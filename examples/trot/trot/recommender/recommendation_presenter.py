@@ -50,7 +50,7 @@ class RecommendationPresenter(Component):
         try:
             programmes, scores = self._choose()
         except CallError as error:
-            self.log.info("nothing to recommend: %s", error)
+            self.log.debug("nothing to recommend: %s", error)
             return False
         numbers = [each.number for each in programmes]
         packet = pack_recommended(wished, programmes[0].slot, numbers)
