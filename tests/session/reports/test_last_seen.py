@@ -89,6 +89,14 @@ def test_a_connector_counts_what_all_processes_at_its_end_did() -> None:
     assert [end.messages for end in seen.connectors()] == [50]
 
 
+def test_an_end_that_is_joined_again_in_its_process_counts_on() -> None:
+    seen = LastSeen()
+    seen.look(on("left", "eye", ends=[("eye.x-hand.x", 30)]))
+    seen.look(on("left", "eye"))
+    seen.look(on("left", "eye", ends=[("eye.x-hand.x", 20)]))
+    assert [end.messages for end in seen.connectors()] == [50]
+
+
 def test_what_comes_back_from_elsewhere_has_its_count_with_it() -> None:
     seen = LastSeen()
     seen.look(on("left", "eye", ends=[("eye.x-hand.x", 3)]))

@@ -108,6 +108,7 @@ class LastSeen:
         self._lock = threading.Lock()
         self._containers: dict[Place, ContainerStatus] = {}
         self.ended: list[ConnectorStatus] = []
+        self._joined: list[ConnectorStatus] = []
         self._places: dict[str, Place] = {}
         self._stays: dict[str, dict[_Stay, ComponentStatus]] = {}
         self._ends: dict[tuple[str, Side], tuple[Place, list[ConnectorStatus]]] = {}
@@ -138,7 +139,11 @@ class LastSeen:
             _fold(stays)
         ends = sorted(container.connectors, key=_key)
         for key, same in groupby(ends, _key):  # of a source with two paths
-            self._ends[key] = place, list(same)
+            now = list(same)
+            _, last = self._ends.get(key, (place, now))
+            if before.pid == container.pid and _count(last[0]) > _count(now[0]):
+                self._joined += last[:1]  # it is joined anew, and counts from 0
+            self._ends[key] = place, now
 
     def merged(self, statuses: Statuses) -> Statuses:
         """Return the statuses, with what was there before and is gone."""
@@ -166,7 +171,7 @@ class LastSeen:
         """
         with self._lock:
             before: dict[tuple[str, Side], ConnectorStatus] = {}
-            for end in self.ended:
+            for end in (*self.ended, *self._joined):
                 if any(end is each for each in self._ends[_key(end)][1]):
                     continue  # no other took its place
                 known = before.get(_key(end))
@@ -211,6 +216,10 @@ def _fold(stays: dict[_Stay, ComponentStatus]) -> None:
         (one, first), (two, second) = list(stays.items())[:2]
         stays |= {two: whole([first, second])}
         del stays[one]
+
+
+def _count(end: ConnectorStatus) -> int:
+    return end.calls + end.messages
 
 
 def _key(end: ConnectorStatus) -> tuple[str, Side]:
