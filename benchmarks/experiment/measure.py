@@ -34,10 +34,10 @@ from poise.manage.observe.chains import chain_reports
 from poise.manage.tasks.task_progress import OVER
 from poise.model.robot import Robot
 from poise.session.callbacks import Check, nothing
+from poise.session.last_seen import LastSeen
 from poise.session.placing.placement import Placement, place
 from poise.session.profiling.stored_profiles import as_when_profiled, loops
-from poise.session.reports.last_seen import LastSeen
-from poise.session.reports.run_records import cpu_shares
+from poise.session.run_records import cpu_shares
 from poise.session.up import Up, up
 
 _LOOK_EVERY = 0.2

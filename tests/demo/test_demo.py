@@ -11,7 +11,7 @@ import pytest
 from msgspec.structs import replace
 
 from examples.demo.drives import find_trouble, too_busy
-from poise.session.reports.run_records import ComponentReport
+from poise.session.run_records import ComponentReport
 from poise.session.run_report import RunReport
 from poise.wire.records.status_records import Summary, TimerStatus
 from tests.waiting import LONG

@@ -11,7 +11,7 @@ import pytest
 import poise
 from poise.model import Architecture, ComponentEntry, Computer, Robot
 from poise.model.robot import Action, Task
-from poise.session.reports.run_records import ComponentReport
+from poise.session.run_records import ComponentReport
 from poise.session.run_report import RunReport
 from poise.wire.records.status_records import Summary, TimerStatus
 from tests.waiting import LONG

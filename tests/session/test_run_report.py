@@ -7,7 +7,7 @@ from msgspec.structs import replace
 
 from poise.manage.agent_connections.statuses import connectors_of
 from poise.model.robot import Computer, Robot
-from poise.session.reports.run_records import (
+from poise.session.run_records import (
     ComponentError,
     HungHandler,
     component_reports,

@@ -24,14 +24,14 @@ from poise.manage.observe.sample_recording import Recording
 from poise.model.robot import Robot
 from poise.session.callbacks import Check, Say, log, nothing
 from poise.session.folders import make_journal
+from poise.session.last_seen import LastSeen
 from poise.session.launch.start import Sampling, Started, started
 from poise.session.placing.first_phase import first_phase, note_architectures
 from poise.session.placing.placement import Placement
 from poise.session.profiling.stored_profiles import is_emulated, read_profile
 from poise.session.record_run import keeping
-from poise.session.reports.last_seen import LastSeen
-from poise.session.reports.run_records import History
 from poise.session.robot_file import task_of
+from poise.session.run_records import History
 from poise.session.run_report import MeasuredRun, RunReport, reported
 from poise.units import counted
 

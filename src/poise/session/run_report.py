@@ -16,14 +16,14 @@ from poise.manage.journal import JournalEntry
 from poise.manage.observe.chains import ChainReport
 from poise.manage.observe.deviations import faults_after
 from poise.manage.tasks.concurrent_tasks import TaskReport
+from poise.session.last_seen import LastSeen
 from poise.session.launch.start import Started
 from poise.session.placing.placement import Placement
 from poise.session.render.picture import Hosted, picture
 from poise.session.render.printable import Printable
 from poise.session.render.report_page import page
 from poise.session.render.run_tables import report_parts
-from poise.session.reports.last_seen import LastSeen
-from poise.session.reports.run_records import (
+from poise.session.run_records import (
     Moment,
     RunRecord,
     clocks_of,

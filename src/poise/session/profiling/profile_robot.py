@@ -39,7 +39,7 @@ from poise.session.profiling.stored_profiles import (
     steady,
     store_of,
 )
-from poise.session.reports.run_records import silent_ports
+from poise.session.run_records import silent_ports
 
 Tick = Callable[[float], None]
 Progress = Callable[[str, float], AbstractContextManager[Tick]]

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from poise.manage.journal import JournalEntry
 from poise.session.render.picture import Point, line, svg, text
-from poise.session.reports.run_records import Moment, RunRecord
+from poise.session.run_records import Moment, RunRecord
 from poise.units import counted, format_seconds
 
 _WIDTH, _LEFT, _HEIGHT, _GAP = 960, 130, 56, 14

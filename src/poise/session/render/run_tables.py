@@ -21,7 +21,7 @@ from poise.session.render.tables import (
     table,
     task_lines,
 )
-from poise.session.reports.run_records import ComponentReport, RunRecord
+from poise.session.run_records import ComponentReport, RunRecord
 from poise.units import counted, format_seconds
 
 

@@ -13,7 +13,7 @@ import poise
 from poise.manage.journal import JournalEntry
 from poise.model import load
 from poise.model.robot import Computer, Robot
-from poise.session.reports.run_records import MOST, ComponentReport, History, Moment
+from poise.session.run_records import MOST, ComponentReport, History, Moment
 from poise.session.run_report import RunReport
 from poise.wire.records.status_records import (
     AgentStatus,

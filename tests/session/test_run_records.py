@@ -10,7 +10,7 @@ from poise.model import (
     ConnectorEnd,
     Robot,
 )
-from poise.session.reports.run_records import (
+from poise.session.run_records import (
     component_errors,
     hung_handlers,
     refused_messages,

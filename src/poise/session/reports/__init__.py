@@ -1,1 +1,0 @@
-"""What a run showed, as records for people and machines."""
