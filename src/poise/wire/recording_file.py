@@ -273,7 +273,9 @@ def _records(path: Path) -> Iterator[McapRecord]:
     except errors.McapError as error:
         if not is_recording:
             raise UsageError(f"{path} is no recording: it is no MCAP file") from error
-        log.warning("the recording %s was not ended: up to its last second lacks", path)
+        log.warning(
+            "the recording %s was not closed: up to its last second is missing", path
+        )
 
 
 class _Whole:

@@ -131,7 +131,7 @@ def test_a_folder_that_cannot_be_used_is_said(stalled: Stalled, tmp_path: Path) 
     stalled.answers.set()
     (tmp_path / "state.new").mkdir()
     stalled.disk.keep(AgentState(token=1))
-    wait_until(lambda: "cannot keep what should run" in stalled.disk.trouble())
+    wait_until(lambda: "cannot save its deployment" in stalled.disk.trouble())
     (tmp_path / "state.new").rmdir()
 
     def is_mended() -> bool:

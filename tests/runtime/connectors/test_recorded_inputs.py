@@ -97,4 +97,4 @@ def test_a_recording_is_bounded_and_says_so(
     assert len(frames) == 5
     assert len(inputs_so_far(tmp_path)) == 1
     said = caplog.messages[0]
-    assert "nothing more is recorded: it may have 100 B" in said
+    assert "nothing more is recorded: the limit of 100 B is reached" in said

@@ -333,7 +333,10 @@ def test_a_call_that_takes_too_long_is_given_up(wire: Wire) -> None:
 def test_nobody_there_is_unavailable(wire: Wire) -> None:
     channel = wire.channel()
     assert not channel.is_ready()
-    why = {"local": "nobody at there", "remote": "no container 'there' is here"}
+    why = {
+        "local": "nothing listens at there",
+        "remote": "no container 'there' is here",
+    }
     with pytest.raises(Unavailable, match=f"echo: {why[wire.kind]}"):
         channel.request(call("?"), LIMIT)
     with pytest.raises(Unavailable):

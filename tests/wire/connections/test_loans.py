@@ -273,7 +273,7 @@ def test_links_that_end_give_their_slots_back() -> None:
 def test_without_a_slot_loans_are_copied(
     pool: Blocks, monkeypatch: pytest.MonkeyPatch, receiver: Receiver
 ) -> None:
-    monkeypatch.setattr(pool, "take_slot", lambda: None)
+    monkeypatch.setattr(pool, "allocate_slot", lambda: None)
     array = filled(1)
     got = receiver.send(array)
     array[0] = 2

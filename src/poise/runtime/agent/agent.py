@@ -313,8 +313,8 @@ class Agent:
             # one with threads, as the agent is by now, must not fork another
             self._has_zygote = False
             self._core.on_no_more_starts(
-                f"{error}: containers go on, but none can be started until the agent "
-                "is started again"
+                f"{error}: containers keep running, but none can be started until "
+                "the agent is started again"
             )
             return
         if isinstance(event, zygote.ContainerEnded):

@@ -63,7 +63,11 @@ class AgentFolder:
         except FileNotFoundError:
             return AgentState()
         except (OSError, msgspec.DecodeError) as error:
-            log.warning("what an earlier agent kept in %s: %s", self._path, error)
+            log.warning(
+                "the state that an earlier agent saved in %s cannot be read: %s",
+                self._path,
+                error,
+            )
             return AgentState()
         is_valid = state.boot == self._boot and state.protocol == PROTOCOL
         return state if is_valid else AgentState()
@@ -81,7 +85,7 @@ class AgentFolder:
             self.forget()  # better nothing than what holds no more
             self._saved = AgentState()
             self.trouble = (
-                f"the agent cannot keep what should run: {error}; if it is killed, the "
+                f"the agent cannot save its deployment: {error}; if it is killed, the "
                 "next one waits for its manager"
             )
         else:
@@ -226,7 +230,10 @@ class DiskThread:
         if self._thread.is_alive():
             self._thread.join(_STOP_LIMIT)
         if self._thread.is_alive():
-            log.warning("folder %s: the disk does not answer; it is left", self._path)
+            log.warning(
+                "folder %s: the disk does not answer; its jobs are abandoned",
+                self._path,
+            )
 
     def keep(self, state: AgentState) -> None:
         """Keep what the next agent must know, if it changed; the last one counts."""

@@ -60,7 +60,7 @@ class Fence:
         if self._present != before:
             self.unmanaged = self._wall() if is_gone else 0.0
             if before is not None:
-                self._say(f"{before} is gone; containers go on")
+                self._say(f"{before} is gone; containers keep running")
             if self._present is not None:
                 self._say(f"managed by {self._present}")
         if self.is_cut_off and not self.cut_off:

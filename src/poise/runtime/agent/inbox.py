@@ -55,7 +55,9 @@ class SupervisedParts:
     def report(self, part: str, error: BaseException) -> None:
         """Log and show an error, and let its part rest; from any thread."""
         text = "".join(traceback.format_exception(error))
-        log.error("%s: an error of Poise, the rest goes on\n%s", part, text.rstrip())
+        log.error(
+            "%s: an error of Poise; all other parts continue\n%s", part, text.rstrip()
+        )
         now = self._clock.now()
         with self._lock:
             self._rests.setdefault(part, BackOff()).note_end(now)

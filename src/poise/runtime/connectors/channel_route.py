@@ -254,7 +254,7 @@ def _known(method: Method | None, port: Port) -> Method:
 
 def _refuse(port: Port) -> NoReturn:
     raise WireError(
-        f"port '{port.name}' ({port.type.__qualname__}) takes nothing with this "
+        f"port '{port.name}' ({port.type.__qualname__}) accepts nothing with this "
         "tag: its ends were built from different versions"
     )
 

@@ -169,11 +169,12 @@ class Sender:
             if not self._wait(
                 lambda: not (self._is_claimed or self._is_draining), self._limit
             ):
-                raise Timeout(f"connector {self.name} sends since {self._limit:g} s")
+                text = f"has been sending for {self._limit:g} s"
+                raise Timeout(f"connector {self.name} {text}")
             route = self._claim()
         try:
             if route is None:
-                raise Unavailable(f"connector {self.name} has nobody at its other end")
+                raise Unavailable(f"connector {self.name} has no receiver")
             route.send_marker(number)
         finally:
             self._release()

@@ -232,7 +232,7 @@ class Taps:
         key = sender, tap.viewer
         if key not in self._observed:
             if len(self._observed) >= MOST_VIEWERS:
-                text = f"{MOST_VIEWERS} viewers look at this container already"
+                text = f"{MOST_VIEWERS} viewers watch this container already"
                 return StepsFailed(tap.number, text)
             self._observed[key] = Observer(
                 tap.connector, sender.port.type, tap.rate, tap.items
@@ -289,7 +289,7 @@ class InputFile:
             return
         self._size += len(body) + len(buffers)
         if self._size > MOST_RECORDED:
-            self._end(f"it may have {MOST_RECORDED} B")
+            self._end(f"the limit of {MOST_RECORDED} B is reached")
             return
         tag = None if received.kind is Kind.MESSAGE else received.tag
         entry = Input(self._source, at, body, buffers, tag, _result(answer))

@@ -66,6 +66,6 @@ def _step_in(exclusion: Exclusion, chain: int, depth: int) -> None:
         try:
             exclusion.step_in(chain, depth, _PATIENCE)
         except Timeout as error:
-            log.warning("a call waits to come back: %s", error)
+            log.warning("a call waits to enter its component again: %s", error)
         else:
             return

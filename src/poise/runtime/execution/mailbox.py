@@ -74,7 +74,8 @@ class Inbox:
             if self.queue.policy == "block":
                 if feed.waiting >= self.queue.size + MOST_AHEAD:
                     feed.counts.drops += 1
-                    log.warning("port '%s': its source waits for no room", self.port)
+                    text = "port '%s': its source ignores back-pressure: %s"
+                    log.warning(text, self.port, "a message is dropped")
                     return
             elif self._is_full():
                 self._drop_oldest()

@@ -274,7 +274,7 @@ class Runner:
         age = checkpoints.restore(self.component)
         if age is not None:
             self._action_begun = self.spec.action_number
-            text = "component '%s' goes on from its state of %.1f s ago"
+            text = "component '%s' continues from its state of %.1f s ago"
             log.warning(text, self.spec.name, age)
 
     def _clean_up_after(self, hook: str) -> None:

@@ -304,7 +304,7 @@ def fetch(channel: Channel, request: Request, limit: float) -> StateTransfer:
     answer = channel.request(pieces, limit)
     if answer.kind is Kind.ERROR:
         type_name, text, _ = answer.value(frame.FAILURE)
-        raise UsageError(f"the state could not be taken: {type_name}: {text}")
+        raise UsageError(f"the snapshot failed: {type_name}: {text}")
     transfer: StateTransfer = answer.value(TRANSFER)
     return transfer
 

@@ -256,7 +256,9 @@ class CpuWeights:
                 _weigh(group, spec.weight)
             _enter(group, [pid])
         except OSError as error:
-            log.warning("container '%s' shares the CPU as any: %s", spec.name, error)
+            log.warning(
+                "container '%s' has no CPU weight of its own: %s", spec.name, error
+            )
 
     def forget(self, name: str) -> None:
         """Remove the group of a container that ended."""

@@ -184,7 +184,9 @@ class Channel:
         """Send a message in order, within `limit` [s]; then call `on_sent`."""
         deadline = time.monotonic() + limit
         if not self._ordering.acquire(timeout=limit):
-            raise Timeout(f"{self._connector}: others send since {limit:g} s")
+            raise Timeout(
+                f"{self._connector}: other threads have been sending for {limit:g} s"
+            )
         try:
             self._messages.put(self._send(pieces, deadline))
             on_sent()

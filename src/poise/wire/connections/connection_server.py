@@ -255,4 +255,4 @@ def _wait_until_taken(before: _ServedConnection) -> None:
     before.connection.end(socket.SHUT_RD)
     while before.thread.is_alive():
         before.thread.join(_PATIENCE)
-        log.info("connector %s: older messages are being taken", before.connector)
+        log.info("connector %s: older messages are being handled", before.connector)

@@ -127,7 +127,7 @@ class Gateway:
             return f"no container '{container}' is here"
         except BlockingIOError:
             limit = f"{ANSWER_LIMIT:g} s"
-            return f"container '{container}' took no connection within {limit}"
+            return f"container '{container}' accepted no connection within {limit}"
         except OSError as error:
             return f"container '{container}' accepts no connection: {error}"
         return ""

@@ -122,7 +122,9 @@ class Opening:
         """Close it, and return the error for its user."""
         self.close()
         if isinstance(error, OSError):
-            return Unavailable(f"{self._connector}: nobody at {self._address}: {error}")
+            return Unavailable(
+                f"{self._connector}: nothing listens at {self._address}: {error}"
+            )
         if isinstance(error, WireError):
             return Unavailable(f"{self._connector}: {error}")
         return error

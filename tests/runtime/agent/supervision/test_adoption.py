@@ -186,7 +186,7 @@ def test_a_state_that_cannot_be_kept_is_not_kept_half(tmp_path: Path) -> None:
     assert folder.left().token == 3
     (tmp_path / "state.new").mkdir()
     folder.keep(AgentState(token=4, wanted=wanted))
-    assert "cannot keep" in folder.trouble
+    assert "cannot save" in folder.trouble
     assert folder.left() == AgentState()
     (tmp_path / "state.new").rmdir()
     folder.keep(AgentState(token=4, wanted=wanted))
