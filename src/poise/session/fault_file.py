@@ -35,7 +35,7 @@ def fault_findings(
     elif fault.at >= seconds:
         yield "at", f"begins at {fault.at:g} s, but {seconds:g} s are simulated"
     if not (isfinite(fault.lasts) and fault.lasts > 0):
-        yield "lasts", f"lasts {fault.lasts:g} s; a fault lasts longer than 0 s"
+        yield "lasts", f"lasts {fault.lasts:g} s; a fault must last longer than 0 s"
     if not 0 <= fault.pick < 1:
         yield "pick", f"picks {fault.pick:g}, which is not in [0, 1)"
     if fault.target not in names:

@@ -101,7 +101,7 @@ class Tasks:
         return record
 
     def pause(self, name: str, now: float) -> None:
-        """Let a task rest until it is resumed; UsageError when it does not run."""
+        """Pause a task until it is resumed; UsageError when it does not run."""
         record = self.find(name)
         if record.state != "paused":
             self._rest(record, now)
