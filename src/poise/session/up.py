@@ -206,15 +206,6 @@ def up(  # noqa: PLR0913 - each is a choice of the user
                 ),
             )
         )
-        agents = it.run.agents
-        if metrics is not None:
-            from poise.manage.observe.prometheus import MetricsCollector, MetricsServer
-
-            collector = MetricsCollector(estimates, agents.statuses)
-            stack.callback(MetricsServer(collector, "127.0.0.1", metrics).close)
-        if send is not None and otel is not None:
-            sender = send(robot.name, estimates, agents.statuses, otel)
-            stack.callback(sender.close)
         manager = Manager(
             it.run,
             goes_on_with(it.run, first.tasks, book),
@@ -224,6 +215,14 @@ def up(  # noqa: PLR0913 - each is a choice of the user
             suspended=placed.why_suspended,
             recording=recorder,
         )
+        if metrics is not None:
+            from poise.manage.observe.prometheus import MetricsCollector, MetricsServer
+
+            collector = MetricsCollector(manager.status)
+            stack.callback(MetricsServer(collector, "127.0.0.1", metrics).close)
+        if send is not None and otel is not None:
+            sender = send(robot.name, manager.status, otel)
+            stack.callback(sender.close)
         stack.enter_context(threads.failures_heard(manager.failures.note))
         running = stack.enter_context(Up(it, manager))
         server.start(manager.submit)

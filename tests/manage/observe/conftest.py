@@ -1,16 +1,35 @@
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import pytest
 
+from poise.manage.control_socket.commands import RobotStatus
+from poise.manage.observe.estimates import Estimates
 from poise.model.robot import Architecture, ComponentEntry, Computer, Robot
+from poise.wire.records.request_records import ManagerId
 from poise.wire.records.status_records import (
     AgentSample,
+    AgentStatus,
     ComponentSample,
     ConnectorSample,
     ContainerSample,
 )
 
 Sampler = Callable[[float], AgentSample]
+
+
+def status_of(
+    estimates: Estimates, computers: Mapping[str, AgentStatus]
+) -> RobotStatus:
+    """Return the status of a robot that is estimated so, by its agents."""
+    return RobotStatus(
+        robot="r",
+        task="work",
+        manager=ManagerId(key="k", user="ann", host="desk", pid=7, since=0.0),
+        placement={},
+        computers=computers,
+        demand_estimates=tuple(estimates.demand_estimates()),
+        traffic=estimates.traffic(),
+    )
 
 
 @pytest.fixture

@@ -1,6 +1,7 @@
 import socket
 import urllib.error
 import urllib.request
+from functools import partial
 from pathlib import Path
 
 import msgspec
@@ -9,7 +10,8 @@ from prometheus_client import CollectorRegistry, generate_latest
 
 from poise.errors import RunError, UsageError
 from poise.estimate.profiles import ComponentProfile, Distribution, Profile
-from poise.manage.agent_connections.statuses import Statuses
+from poise.manage.control_socket.commands import RobotStatus
+from poise.manage.observe.deviations import Deviation
 from poise.manage.observe.estimates import Estimates
 from poise.manage.observe.prometheus import MetricsCollector, MetricsServer
 from poise.manage.observe.sample_recording import Recording
@@ -18,11 +20,13 @@ from poise.wire.recording_file import samples_of
 from poise.wire.records.status_records import (
     AgentSample,
     AgentStatus,
+    ComponentStatus,
     ConnectorStatus,
     ContainerStatus,
     Summary,
+    TimerStatus,
 )
-from tests.manage.observe.conftest import Sampler
+from tests.manage.observe.conftest import Sampler, status_of
 from tests.recordings import write_recording
 
 
@@ -111,9 +115,9 @@ def test_says_what_is_no_recording(tmp_path: Path) -> None:
         list(samples_of(tmp_path / "y"))
 
 
-def to_prometheus(estimates: Estimates, statuses: Statuses) -> str:
+def to_prometheus(status: RobotStatus) -> str:
     registry = CollectorRegistry()
-    registry.register(MetricsCollector(estimates, lambda: statuses))
+    registry.register(MetricsCollector(lambda: status))
     return generate_latest(registry).decode()
 
 
@@ -121,7 +125,7 @@ def test_speaks_to_prometheus(robot: Robot, steady: Sampler) -> None:
     estimates = Estimates(robot, None, emulated=True)
     for k in range(20):
         estimates.add(steady(0.25 * k))
-    text = to_prometheus(estimates, {})
+    text = to_prometheus(status_of(estimates, {}))
     lines = [x for x in text.splitlines() if x.startswith("poise_component_cpu_cores{")]
     labels, values = zip(*(line.split(" ") for line in lines), strict=True)
     assert labels == tuple(
@@ -146,7 +150,8 @@ def test_tells_prometheus_what_each_end_counts(robot: Robot) -> None:
     status = AgentStatus(
         computer="a", generation=1, uptime=1.0, cpu=0.0, containers=(container,)
     )
-    text = to_prometheus(Estimates(robot, None, emulated=True), {"a": status})
+    known = status_of(Estimates(robot, None, emulated=True), {"a": status})
+    text = to_prometheus(known)
     at, end = 'computer="a",connector="eye.x-mind.x"', 'end="target"'
     assert text.count(f"poise_connector_messages_total{{{at},{end}}} 7.0\n") == 1
     assert f"poise_connector_drops_total{{{at},{end}}} 2.0\n" in text
@@ -157,23 +162,58 @@ def test_tells_prometheus_what_each_end_counts(robot: Robot) -> None:
     assert "poise_connector_delay_seconds{" not in text  # there were no calls
 
 
+def test_tells_prometheus_what_is_wrong(robot: Robot) -> None:
+    """Computer b is out of reach, and on a something is not as it should be."""
+    timer = TimerStatus(
+        name="tick",
+        period=0.1,
+        deadline=0.1,
+        releases=50,
+        missed=3,
+        lateness=Summary(),
+        duration=Summary(),
+    )
+    eye = ComponentStatus(name="eye", epoch=0, state="active", timers=(timer,))
+    container = ContainerStatus(name="see", pid=7, components=(eye,))
+    agent = AgentStatus(
+        computer="a", generation=1, uptime=1.0, cpu=0.0, containers=(container,)
+    )
+    known = status_of(Estimates(robot, None, emulated=True), {"a": agent})
+    wrong = Deviation(what="container 'x' runs on 'a'", computer="a", since=0.0)
+    text = to_prometheus(
+        msgspec.structs.replace(known, out_of_reach={"b": 1.0}, deviations=(wrong,))
+    )
+    for line in (
+        'poise_deviations{computer="a"} 1.0',
+        'poise_deviations{computer="b"} 0.0',
+        'poise_computer_lost{computer="a"} 0.0',
+        'poise_computer_lost{computer="b"} 1.0',
+        'poise_timer_releases_total{component="eye",computer="a",timer="tick"} 50.0',
+        'poise_timer_missed_total{component="eye",computer="a",timer="tick"} 3.0',
+    ):
+        assert f"{line}\n" in text
+
+
 @pytest.mark.slow
 def test_serves_metrics(robot: Robot, steady: Sampler) -> None:
     estimates = Estimates(robot, None, emulated=True)
     for k in range(3):
         estimates.add(steady(0.25 * k))
-    server = MetricsServer(MetricsCollector(estimates, dict), "127.0.0.1", 0)
+    status = status_of(estimates, {})
+    server = MetricsServer(MetricsCollector(lambda: status), "127.0.0.1", 0)
     try:
         at = f"http://127.0.0.1:{server.port}/metrics"
         with urllib.request.urlopen(at, timeout=20) as answer:
-            assert answer.read().decode() == to_prometheus(estimates, {})
+            assert answer.read().decode() == to_prometheus(status)
     finally:
         server.close()
 
 
 @pytest.mark.slow
 def test_metrics_where_somebody_else_listens_name_the_address(robot: Robot) -> None:
-    collector = MetricsCollector(Estimates(robot, None, emulated=True), dict)
+    collector = MetricsCollector(
+        partial(status_of, Estimates(robot, None, emulated=True), {})
+    )
     with socket.create_server(("127.0.0.1", 0)) as other:
         port = other.getsockname()[1]
         with pytest.raises(RunError, match=f"on 127.0.0.1:{port}: .* in use"):

@@ -18,7 +18,7 @@ from poise.wire.records.status_records import (
     ContainerStatus,
     Summary,
 )
-from tests.manage.observe.conftest import Sampler
+from tests.manage.observe.conftest import Sampler, status_of
 
 pytest.importorskip("opentelemetry.sdk")
 
@@ -123,7 +123,9 @@ def points(request: Any) -> dict[str, dict[tuple[str, ...], float]]:
 def test_a_collector_gets_what_prometheus_gets(
     collector: Collector, estimates: Estimates
 ) -> None:
-    telemetry = Telemetry("r", estimates, lambda: STATUSES, collector.url, 0.1)
+    telemetry = Telemetry(
+        "r", lambda: status_of(estimates, STATUSES), collector.url, 0.1
+    )
     try:
         assert collector.came.wait(LIMIT)
     finally:
@@ -159,7 +161,9 @@ def test_a_collector_gets_what_prometheus_gets(
 def test_what_is_left_goes_out_at_the_end(
     collector: Collector, estimates: Estimates
 ) -> None:
-    telemetry = Telemetry("r", estimates, dict, f"{collector.url}/v1/metrics", 3600.0)
+    telemetry = Telemetry(
+        "r", lambda: status_of(estimates, {}), f"{collector.url}/v1/metrics", 3600.0
+    )
     telemetry.close()
     assert "poise_component_cpu_cores" in points(collector.requests[-1])
 
@@ -168,6 +172,8 @@ def test_what_is_left_goes_out_at_the_end(
 def test_a_collector_that_is_away_is_no_error(
     collector: Collector, estimates: Estimates
 ) -> None:
-    away = Telemetry("r", estimates, dict, "http://127.0.0.1:9", 3600.0)
+    away = Telemetry(
+        "r", lambda: status_of(estimates, {}), "http://127.0.0.1:9", 3600.0
+    )
     away.close()
     assert collector.requests == []

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from typing import Literal
 
-from poise.manage.agent_connections.statuses import Statuses, located
-from poise.manage.observe.estimates import Estimates
+from poise.manage.agent_connections.statuses import located
+from poise.manage.control_socket.commands import RobotStatus
 from poise.wire.records.status_records import ComponentStatus, ConnectorStatus, Summary
 
 Sample = tuple[str, Mapping[str, str], float]
 """A metric's name, its labels and its value."""
 
 METRICS = {
+    "poise_deviations": "How much of a computer is not as the robot file wants it",
+    "poise_computer_lost": "1 while a computer is out of reach, else 0",
+    "poise_timer_releases_total": "How often a timer was due",
+    "poise_timer_missed_total": "How often it ended after its deadline, or never began",
     "poise_component_cpu_cores": "Mean CPU that a component needs, of the reference "
     "computer's cores",
     "poise_component_cpu_expected_cores": "What its profile says",
@@ -54,9 +59,16 @@ def kind_of(name: str) -> Literal["counter", "gauge", "summary"]:
     return "summary" if name in {*_SUMMARIES, _AGE} else "gauge"
 
 
-def samples(estimates: Estimates, statuses: Statuses) -> Iterator[Sample]:
+def samples(robot: RobotStatus) -> Iterator[Sample]:
     """Yield the present values; while a component moves, one may come twice."""
-    for demand in estimates.demand_estimates():
+    deviations = Counter(deviation.computer for deviation in robot.deviations)
+    computers = {*robot.computers, *robot.out_of_reach, *robot.capacities}
+    for computer in sorted(computers):
+        is_lost = computer in robot.out_of_reach
+        yield "poise_computer_lost", {"computer": computer}, int(is_lost)
+    for computer in sorted(computers | deviations.keys()):
+        yield "poise_deviations", {"computer": computer}, deviations[computer]
+    for demand in robot.demand_estimates:
         labels = {"component": demand.component, "computer": demand.computer}
         now = demand.estimate
         yield "poise_component_cpu_cores", labels, now.mean
@@ -64,18 +76,31 @@ def samples(estimates: Estimates, statuses: Statuses) -> Iterator[Sample]:
         yield "poise_component_starved_share", labels, now.starved
         if demand.expected is not None:
             yield "poise_component_cpu_expected_cores", labels, demand.expected
-    for name, flow in estimates.traffic().items():
+    for name, flow in robot.traffic.items():
         labels = {"connector": name}
         yield "poise_connector_calls_per_second", labels, flow.calls
         yield "poise_connector_messages_per_second", labels, flow.messages
         yield "poise_connector_bytes_per_second", labels, flow.traffic
-    for computer, component in located(statuses):
+    for computer, component in located(robot.computers):
+        yield from _timer_samples(component, computer)
         yield from _chain_samples(component, computer)
-    for computer, status in sorted(statuses.items()):
+    for computer, status in sorted(robot.computers.items()):
         for container in status.containers:
             for end in container.connectors:
                 labels = {"connector": end.name, "end": end.end, "computer": computer}
                 yield from _end_samples(labels, end)
+
+
+def _timer_samples(component: ComponentStatus, computer: str) -> Iterator[Sample]:
+    """Yield how a component's timers kept their rates."""
+    for timer in component.timers:
+        labels = {
+            "component": component.name,
+            "timer": timer.name,
+            "computer": computer,
+        }
+        yield "poise_timer_releases_total", labels, timer.releases
+        yield "poise_timer_missed_total", labels, timer.missed
 
 
 def _end_samples(labels: dict[str, str], end: ConnectorStatus) -> Iterator[Sample]:

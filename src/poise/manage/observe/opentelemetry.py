@@ -11,8 +11,7 @@ from opentelemetry.sdk.metrics import MeterProvider
 from opentelemetry.sdk.metrics.export import PeriodicExportingMetricReader
 from opentelemetry.sdk.resources import Resource
 
-from poise.manage.agent_connections.statuses import Statuses
-from poise.manage.observe.estimates import Estimates
+from poise.manage.control_socket.commands import RobotStatus
 from poise.manage.observe.metrics import METRICS, kind_of, samples
 
 EVERY = 5.0
@@ -27,14 +26,13 @@ class Telemetry:
 
     Names and labels are those that Prometheus gets.
 
-    `statuses`: returns what every agent said last; any thread may call it.
+    `status`: returns the last known state; any thread may call it.
     """
 
     def __init__(
         self,
         robot: str,
-        estimates: Estimates,
-        statuses: Callable[[], Statuses],
+        status: Callable[[], RobotStatus],
         endpoint: str,
         every: float = EVERY,  # [s]; > 0
     ) -> None:
@@ -52,8 +50,7 @@ class Telemetry:
             ),
             shutdown_on_exit=False,
         )
-        self._estimates = estimates
-        self._statuses = statuses
+        self._status = status
         meter = self._provider.get_meter("poise")
         for name, says in METRICS.items():
             # quantiles come from the connectors' ends: here they are gauges
@@ -71,7 +68,7 @@ class Telemetry:
     def _observe(self, metric: str, _: CallbackOptions) -> list[Observation]:
         found = {
             tuple(labels.items()): Observation(value, labels)
-            for name, labels, value in samples(self._estimates, self._statuses())
+            for name, labels, value in samples(self._status())
             if name == metric
         }
         return list(found.values())

@@ -9,16 +9,15 @@ from prometheus_client.metrics_core import Metric
 from prometheus_client.registry import Collector
 
 from poise.errors import RunError
-from poise.manage.agent_connections.statuses import Statuses
-from poise.manage.observe.estimates import Estimates
+from poise.manage.control_socket.commands import RobotStatus
 from poise.manage.observe.metrics import METRICS, kind_of, samples
 
 
 class MetricsCollector(Collector):
-    """Reads all metrics; `statuses` returns what every agent said last."""
+    """Reads all metrics; `status` returns the robot's, on any thread."""
 
-    def __init__(self, estimates: Estimates, statuses: Callable[[], Statuses]) -> None:
-        self._estimates, self._statuses = estimates, statuses
+    def __init__(self, status: Callable[[], RobotStatus]) -> None:
+        self._status = status
 
     def collect(self) -> Iterable[Metric]:
         """Return the metrics with their present values."""
@@ -26,9 +25,9 @@ class MetricsCollector(Collector):
             name: Metric(name.removesuffix("_total"), meaning, kind_of(name))
             for name, meaning in METRICS.items()
         }
-        found = samples(self._estimates, self._statuses())
         values = {
-            (name, *labels.items()): (name, labels, v) for name, labels, v in found
+            (name, *labels.items()): (name, labels, value)
+            for name, labels, value in samples(self._status())
         }
         for name, labels, value in values.values():
             family = families[str(name).removesuffix("_sum").removesuffix("_count")]
