@@ -39,14 +39,7 @@ def unsettled(robot: SimulatedRobot) -> list[str]:
     if manager is None or manager.manager is None or manager.run is None:
         why = robot.managers[-1].error if robot.managers else None
         return [f"no manager is up ({why or 'it starts'})"]
-    working: dict[str, list[str]] = {}
-    for container in robot.containers():
-        if container.process.is_paused:
-            continue
-        for component in container.components.values():
-            if component.is_working():
-                at = container.process.computer.name
-                working.setdefault(component.spec.name, []).append(at)
+    working = robot.working()
     found = [
         f"'{name}' works on {' and '.join(working.get(name, ['nothing']))}, not '{at}'"
         for name, at in sorted(manager.run.placement().items())

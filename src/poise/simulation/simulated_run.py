@@ -312,14 +312,13 @@ class _Run:
         ]
         if manager is None or not is_judge or manager.up_since > begin or others:
             return
-        works = {
-            component.spec.name
-            for container in self.robot.containers()
-            if container.process.computer.name != fault.target
-            for component in container.components.values()
-            if component.is_working()
-        }
-        if missing := sorted(self._scenario.placement.keys() - works):
+        works = self.robot.working()
+        missing = [
+            name
+            for name in sorted(self._scenario.placement)
+            if not {*works.get(name, ())} - {fault.target}
+        ]
+        if missing:
             self.robot.ledger.violate(
                 "what-is-lost-runs",
                 f"{missing} works nowhere {FAILED_OVER_WITHIN:g} s after {fault}",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 
 from poise.manage.deploy.desired import Desired
 from poise.manage.journal import JournalEntry
@@ -201,7 +201,7 @@ class SimulationObserver:
 
     def _note_outages(self) -> None:
         now = self._robot.scheduler.now
-        working = set(_working(self._robot))
+        working = self._robot.working().keys()
         is_calm = not (self._down or self._since or self._restarting)
         if is_calm and working >= self._placed.keys():
             return
@@ -322,11 +322,3 @@ def functions_of(robot: Robot) -> dict[str, set[str]]:
         names = {component.name for component in architecture.components}
         found.setdefault(architecture.function, set()).update(names)
     return found
-
-
-def _working(robot: SimulatedRobot) -> Iterator[str]:
-    for container in robot.containers():
-        if not container.process.is_paused:
-            for component in container.components.values():
-                if component.is_working():
-                    yield component.spec.name

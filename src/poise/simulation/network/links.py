@@ -22,15 +22,11 @@ class LinkModel(Struct, frozen=True, kw_only=True):
         One way [s]; jitter is the mean of what comes on top, exponentially.
     bandwidth
         [bytes/s]
-    loss, duplication
-        Shares of datagrams, in [0, 1].
     """
 
     latency: float = 200e-6
     jitter: float = 50e-6
     bandwidth: float = 12.5e6
-    loss: float = 0.0
-    duplication: float = 0.0
 
 
 def links_of(robot: Robot) -> Mapping[frozenset[str], LinkModel]:

@@ -9,6 +9,9 @@ from poise.simulation.network.links import LinkModel, set_links
 from poise.simulation.schedule.choices import Choices
 from poise.simulation.schedule.scheduler import Scheduler
 
+_TWICE = 0.05
+"""While datagrams are lost, so many others come twice."""
+
 
 class Network:
     """The links between all computers; each direction breaks by itself.
@@ -25,7 +28,7 @@ class Network:
     model
         Of links that are not named.
     loss
-        Of datagrams, in addition to the model's: a fault.
+        The share of datagrams that do not come: a fault.
     """
 
     def __init__(
@@ -73,11 +76,12 @@ class Network:
         """Return when a datagram arrives [s]: once, twice or never, in any order."""
         engine, happens = self._engine, self.choices.happens
         at = engine.arrival(source, target, size)
-        loss = self.model.loss + self.loss
-        if source != target:
-            if engine.is_cut(source, target) or (loss and happens("network", loss)):
-                return ()
-            duplication = self.model.duplication
-            if duplication and happens("network", duplication):
-                return at, engine.arrival(source, target, size)
+        if source == target:
+            return (at,)
+        if engine.is_cut(source, target):
+            return ()
+        if self.loss and happens("network", self.loss):
+            return ()
+        if self.loss and happens("network", _TWICE):
+            return at, engine.arrival(source, target, size)
         return (at,)

@@ -216,6 +216,17 @@ class SimulatedRobot:
         """Return all containers that run."""
         return [c for c in self._containers.values() if not c.process.is_dead]
 
+    def working(self) -> dict[str, list[str]]:
+        """Return component -> the computers where it works."""
+        found: dict[str, list[str]] = {}
+        for container in self.containers():
+            if not container.process.is_paused:
+                for component in container.components.values():
+                    if component.is_working():
+                        at = container.process.computer.name
+                        found.setdefault(component.spec.name, []).append(at)
+        return found
+
     def container_of(
         self, computer: str, component: str, epoch: int
     ) -> SimulatedContainer | None:

@@ -139,10 +139,6 @@ class Scheduler:
         """Return a hash of all steps so far: equal runs have equal ones."""
         return self._trace.hexdigest()
 
-    def mark(self, *what: object) -> None:
-        """Let something of the world, such as a message, count in the hash, too."""
-        self._trace.update(repr((self.now, *what)).encode())
-
     def number(self) -> int:
         """Return a number that nothing else of this run has."""
         self._number += 1
