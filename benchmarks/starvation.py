@@ -18,7 +18,7 @@ from pathlib import Path
 
 import msgspec
 
-from poise.emulate import EmulatedComputer, Emulation, look
+from poise.emulate import EmulatedComputer, Emulation, probe_host
 from poise.model import Computer, Robot
 
 WINDOW = 2.0
@@ -58,7 +58,7 @@ def wait_busy(computer: EmulatedComputer) -> None:
 
 def measure(what: str, quotas: tuple[float, ...], others: int) -> None:
     """Print a line about the first computer of a robot on one CPU."""
-    host = msgspec.structs.replace(look(), cpus=look().cpus[-1:])
+    host = msgspec.structs.replace(probe_host(), cpus=probe_host().cpus[-1:])
     computers = tuple(
         Computer(name=f"c{number}", capacity={"cpu": quota})
         for number, quota in enumerate(quotas)

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import pytest
 
-from poise.emulate import look, sweep
+from poise.emulate import probe_host, sweep
 from poise.emulate.processes import Owner
 from poise.emulate.registry import FOLDER
 
@@ -27,7 +27,7 @@ _SUFFIX = ".tests"
 
 def enter_own_network() -> None:
     """Leave the machine's network for one of this process, if it may make one."""
-    if not look().has_namespaces:
+    if not probe_host().has_namespaces:
         return
     folder = Path(tempfile.gettempdir())
     for registry in folder.glob(f"poise-*{_SUFFIX}"):

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from poise.emulate import look
+from poise.emulate import probe_host
 from poise.emulate.registry import FOLDER, registry
 from poise.manage.control_socket import location
 from tests.waiting import LONG
@@ -44,7 +44,7 @@ def another(port: int) -> Path:
 
 @pytest.fixture
 def _needs_networks() -> None:
-    if reasons := look().without_network():
+    if reasons := probe_host().without_network():
         pytest.skip("; ".join(reasons))
 
 
@@ -73,4 +73,4 @@ def test_the_registry_of_killed_tests_is_removed(
 def test_robots_of_tests_are_not_among_the_users() -> None:
     assert "XDG_RUNTIME_DIR" not in os.environ
     assert str(location.folder()).startswith(os.environ["TMPDIR"])
-    assert FOLDER in os.environ or look().without_network()
+    assert FOLDER in os.environ or probe_host().without_network()

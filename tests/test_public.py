@@ -90,7 +90,7 @@ PUBLIC = {
         "find_set",
         "full_speed",
         "is_starved",
-        "look",
+        "probe_host",
         "set_for",
         "sweep",
     ],

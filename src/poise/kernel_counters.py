@@ -88,7 +88,7 @@ class ComputerCpu:
         self._file = Path(path or "/proc/stat") if path != "" else None
 
     def read(self) -> float | None:
-        """Return the CPU time so far [s]; None: nobody counts it."""
+        """Return the CPU time so far [s]; None: the kernel does not count it."""
         if self._file is None:
             return None
         try:
@@ -204,7 +204,7 @@ def resident_memory(process: int) -> int:
 
 
 def proportional_memory(process: int) -> int:
-    """Return a process's proportional set size [bytes]; 0 when nobody tells."""
+    """Return a process's proportional set size [bytes]; 0: it is not known."""
     try:
         text = Path(f"/proc/{process}/smaps_rollup").read_bytes()
     except OSError:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from poise.emulate import look
+from poise.emulate import probe_host
 from tests.waiting import LONG
 
 pytestmark = pytest.mark.slow
@@ -18,7 +18,7 @@ ROOT = Path(__file__).parents[2]
 
 
 def test_ten_managers_in_turn_keep_a_robot_consistent() -> None:
-    if reasons := look().without_network():
+    if reasons := probe_host().without_network():
         pytest.skip("; ".join(reasons))
     done = subprocess.run(
         [sys.executable, "-m", "benchmarks.takeover", "--moves", "10", "--json"],

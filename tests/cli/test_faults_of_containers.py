@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from poise.emulate import look
+from poise.emulate import probe_host
 from poise.manage.control_socket.commands import RobotStatus, StatusCommand
 from poise.manage.control_socket.control_client import send_command
 from poise.manage.journal import JournalEntry, read_journal
@@ -111,7 +111,7 @@ def test_a_kill_is_one_line_and_its_end_another(up: Path) -> None:
 
 
 def test_an_end_for_lack_of_memory_is_named(up: Path) -> None:
-    if "memory" not in look().groups.controls:
+    if "memory" not in probe_host().groups.controls:
         pytest.skip("no cgroup to write to with memory: nothing limits the computer")
     # while it takes the memory it may also not respond for a while, which is told too
     entries = break_by(up, lambda _: (up / "grow").touch())

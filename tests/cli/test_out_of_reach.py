@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from poise.emulate import Emulation, look
+from poise.emulate import Emulation, probe_host
 from poise.manage.agent_connections.statuses import connectors_of
 from poise.manage.control_socket.commands import MoveCommand, RobotStatus, StatusCommand
 from poise.manage.control_socket.control_client import send_command
@@ -170,7 +170,7 @@ def runtime(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 @pytest.fixture(scope="module")
 def field(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Field]:
     """Keep the agents up for all tests, as real computers do."""
-    if reasons := look().without_network():
+    if reasons := probe_host().without_network():
         pytest.skip("; ".join(reasons))
     computers = tuple(
         Computer(name=name, capacity={"cpu": 0.5, "memory": 512e6}) for name in NAMES

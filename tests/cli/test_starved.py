@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 
 import pytest
 
-from poise.emulate import look
+from poise.emulate import probe_host
 from poise.estimate.online import Drift, Estimate
 from poise.manage.journal import Journal
 from poise.manage.observe.estimates import DemandEstimate, Estimates
@@ -45,7 +45,7 @@ def seen(tmp_path_factory: pytest.TempPathFactory) -> Mapping[str, Seen]:
 
     Each has a computer of its own, so they do not disturb each other.
     """
-    if "cpu" not in look().groups.controls:
+    if "cpu" not in probe_host().groups.controls:
         pytest.skip("no cgroup to write to with cpu")
     folder = tmp_path_factory.mktemp("starved")
     (folder / "starved_thinker.py").write_text(CODE)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from poise.emulate import look
+from poise.emulate import probe_host
 from tests.command import POISE, robot_up, run_poise
 from tests.waiting import LONG, wait_long
 
@@ -60,7 +60,7 @@ tasks:
 
 
 def test_a_stop_does_not_wait_for_a_state_that_takes_40_seconds(tmp_path: Path) -> None:
-    if reasons := look().without_network():
+    if reasons := probe_host().without_network():
         pytest.skip("; ".join(reasons))
     (tmp_path / "heavy_state.py").write_text(CODE)
     file = tmp_path / "robot.yaml"

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from poise.emulate import look
+from poise.emulate import probe_host
 from tests.command import robot_up, run_poise
 from tests.waiting import wait_long
 
@@ -24,7 +24,7 @@ NAME = f"outlived{os.getpid()}"
 @pytest.fixture
 def file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """Return a robot file; end what the test left of the robot."""
-    if reasons := look().without_network():
+    if reasons := probe_host().without_network():
         pytest.skip("; ".join(reasons))
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
     for path in HELLO.glob("*.py"):

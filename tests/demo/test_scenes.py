@@ -7,13 +7,13 @@ from typing import Any
 
 import pytest
 
-from poise.emulate import look
+from poise.emulate import probe_host
 from tests.command import run_poise
 
 
 @pytest.mark.slow
 def test_components_of_a_crashed_computer_go_on_elsewhere() -> None:
-    if reasons := look().without_network():
+    if reasons := probe_host().without_network():
         pytest.skip("; ".join(reasons))
     done = run_poise("demo", "--scene", "lost-computer", "--json")
     assert done.returncode == 0, done.stderr
@@ -27,7 +27,7 @@ def test_components_of_a_crashed_computer_go_on_elsewhere() -> None:
 @pytest.mark.slow
 @pytest.mark.exhaustive
 def test_a_robot_outlives_its_manager_amid_a_move() -> None:
-    if reasons := look().without_network():
+    if reasons := probe_host().without_network():
         pytest.skip("; ".join(reasons))
     done = run_poise("demo", "--scene", "manager-killed", "--json")
     assert done.returncode == 0, done.stderr
@@ -42,7 +42,7 @@ def test_a_robot_outlives_its_manager_amid_a_move() -> None:
 @pytest.mark.slow
 @pytest.mark.exhaustive
 def test_what_was_cut_off_is_active_elsewhere_and_never_twice() -> None:
-    if reasons := look().without_network():
+    if reasons := probe_host().without_network():
         pytest.skip("; ".join(reasons))
     done = run_poise("demo", "--scene", "cut-link", "--json")
     assert done.returncode == 0, done.stderr
@@ -74,7 +74,7 @@ def test_nothing_is_active_twice_while_an_agent_is_stopped() -> None:
 
 def played(scene: str) -> dict[str, Any]:
     """Return what a scene on three computers reported, whether or not it went well."""
-    if reasons := look().without_network():
+    if reasons := probe_host().without_network():
         pytest.skip("; ".join(reasons))
     done = run_poise("demo", "--scene", scene, "--json")
     assert done.stdout.startswith('{"scene"'), done.stderr

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from poise.emulate import look
+from poise.emulate import probe_host
 from poise.emulate.registry import FOLDER
 from poise.model.robot import Computer, Link, Robot
 
@@ -37,7 +37,7 @@ def own_registry(
 @pytest.fixture
 def needs_limits() -> None:
     """Skip where this user may not limit processes."""
-    missing = {"cpu", "cpuset", "memory"} - look().groups.controls
+    missing = {"cpu", "cpuset", "memory"} - probe_host().groups.controls
     if missing:
         pytest.skip(f"no cgroup to write to with {', '.join(sorted(missing))}")
 
@@ -45,5 +45,5 @@ def needs_limits() -> None:
 @pytest.fixture
 def needs_namespaces() -> None:
     """Skip where this user may not make networks."""
-    if reasons := look().without_network():
+    if reasons := probe_host().without_network():
         pytest.skip("; ".join(reasons))

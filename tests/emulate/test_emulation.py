@@ -13,7 +13,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from poise.emulate import Emulation, look, sweep
+from poise.emulate import Emulation, probe_host, sweep
 from poise.emulate.cgroups import Group, Groups
 from poise.emulate.layout import EmulationLayout
 from poise.emulate.limits import Limits
@@ -54,7 +54,7 @@ def left_of(layout: EmulationLayout) -> list[str]:
 def bare() -> Probe:
     """Return a host that allows nothing."""
     return Probe(
-        cpus=look().cpus,
+        cpus=probe_host().cpus,
         groups=Groups(),
         tools=frozenset(),
         may_make_namespaces=False,
@@ -133,7 +133,7 @@ def test_nothing_is_left_when_it_cannot_be_made(
             Refusing.listed = own_layout()
             raise PermissionError(name, limits)
 
-    host = msgspec.structs.replace(look(), groups=Refusing())
+    host = msgspec.structs.replace(probe_host(), groups=Refusing())
     with pytest.raises(RunError, match="refuses an emulated computer"):
         Emulation(two_computers, tmp_path, probe=host)
     assert left_of(Refusing.listed) == []
@@ -215,7 +215,7 @@ def test_bare_host_says_what_it_goes_without(
 def test_missing_tool_is_said_and_done_without(
     two_computers: Robot, tmp_path: Path, missing: str
 ) -> None:
-    host = look()
+    host = probe_host()
     host = msgspec.structs.replace(host, tools=host.tools - {missing})
     with Emulation(two_computers, tmp_path, probe=host) as emulation:
         assert any(missing in sentence for sentence in emulation.without)
@@ -233,7 +233,7 @@ def test_computers_that_share_a_cpu_and_ask_for_too_much_are_starved(
         name="crowd",
         computers=tuple(Computer(name=n, capacity={"cpu": 0.9}) for n in names),
     )
-    host = msgspec.structs.replace(look(), cpus=look().cpus[-1:])
+    host = msgspec.structs.replace(probe_host(), cpus=probe_host().cpus[-1:])
     with Emulation(robot, tmp_path, probe=host) as emulation:
         computers = emulation.computers.values()
         if any(computer.usage().starved is None for computer in computers):
@@ -333,7 +333,7 @@ def test_version_2_groups_hold_real_processes(
     found = [m for m in mounts() if m.version > 1 and os.access(m.own, os.W_OK)]
     if not found:
         pytest.skip("no version 2 cgroup to write to")
-    host = msgspec.structs.replace(look(), groups=V2(found[0]))
+    host = msgspec.structs.replace(probe_host(), groups=V2(found[0]))
     with Emulation(two_computers, tmp_path, probe=host) as emulation:
         brain = emulation.computers["brain"]
         child = brain.popen(["cat"], stdin=subprocess.PIPE, stdout=subprocess.PIPE)

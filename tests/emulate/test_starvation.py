@@ -44,7 +44,7 @@ def test_short_starvation_is_not_lost_in_a_long_run() -> None:
         calm.used += 0.4
         # In one second of sixty it got 0.4 s and waited for 0.6 s.
         busy.starved += 0.6 if second == 30 else 0.0
-        watch.look()
+        watch.poll()
     assert watch.end() == {"busy": 1.0}
     assert not busy.was_starved(Usage(used=0.0, starved=0.0), busy.usage())
 
@@ -54,10 +54,10 @@ def test_windows_are_not_judged_before_they_are_over() -> None:
     watch = StarvationWatch({"only": computer}, clock)
     clock.sleep(0.5)
     computer.starved += 0.1  # nothing used yet: starved, if this were a window
-    watch.look()
+    watch.poll()
     clock.sleep(0.5)
     computer.used += 0.4  # 0.4 / (0.4 + 0.1) = 0.8 of a CPU
-    watch.look()
+    watch.poll()
     assert watch.end() == {}
 
 

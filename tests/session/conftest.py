@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import poise
-from poise.emulate import EmulatedSet, look
+from poise.emulate import EmulatedSet, probe_host
 from tests.manage.observe.conftest import steady
 
 __all__ = ["steady"]
@@ -17,7 +17,7 @@ __all__ = ["steady"]
 @pytest.fixture
 def emulated(file: Path) -> Iterator[EmulatedSet]:
     """Return the emulated computers of a test's robot `file`."""
-    if reasons := look().without_network():
+    if reasons := probe_host().without_network():
         pytest.skip("; ".join(reasons))
     with poise.emulated(poise.load(file), say=print) as emulated:
         yield emulated

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 import poise
-from poise.emulate import look
+from poise.emulate import probe_host
 from tests.waiting import LONG, wait_long
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(LONG)]
@@ -53,7 +53,7 @@ def test_a_leak_is_told_of_before_the_limit_and_until_it_ends(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Of 600 MiB about 200 are taken at first; 10 MB come each second."""
-    if "memory" not in look().groups.controls:
+    if "memory" not in probe_host().groups.controls:
         pytest.skip("no cgroup to write to with memory")
     (tmp_path / "leak_code.py").write_text(CODE)
     (tmp_path / "robot.yaml").write_text(ROBOT)

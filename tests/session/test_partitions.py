@@ -13,7 +13,7 @@ import pytest
 
 import poise
 from examples.demo.waiting import measures
-from poise.emulate import EmulatedSet, look
+from poise.emulate import EmulatedSet, probe_host
 from poise.session.placing.placement import place
 from poise.session.running_robots.running import Running
 from tests.waiting import LONG, wait_long
@@ -42,7 +42,7 @@ _NOBODY = "02:00:00:00:00:00"
 
 @pytest.fixture(scope="module", autouse=True)
 def _needs_namespaces() -> None:
-    if reasons := look().without_network():
+    if reasons := probe_host().without_network():
         pytest.skip("; ".join(reasons))
 
 

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 import poise
-from poise.emulate import EmulatedSet, look
+from poise.emulate import EmulatedSet, probe_host
 from tests.session.emulated_robot import written
 from tests.waiting import LONG, wait_long
 
@@ -129,7 +129,7 @@ class Sides:
 
 
 def test_a_second_manager_starts_nothing_that_the_first_may_run(tmp_path: Path) -> None:
-    if reasons := look().without_network():
+    if reasons := probe_host().without_network():
         pytest.skip("; ".join(reasons))
     file = written(tmp_path, "split", "splitting", CODE, TEXT)
     with poise.emulated(poise.load(file), say=print) as kept:
@@ -161,7 +161,7 @@ def test_a_second_manager_starts_nothing_that_the_first_may_run(tmp_path: Path) 
 
 
 def test_a_person_may_say_that_the_other_side_is_gone(tmp_path: Path) -> None:
-    if reasons := look().without_network():
+    if reasons := probe_host().without_network():
         pytest.skip("; ".join(reasons))
     file = written(tmp_path, "forced", "splitting", CODE, TEXT)
     with poise.emulated(poise.load(file), say=print) as kept:

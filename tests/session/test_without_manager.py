@@ -17,7 +17,7 @@ from typing import Any
 import pytest
 
 import poise
-from poise.emulate import look
+from poise.emulate import probe_host
 from poise.session.running_robots.local_robots import listing, robots_here
 from poise.view.robot_view import LiveReader
 from tests.command import run_poise
@@ -43,7 +43,7 @@ SENTENCE = rf"robot '{NAME}' runs without a manager \(since \d\d:\d\d:\d\d\); `p
 @pytest.fixture
 def file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """Return the file of a robot that is up, with a manager in the background."""
-    if reasons := look().without_network():
+    if reasons := probe_host().without_network():
         pytest.skip("; ".join(reasons))
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
     (tmp_path / "hello.py").write_text((HELLO / "hello.py").read_text())

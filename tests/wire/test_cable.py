@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from poise.emulate import EmulatedComputer, Emulation, look
+from poise.emulate import EmulatedComputer, Emulation, probe_host
 from poise.errors import CallError, Unavailable
 from poise.model.robot import Computer, Robot
 from poise.wire.address import LOST_AFTER, Address
@@ -75,7 +75,7 @@ class There:
 
 @pytest.fixture
 def there(tmp_path: Path) -> Iterator[There]:
-    if reasons := look().without_network():
+    if reasons := probe_host().without_network():
         pytest.skip("; ".join(reasons))
     computer = Computer(name="far", capacity={"cpu": 0.5, "memory": 512e6})
     robot = Robot(name="cable", computers=(computer,))

@@ -5,7 +5,7 @@ from poise.emulate.cpu_load import full_speed
 from poise.emulate.emulated_set import EmulatedSet, all_sets, find_set, set_for
 from poise.emulate.emulation import Emulation
 from poise.emulate.layout import InjectedFault
-from poise.emulate.probe import Probe, look
+from poise.emulate.probe import Probe, probe_host
 from poise.emulate.registry import sweep
 from poise.emulate.usage import StarvationWatch, Usage, is_starved
 
@@ -21,7 +21,7 @@ __all__ = [
     "find_set",
     "full_speed",
     "is_starved",
-    "look",
+    "probe_host",
     "set_for",
     "sweep",
 ]

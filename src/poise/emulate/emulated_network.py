@@ -214,7 +214,7 @@ def shape(network: NetworkPlan, *, delays: bool) -> None:
 
 
 def detach(network: NetworkPlan, index: int) -> None:
-    """Pull the other end of a computer's cable: packets vanish, and nobody is told."""
+    """Pull the other end of a computer's cable: packets vanish without a reset."""
     _run("ip", network.switch, [f"link set port{index} nomaster"])
 
 

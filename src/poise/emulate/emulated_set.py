@@ -31,8 +31,8 @@ from poise.model.robot import Robot
 BOOT_LIMIT = 10.0
 """A computer's agent is started again within this time [s]."""
 STOP_LIMIT = 30.0
-"""A set is gone within this time after its keeper was told to end [s]."""
-_LOOK = 0.02
+"""A set is gone within this time after SIGTERM to its keeper [s]."""
+_POLL_EVERY = 0.02
 
 
 class EmulatedSet:
@@ -338,7 +338,7 @@ def _wait(holds: Callable[[], bool], limit: float, what: str) -> None:
     while not holds():
         if time.monotonic() > deadline:
             raise RunError(what)
-        time.sleep(_LOOK)
+        time.sleep(_POLL_EVERY)
 
 
 def find_set(robot: str | None = None) -> EmulatedSet:

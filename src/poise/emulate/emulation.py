@@ -18,7 +18,7 @@ from poise.emulate.computer import EmulatedComputer
 from poise.emulate.emulated_network import NetworkPlan
 from poise.emulate.layout import EmulationLayout, KeptSet, lay_out
 from poise.emulate.limits import shortages
-from poise.emulate.probe import Probe, look
+from poise.emulate.probe import Probe, probe_host
 from poise.emulate.registry import addresses, register, remove, sweep
 from poise.errors import RunError
 from poise.model.robot import Robot
@@ -49,7 +49,7 @@ class Emulation:
         keep: bool = False,
     ) -> None:
         sweep()
-        host, number = probe or look(), next(_numbers)
+        host, number = probe or probe_host(), next(_numbers)
         kept = KeptSet.of(robot) if keep else None
         self._layout = register(
             lambda taken: lay_out(robot, folder, host, number, kept, taken)

@@ -188,7 +188,7 @@ class Probe(Struct, frozen=True, kw_only=True):
         return self.may_make_namespaces and {"ip", "nsenter"} <= self.tools
 
 
-def look() -> Probe:
+def probe_host() -> Probe:
     """Return the abilities of this host, without changing it."""
     return Probe(
         cpus=tuple(sorted(os.sched_getaffinity(0))),

@@ -48,7 +48,7 @@ ASK = 2.0
 """Time limit for processes to end after SIGTERM [s]."""
 KILL = 5.0
 """Time limit for processes to end after SIGKILL [s]."""
-_LOOK = 0.01
+_POLL_EVERY = 0.01
 
 MARK = "POISE_EMULATION"
 """The environment variable that all processes of an emulated computer inherit."""
@@ -104,7 +104,7 @@ def _gone_within(
             return False
         if again:
             _send(left, sent)
-        time.sleep(_LOOK)
+        time.sleep(_POLL_EVERY)
     return True
 
 

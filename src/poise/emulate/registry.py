@@ -25,7 +25,7 @@ from poise.errors import PoiseError, RunError, UsageError
 FOLDER = "POISE_EMULATIONS"
 """The environment variable that names the registry's folder."""
 _LOCK_LIMIT = 30.0
-_LOOK = 0.01
+_POLL_EVERY = 0.01
 
 
 def registry() -> Path:
@@ -79,7 +79,7 @@ def locked() -> Iterator[None]:
                     f"{_LOCK_LIMIT:g} s: `lsof {registry()}` names its process"
                 )
                 raise RunError(message)
-            time.sleep(_LOOK)
+            time.sleep(_POLL_EVERY)
         yield
     finally:
         os.close(handle)

@@ -90,7 +90,7 @@ class StarvationWatch:
         self._since = clock.now()
         self._before = self._usages()
 
-    def look(self) -> None:
+    def poll(self) -> None:
         """Judge the window if it has ended; call it more often than every `WINDOW`."""
         if self._clock.now() - self._since >= WINDOW:
             self._judge()

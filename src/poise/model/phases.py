@@ -1,6 +1,6 @@
 """The phases of a task: which actions run at the same time, and what may follow what.
 
-What nobody says is assumed, and `assumed` lists it for people.
+What the file does not say is assumed; `assumed` lists it for people.
 
 A phase is a set of actions. Steps one after another are phases one after another; of
 a choice every branch is one; what is done on failure is one; what is repeated counts
@@ -107,7 +107,7 @@ def first_action(robot: Robot, step: Step) -> Action:
 
 
 def assumed(robot: Robot, task: str) -> Iterator[str]:
-    """Yield what is assumed of a task, because nobody says it, for people."""
+    """Yield what is assumed of a task that its file does not say, for people."""
     steps = list(steps_of({each.name: each for each in robot.tasks}, task))
     actions = [step for step in steps if isinstance(step, Action)]
     timeless = [a.name for a in actions if a.limit is None]

@@ -23,7 +23,7 @@ class UntilKeys(Struct):
     """A condition over the values of one subject."""
 
     when: Annotated[str, says("The condition, over the subject's values.")]
-    computer: Annotated[str | None, says("The computer that it looks at.")] = None
+    computer: Annotated[str | None, says("The computer that it is about.")] = None
     link: Annotated[str | None, says("The link, as in main-vision.")] = None
     component: Annotated[str | None, says("The component.")] = None
     container: Annotated[str | None, says("The container.")] = None
@@ -48,7 +48,7 @@ def _until(value: str | Mapping[str, str]) -> Mapping[str, str]:
     subjects = [key for key in value if key != "when"]
     if len(subjects) > 1:
         both = " and ".join(f"'{subject}'" for subject in subjects)
-        raise ValueError(f"a condition looks at one subject, not at {both}")
+        raise ValueError(f"a condition is about one subject, not about {both}")
     named = {"subject": subjects[0], "name": value[subjects[0]]} if subjects else {}
     return {"when": value["when"], **named}
 
@@ -211,7 +211,7 @@ def _walk(step: Step, path: StepPath) -> Iterator[tuple[StepPath, Step]]:
 
 
 def kind_of(step: Step) -> str:
-    """Return the key by which a step's kind is told, such as ``parallel``."""
+    """Return the key that names a step's kind, such as ``parallel``."""
     return str(type(step).__struct_config__.tag)
 
 

@@ -145,7 +145,7 @@ def test_accepts(find: Find, step: str) -> None:
         ),
         (
             "{name: a, functions: [], ▸until: {component: eyes, chain: c, when: x}}",
-            ["one subject, not at 'component' and 'chain'"],
+            ["one subject, not about 'component' and 'chain'"],
         ),
         (
             "{name: a, functions: [], ▸on failure: give in}",

@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 import poise
-from poise.emulate import EmulatedSet, find_set, look, sweep
+from poise.emulate import EmulatedSet, find_set, probe_host, sweep
 from poise.emulate.registry import read
 from tests.command import POISE, robot_up, run_poise
 from tests.processes import words_of
@@ -51,7 +51,7 @@ for number, line in enumerate(sys.stdin):
 
 @pytest.fixture(scope="module", autouse=True)
 def _needs_namespaces() -> None:
-    if reasons := look().without_network():
+    if reasons := probe_host().without_network():
         pytest.skip("; ".join(reasons))
 
 

@@ -21,7 +21,7 @@ from poise.session.render.printable import console_to
 from poise.session.robot_file import load
 from poise.units import BANDWIDTH, CORES, SECONDS, Dimension
 
-_LOOK_EVERY = 0.2
+_POLL_EVERY = 0.2
 
 Robot = Annotated[
     str | None, typer.Option(help="The robot's name, when several have some.")
@@ -68,7 +68,7 @@ def emulate_command(file: RobotFile) -> None:
             names = ", ".join(f"{c.name} {c.address}" for c in kept.computers.values())
             say(f"the computers of robot '{robot.name}' are up ({names}); Ctrl-C ends")
             while not interrupts.has_come():
-                time.sleep(_LOOK_EVERY)
+                time.sleep(_POLL_EVERY)
             say("stopping")
 
 
@@ -99,7 +99,7 @@ def cut_command(
 ) -> None:
     """Cut two computers from each other, or one from all and from the manager.
 
-    Packets vanish, and nobody is told, as when a cable is pulled, until
+    Packets vanish and no connection is reset, as when a cable is pulled, until
     `poise emulate heal`.
 
     Example: poise emulate cut main vision

@@ -174,7 +174,7 @@ def _names(robot: Robot, task: Task, repository: Repository) -> Iterator[Finding
 def _functions(
     robot: Robot, path: Path, action: Action, repository: Repository
 ) -> Iterator[Finding]:
-    """Yield the functions that nobody provides, or that are listed twice."""
+    """Yield the functions that no architecture provides, or that are listed twice."""
     provided = dict.fromkeys(a.function for a in robot.architectures)
     for index, name in enumerate(action.functions):
         if name not in provided:
@@ -271,11 +271,11 @@ def _phases(robot: Robot, task: Task) -> Iterator[Finding]:
             "same time, in all combinations of parallel steps. Make it several tasks",
         )
         return
-    told: set[str] = set()
+    reported: set[str] = set()
     for phase in phases:
         for clash in clashes(robot, phase.actions):
-            if str(clash) not in told:
-                told.add(str(clash))
+            if str(clash) not in reported:
+                reported.add(str(clash))
                 yield Finding(_of(task, phase.actions), str(clash))
 
 

@@ -236,7 +236,7 @@ class Policy(Struct, frozen=True, kw_only=True):
     name: str
     for_each: Annotated[
         Subject | None,
-        says("What it looks at.", key="for each"),
+        says("The kind of thing that it is about.", key="for each"),
     ] = None
     when: Annotated[
         str | None,

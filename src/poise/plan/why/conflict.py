@@ -50,7 +50,7 @@ class Oracle:
         self._left = share * ALL_STEPS
 
     def is_spent(self) -> bool:
-        """Return whether it took too many steps, or was told to stop."""
+        """Return whether it took too many steps, or has to stop."""
         return self._left <= 0 or (self._stop is not None and self._stop())
 
     def ask(self, problem: Problem) -> bool | None:

@@ -252,7 +252,7 @@ class Computers:
     def look(self) -> None:
         """Judge the moment; call it a few times a second."""
         if self._watch is not None:
-            self._watch.look()
+            self._watch.poll()
 
     def end(self, of: str | None = None) -> str:
         """Return why the run, or computer `of` in it, is invalid; empty: it is not."""
