@@ -10,7 +10,13 @@ from pathlib import Path
 
 import pytest
 
-from poise.model.robot import Architecture, ComponentEntry, Robot
+from poise.model.robot import (
+    Architecture,
+    ComponentEntry,
+    Connector,
+    ConnectorEnd,
+    Robot,
+)
 from poise.model.software import CodeTimer
 from poise.runtime.code_check import check_code_isolated
 from tests.waiting import LONG
@@ -162,11 +168,19 @@ def test_what_classes_declare_is_known_without_importing_them_here(
         "    def _hand_on(self, number: int) -> None:\n"
         "        list(map(lambda each: self.out.publish(each), [number]))\n"
     )
-    component = ComponentEntry(name="a", implementation="declares:Ticks")
+    components = tuple(
+        ComponentEntry(name=name, implementation="declares:Ticks") for name in "ab"
+    )
     robot = Robot(
         name="r",
         folder=str(tmp_path),
-        architectures=(Architecture(name="x", function="f", components=(component,)),),
+        architectures=(Architecture(name="x", function="f", components=components),),
+        connectors=tuple(
+            Connector(
+                between=(ConnectorEnd(source, "out"), ConnectorEnd(target, "seen"))
+            )
+            for source, target in ("ab", "ba")
+        ),
     )
     code = check_code_isolated(robot).code["a"]
     assert code.timers == (CodeTimer("tick", 0.2, 0.1),)
