@@ -264,27 +264,15 @@ MOST_ENTRIES = 500
 
 
 class Look(Struct, frozen=True, kw_only=True):
-    """How a robot was when it was last looked at.
+    """How a robot was when it was last looked at."""
 
-    Parameters
-    ----------
-    status
-        What was known last, of agents if no manager answers; None: nothing yet.
-    entries
-        The last entries of its journal, oldest first.
-    trouble
-        Why no manager answers now; empty: one does.
-    since
-        Since when there is none [s since 1970].
-    at
-        When it was looked at [s since 1970].
-    """
-
-    at: float = 0.0
+    at: float = 0.0  # When it was looked at [s since 1970]
+    # What was known last, of agents if no manager answers; None: nothing yet
     status: Status | None = None
+    # The last entries of its journal, oldest first
     entries: tuple[JournalEntry, ...] = ()
-    trouble: str = ""
-    since: float = 0.0
+    trouble: str = ""  # Why no manager answers now; empty: one does
+    since: float = 0.0  # Since when there is none [s since 1970]
 
 
 class LiveReader:

@@ -34,32 +34,17 @@ from poise.wire.records.status_records import (
 
 
 class MeasuredUsage(Struct, frozen=True, kw_only=True):
-    """Usage over a time, in CPU of the computers themselves.
+    """Usage over a time, in CPU of the computers themselves."""
 
-    Parameters
-    ----------
-    cpu
-        Component -> its own CPU [cores].
-    rest
-        Container -> its own CPU beyond that of its components [cores].
-    members
-        Container -> its components.
-    memory
-        Container -> peak of its memory [bytes].
-    agents
-        Computer -> CPU of its agent [cores].
-    connectors
-        Traffic of connectors, by their run-time names.
-    undone
-        Component -> share of the arrived jobs that were not done.
-    """
-
-    cpu: Mapping[str, Distribution]
+    cpu: Mapping[str, Distribution]  # Component -> its own CPU [cores]
+    # Container -> its own CPU beyond that of its components [cores]
     rest: Mapping[str, float]
-    members: Mapping[str, tuple[str, ...]]
-    memory: Mapping[str, float]
-    agents: Mapping[str, float]
+    members: Mapping[str, tuple[str, ...]]  # Container -> its components
+    memory: Mapping[str, float]  # Container -> peak of its memory [bytes]
+    agents: Mapping[str, float]  # Computer -> CPU of its agent [cores]
+    # Traffic of connectors, by their run-time names
     connectors: Mapping[str, ConnectorProfile]
+    # Component -> share of the arrived jobs that were not done
     undone: Mapping[str, float]
 
 
@@ -161,22 +146,13 @@ _UNDONE = 0.02
 
 
 class Observed(Struct, frozen=True, kw_only=True):
-    """One measurement of one architecture.
-
-    Parameters
-    ----------
-    statuses
-        The agents' last statuses, after deactivation.
-    working
-        Their last statuses before deactivation, which ends commands.
-    invalid
-        Why the measurement is invalid; empty: it is valid.
-    """
+    """One measurement of one architecture."""
 
     measured: MeasuredUsage
-    statuses: Statuses
+    statuses: Statuses  # The agents' last statuses, after deactivation
+    # Their last statuses before deactivation, which ends commands
     working: Statuses = {}
-    invalid: str = ""
+    invalid: str = ""  # Why the measurement is invalid; empty: it is valid
 
 
 class Figures(Struct, frozen=True, kw_only=True):

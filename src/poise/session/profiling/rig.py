@@ -36,18 +36,11 @@ PLAYER = "player-of-workload"
 
 
 class Played(Struct, frozen=True):
-    """The inputs that come from a replay component instead of their sources.
+    """The inputs that come from a replay component instead of their sources."""
 
-    Parameters
-    ----------
-    parts
-        Input as component.port -> its messages or calls.
-    recording
-        The recording's file; empty: none.
-    """
-
+    # Input as component.port -> its messages or calls
     parts: Mapping[str, PlayedPort] = {}
-    recording: str = ""
+    recording: str = ""  # The recording's file; empty: none
 
     def covers(self, connector: Connector) -> bool:
         """Return whether the replay component replaces a connector."""
@@ -151,22 +144,13 @@ EMPTY = "empty-container"
 
 
 class ProfilingRig(Struct, frozen=True):
-    """A robot with which one architecture is measured.
-
-    Parameters
-    ----------
-    computer
-        The computer of the architecture.
-    measured
-        Names of its components.
-    played
-        Connectors of the robot -> connectors of the replay in their place.
-    """
+    """A robot with which one architecture is measured."""
 
     robot: Robot
-    computer: str
+    computer: str  # The computer of the architecture
     placement: Mapping[str, str]
-    measured: tuple[str, ...]
+    measured: tuple[str, ...]  # Names of its components
+    # Connectors of the robot -> connectors of the replay in their place
     played: Mapping[str, str] = {}
 
 
