@@ -207,7 +207,7 @@ def test_a_link_that_comes_and_goes_moves_less_and_less(
         )
         if limits.is_backing_off(now, seen.amounts()):
             continue
-        found = decide(seen, limits.quarantined(now))
+        found = decide(seen)
         if found.acts and found.proposal is not None:
             limits.note(found.proposal.steps, now)
             at = dict(found.proposal.placement)

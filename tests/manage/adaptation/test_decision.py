@@ -196,12 +196,6 @@ def robot_of(needs: Mapping[str, float], computers: int = 2) -> Robot:
     )
 
 
-def test_a_component_does_not_go_where_it_is_barred(situation: Make) -> None:
-    found = decide(situation(background={"left": 0.2}), {"a": {"right"}})
-    assert found.proposal is not None
-    assert found.proposal.placement == {"a": "left", "b": "right"}
-
-
 def test_what_is_reserved_is_no_room(two: Robot) -> None:
     computers = tuple(replace(c, reserve={"cpu": 0.5}) for c in two.computers)
     robot = replace(two, computers=computers)

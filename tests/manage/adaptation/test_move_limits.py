@@ -7,7 +7,7 @@ import random
 import pytest
 
 from poise.manage.adaptation.decision import decide
-from poise.manage.adaptation.transitions import BUDGET, SETTLE, MoveLimits
+from poise.manage.adaptation.transitions import BUDGET, SETTLE, LossSuffered, MoveLimits
 from poise.manage.migration.migration_report import TransitionStep
 from tests.manage.adaptation.conftest import Make
 
@@ -39,13 +39,14 @@ def test_no_more_than_the_budget_moves_in_a_minute() -> None:
 
 
 @pytest.mark.parametrize("load", ["periodic", "adversarial", "random"])
-def test_no_load_makes_a_component_go_to_and_fro(situation: Make, load: str) -> None:
-    """An hour under a load of other programs that changes sides."""
-    move_limits, chance = MoveLimits(), random.Random(1)
-    placement, moves = {"a": "left", "b": "left"}, 0
-    left_at: dict[tuple[str, str], int] = {}
-    side = "left"
-    for now in range(0, 3600, 5):
+def test_under_no_load_do_moves_cost_more_than_was_lost(
+    situation: Make, load: str
+) -> None:
+    """Twenty minutes under a load of other programs that changes sides."""
+    loss, chance = LossSuffered(), random.Random(1)
+    placement = {"a": "left", "b": "left"}
+    suffered, spent, side = 0.0, 0.0, "left"
+    for now in range(0, 1200, 5):
         if load == "periodic":
             side = ("left", "right")[now // 40 % 2]
         elif load == "adversarial":  # always where more components are
@@ -53,20 +54,19 @@ def test_no_load_makes_a_component_go_to_and_fro(situation: Make, load: str) -> 
             side = max(("left", "right"), key=at.count)
         elif chance.random() < 0.2:
             side = chance.choice(("left", "right"))
-        if move_limits.is_backing_off(now):
-            continue
         seen = situation(dict(placement), background={side: 0.35})
-        found = decide(seen, move_limits.quarantined(now))
+        found = decide(seen, doubt=loss.doubt)
         if not found.acts or found.proposal is None:
-            move_limits.start_backoff(now)
+            loss.end(now)
             continue
-        move_limits.note(found.proposal.steps, now)
-        for step in found.proposal.steps:
-            moves += 1
-            assert now - left_at.get((step.component, step.target), -300) >= 300
-            left_at[step.component, step.source] = now
-            placement[step.component] = step.target
-    assert 1 <= moves <= 16
+        loss.judge(found.undone, now)
+        loss.note(found.gain, now, now)
+        suffered += 5 * found.gain
+        if loss.lost >= loss.doubt * found.cost:
+            spent += found.cost
+            loss.note_change(found.undone, found.gain, now)
+            placement |= {s.component: s.target for s in found.proposal.steps}
+    assert 0 < spent <= suffered
 
 
 def test_what_was_in_vain_is_thought_about_soon_when_things_have_changed() -> None:

@@ -101,7 +101,7 @@ def test_half_a_record_at_the_end_is_left_out_and_said(
     os.truncate(path, one + cut)
     with caplog.at_level(logging.WARNING):
         assert list(samples_of(path)) == [sample(0)]
-    assert "was not ended" in caplog.text
+    assert "was not closed" in caplog.text
 
 
 def test_a_full_disk_costs_records_and_not_the_robot(

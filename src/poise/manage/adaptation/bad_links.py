@@ -201,12 +201,10 @@ def with_bad_links(robot: Robot, bad: Sequence[LinkState]) -> Robot:
 
 
 def beyond_cuts(
-    quarantined: Mapping[str, AbstractSet[str]],
-    placement: Mapping[str, str],
-    bad: Sequence[LinkState],
+    placement: Mapping[str, str], bad: Sequence[LinkState]
 ) -> Mapping[str, AbstractSet[str]]:
     """Return where components may not go: state cannot cross a cut link, either."""
-    found = {name: {*computers} for name, computers in quarantined.items()}
+    found: dict[str, set[str]] = {}
     for state in bad:
         if state.cut:
             first, second = state.link.between

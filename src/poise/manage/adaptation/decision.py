@@ -35,7 +35,7 @@ from poise.manage.adaptation.replan import (
     propose,
     with_present_demands,
 )
-from poise.manage.adaptation.situation import Homes, Situation
+from poise.manage.adaptation.situation import Situation
 from poise.manage.agent_connections.statuses import components_of
 from poise.manage.migration.migration_report import TransitionStep
 from poise.manage.migration.transition_plan import missing_cpu
@@ -92,7 +92,6 @@ class Decision(Struct, frozen=True, kw_only=True):
 
 def decide(
     situation: Situation,
-    quarantined: Mapping[str, AbstractSet[str]] = {},
     horizon: float = HORIZON,
     doubt: float = 1.0,
 ) -> Decision:
@@ -100,8 +99,6 @@ def decide(
 
     Parameters
     ----------
-    quarantined
-        Component -> computers where it may not go.
     horizon
         For how long the present load is expected to last [s].
     doubt
@@ -110,9 +107,8 @@ def decide(
     gone = _gone(situation)
     situation = _with_urgency(situation.of_running_components())
     bad = bad_links(situation)
-    quarantined = beyond_cuts(quarantined, situation.placement, bad)
-    robot = _without_quarantined(
-        with_bad_links(situation.robot, bad), situation.placement, quarantined
+    robot = _without_homes_beyond(
+        beyond_cuts(situation.placement, bad), with_bad_links(situation.robot, bad)
     )
     robot_now = with_present_demands(robot, situation.demand_estimates)
     short = sum(shortages_of(situation).values())
@@ -228,13 +224,6 @@ def _why_not(
     return f"it stays as it is: {causes}{_change(free, gain, cost)}, not worth it"
 
 
-def _held(robot: Robot, homes: Homes) -> Robot:
-    """Return the robot with components held to their homes, where they have any."""
-    return robot.with_components(
-        lambda c: replace(c, only=homes[c.name]) if homes.get(c.name) else c
-    )
-
-
 def _room(situation: Situation) -> str:
     """Return what the components need and what there is for them, for people."""
     robot = with_present_demands(situation.robot_left(), situation.demand_estimates)
@@ -337,21 +326,12 @@ def cost_of(
     return sum(costs[step.component] for step in steps)
 
 
-def _without_quarantined(
-    robot: Robot,
-    placement: Mapping[str, str],
-    quarantined: Mapping[str, AbstractSet[str]],
-) -> Robot:
-    """Return the robot whose components may not go where they are quarantined from."""
-    if not quarantined:
+def _without_homes_beyond(cuts: Mapping[str, AbstractSet[str]], robot: Robot) -> Robot:
+    """Return the robot whose components stay on their side of cut links."""
+    if not cuts:
         return robot
     allowed = allowed_computers(robot)
-    homes = {
-        name: tuple(
-            computer
-            for computer in sorted(allowed[name])
-            if computer not in computers or computer == placement.get(name)
-        )
-        for name, computers in quarantined.items()
-    }
-    return _held(robot, homes)
+    homes = {name: tuple(sorted(allowed[name] - away)) for name, away in cuts.items()}
+    return robot.with_components(
+        lambda c: replace(c, only=homes[c.name]) if homes.get(c.name) else c
+    )
