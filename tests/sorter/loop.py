@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
+from collections import defaultdict, deque
 from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import Any
 
 from poise.model import load
-from poise.runtime.component.component import Component
 from poise.runtime.component.implementation import find
 from poise.runtime.component.ports import Published, timers_of
 from sorter.world.__main__ import World
@@ -20,14 +19,18 @@ LESSER = {"small_detector", "quick_inspector"}
 
 
 class Loop:
-    """The components of the robot file, wired as it says; messages take no time."""
+    """The components of the robot file, wired as it says; only detection takes time."""
 
     def __init__(
-        self, folder: Path, seed: int = 0, without: Collection[str] = LESSER
+        self,
+        folder: Path,
+        seed: int = 0,
+        without: Collection[str] = LESSER,
+        detection_takes: float = 0.0,
     ) -> None:
         robot = load(EXAMPLE / "robot.yaml")
         self.clock, self.world = VirtualClock(), World(folder, seed)
-        self.components: dict[str, Component] = {}
+        self.components: dict[str, Any] = {}
         self.done: list[bool] = []
         devices = {each.name: str(folder / each.path) for each in robot.devices}
         for each in robot.components():
@@ -38,6 +41,10 @@ class Loop:
                 ).component
         inner = [each for one in robot.architectures for each in one.connectors]
         self._wire([*robot.connectors, *inner])
+        self._takes = detection_takes
+        self._detected: deque[tuple[float, Any]] = deque()
+        if "detector" in self.components:
+            self.components["detector"].detections = Published(self._detect)
         self._timers = [
             (timer.period, getattr(component, timer.name))
             for component in self.components.values()
@@ -65,6 +72,15 @@ class Loop:
 
             setattr(self.components[one], port, Published(publish))
 
+    def _detect(self, message: object) -> None:
+        """Let the tracker have what is detected so long later."""
+        self._detected.append((self.clock.now() + self._takes, message))
+        self._deliver()
+
+    def _deliver(self) -> None:
+        while self._detected and self._detected[0][0] <= self.clock.now():
+            self.components["tracker"].detections(self._detected.popleft()[1])
+
     def run(self, seconds: float) -> dict[str, Any]:
         """Run until the task is done, or this time has passed; say how it went."""
         steps = 0
@@ -72,6 +88,7 @@ class Loop:
             self.world.step(self.clock.now())
             self.clock.sleep(STEP)
             steps += 1
+            self._deliver()
             for period, timer in self._timers:
                 if steps % round(period / STEP) == 0:
                     timer()

@@ -24,6 +24,14 @@ def test_sorts_by_colour_and_scratch_and_hits_nobody(
     assert 14 < result["seconds"] < 25
 
 
+def test_a_hand_that_is_moved_by_old_pictures_misses(tmp_path: Path) -> None:
+    loop = Loop(tmp_path, detection_takes=0.35)
+    result = loop.run(19.0)
+    loop.close()
+    assert result["grips_held"] < 0.7
+    assert not result["functions"]["tracking"]
+
+
 def test_without_a_guard_the_arm_stands_still(tmp_path: Path) -> None:
     loop = Loop(tmp_path, without=LESSER | {"safety_monitor"})
     result = loop.run(8.0)

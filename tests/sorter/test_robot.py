@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import product
 from pathlib import Path
 
 import pytest
@@ -44,6 +45,22 @@ def test_each_function_at_home_overloads_a_computer() -> None:
         for component in each.components
     )
     assert at_home > 1.2 * USABLE["vision"]
+
+
+def test_several_placements_keep_the_limits_of_cpu() -> None:
+    """The free components may be anywhere: 3^5 placements; README counts them."""
+    at = {each.name: each.computer for each in ROBOT.devices}
+    pinned = {
+        each.name: at[each.devices[0]] for each in ROBOT.components() if each.devices
+    }
+    free = sorted(NEEDS.keys() - pinned.keys() - LESSER)
+    kept = 0
+    for where in product(USABLE, repeat=len(free)):
+        used = dict.fromkeys(USABLE, 0.0)
+        for name, computer in (*pinned.items(), *zip(free, where, strict=True)):
+            used[computer] += NEEDS[name]
+        kept += all(used[name] <= USABLE[name] for name in USABLE)
+    assert (len(free), kept) == (5, 24)
 
 
 @pytest.mark.slow

@@ -13,7 +13,7 @@ from sorter import arm_model, cell
 STEP = 0.02
 """[s]"""
 
-SPEED, SWING, TURN = 0.2, 0.04, 9.0
+SPEED, SWING, TURN = 0.2, 0.06, 4.0
 """Of the belt: its mean speed [m/s], how much it swings [m/s], and how long that takes
 [s]."""
 
@@ -23,7 +23,7 @@ GAP = (0.42, 0.5)
 SCRATCHED = 0.25
 """The share of objects with a scratch."""
 
-GRASP = 0.025
+GRASP = 0.018
 """[m] A hand that closes this near an object takes it."""
 
 IN_BIN = 0.1
