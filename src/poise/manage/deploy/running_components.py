@@ -152,10 +152,10 @@ class RunningComponents(DesiredState):
         does.
         """
         wanted = tuple(wanted)
-        look = trouble or self._raise_on_trouble
+        check = trouble or self._raise_on_trouble
 
         def is_reached() -> bool:
-            look()
+            check()
             self.raise_on_unreached(wanted)
             self._raise_on_refusal(wanted)
             return not self.missing(wanted)

@@ -133,7 +133,7 @@ def _at_work(
 
     What works stays where it is, if it still may. What is lacking may be at work on a
     computer that is out of reach: it counts as there, if it is allowed there, so that
-    it is not started twice. Else it goes where there is room. What only rests ends.
+    it is not started twice. Else it goes where there is room. What is only idle ends.
     """
     allowed, planned = allowed_computers(run.robot), run.placement()
     away = {c.name for c in run.robot.computers} - run.claimed

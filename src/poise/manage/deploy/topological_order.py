@@ -1,4 +1,4 @@
-"""In which order components come to rest. Pure."""
+"""In which order components become quiescent. Pure."""
 
 from __future__ import annotations
 

@@ -162,7 +162,7 @@ class Suspensions:
 
     def due(self, now: float) -> list[Architecture]:
         """Return what may be started again, the highest priority first."""
-        self._forgive_mended(now)
+        self._release_mended(now)
         return [a for a in self._suspended() if self._is_due(a.name, now)]
 
     def pop_news(self) -> bool:
@@ -188,7 +188,7 @@ class Suspensions:
         is_over = now >= self._stays.get(name, (now, 0.0))[0]
         return is_over and name not in self._crashed
 
-    def _forgive_mended(self, now: float) -> None:
+    def _release_mended(self, now: float) -> None:
         """Look, now and then, whether the code of what crashed is another."""
         if now < self._look_at_code:
             return

@@ -179,7 +179,7 @@ def likely_next(
     ahead: Iterable[tuple[TaskRecord, Attempt, float]],
     plans: PlanOverTime,
     running: Mapping[str, str],
-    resting: Mapping[str, str],
+    idle: Mapping[str, str],
 ) -> list[LikelyAction]:
     """Return what may be needed next and does not run, the most probable first."""
     actions = []
@@ -188,7 +188,7 @@ def likely_next(
             record.name, (attempt.name,), attempt.action.functions
         )
         missing = {
-            n: resting.get(n, at) for n, at in placement.items() if n not in running
+            n: idle.get(n, at) for n, at in placement.items() if n not in running
         }
         if missing:
             actions.append(
@@ -274,14 +274,14 @@ class Admission:
         left_out: AbstractSet[str],
         planned: dict[str, str],
     ) -> Room:
-        """Return where the functions of some tasks go, when all others rest."""
+        """Return where the functions of some tasks go, when all others are idle."""
         functions = self._tasks.functions_of(going) | self._serving.fixed()
         functions -= left_out
         runs = situation.robot.components_for(functions)
         placement = {n: at for n, at in situation.placement.items() if n in runs}
-        rest = self._run.prepared
+        idle = self._run.prepared
         hint = {
-            n: rest[n].computer if n in rest else at
+            n: idle[n].computer if n in idle else at
             for n, at in planned.items()
             if n in runs
         }

@@ -34,7 +34,7 @@ _SAYINGS = {
     "failed": "is given up",
     "cancelled": "is cancelled",
 }
-_AT_REST = {*OVER, "paused"}
+_HALTED = {*OVER, "paused"}
 MOST_OVER = 20
 """So many tasks that are over are remembered."""
 
@@ -104,7 +104,7 @@ class Tasks:
         """Pause a task until it is resumed; UsageError when it does not run."""
         record = self.find(name)
         if record.state != "paused":
-            self._rest(record, now)
+            self._stop_clocks(record, now)
             self._enter(record, "paused", now, "it was asked")
 
     def resume(self, name: str, now: float) -> None:
@@ -117,7 +117,7 @@ class Tasks:
     def cancel(self, name: str, now: float) -> None:
         """End a task; UsageError when it does not run."""
         record = self.find(name)
-        self._rest(record, now)
+        self._stop_clocks(record, now)
         self._enter(record, "cancelled", now, "it was asked")
 
     def find(self, name: str) -> TaskRecord:
@@ -131,7 +131,7 @@ class Tasks:
         raise UsageError(f"task '{name}' does not run; `poise task start {name}`")
 
     def tries(self, record: TaskRecord) -> tuple[Attempt, ...]:
-        """Return the actions of a task that are its turn now."""
+        """Return the actions of a task that are due now."""
         return self._steps[record.name].tries(record.progress)
 
     def going(self) -> list[TaskRecord]:
@@ -149,7 +149,7 @@ class Tasks:
             mine = [(record, attempt) for attempt in self.tries(record)]
             why = self._blocked.get(record.name, "") or self._clash(granted, mine)
             if why:
-                self._rest(record, now)
+                self._stop_clocks(record, now)
                 self._enter(record, "waiting", now, why)
             else:
                 self._enter(record, "going", now, "")
@@ -258,7 +258,7 @@ class Tasks:
 
         Of the same priority, what is at work keeps what it has.
         """
-        records = [r for r in self.records if r.state not in _AT_REST]
+        records = [r for r in self.records if r.state not in _HALTED]
         if len(records) > 1:  # whether one is at work takes a walk through its steps
             records.sort(key=lambda r: (-r.priority, not self._is_at_work(r), r.order))
         return records
@@ -289,7 +289,7 @@ class Tasks:
                 return f"task {who} uses the {clash.kind} '{clash.name}'"
         return ""
 
-    def _rest(self, record: TaskRecord, now: float) -> None:
+    def _stop_clocks(self, record: TaskRecord, now: float) -> None:
         """Stop the clocks of a task's actions: their functions do not work for it."""
         for attempt in self.tries(record):
             attempt.progress.spent = self.worked(attempt, now)
@@ -350,7 +350,7 @@ class Tasks:
 
 
 class ActionReport(Struct, frozen=True, kw_only=True):
-    """An action whose turn it is."""
+    """An action that is due."""
 
     name: str
     functions: tuple[str, ...]  # what it uses
@@ -368,7 +368,7 @@ class TaskReport(Struct, frozen=True, kw_only=True):
     why: str  # what it waits for, or why it ended so; else empty
     began: float  # when it was started, and when its state began [s since 1970]
     since: float  # when it was started, and when its state began [s since 1970]
-    actions: tuple[ActionReport, ...] = ()  # those whose turn it is
+    actions: tuple[ActionReport, ...] = ()  # those that are due
     next: tuple[str, ...] = ()  # the names of those that may come then
 
 

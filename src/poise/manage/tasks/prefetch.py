@@ -57,8 +57,8 @@ def choose(
     in_use = _exclusive_devices(robot, running, components)
     placement: dict[str, str] = {}
     why_not: dict[tuple[str, str], str] = {}
-    rest = [_resting(n, computer) for n, computer in held.items()]
-    for action in [*sorted(likely, key=lambda action: -action.probability), *rest]:
+    idle = [_idle(n, computer) for n, computer in held.items()]
+    for action in [*sorted(likely, key=lambda action: -action.probability), *idle]:
         wanted = {
             name: computer
             for name, computer in action.placement.items()
@@ -78,7 +78,7 @@ def choose(
     return PrefetchPlan(placement=placement, why_not=why_not)
 
 
-def _resting(component: str, computer: str) -> LikelyAction:
+def _idle(component: str, computer: str) -> LikelyAction:
     return LikelyAction(
         task="", action=component, placement={component: computer}, probability=0.0
     )
@@ -252,7 +252,7 @@ class Prefetcher:
     def _make_idle(
         self, likely: Iterable[LikelyAction], drops: Collection[str]
     ) -> list[str]:
-        """Let what no action is likely to need rest; return what is not ready yet."""
+        """Leave idle what no action is likely to need; return what is not ready."""
         run, unready, ready = self._run, list[str](), list[Incarnation]()
         needed = {name for action in likely for name in action.placement}
         for name, incarnation in run.prepared.items():

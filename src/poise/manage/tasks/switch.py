@@ -3,8 +3,8 @@
 A prepared component is configured, inactive and joined to nothing. It keeps its state
 and uses memory, but no CPU; it becomes active within moments.
 
-One that rests costs memory, one that is started again costs CPU. It rests for as long
-as the share of its computer's memory that it holds adds up to what its start took, so
+An idle one costs memory, one that is started again costs CPU. It stays for as long as
+the share of its computer's memory that it holds adds up to what its start took, so
 that both together cost at most twice what they would if the future were known.
 """
 
@@ -140,23 +140,23 @@ def _wait(
 
 
 SHORTEST, LONGEST = 10.0, 300.0
-"""It rests for so long at least, and at most [s]."""
+"""An idle component stays for so long at least, and at most [s]."""
 _START = 0.3
 """A start takes so long where it was not measured [s]."""
 
 
 class IdleComponents:
-    """The components that rest after their actions, and since when."""
+    """The components that are idle after their actions, and since when."""
 
     def __init__(self, run: RunningComponents) -> None:
         self._run = run
         self._since: dict[str, float] = {}
 
     def drop_expired(self, kept: Collection[str]) -> None:
-        """End what has rested for too long."""
+        """End what has been idle for too long."""
         run, now = self._run, time.monotonic()
-        rests = {n for n, e in run.prepared.items() if not e.gently}
-        self._since = {n: self._since.get(n, now) for n in sorted(rests)}
+        idle = {n for n, e in run.prepared.items() if not e.gently}
+        self._since = {n: self._since.get(n, now) for n in sorted(idle)}
         for architecture in run.robot.architectures:
             names = [
                 c.name
@@ -174,14 +174,14 @@ class IdleComponents:
     def oldest_first(self, prepared: Iterable[str]) -> list[str]:
         """Return prepared components: those that only might be needed come first.
 
-        Those that are to rest from now on come last.
+        Those that become idle now come last.
         """
         run, now = self._run, time.monotonic()
         known = {name: self._since.get(name, 0.0) for name in run.prepared}
         return sorted(prepared, key=lambda name: known.get(name, now))
 
     def limit(self, architecture: Architecture) -> float:
-        """Return for how long an architecture rests at most [s]."""
+        """Return for how long an architecture is idle at most [s]."""
         if architecture.linger is not None:
             return architecture.linger
         run = self._run

@@ -47,10 +47,10 @@ _ROOM_AGAIN, _ROOM_AT_MOST = 2.0, 60.0
 """A task that waits for room is looked at again after this time [s], then after twice
 as long, up to this, until something changes."""
 _MOST_ROUNDS = 50
-"""So many times in one look something may end or begin at once."""
+"""So many times in one round something may end or begin at once."""
 
 DueAction = tuple[TaskRecord, Attempt]
-"""An action whose turn it is, and its task."""
+"""A task, and an action of it that is due."""
 
 
 class TaskManager:
@@ -98,18 +98,18 @@ class TaskManager:
     def likely_next(self) -> list[LikelyAction]:
         """Return what may be needed next and does not run, the most probable first."""
         run = self._run
-        rest = {
+        idle = {
             name: incarnation.computer for name, incarnation in run.prepared.items()
         }
         self._ahead = self.tasks.next_actions()
-        return likely_next(self._ahead, self._plans, run.placement(), rest)
+        return likely_next(self._ahead, self._plans, run.placement(), idle)
 
     def is_over(self) -> bool:
         """Return whether no task runs, waits or is paused any more."""
         return all(record.state in OVER for record in self.tasks.records)
 
     def advance(self, suspended: Iterable[str] = ()) -> None:
-        """Look at the tasks once: end, begin and rest what is due."""
+        """End and begin what is due, and leave idle what is not needed."""
         self._suspended = frozenset(suspended)
         self._process_reports()
         self.tasks.end_due(boot_time(), self._condition_holds)
@@ -161,10 +161,10 @@ class TaskManager:
         self._learn()
 
     def _reconcile(self) -> bool:
-        """Rest what no action needs, and begin what some do; whether all is anew."""
+        """Idle what no action needs, begin what some do; return whether all is anew."""
         wanted = self.tasks.functions_of(self.tasks.going())
         ends = [a for a in self._serving.moving() if a.function not in wanted]
-        new = [turn for turn in self._due_actions() if turn[1].progress.since is None]
+        new = [due for due in self._due_actions() if due[1].progress.since is None]
         if not ends and not new:
             return False
         room = Room()
@@ -196,7 +196,7 @@ class TaskManager:
             self._fail(new, begins, str(error))
             return True
         served = self._serving.functions() | self._suspended
-        began = [turn for turn in new if served.issuperset(turn[1].action.functions)]
+        began = [due for due in new if served.issuperset(due[1].action.functions)]
         for record, attempt in began:
             said = heard.get(str(attempt.action.ends), EndReport())
             attempt.progress.heard = said.epoch, said.count
@@ -244,18 +244,18 @@ class TaskManager:
     def _make_room(
         self, room: Room, begins: Mapping[str, str], stops: list[str]
     ) -> list[str]:
-        """Move what is in the way, and end what may not rest; return what may."""
+        """Move what is in the way, end what may not stay idle; return what may."""
         run = self._run
         if room.moves:
             report = transit(run, room.moves)
             if not report.committed:
                 raise RunError(report.reason)
         away = run.agents.out_of_reach()
-        rest = {n: e.computer for n, e in run.prepared.items() if n not in begins}
-        rest |= {n: run.placed[n].computer for n in stops if n not in begins}
-        works = {n: at for n, at in run.placement().items() if n not in rest}
-        order = self._idle.oldest_first(rest)
-        gone = beyond_memory(run.robot, {**works, **begins}, rest, order)
+        idle = {n: e.computer for n, e in run.prepared.items() if n not in begins}
+        idle |= {n: run.placed[n].computer for n in stops if n not in begins}
+        works = {n: at for n, at in run.placement().items() if n not in idle}
+        order = self._idle.oldest_first(idle)
+        gone = beyond_memory(run.robot, {**works, **begins}, idle, order)
         if gone:
             names = ", ".join(gone)
             run.journal.note(
@@ -359,9 +359,9 @@ class TaskManager:
             return 0
 
     def _kept(self) -> set[str]:
-        """Return what rests for a task that waits or is paused: it keeps its state."""
-        rests = (r for r in self.tasks.records if r.state in {"waiting", "paused"})
-        return self._run.robot.components_for(self.tasks.functions_of(rests))
+        """Return what keeps its state for a task that waits or is paused."""
+        halted = (r for r in self.tasks.records if r.state in {"waiting", "paused"})
+        return self._run.robot.components_for(self.tasks.functions_of(halted))
 
     def _note_switch(
         self, record: TaskRecord, attempt: Attempt, *, is_hit: bool
