@@ -116,15 +116,16 @@ def test_places_a_robot_that_is_nearly_full(method: str) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2])
-def test_search_places_a_fleet_with_pins_and_load(seed: int) -> None:
-    """A quarter is free, and one component in fifty is pinned."""
-    problem = random_robot(seed, 2000, 40, load=0.75, pinned=0.02)
+@pytest.mark.parametrize("pinned", [0.02, 0.1])
+def test_search_places_a_fleet_with_pins_and_load(pinned: float, seed: int) -> None:
+    """A quarter is free; pins once made F seven times what it is without them."""
+    problem = random_robot(seed, 2000, 40, load=0.75, pinned=pinned)
     greedy = plan.solve(problem, method="greedy").objective
     found = plan.solve(problem, method="search", steps=400_000, why=False)
     assert found.feasible
     assert greedy is not None
     assert found.objective is not None
-    assert found.objective.total < greedy.total / 2
+    assert found.objective.total < greedy.total / 3
 
 
 @pytest.mark.slow
