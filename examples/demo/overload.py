@@ -1,4 +1,4 @@
-"""Another program overloads a computer of a running robot.
+"""Other programs overload a computer of a running robot.
 
 It imports internal modules: it measures a running robot from outside.
 """
@@ -15,7 +15,7 @@ from examples.adapt.grid import shortest
 from examples.demo.waiting import LOOK_EVERY, WARM_UP, wait
 from poise.emulate.cpu_load import background_load
 from poise.manage.agent_connections.statuses import components_of
-from poise.model.robot import Robot
+from poise.model.robot import ComponentEntry, Robot
 from poise.session.callbacks import Check, Say
 from poise.session.placing.placement import place
 from poise.session.running_robots.running import Running
@@ -24,16 +24,17 @@ from poise.session.up import up
 _WATCH = 15.0
 """How long a robot is watched after something happened to it [s]."""
 _LOAD = 0.45
-"""What the other program takes [cores]."""
-_SEARCH = 0.012
-"""How long a planner searches [s of CPU]: with the load, two overload the computer."""
+"""What each of two other programs wants [cores]."""
+_SEARCH = 0.018
+"""How long a planner searches, ten times a second [s of CPU]. Two planners fit on a
+computer; beside two other programs, which get as much as they, both are late."""
 _TRIALS, _TRIAL_SIZE = 20, 110
 _SETTLES = 2.0
 """The moves of one transition are made within this time [s]."""
 
 
 class OverloadScene(Struct, frozen=True, kw_only=True):
-    """Another program takes CPU on the computer where all components run.
+    """Other programs take CPU on the computer where all components run.
 
     Parameters
     ----------
@@ -82,16 +83,17 @@ def map_size() -> int:
 
 def _with_size(robot: Robot, size: int) -> Robot:
     """Return the robot with planners whose maps are `size` cells wide."""
-    architectures = [
-        replace(
-            architecture,
-            components=tuple(
-                replace(c, parameters={"size": size}) if "size" in c.parameters else c
-                for c in architecture.components
-            ),
-        )
-        for architecture in robot.architectures
-    ]
+
+    def sized(component: ComponentEntry) -> ComponentEntry:
+        if "size" not in component.parameters:
+            return component
+        demand = {**component.demand, "cpu": 10 * _SEARCH}
+        return replace(component, parameters={"size": size}, demand=demand)
+
+    architectures = (
+        replace(each, components=tuple(map(sized, each.components)))
+        for each in robot.architectures
+    )
     return replace(robot, architectures=tuple(architectures))
 
 
@@ -105,8 +107,9 @@ def _under_load(
         wait(WARM_UP, check)
         count = Deadlines(running)
         loaded = next(iter(placed.where.values()))
-        say(f"another program takes {_LOAD:g} cores on '{loaded}'")
-        program = running.emulated[loaded].popen(background_load(_LOAD))
+        say(f"two other programs want {_LOAD:g} cores each on '{loaded}'")
+        computer = running.emulated[loaded]
+        programs = [computer.popen(background_load(_LOAD)) for _ in range(2)]
         began = time.monotonic()
         met_again, places = 0.0, running.status().placement
         moves: list[float] = []
@@ -117,7 +120,8 @@ def _under_load(
             where = running.status().placement
             moves += [now for name, at in where.items() if places[name] != at]
             places = where
-        program.kill()
+        for program in programs:
+            program.kill()
     say(f"{count.missed} of {count.released} deadlines missed under the load")
     settled = max([met_again, *(at + _SETTLES for at in moves[:1])])
     return count.share(), met_again, sum(at > settled for at in moves)

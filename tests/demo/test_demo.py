@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -16,11 +17,12 @@ from poise.session.run_report import RunReport
 from poise.wire.records.status_records import Summary, TimerStatus
 from tests.waiting import LONG
 
+CLONE = Path(__file__).parents[2]
 SHORT = """
 from poise.cli.main import main
 from examples.demo import drives
 
-drives.DRIVE, drives.MOVE_AT, drives.CALLS = 3.0, 0.5, 0.5
+drives.DRIVE, drives.MOVE_AT, drives.CALLS, drives.MEASURED = 3.0, 0.5, 0.5, 4.0
 main()
 """
 
@@ -33,6 +35,7 @@ def demo(folder: Path) -> subprocess.CompletedProcess[str]:
         timeout=LONG,
         check=False,
         cwd=folder,
+        env={**os.environ, "PYTHONPATH": str(CLONE)},
     )
 
 

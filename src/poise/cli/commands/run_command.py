@@ -260,7 +260,7 @@ def demo_command(
     the main computer that can run there, then where Poise puts them. Takes about a
     minute, and draws both drives in poise-demo.svg.
 
-    With --scene, a small robot adapts by itself: another program overloads one of its
+    With --scene, a small robot adapts by itself: other programs overload one of its
     computers, a computer loses power or is cut off, one link of three is cut, an agent
     is stopped, or the manager is killed amid a move; or three tasks share functions,
     and one pauses another.
