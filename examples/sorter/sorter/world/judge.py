@@ -7,7 +7,7 @@ from typing import Any
 from sorter import cell
 from sorter.world.scene import Scene
 
-SORTED, HELD, RIGHT, SHOWN = 0.5, 0.7, 0.8, 0.8
+SORTED, HELD, RIGHT, SHOWN = 0.5, 0.6, 0.8, 0.8
 """Shares, at least: of all objects that end in the right bin; of grips that hold
 something; of objects in bins whose colour, or whose scratch, was seen rightly; of the
 time in which the screen shows what was there less than a second before."""
