@@ -180,6 +180,12 @@ def test_accepts_what_fits(check: Check) -> None:
     assert check(more, "- {between: [navigator.poses, localiser.poses]}") == []
 
 
+def test_accepts_a_subscription_that_gets_generated_messages(check: Check) -> None:
+    workload = "\nworkload: {generate: {hinted.hints: {rate: 1 Hz}}}"
+    more = 'hinted: {implementation: "PACKAGE.nav:Hinted"}'
+    assert check(more, workload) == []
+
+
 @pytest.mark.parametrize("code", ["Tuned", "Converting"])
 def test_accepts_parameters_that_may_be_read(check: Check, code: str) -> None:
     """What converts all of its parameters may read any, so nothing is said of it."""

@@ -162,9 +162,9 @@ def _are_alternatives(robot: Robot, *connectors: Connector) -> bool:
 
 def check_unconnected(robot: Robot, ports: Ports) -> Iterator[Finding]:
     """Yield the required ports and subscriptions that no connector joins."""
-    joined = {
-        str(e) for _, _, connector in connectors(robot) for e in connector.between
-    }
+    joined = {str(end) for _, _, each in connectors(robot) for end in each.between}
+    if robot.workload is not None:  # these get messages while they are measured
+        joined |= {str(each.port) for each in robot.workload.generate}
     for path, _, component in components(robot):
         for port in ports.get(component.name, {}).values():
             end = str(ConnectorEnd(component.name, port.name))
