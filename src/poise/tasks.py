@@ -25,16 +25,10 @@ class Act(Behaviour):
     be started; `feedback_message` says why. A tree that turns to another branch
     meanwhile cancels the task. Every tick asks the robot's manager once.
 
-    Parameters
-    ----------
-    task
-        Its name in the robot file.
-    robot
-        The robot, or its name; None: the only one that runs on this computer.
-    priority
-        That of the task; None: as in the robot file.
-    name
-        What the leaf is called; empty: like the task.
+    `task`: its name in the robot file.
+    `robot`: the robot, or its name; None: the only one that runs on this computer.
+    `priority`: that of the task; None: as in the robot file.
+    `name`: what the leaf is called; empty: like the task.
     """
 
     def __init__(

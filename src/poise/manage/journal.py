@@ -72,19 +72,10 @@ class Journal:
     A thread of its own writes them. When they cannot be written, because the disk is
     full, say, `file.trouble` says so, and the last are kept in memory.
 
-    Parameters
-    ----------
-    path
-        The file; created when it does not exist. ``:memory:`` keeps it in memory.
-    show
-        Called with each entry, in order; must not block.
-
-    Attributes
-    ----------
-    file
-        None: it is only in memory.
-    forgotten
-        How many entries memory holds no more.
+    `path`: the file; created when it does not exist. ``:memory:`` keeps it in memory.
+    `show`: called with each entry, in order; must not block.
+    `file`: None: it is only in memory.
+    `forgotten`: how many entries memory holds no more.
     """
 
     def __init__(

@@ -72,10 +72,7 @@ class Up(Running):
     def wait(self, seconds: float | None = None) -> bool:
         """Wait up to `seconds` [s] until the robot is stopped; return whether it is.
 
-        Raises
-        ------
-        RunError
-            Something still runs, because its computer is out of reach.
+        Raises RunError: something still runs, because its computer is out of reach.
         """
         has_ended = self._ended.wait(seconds)
         if self._error is not None:

@@ -31,17 +31,9 @@ _LONGEST = 8.0
 class AimedFaults:
     """Breaks something when something else begins, in about half of all runs.
 
-    Parameters
-    ----------
-    end
-        All are over before this moment [s].
-    inject
-        Lets a fault begin now.
-
-    Attributes
-    ----------
-    faults
-        Those so far.
+    `end`: all are over before this moment [s].
+    `inject`: lets a fault begin now.
+    `faults`: those so far.
     """
 
     def __init__(

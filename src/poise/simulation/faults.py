@@ -83,10 +83,7 @@ def plan_faults(
 ) -> list[SimulatedFault]:
     """Return the faults of a run, all over before `end` [s].
 
-    Parameters
-    ----------
-    mean_pause
-        From one fault to the next [s].
+    `mean_pause`: from one fault to the next [s].
     """
     allowed = [kind for kind in kinds if choices.happens("faults", _ALLOWED)]
     allowed = allowed or [kinds[choices.among("faults", len(kinds))]]

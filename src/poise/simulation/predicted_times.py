@@ -40,14 +40,10 @@ _REFILLED_EVERY = 0.01
 class PlacedComponents:
     """The components of a placement, at work.
 
-    Parameters
-    ----------
-    placement
-        Component -> computer; of all that runs.
-    work
-        What the components do.
-    seed
-        How long handlers take is drawn, and when emulated computers get their shares.
+    `placement`: component -> computer; of all that runs.
+    `work`: what the components do.
+    `seed`: how long handlers take is drawn, and when emulated computers get their
+    shares.
     """
 
     def __init__(
@@ -234,12 +230,8 @@ def predict_times(
 ) -> PredictedTimes:
     """Return what is predicted of a placement.
 
-    Parameters
-    ----------
-    placement
-        Component -> computer, of all that runs.
-    work
-        What the components do.
+    `placement`: component -> computer, of all that runs.
+    `work`: what the components do.
     """
     models = [work.models[name] for name in placement if name in work.models]
     periods = [timer.timer.period for model in models for timer in model.timers]

@@ -82,23 +82,14 @@ _MOVE_EVERY = 0.005
 class RehearsalPlan(Struct, frozen=True, kw_only=True):
     """What is simulated, but for the seed.
 
-    Parameters
-    ----------
-    placement
-        Component -> computer, at first.
-    method
-        What decided that.
-    profile
-        Of the robot; None: nothing was measured.
-    faults
-        What breaks; `at` counts from the moment when the robot is up [s].
-    cores
-        Component -> what it takes in each second, again and again [cores of the
-        reference]; of the others the profile's mean counts.
-    adapts
-        Whether Poise changes the placement by itself.
-    seconds
-        How long it is to last [virtual s].
+    `placement`: component -> computer, at first.
+    `method`: what decided that.
+    `profile`: of the robot; None: nothing was measured.
+    `faults`: what breaks; `at` counts from the moment when the robot is up [s].
+    `cores`: component -> what it takes in each second, again and again [cores of the
+    reference]; of the others the profile's mean counts.
+    `adapts`: whether Poise changes the placement by itself.
+    `seconds`: how long it is to last [virtual s].
     """
 
     robot: Robot
@@ -143,10 +134,7 @@ class Rehearsal:
     def come_up(self) -> None:
         """Start the robot.
 
-        Raises
-        ------
-        RunError
-            It is not up within `UP_LIMIT`, or a defect of Poise ended it.
+        Raises RunError: it is not up within `UP_LIMIT`, or a defect of Poise ended it.
         """
         robot = self._robot
         with self._running():

@@ -19,17 +19,9 @@ Recorded = Mapping[str, Sequence[float]]
 class Shrunk:
     """The shortest run so far that shows a failure.
 
-    Parameters
-    ----------
-    first
-        The run that failed.
-
-    Attributes
-    ----------
-    outcome, scenario, recorded
-        That run; `simulate` repeats it with these.
-    runs
-        How many runs it took.
+    `first`: the run that failed.
+    `outcome`, `scenario`, `recorded`: that run; `simulate` repeats it with these.
+    `runs`: how many runs it took.
     """
 
     def __init__(self, scenario: Scenario, first: RunOutcome) -> None:

@@ -54,10 +54,7 @@ INVARIANTS: Mapping[str, str] = {
 class Violation(SimulationError):
     """An invariant does not hold.
 
-    Parameters
-    ----------
-    invariant
-        Its id.
+    `invariant`: its id.
     """
 
     def __init__(self, invariant: str, what: str) -> None:
@@ -86,20 +83,12 @@ _LINES = 400
 class Scenario(Struct, frozen=True, kw_only=True):
     """What is simulated, but for the seed.
 
-    Parameters
-    ----------
-    placement
-        Component -> computer, at first.
-    seconds
-        Of faults; to come up and to converge take their own time.
-    faults
-        What breaks; None: the seed decides.
-    kinds
-        What of it may break.
-    moves
-        Whether clients move components meanwhile.
-    converges
-        How long it may take after the last fault [s].
+    `placement`: component -> computer, at first.
+    `seconds`: of faults; to come up and to converge take their own time.
+    `faults`: what breaks; None: the seed decides.
+    `kinds`: what of it may break.
+    `moves`: whether clients move components meanwhile.
+    `converges`: how long it may take after the last fault [s].
     """
 
     robot: Robot
@@ -116,19 +105,13 @@ class Scenario(Struct, frozen=True, kw_only=True):
 class RunOutcome(Struct, frozen=True, kw_only=True):
     """What came of a run.
 
-    Parameters
-    ----------
-    failure, message
-        The id of the violated invariant, or the type of an error; and what it says.
-        Empty: all held.
-    virtual, took
-        Virtual and real time [s]; `took` is the CPU time of this process.
-    digest
-        Equal for equal runs.
-    choices
-        Stream -> all draws, for a replay.
-    trace
-        The last lines: who did what when.
+    `failure`, `message`: the id of the violated invariant, or the type of an error; and
+    what it says. Empty: all held.
+    `virtual`, `took`: virtual and real time [s]; `took` is the CPU time of this
+    process.
+    `digest`: equal for equal runs.
+    `choices`: stream -> all draws, for a replay.
+    `trace`: the last lines: who did what when.
     """
 
     seed: int

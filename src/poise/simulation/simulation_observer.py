@@ -31,10 +31,7 @@ _KINDS = {"seen", "decided", "done", "failed", "wrong", "right"}
 class SimulationObserver:
     """Looks at a robot from when it is up; moments count from then.
 
-    Attributes
-    ----------
-    events
-        What was injected and journalled.
+    `events`: what was injected and journalled.
     """
 
     def __init__(self, robot: SimulatedRobot) -> None:

@@ -50,16 +50,11 @@ _AS_OFTEN = 1.05
 class SimulatedWork(Struct, frozen=True, kw_only=True):
     """What all components of a robot do.
 
-    Parameters
-    ----------
-    models
-        Component -> what it does; the others do the default.
-    traffic
-        How large messages are, and what they cost.
-    agent
-        CPU of an agent [cores].
-    guesses
-        What was assumed, because neither profile nor robot file nor code says it.
+    `models`: component -> what it does; the others do the default.
+    `traffic`: how large messages are, and what they cost.
+    `agent`: CPU of an agent [cores].
+    `guesses`: what was assumed, because neither profile nor robot file nor code says
+    it.
     """
 
     models: Models = {}
@@ -75,13 +70,9 @@ def workload_of(
 ) -> SimulatedWork:
     """Return what the components of a robot do.
 
-    Parameters
-    ----------
-    profile
-        Its measurements; None: the robot file's demands and rates count.
-    cores
-        Component -> what it takes in each second, again and again [cores of the
-        reference]; of the others the mean counts.
+    `profile`: its measurements; None: the robot file's demands and rates count.
+    `cores`: component -> what it takes in each second, again and again [cores of the
+    reference]; of the others the mean counts.
     """
     profile = profile or Profile(
         robot=robot.name, poise="", computer="", speed=1.0, at="", seconds=0.0

@@ -230,10 +230,7 @@ class Datagrams(Protocol):
 class UdpDatagrams:
     """A UDP socket.
 
-    Parameters
-    ----------
-    listen
-        Where; None: anywhere.
+    `listen`: where; None: anywhere.
     """
 
     def __init__(

@@ -41,19 +41,13 @@ Schema = Mapping[str, Any]
 class Input(Struct, frozen=True, array_like=True):
     """A message that was published, or a call that came.
 
-    Parameters
-    ----------
-    source
-        ``component.port`` that published it, or that called.
-    at
-        When it came [s]: since 1970 in a file, since the first one once read.
-    body, buffers
-        It, or the arguments, encoded (`poise.wire.codec`); buffers end to end.
-    tag
-        Of a call: which method (`poise.runtime.connectors.interface`).
-    result
-        What a call returned, encoded without its arrays; empty: it failed, or nobody
-        waited for it.
+    `source`: ``component.port`` that published it, or that called.
+    `at`: when it came [s]: since 1970 in a file, since the first one once read.
+    `body`, `buffers`: it, or the arguments, encoded (`poise.wire.codec`); buffers end
+    to end.
+    `tag`: of a call: which method (`poise.runtime.connectors.interface`).
+    `result`: what a call returned, encoded without its arrays; empty: it failed, or
+    nobody waited for it.
     """
 
     source: str

@@ -66,20 +66,12 @@ _LEAST = 1e-6
 class Decision(Struct, frozen=True, kw_only=True):
     """What is best done about symptoms.
 
-    Parameters
-    ----------
-    acts
-        Whether something should change; when, is up to what has been lost so far.
-    why
-        A sentence for people.
-    proposal
-        Where the components should run; None: there is nothing better.
-    gain
-        Work that would be done more [cores]; that of higher priorities counts more.
-    cost
-        Work that is lost by the moves [core-seconds].
-    undone
-        Work that is not done as it is [cores].
+    `acts`: whether something should change; when, is up to what has been lost so far.
+    `why`: a sentence for people.
+    `proposal`: where the components should run; None: there is nothing better.
+    `gain`: work that would be done more [cores]; that of higher priorities counts more.
+    `cost`: work that is lost by the moves [core-seconds].
+    `undone`: work that is not done as it is [cores].
     """
 
     acts: bool
@@ -97,12 +89,8 @@ def decide(
 ) -> Decision:
     """Return whether to change the placement, and why.
 
-    Parameters
-    ----------
-    horizon
-        For how long the present load is expected to last [s].
-    doubt
-        How many times costs count, >= 1.
+    `horizon`: for how long the present load is expected to last [s].
+    `doubt`: how many times costs count, >= 1.
     """
     gone = _gone(situation)
     situation = _with_urgency(situation.of_running_components())
@@ -295,10 +283,7 @@ def _suffering(situation: Situation) -> set[str]:
 def move_costs(situation: Situation, robot: Robot) -> dict[str, float]:
     """Return what it costs to move each component [core-seconds].
 
-    Parameters
-    ----------
-    robot
-        With the present demands.
+    `robot`: with the present demands.
     """
     counts = importance(a.priority for a in robot.architectures)
     starts = {c.name: c.start for c in components_of(situation.statuses) if c.start}
@@ -317,10 +302,7 @@ def cost_of(
 ) -> float:
     """Return what steps cost [core-seconds].
 
-    Parameters
-    ----------
-    robot
-        With the present demands.
+    `robot`: with the present demands.
     """
     costs = move_costs(situation, robot)
     return sum(costs[step.component] for step in steps)

@@ -44,10 +44,7 @@ def with_time_limits(
     The components of a chain whose data is late compute in vain: F grows by as much as
     if their CPU were short.
 
-    Parameters
-    ----------
-    price
-        What F grows by for each core that is short, of the lowest priority.
+    `price`: what F grows by for each core that is short, of the lowest priority.
     """
     needs = {
         c.name: c.demand.get("cpu", 0.0)
@@ -74,10 +71,7 @@ def _measured(
 ) -> plan.TimeLimit | None:
     """Return a chain's limit as it is measured; None: it is late wherever it runs.
 
-    Parameters
-    ----------
-    needs
-        Component -> its CPU [cores].
+    `needs`: component -> its CPU [cores].
     """
     age, on_wires, hops = chain.ages[chain.last], 0.0, []
     price *= sum(needs[name] for name in chain.computers)
@@ -168,26 +162,15 @@ def propose(
 ) -> Proposal:
     """Return a better placement for a running robot, and the way to it.
 
-    Parameters
-    ----------
-    robot
-        With the demands it was placed by.
-    move
-        What F grows by for every component that moves, plus as much for each MB of
-        its state; >= 0.
-    costs
-        Component -> what F grows by when it moves, instead of `move`.
-    price
-        What F grows by for each core that is short, of the lowest priority.
-    fewer
-        Whether architectures are suspended by priority until no CPU is short.
-    is_quick
-        Whether the robot waits: then why nothing fits is not looked for.
-
-    Raises
-    ------
-    RobotError
-        The task fits nowhere with these demands, or there is no way to the placement.
+    `robot`: with the demands it was placed by.
+    `move`: what F grows by for every component that moves, plus as much for each MB of
+    its state; >= 0.
+    `costs`: component -> what F grows by when it moves, instead of `move`.
+    `price`: what F grows by for each core that is short, of the lowest priority.
+    `fewer`: whether architectures are suspended by priority until no CPU is short.
+    `is_quick`: whether the robot waits: then why nothing fits is not looked for.
+    Raises RobotError: the task fits nowhere with these demands, or there is no way to
+    the placement.
     """
     task, now = situation.task, situation.placement
     shifted = dict(_shifted(robot, situation.demand_estimates))
@@ -239,10 +222,7 @@ def share_what_is_left(
 ) -> plan.Problem:
     """Return the problem with the CPU that other programs leave, shared by priority.
 
-    Parameters
-    ----------
-    price
-        What F grows by for each core that is short, of the lowest priority.
+    `price`: what F grows by for each core that is short, of the lowest priority.
     """
     late = {timer.computer for timer in situation.misses if timer.late}
     rooms = {c.name: _room(c, situation.loads.get(c.name)) for c in problem.computers}

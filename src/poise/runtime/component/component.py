@@ -26,18 +26,12 @@ _LONGEST = 1e9
 class Context(Struct, frozen=True, kw_only=True):
     """What a container gives a component at birth.
 
-    Parameters
-    ----------
-    devices
-        The names of the devices it needs -> their paths.
-    measure
-        Takes a name and a value.
-    count_process
-        Lets a process's CPU time count as its own; 0: that of its thread again.
-    give_up
-        Ends the container, for this reason; the agent starts it again.
-    request
-        Takes what it wants done, and with which task.
+    `devices`: the names of the devices it needs -> their paths.
+    `measure`: takes a name and a value.
+    `count_process`: lets a process's CPU time count as its own; 0: that of its thread
+    again.
+    `give_up`: ends the container, for this reason; the agent starts it again.
+    `request`: takes what it wants done, and with which task.
     """
 
     name: str

@@ -214,11 +214,8 @@ def is_oneway(interface: type, method: str) -> bool:
 def ports_of(component: type) -> Mapping[str, Port]:
     """Return the ports of a component class by name.
 
-    Raises
-    ------
-    UsageError
-        When a subscribed method does not say its message's type, or a provided
-        interface has a method that the component lacks.
+    Raises UsageError: when a subscribed method does not say its message's type, or a
+    provided interface has a method that the component lacks.
     """
     ports = {}
     for name, hint in get_type_hints(component, include_extras=True).items():

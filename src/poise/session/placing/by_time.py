@@ -32,10 +32,7 @@ from poise.simulation.workload import SimulatedWork, workload_of
 def chain_limits(robot: Robot, work: SimulatedWork) -> Iterator[TimeLimit]:
     """Yield what the data of each chain passes from end to end.
 
-    Parameters
-    ----------
-    work
-        What the components do.
+    `work`: what the components do.
     """
     paths = _Paths(robot, work)
     for chain in robot.chains:
@@ -137,12 +134,8 @@ def decide_by_time(
 ) -> DecidedByTime:
     """Return the best placement found, with the age of data as predicted for it.
 
-    Parameters
-    ----------
-    robot
-        If its code was not read yet, another process imports it.
-    decide
-        Decides a problem.
+    `robot`: if its code was not read yet, another process imports it.
+    `decide`: decides a problem.
     """
     if not any(phase.problem.time_limits for phase in problem.phases):
         return DecidedByTime(decide(problem))

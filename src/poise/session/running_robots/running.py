@@ -58,10 +58,7 @@ class RunningTasks:
     def start(self, task: str, priority: int | None = None) -> TaskReport:
         """Start a task; it runs beside others, or waits for them.
 
-        Parameters
-        ----------
-        priority
-            None: that of the robot file.
+        `priority`: None: that of the robot file.
         """
         return self._do("start", task, priority)
 
@@ -93,10 +90,7 @@ class RunningTasks:
     def wait(self, task: str, seconds: float) -> TaskReport:
         """Wait until a task is over; return how it ended.
 
-        Raises
-        ------
-        Timeout
-            It was not within `seconds` [s].
+        Raises Timeout: it was not within `seconds` [s].
         """
         until = time.monotonic() + seconds
         while (report := self.show(task)).state not in OVER:

@@ -17,10 +17,7 @@ Goal = Literal["inactive", "ready", "active", "finalized"]
 class SimulatedComponent:
     """An incarnation in a container.
 
-    Attributes
-    ----------
-    executor
-        Runs its handlers: its mailbox, its timers, its calls.
+    `executor`: runs its handlers: its mailbox, its timers, its calls.
     """
 
     def __init__(self, container: SimulatedContainer, spec: ComponentSpec) -> None:

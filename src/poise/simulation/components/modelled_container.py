@@ -91,18 +91,11 @@ class World(Protocol):
 class SimulatedContainer:
     """A container of one computer.
 
-    Attributes
-    ----------
-    tell_agent
-        Sends its agent a record; None: it has no agent at the moment.
-    is_new
-        Whether it has had no component yet.
-    lease_end
-        The end of the lease that its page shows [s, CLOCK_BOOTTIME].
-    execution
-        What runs its components: one interpreter, so one core at most.
-    senders
-        The slots of its components, with their epochs -> their sending ends.
+    `tell_agent`: sends its agent a record; None: it has no agent at the moment.
+    `is_new`: whether it has had no component yet.
+    `lease_end`: the end of the lease that its page shows [s, CLOCK_BOOTTIME].
+    `execution`: what runs its components: one interpreter, so one core at most.
+    `senders`: the slots of its components, with their epochs -> their sending ends.
     """
 
     def __init__(self, world: World, process: Process, name: str) -> None:
@@ -172,10 +165,7 @@ class SimulatedContainer:
     def wait(self, holds: Callable[[], bool], deadline: float, what: str) -> None:
         """Let a task wait until something holds.
 
-        Raises
-        ------
-        RunError
-            It did not until `deadline` [s].
+        Raises RunError: it did not until `deadline` [s].
         """
         scheduler = self.world.scheduler
         while not holds():

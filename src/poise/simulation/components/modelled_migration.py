@@ -32,10 +32,7 @@ _LOOK_EVERY = 0.002
 class MigrationModel:
     """The steps of one container.
 
-    Attributes
-    ----------
-    states
-        Component and epoch -> what sources here have sent.
+    `states`: component and epoch -> what sources here have sent.
     """
 
     def __init__(self, container: SimulatedContainer) -> None:

@@ -17,17 +17,12 @@ from poise.wire.records.deployment_records import ConnectorSpec
 class HandlerModel(Struct, frozen=True, kw_only=True):
     """What one run of a handler costs and does.
 
-    Parameters
-    ----------
-    work
-        Mean [core-seconds of the reference].
-    spread
-        Standard deviation of its logarithm: it is drawn log-normally. 0: it is always
-        the same.
-    publishes
-        Slot of a connector -> messages for each run, on average; None: one over each.
-    calls
-        Slot of a connector -> calls in each run, on average.
+    `work`: mean [core-seconds of the reference].
+    `spread`: standard deviation of its logarithm: it is drawn log-normally. 0: it is
+    always the same.
+    `publishes`: slot of a connector -> messages for each run, on average; None: one
+    over each.
+    `calls`: slot of a connector -> calls in each run, on average.
     """
 
     work: float
@@ -59,26 +54,17 @@ _TAKE = HandlerModel(work=0.005, spread=0.5)
 class ComponentModel(Struct, frozen=True, kw_only=True):
     """A component, as far as placement, leases and moves are concerned.
 
-    Parameters
-    ----------
-    takes, serves
-        Slot of a connector -> what a message or a call that comes over it costs; the
-        others cost what `other` says.
-    factors
-        How much dearer handlers are in each second than on average, again and again;
-        empty: always the same.
-    keep
-        Slot -> how many messages wait at most, the oldest of them make room; the others
-        have room for `MOST_KEPT`.
-    start, start_later
-        Shortest and longest time until it is configured [s], in a container that is
-        started for it and in one that runs already.
-    activate
-        Longest time that `activate` or `deactivate` takes [s].
-    state_size
-        Of its snapshot [bytes].
-    memory
-        That it needs [bytes].
+    `takes`, `serves`: slot of a connector -> what a message or a call that comes over
+    it costs; the others cost what `other` says.
+    `factors`: how much dearer handlers are in each second than on average, again and
+    again; empty: always the same.
+    `keep`: slot -> how many messages wait at most, the oldest of them make room; the
+    others have room for `MOST_KEPT`.
+    `start`, `start_later`: shortest and longest time until it is configured [s], in a
+    container that is started for it and in one that runs already.
+    `activate`: longest time that `activate` or `deactivate` takes [s].
+    `state_size`: of its snapshot [bytes].
+    `memory`: that it needs [bytes].
     """
 
     timers: tuple[TimerModel, ...] = (_TICK,)
@@ -134,14 +120,9 @@ SIZE = 200.0
 class Traffic(Struct, frozen=True, kw_only=True):
     """What goes over the connectors of a robot.
 
-    Parameters
-    ----------
-    sizes
-        Connector -> size of a message, or of a call both ways [bytes].
-    calling
-        The connectors over which calls go.
-    costs
-        Kind of connector -> what it costs, as `poise calibrate` measures it.
+    `sizes`: connector -> size of a message, or of a call both ways [bytes].
+    `calling`: the connectors over which calls go.
+    `costs`: kind of connector -> what it costs, as `poise calibrate` measures it.
     """
 
     sizes: Mapping[str, float] = {}
@@ -151,12 +132,8 @@ class Traffic(Struct, frozen=True, kw_only=True):
     def cost(self, connector: str, kind: str, together: str, end: End) -> float:
         """Return the work of one message or call beyond what it costs together.
 
-        Parameters
-        ----------
-        kind
-            The connector's: ``direct``, ``local`` or ``remote``.
-        together
-            Its kind when both ends are on one computer: so it was profiled.
+        `kind`: the connector's: ``direct``, ``local`` or ``remote``.
+        `together`: its kind when both ends are on one computer: so it was profiled.
         """
         is_call = connector in self.calling
         one = ConnectorProfile(

@@ -16,12 +16,9 @@ _JITTER = 0.25
 class LinkModel(Struct, frozen=True, kw_only=True):
     """How a link behaves while nothing is wrong with it.
 
-    Parameters
-    ----------
-    latency, jitter
-        One way [s]; jitter is the mean of what comes on top, exponentially.
-    bandwidth
-        [bytes/s]
+    `latency`, `jitter`: one way [s]; jitter is the mean of what comes on top,
+    exponentially.
+    `bandwidth`: [bytes/s]
     """
 
     latency: float = 200e-6

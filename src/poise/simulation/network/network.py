@@ -18,17 +18,9 @@ class Network:
 
     The engine has them, for most that goes over them is its own.
 
-    Parameters
-    ----------
-    links
-        Pairs of computers -> their links; the others have links like `model`.
-
-    Attributes
-    ----------
-    model
-        Of links that are not named.
-    loss
-        The share of datagrams that do not come: a fault.
+    `links`: pairs of computers -> their links; the others have links like `model`.
+    `model`: of links that are not named.
+    `loss`: the share of datagrams that do not come: a fault.
     """
 
     def __init__(

@@ -29,10 +29,7 @@ MOST_WAITING = 2000
 class SimulatedConnection:
     """Two sessions that hear each other.
 
-    Parameters
-    ----------
-    on_lost
-        Called when it has ended, for the one that connected.
+    `on_lost`: called when it has ended, for the one that connected.
     """
 
     def __init__(
@@ -66,10 +63,7 @@ class SimulatedConnection:
 class Side:
     """One side of a connection.
 
-    Attributes
-    ----------
-    known
-        The other side's tokens.
+    `known`: the other side's tokens.
     """
 
     other: Side

@@ -37,14 +37,9 @@ _NEWS = "news"
 class SimulatedAgent:
     """One start of an agent.
 
-    Parameters
-    ----------
-    process
-        Its process.
-    address
-        The IP address of its computer.
-    say
-        Takes what it says, for the trace.
+    `process`: its process.
+    `address`: the IP address of its computer.
+    `say`: takes what it says, for the trace.
     """
 
     def __init__(

@@ -23,14 +23,9 @@ Key = tuple[str, int]
 class SimulatedDisk:
     """The `AgentDisk` of a simulated computer; it outlives its agents.
 
-    Attributes
-    ----------
-    left
-        What an agent has kept, as far as it was written before it was killed.
-    is_full
-        Whether nothing can be written: a fault.
-    delay
-        How long each write takes [s]: a fault makes it long.
+    `left`: what an agent has kept, as far as it was written before it was killed.
+    `is_full`: whether nothing can be written: a fault.
+    `delay`: how long each write takes [s]: a fault makes it long.
     """
 
     def __init__(self, computer: SimulatedComputer) -> None:

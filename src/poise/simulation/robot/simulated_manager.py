@@ -34,16 +34,10 @@ _LEASE = 2.0
 class ManagedRobot(Struct, frozen=True, kw_only=True):
     """What all managers of a simulated robot are told.
 
-    Parameters
-    ----------
-    placement
-        Component -> computer, of what they start if nothing runs.
-    tasks
-        Names of tasks.
-    adapts
-        Whether they change the placement by themselves.
-    profile
-        What demands are compared with; None: with what was needed at first.
+    `placement`: component -> computer, of what they start if nothing runs.
+    `tasks`: names of tasks.
+    `adapts`: whether they change the placement by themselves.
+    `profile`: what demands are compared with; None: with what was needed at first.
     """
 
     robot: Robot
@@ -56,23 +50,12 @@ class ManagedRobot(Struct, frozen=True, kw_only=True):
 class SimulatedManager:
     """One start of a manager.
 
-    Parameters
-    ----------
-    endpoints
-        Computer -> zenoh endpoint of its agent.
-    datagrams
-        Carries its heartbeats.
-    note
-        Takes each entry of its journal.
-
-    Attributes
-    ----------
-    manager
-        None until the robot is up.
-    up_since
-        Since when it is [s of the simulation].
-    error
-        Why it could not come up, or ended; None: it has not.
+    `endpoints`: computer -> zenoh endpoint of its agent.
+    `datagrams`: carries its heartbeats.
+    `note`: takes each entry of its journal.
+    `manager`: None until the robot is up.
+    `up_since`: since when it is [s of the simulation].
+    `error`: why it could not come up, or ended; None: it has not.
     """
 
     def __init__(

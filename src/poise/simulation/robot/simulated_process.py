@@ -28,19 +28,10 @@ class TaskFailed(SimulationError):
 class SimulatedComputer:
     """A simulated computer: its clocks and its processes.
 
-    Parameters
-    ----------
-    boot
-        What its monotonic clock shows when the run begins [s].
-    drift
-        How much quicker its clocks run than virtual time [s/s].
-    cores, speed
-        Of its CPU.
-
-    Attributes
-    ----------
-    wall_ahead
-        How far its wall clock is ahead of true time; a fault steps it [s].
+    `boot`: what its monotonic clock shows when the run begins [s].
+    `drift`: how much quicker its clocks run than virtual time [s/s].
+    `cores`, `speed`: of its CPU.
+    `wall_ahead`: how far its wall clock is ahead of true time; a fault steps it [s].
     """
 
     EPOCH = 1_767_225_600.0
@@ -117,18 +108,11 @@ class SimulatedComputer:
 class Process:
     """A process on a simulated computer.
 
-    Attributes
-    ----------
-    random
-        What its code draws from.
-    on_end
-        Called when it has ended, in order.
-    awake_since
-        When it began, or its last pause ended [s].
-    died_at
-        When it was killed or ended; infinite while it lives [s].
-    on_pause
-        Called when it is paused, or goes on, with whether it is.
+    `random`: what its code draws from.
+    `on_end`: called when it has ended, in order.
+    `awake_since`: when it began, or its last pause ended [s].
+    `died_at`: when it was killed or ended; infinite while it lives [s].
+    `on_pause`: called when it is paused, or goes on, with whether it is.
     """
 
     def __init__(

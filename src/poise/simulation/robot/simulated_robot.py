@@ -37,26 +37,15 @@ OUTSIDE = "outside"
 class SimulatedRobot:
     """A robot in virtual time. Use it as a context manager's content: `library()`.
 
-    Parameters
-    ----------
-    managed
-        The robot, and what its managers are told.
-    workload
-        What its components do.
-    note
-        Called with each line of the trace: the moment [s], who, and what.
-
-    Attributes
-    ----------
-    agents, managers
-        Those that run, by computer; and all managers so far, the last one last.
-    components
-        All incarnations of components so far.
-    on_moment
-        Called with ``steps`` and a computer when a container gets steps of a migration,
-        and with ``up`` when a manager is up there.
-    on_entry
-        Called with each entry of a manager's journal.
+    `managed`: the robot, and what its managers are told.
+    `workload`: what its components do.
+    `note`: called with each line of the trace: the moment [s], who, and what.
+    `agents`, `managers`: those that run, by computer; and all managers so far, the last
+    one last.
+    `components`: all incarnations of components so far.
+    `on_moment`: called with ``steps`` and a computer when a container gets steps of a
+    migration, and with ``up`` when a manager is up there.
+    `on_entry`: called with each entry of a manager's journal.
     """
 
     def __init__(

@@ -21,12 +21,8 @@ from poise.wire.records.status_records import (
 class SimulatedSampler:
     """Samples the containers of an agent's computer for as long as that lives.
 
-    Attributes
-    ----------
-    usage
-        What each container uses [cores, bytes].
-    cpu
-        What the agent itself has used [core-seconds].
+    `usage`: what each container uses [cores, bytes].
+    `cpu`: what the agent itself has used [core-seconds].
     """
 
     def __init__(

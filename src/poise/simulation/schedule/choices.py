@@ -15,19 +15,11 @@ STREAMS: tuple[Stream, ...] = Stream.__args__  # type: ignore[attr-defined]
 class Choices:
     """Draws the choices of a run.
 
-    Parameters
-    ----------
-    seed
-        The same seed draws the same choices, on any machine.
-    recorded
-        Stream -> the first draws of an earlier run, each in [0, 1); when these are
-        used up, the seed draws.
-
-    Attributes
-    ----------
-    made
-        Stream -> all draws so far. What the code under test draws itself comes from
-        generators of its processes (`random`), and is not recorded.
+    `seed`: the same seed draws the same choices, on any machine.
+    `recorded`: stream -> the first draws of an earlier run, each in [0, 1); when these
+    are used up, the seed draws.
+    `made`: stream -> all draws so far. What the code under test draws itself comes from
+    generators of its processes (`random`), and is not recorded.
     """
 
     def __init__(

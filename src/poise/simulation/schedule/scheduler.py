@@ -62,10 +62,7 @@ class Host(Protocol):
 class SimulatedTask:
     """What runs like a thread.
 
-    Attributes
-    ----------
-    waits_for
-        What it waits for, in words; empty while it runs.
+    `waits_for`: what it waits for, in words; empty while it runs.
     """
 
     greenlet: greenlet
@@ -100,21 +97,13 @@ class SimulatedTimer(list[Any]):
 class Scheduler:
     """The virtual time of one run, and its tasks.
 
-    Attributes
-    ----------
-    engine
-        What happens often: it has its own events, and gets the time until the next one
-        here.
-    now
-        The present moment [s]; the run begins at 0.
-    current
-        The task that runs; None: the simulated world does.
-    steps
-        How often a task ran until it waited.
-    on_step
-        Called after each step.
-    locks_left
-        So many free locks are taken until the task that takes one gives way.
+    `engine`: what happens often: it has its own events, and gets the time until the
+    next one here.
+    `now`: the present moment [s]; the run begins at 0.
+    `current`: the task that runs; None: the simulated world does.
+    `steps`: how often a task ran until it waited.
+    `on_step`: called after each step.
+    `locks_left`: so many free locks are taken until the task that takes one gives way.
     """
 
     def __init__(self, choices: Choices) -> None:
@@ -162,10 +151,7 @@ class Scheduler:
     def wait(self, seconds: float = inf, why: str = "time") -> bool:
         """Let the current task wait; return whether it was woken within `seconds` [s].
 
-        Raises
-        ------
-        SimulationError
-            No task runs: the simulated world never waits.
+        Raises SimulationError: no task runs: the simulated world never waits.
         """
         task = self.current
         if task is None:
