@@ -96,3 +96,30 @@ def test_a_connector_is_fed_by_the_handler_whose_code_names_its_port(
         (timer,), (message,) = model.timers, model.takes.values()
         assert (out in (timer.handler.publishes or {})) == is_by_timer
         assert (out in (message.publishes or {})) != is_by_timer
+
+
+def test_what_comes_from_an_alternative_is_handled_as_what_comes_from_the_other(
+    robot: Robot,
+) -> None:
+    """The same work and the same messages on, though only one of them runs."""
+    see = robot.architecture("see")
+    (out,) = (c for c in robot.connectors if c.between[0].component == "filter")
+    end = structs.replace(out.between[0], component="small_filter")
+    small = structs.replace(robot.component("filter"), name="small_filter")
+    also = structs.replace(see, name="small", components=(small,), connectors=())
+    both = structs.replace(
+        robot,
+        architectures=(*robot.architectures, also),
+        connectors=(
+            *robot.connectors,
+            structs.replace(out, between=(end, out.between[1]), rate=10.0),
+        ),
+    )
+    profile = profile_of(robot, mind=0.3)
+    alone = workload_of(robot, profile).models["mind"]
+    (takes,) = alone.takes.values()
+    beside = workload_of(both, profile).models["mind"]
+    assert len(beside.takes) == 2
+    for model in beside.takes.values():
+        assert model.work == pytest.approx(takes.work)
+        assert model.publishes == takes.publishes

@@ -11,7 +11,8 @@ long they run, and what goes over each connector; not which handler sends what. 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from math import ceil, log, sqrt
 from statistics import NormalDist
 
@@ -45,6 +46,11 @@ _COUNTED = 0.3
 releases."""
 _AS_OFTEN = 1.05
 """A handler feeds a connector whose rate is up to this factor above its own."""
+
+
+Place = tuple[str, str, int]
+"""Where something comes in: the port, the function that it comes from, and a number;
+what comes from alternatives of that function comes to one place."""
 
 
 class SimulatedWork(Struct, frozen=True, kw_only=True):
@@ -169,10 +175,12 @@ class _ComponentWork:
         start = known.start if known else _USUAL_START
         timers = {timer.name: self._timer(timer) for timer in self._timers()}
         coming = list(self._coming())
-        taken = {s: self._run(port, t.messages) for s, port, t in coming if t.messages}
-        served = {s: self._run(port, t.calls) for s, port, t in coming if t.calls}
-        self._share_work(list(timers.values()), [*taken.values(), *served.values()])
-        self._feed([*timers.values(), *taken.values(), *served.values()])
+        taken = self._runs((s, at, t.messages) for s, at, t in coming if t.messages)
+        served = self._runs((s, at, t.calls) for s, at, t in coming if t.calls)
+        others = [*taken.values(), *served.values()]
+        unique = list({id(each): each for each in others}.values())
+        self._share_work(list(timers.values()), unique)
+        self._feed([*timers.values(), *unique])
         return ComponentModel(
             timers=tuple(
                 TimerModel(timer=timer, handler=timers[timer.name].handler())
@@ -207,8 +215,17 @@ class _ComponentWork:
         work = measured.median * self._speed if measured else 0.0
         return _Rated(timer.name, 1 / timer.period, work, spread, {}, {})
 
-    def _run(self, port: str, rate: float) -> _Rated:
-        return _Rated(port, rate, 0.0, self._spread(rate), {}, {})
+    def _runs(self, coming: Iterable[tuple[str, Place, float]]) -> dict[str, _Rated]:
+        """Return slot -> the runs for what comes over it: of alternatives the same."""
+        places, rates = {}, dict[Place, float]()
+        for slot, place, rate in coming:
+            places[slot] = place
+            rates[place] = max(rate, rates.get(place, 0.0))
+        runs = {
+            place: _Rated(place[0], rate, 0.0, self._spread(rate), {}, {})
+            for place, rate in rates.items()
+        }
+        return {slot: runs[place] for slot, place in places.items()}
 
     def _spread(self, rate: float) -> float:
         """Return how much runs differ, by how much windows with several of them do.
@@ -230,13 +247,18 @@ class _ComponentWork:
         by_tail = log(max(1.0, cpu.p99 / cpu.p95)) / (end - tail) * sqrt(max(1, count))
         return min(most, max(_LEAST_SPREAD, by_tail))
 
-    def _coming(self) -> Iterator[tuple[str, str, ConnectorProfile]]:
-        """Yield slot, port and traffic of each connector that ends here."""
+    def _coming(self) -> Iterator[tuple[str, Place, ConnectorProfile]]:
+        """Yield slot, place and traffic of each connector that ends here."""
+        owners = {c.name: a for a in self._robot.architectures for c in a.components}
+        counts = Counter[tuple[str, str]]()
         for connector in self._robot.all_connectors():
-            end = connector.between[1]
+            source, end = connector.between
             if end.component == self._entry.name:
-                over = self._over[str(connector)]
-                yield self._plan.slot_of(connector), end.port, over
+                owner = owners[source.component]
+                number = counts[end.port, owner.name]
+                counts[end.port, owner.name] += 1
+                place = end.port, owner.function, number
+                yield self._plan.slot_of(connector), place, self._over[str(connector)]
 
     def _keeps(self) -> dict[str, int]:
         """Return slot -> how many messages wait at most, where the class says so."""
