@@ -125,7 +125,7 @@ def test_a_bug_in_one_part_is_said_and_the_robot_goes_on(
     where, name = PARTS[part](buggy)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(where, name, break_down)
-        what = f"the manager cannot {part} (KeyError: 'odd'): a bug of Poise"
+        what = f"the manager cannot {part} (KeyError: 'odd'): a bug in Poise"
         wait_long(lambda: what in said(buggy.up))
         buggy.goes_on()
         status = buggy.up.status()

@@ -290,7 +290,7 @@ class Manager:
 
     def _refusal_of_bug(self, command: Command, error: Exception) -> Refusal:
         """Journal an error that nobody foresaw, and let what was placed go on."""
-        what = f"{command} ended by a bug of Poise: {type(error).__name__}: {error}"
+        what = f"{command} ended by a bug in Poise: {type(error).__name__}: {error}"
         self._run.journal.note("failed", what, traceback=traceback.format_exc())
         self._run.release(what)
         return Refusal(f"{what}. The robot keeps its placement", "RunError")

@@ -168,6 +168,7 @@ def _most(change: Terms) -> str:
         "balance": change.balance,
         "moving": change.move,
         "quality": change.quality,
+        "shortage": change.shortage,
         "time": change.time,
     }
     most = max(terms, key=lambda name: terms[name])

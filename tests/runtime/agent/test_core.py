@@ -382,7 +382,7 @@ def test_a_request_that_fails_is_answered_and_the_next_one_is_done(
     monkeypatch.setattr(world.disk, "keep_only", raising(ValueError("a bug")))
     refused = world.ask(Deployment(generation=5, containers=()))
     assert isinstance(refused, Refused)
-    assert "an error of Poise: ValueError('a bug')" in refused.reason
+    assert "a bug in Poise: ValueError('a bug')" in refused.reason
     world.core.tick()
     assert world.errors() == {"requests": 1}
     monkeypatch.undo()

@@ -111,8 +111,8 @@ def _wait(connection: socket.socket, path: Path, command: Command) -> None:
             raise _no_answer(path.stem, manager, waited)
         if waited >= ANSWER_LIMIT:
             raise Timeout(
-                f"it is busy since {ANSWER_LIMIT:g} s; what it has begun goes on, "
-                "and `poise status` shows the outcome"
+                f"the manager has been busy for {ANSWER_LIMIT:g} s; what it began "
+                "continues, and `poise status` shows the outcome"
             )
         patience = waited + STATUS_LIMIT
 

@@ -162,7 +162,7 @@ class RunningComponents(DesiredState):
 
         if not self.agents.wait_news(is_reached, limit):
             missing = "; ".join(self.missing(wanted))
-            raise RunError(f"not there within {limit:g} s: {missing}")
+            raise RunError(f"not ready within {limit:g} s: {missing}")
 
     def current(self) -> dict[str, AgentStatus]:
         """Return the statuses that speak of what the agents were told last."""

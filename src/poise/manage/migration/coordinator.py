@@ -127,7 +127,7 @@ class Migration:
         successor = self._run.agents.successor()
         if successor is not None:
             raise RunError(
-                f"{successor} has taken the robot over amid the {self._what}: "
+                f"{successor} took over the robot during the {self._what}: "
                 "`poise status` says where it runs now"
             )
 
@@ -209,7 +209,7 @@ class Migration:
             late = self._tell_all(late)
             time.sleep(LINGER)
         if late:
-            self._note_failure(f"{_names(late)} may still call where it was")
+            self._note_failure(f"{_names(late)} may still call its earlier place")
 
     def _take(
         self,
@@ -287,7 +287,9 @@ class Migration:
 
         if not run.agents.wait_news(have_ended, REMOVE_LIMIT):
             hanging = [e.component for e in gone if not run.has_ended(e)]
-            self._note_failure(f"'{', '.join(hanging)}' does not end")
+            self._note_failure(
+                f"'{', '.join(hanging)}' has not stopped within {REMOVE_LIMIT:g} s"
+            )
 
     def _with_losses(self, reason: str) -> str:
         """Return why it rolled back; a loss is known later than what it leads to."""

@@ -179,7 +179,9 @@ def _placed(run: RunningComponents, component: str) -> Incarnation:
         return run.placed[component]
     except KeyError:
         known = ", ".join(sorted(run.placed))
-        raise UsageError(f"no component '{component}' runs ({known} do)") from None
+        raise UsageError(
+            f"component '{component}' is not running (running: {known})"
+        ) from None
 
 
 def _check_target(
@@ -290,8 +292,8 @@ def _checked(
     commands = [c.name for c in (*old.components, *new.components) if c.command]
     if commands:
         raise UsageError(
-            f"'{', '.join(commands)}' are command lines, which take nothing over: stop "
-            "the robot, and start it with the other architecture"
+            f"'{', '.join(commands)}' are command lines, which take over no state: "
+            "stop the robot, and start it with the other architecture"
         )
     _check_callers(run, old, new)
     return old, new

@@ -186,7 +186,7 @@ class Planned:
         run.raise_on_broken(self._targets)
         self._missing = missing = run.missing(self._targets)
         if missing and time.monotonic() > self._began + PREPARE_LIMIT:
-            text = f"not there within {PREPARE_LIMIT:g} s: {'; '.join(missing)}"
+            text = f"not ready within {PREPARE_LIMIT:g} s: {'; '.join(missing)}"
             raise RunError(text)
         if missing and self._stall is not None:
             self._stall.check()

@@ -310,7 +310,7 @@ class SupervisedTick:
         pause = min(2 * before.pause, LONGEST_PAUSE) if before else FIRST_PAUSE
         is_bug = not isinstance(error, PoiseError)
         said = f"{type(error).__name__}: {error}" if is_bug else str(error)
-        why = "a bug of Poise, please report it" if is_bug else "it is tried again"
+        why = "a bug in Poise, please report it" if is_bug else "it is tried again"
         what = f"the manager cannot {part} ({said}): {why}; all else goes on"
         since = before.since if before else wall_time()
         again_at = self._clock.now() + pause

@@ -130,7 +130,7 @@ class AgentCore:
             self._attend(request, reply)
         except Exception as error:  # noqa: BLE001, it is logged and shown
             self.supervised.report("requests", error)
-            why = f"its agent failed at that, which is an error of Poise: {error!r}"
+            why = f"an internal error in its agent, a bug in Poise: {error!r}"
             if isinstance(request.request, ContainerRequest):
                 reply(StepsFailed(request.request.number, why))
             else:

@@ -251,7 +251,7 @@ class MigrationExecutor:
         try:
             return self._runners[step.component, step.epoch]
         except KeyError:
-            text = f"component '{step.component}' ({step.epoch}) is not here"
+            text = f"component '{step.component}' ({step.epoch}) does not run here"
             raise RunError(text) from None
 
     def _participant(self, runner: Runner, role: Role, migration: int) -> Participant:

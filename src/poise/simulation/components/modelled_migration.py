@@ -210,7 +210,7 @@ class MigrationModel:
         try:
             return self._container.components[step.component, step.epoch]
         except KeyError:
-            text = f"component '{step.component}' ({step.epoch}) is not here"
+            text = f"component '{step.component}' ({step.epoch}) does not run here"
             raise RunError(text) from None
 
     def _sender(self, name: str) -> Sender:
