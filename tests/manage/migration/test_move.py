@@ -879,7 +879,7 @@ def test_a_command_line_component_goes_on_when_it_cannot_start_elsewhere(
 
 def test_refuses_what_cannot_be_moved(world: MovingRobot) -> None:
     run = world.start("Counter")
-    with pytest.raises(UsageError, match="no component 'nobody' runs"):
+    with pytest.raises(UsageError, match="component 'nobody' is not running"):
         move(run, "nobody", "right")
     with pytest.raises(UsageError, match="no computer 'nowhere'"):
         move(run, "counter", "nowhere")
