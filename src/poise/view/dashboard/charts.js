@@ -3,6 +3,8 @@
 const SPAN = 600; // [s]
 const [WIDTH, HEIGHT, TOP] = [1000, 100, 6];
 const GAP = 3; // a line goes on over so many seconds without a figure
+const APART = 12; // [s] between two marks of a row
+const ROWS = 6; // of marks; where more come together, the last ones are on top
 const MOST = 8; // lines of a chart; of more, those that were highest
 const MARKED = { decided: "◆", failed: "✗", wrong: "▲", right: "▽" };
 
@@ -13,8 +15,8 @@ export default {
 <section aria-labelledby="history" class="history" @mouseleave="at = null">
   <h2 id="history">The last ten minutes</h2>
   <p v-if="begin" class="dim">Known since {{ begin }}, when this dashboard began to look.</p>
-  <div class="marks" aria-hidden="true"><button v-for="e in marks" :key="e.number" type="button" tabindex="-1"
-    :class="['moment', e.kind]" :style="{left: e.x + '%'}" :title="e.title" @click="$emit('entry', e.number)">{{ e.glyph }}</button></div>
+  <div class="marks" aria-hidden="true" :style="{height: 1.2 * rows + 'rem'}"><button v-for="e in marks" :key="e.number" type="button" tabindex="-1"
+    :class="['moment', e.kind]" :style="{left: e.x + '%', top: 1.2 * e.row + 'rem'}" :title="e.title" @click="$emit('entry', e.number)">{{ e.glyph }}</button></div>
   <figure v-for="chart in charts" :key="chart.title">
     <figcaption><b>{{ chart.title }}</b>
       <span v-for="line in chart.lines" class="key"><i :style="{background: line.colour}"></i>{{ line.name }}
@@ -42,11 +44,17 @@ export default {
       const first = this.seconds[0]?.[0];
       return first && this.now - first < SPAN - 5 ? new Date(1000 * first).toTimeString().slice(0, 8) : "";
     },
+    // What comes soon after something else is drawn below it, so that each can be clicked.
     marks() {
-      return this.entries.filter((e) => MARKED[e.kind] && e.at > this.now - SPAN).map((e) => ({
-        ...e, x: this.x(e.at), glyph: MARKED[e.kind], title: e.why ? `${e.what}\n${e.why}` : e.what,
-      }));
+      const ends = [];
+      return this.entries.filter((e) => MARKED[e.kind] && e.at > this.now - SPAN).reverse().map((e) => {
+        let row = ends.findIndex((end) => e.at > end + APART);
+        if (row < 0) row = ends.length < ROWS ? ends.length : ends.indexOf(Math.min(...ends));
+        ends[row] = e.at;
+        return { ...e, row, x: this.x(e.at), glyph: MARKED[e.kind], title: e.why ? `${e.what}\n${e.why}` : e.what };
+      });
     },
+    rows() { return 1 + Math.max(0, ...this.marks.map((e) => e.row)); },
     charts() {
       const several = [
         this.chart("CPU used, of what a computer has", "cpu", 1),
