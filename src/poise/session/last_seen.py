@@ -142,7 +142,7 @@ class LastSeen:
             now = list(same)
             _, last = self._ends.get(key, (place, now))
             if before.pid == container.pid and _count(last[0]) > _count(now[0]):
-                self._joined += last[:1]  # it is joined anew, and counts from 0
+                self._joined += last[:1]  # it was joined again, and counts from 0
             self._ends[key] = place, now
 
     def merged(self, statuses: Statuses) -> Statuses:

@@ -94,10 +94,10 @@ def agent_command(
             agent.run()  # with handlers of its own
         except PoiseError:
             raise
-        except Exception:
+        except Exception:  # a bug in Poise: its log is all that the user has
             log.exception(
-                "agent '%s' ends by an error of Poise; its containers go on for a "
-                "minute and wait for the next agent: start it again",
+                "agent '%s' ended because of a bug in Poise; its containers keep "
+                "running for a minute and wait for the next agent: start it again",
                 computer,
             )
             raise typer.Exit(BROKEN) from None

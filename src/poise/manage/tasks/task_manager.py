@@ -161,7 +161,7 @@ class TaskManager:
         self._learn()
 
     def _reconcile(self) -> bool:
-        """Idle what no action needs, begin what some do; return whether all is anew."""
+        """Idle what no action needs, begin what is due; return whether one ended."""
         wanted = self.tasks.functions_of(self.tasks.going())
         ends = [a for a in self._serving.moving() if a.function not in wanted]
         new = [due for due in self._due_actions() if due[1].progress.since is None]

@@ -179,7 +179,7 @@ class ProcessHost:
                 nice=self._weights.nice_of(spec),
             )
             connection = zygote.ask(self._zygote, wanted, memory)
-        except BaseException:
+        except BaseException:  # nobody else has the descriptor yet
             os.close(memory)
             raise
         return self.link(spec.name, connection, memory)

@@ -321,7 +321,7 @@ def _running(
         run.check = check
         begin(run)
         yield
-    except BaseException:
+    except BaseException:  # Ctrl-C, too, must leave nothing running
         if run.has_taken_over and not run.is_over.is_set():
             run.leave()  # a robot at work goes on, whatever becomes of this manager
         # the first error is the one to raise; what it leaves on real computers is said

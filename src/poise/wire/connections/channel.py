@@ -288,6 +288,6 @@ class Channel:
                 connection.follow(self._on_frame)
             if self._first:
                 connection.send(self._first(), deadline)
-        except BaseException:
+        except BaseException:  # nobody else knows the connection yet
             connection.close()
             raise
