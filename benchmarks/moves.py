@@ -92,7 +92,7 @@ def storm(
         here = run.placement()[component]
         if killing and len(reports) % killing == killing - 1:
             kill_soon(run, chance)
-        reports.append(move(run, component, "b" if here == "a" else "a"))
+        reports.append(move(run, component, "b" if here == "a" else "a").run())
         if sys.stderr.isatty():
             sys.stderr.write(f"\r{len(reports)} moves")
     return reports
@@ -159,7 +159,7 @@ def big_state(moves: int) -> dict[str, float]:
     with running("archive.yaml", {"archive": "a", "reader": "a"}) as (run, _):
         run.watch(1.0)
         targets = ["b", "a"] * moves
-        reports = [move(run, "archive", target) for target in targets[:moves]]
+        reports = [move(run, "archive", target).run() for target in targets[:moves]]
         run.watch(1.0)
         reader = totals(run, "reader")
     return {

@@ -184,7 +184,7 @@ def live(
         while True:
             component = chance.choice(COMPONENTS)
             here = run.placement()[component]
-            move(run, component, "b" if here == "a" else "a")
+            move(run, component, "b" if here == "a" else "a").run()
 
 
 def storm(

@@ -229,7 +229,7 @@ class _Mover:
         """Move when it is time; `now` is since the start of the drive [s]."""
         if self._report is None and now > MOVE_AT:
             self._counts.append(_deadlines(run))
-            self._report = move(run, _MOVED, self._target)
+            self._report = move(run, _MOVED, self._target).run()
             self._ended = now + self._report.prepared + self._report.downtime
         elif len(self._counts) == _COUNTS_BEFORE_END and now > self._ended + 1:
             self._counts.append(_deadlines(run))

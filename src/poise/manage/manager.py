@@ -41,12 +41,8 @@ from poise.manage.control_socket.read_commands import answer, status_of
 from poise.manage.deploy.deactivation import stop
 from poise.manage.deploy.lost_computers import LostComputers
 from poise.manage.deploy.running_components import RunningComponents
-from poise.manage.migration.move import (
-    plan_architecture_replacement,
-    plan_move,
-    plan_replacement,
-)
-from poise.manage.migration.planned import Planned
+from poise.manage.migration.move import move, replace, replace_architecture
+from poise.manage.migration.preparation import Preparation
 from poise.manage.observe.deviations import Deviation
 from poise.manage.observe.estimates import Estimates
 from poise.manage.observe.sample_recording import Recording, RecordingFile
@@ -92,7 +88,7 @@ class Manager:
         self._commands: queue.Queue[tuple[Command, Results]] = queue.Queue(
             MOST_COMMANDS
         )
-        self._planned: list[tuple[Command, Planned, Results]] = []
+        self._preparations: list[tuple[Command, Preparation, Results]] = []
         self._stops: list[Results] = []
         self._stopping = threading.Event()
         self._has_successor = False
@@ -149,7 +145,7 @@ class Manager:
         return structs.replace(
             known,
             deviations=(*known.deviations, *self._deviations()),
-            under_way=tuple(p.under_way() for _, p, _ in self._planned.copy()),
+            under_way=tuple(p.under_way() for _, p, _ in self._preparations.copy()),
             faults=self._watch.num_faults,
             prefetch=self._prefetch.report(),
         )
@@ -199,9 +195,9 @@ class Manager:
         for future in self._stops:
             refusal = Refusal(text, "RunError") if self._has_successor else None
             _answer(future, refusal or StopReport(remaining))
-        for _, _, future in self._planned:
+        for _, _, future in self._preparations:
             future.set_result(Refusal(text, "RunError"))
-        self._planned.clear()
+        self._preparations.clear()
         while not self._commands.empty():
             _answer(self._commands.get_nowait()[1], Refusal(text, "RunError"))
 
@@ -258,7 +254,7 @@ class Manager:
             self.is_stopping
             or not self._commands.empty()
             or self._has_news_of_tasks()
-            or any(planned.is_over() for _, planned, _ in self._planned)
+            or any(preparation.is_over() for _, preparation, _ in self._preparations)
         )
 
     def _begin(self, command: Command, future: Results) -> None:
@@ -267,18 +263,18 @@ class Manager:
         Meanwhile other commands are carried out, and the robot is looked after.
         """
         result = self._carry_out(command, partial(self._done, command))
-        if isinstance(result, Planned):
-            self._planned.append((command, result, future))
+        if isinstance(result, Preparation):
+            self._preparations.append((command, result, future))
         else:
             future.set_result(result)
 
     def _migrate(self) -> None:
         """Make the migrations whose targets are configured, or will not be."""
-        for waiting in list(self._planned):
-            command, planned, future = waiting
-            if not self.is_stopping and planned.is_over():
-                self._planned.remove(waiting)
-                future.set_result(self._carry_out(command, planned.run))
+        for waiting in list(self._preparations):
+            command, preparation, future = waiting
+            if not self.is_stopping and preparation.is_over():
+                self._preparations.remove(waiting)
+                future.set_result(self._carry_out(command, preparation.run))
 
     def _carry_out(self, command: Command, do: Callable[[], T]) -> T | Refusal:
         try:
@@ -295,7 +291,7 @@ class Manager:
         self._run.release(what)
         return Refusal(f"{what}. The robot keeps its placement", "RunError")
 
-    def _done(self, command: Command) -> Result | Planned:
+    def _done(self, command: Command) -> Result | Preparation:
         run = self._run
         self._lost.settle()
         match command:
@@ -303,16 +299,11 @@ class Manager:
                 return self._adaptation.what_if(component, computer)
             case MoveCommand(component, computer, force):
                 self._adaptation.check_asked(component, computer, force=force)
-                planned = plan_move(run, component, computer, force=force)
-                return planned.begin()
+                return move(run, component, computer, force=force).begin()
             case ReplaceCommand(component, by, adapt, fresh) if ":" in by:
-                planned = plan_replacement(run, component, by, adapt, fresh=fresh)
-                return planned.begin()
+                return replace(run, component, by, adapt, fresh=fresh).begin()
             case ReplaceCommand(what, by, adapt, fresh):
-                planned = plan_architecture_replacement(
-                    run, what, by, adapt, fresh=fresh
-                )
-                return planned.begin()
+                return replace_architecture(run, what, by, adapt, fresh=fresh).begin()
             case TaskCommand(verb, task, priority):
                 self.tasks.command(verb, task, priority)
                 return TaskDone(self.tasks.report(task))

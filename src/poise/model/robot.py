@@ -6,7 +6,7 @@ Names are unique within their kind; names of components are unique in the whole 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Container, Iterator, Mapping
+from collections.abc import Callable, Collection, Container, Iterable, Iterator, Mapping
 from typing import Annotated, Literal, Protocol, TypeVar
 
 from msgspec import Struct
@@ -290,6 +290,22 @@ class Robot(Struct, frozen=True, kw_only=True):
             if changed:
                 architectures.append(replace(architecture, components=changed))
         return replace(self, architectures=tuple(architectures))
+
+    def demands(self, resource: str) -> dict[str, float]:
+        """Return component -> its demand of a resource; 0 where it has none."""
+        return {c.name: c.demand.get(resource, 0.0) for c in self.components()}
+
+    def on(self, computers: Iterable[Computer]) -> Robot:
+        """Return the robot with other computers, and the links between them."""
+        computers = tuple(computers)
+        names = {computer.name for computer in computers}
+        links = tuple(link for link in self.links if names.issuperset(link.between))
+        return replace(self, computers=computers, links=links)
+
+    @property
+    def is_emulated(self) -> bool:
+        """Whether its computers have no addresses: one machine emulates them."""
+        return all(computer.address is None for computer in self.computers)
 
     def all_connectors(self) -> Iterator[Connector]:
         """Yield every connector, inside architectures first, then between them."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 from math import inf
 from typing import NamedTuple, TypedDict, cast
@@ -160,13 +160,14 @@ class Result:
         return self.snapshot.arrays.placement(self.placed) if self._complete else {}
 
     @cached_property
-    def _broken(self) -> list[str]:
+    def broken(self) -> Sequence[str]:
+        """The limits that a given placement breaks, for people."""
         return violations(self.snapshot.arrays, self.placed)
 
     @property
     def feasible(self) -> bool:
         """Whether it keeps every limit but soft ones."""
-        return self._complete and not (self._given and self._broken)
+        return self._complete and not (self._given and self.broken)
 
     @property
     def reason(self) -> str:
@@ -177,7 +178,7 @@ class Result:
         if self._conflict is not None:
             return _sentence(self._conflict)
         if self._complete and self._given:
-            return "; ".join(self._broken)
+            return "; ".join(self.broken)
         if self._complete:
             return self.choice.why
         if self.method == "greedy" and not self.proven:

@@ -80,7 +80,7 @@ def proposed(
     situation = Situation(
         robot=robot, task="work", placement=now, demand_estimates=tuple(needs)
     )
-    return propose(situation, robot, move)
+    return propose(situation, move)
 
 
 def test_what_is_best_stays(robot: Robot) -> None:

@@ -41,14 +41,14 @@ def commands(robot: Robot) -> Robot:
 def test_a_move_is_refused(layer: str) -> None:
     robbed = Robbed(robot_of_two(layer))
     with pytest.raises(UsageError, match=f"{layer} layer, which does not move"):
-        move(robbed.run, "low", "right")
+        move(robbed.run, "low", "right").run()
     assert robbed.run.placement() == BOTH
 
 
 def test_a_person_may_force_a_move_and_it_stays_there(layer: str) -> None:
     robbed = Robbed(commands(robot_of_two(layer)))
     robbed.agents._statuses |= type(robbed.agents)("right")._statuses
-    assert move(robbed.run, "low", "right", force=True).committed
+    assert move(robbed.run, "low", "right", force=True).run().committed
     now = robbed.run.placement()
     assert now == {"high": "left", "low": "right"}
     problem = plan.problem_of(robbed.run.robot, "work", present=now)
@@ -58,7 +58,7 @@ def test_a_person_may_force_a_move_and_it_stays_there(layer: str) -> None:
 def test_an_implementation_is_not_replaced(layer: str) -> None:
     robbed = Robbed(robot_of_two(layer))
     with pytest.raises(UsageError, match=f"{layer} layer, which stays as it is"):
-        replace_implementation(robbed.run, "low", "other:Class")
+        replace_implementation(robbed.run, "low", "other:Class").run()
 
 
 def test_an_architecture_is_not_replaced(layer: str) -> None:
@@ -69,7 +69,7 @@ def test_an_architecture_is_not_replaced(layer: str) -> None:
     )
     robbed = Robbed(replace(robot, architectures=(high, low, other)))
     with pytest.raises(UsageError, match=f"{layer} layer, which stays as it is"):
-        replace_architecture(robbed.run, "low-task", "spare")
+        replace_architecture(robbed.run, "low-task", "spare").run()
 
 
 def test_an_overload_moves_none(layer: str) -> None:

@@ -101,7 +101,7 @@ class Actions:
                 raise RunError(f"'{component}' left '{target}' only recently")
             check_move(situation, component, target)
         self._limits.note([TransitionStep(component, source, target)], now)
-        _raise_on_failure(move(run, component, target))
+        _raise_on_failure(move(run, component, target).run())
 
     def _replace(self, symptom: Symptom, _situation: Situation, _now: float) -> None:
         policy, run = symptom.policy, self._run
@@ -113,8 +113,8 @@ class Actions:
         ]
         if not (by := policy.by or next(iter(others), "")):
             raise UsageError(f"architecture '{old.name}' has no alternative")
-        report = replace_architecture(run, old.name, by, fresh=policy.force)
-        _raise_on_failure(report)
+        replacement = replace_architecture(run, old.name, by, fresh=policy.force)
+        _raise_on_failure(replacement.run())
 
     def _restart(self, symptom: Symptom, situation: Situation, _now: float) -> None:
         run = self._run

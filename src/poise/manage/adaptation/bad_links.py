@@ -109,10 +109,7 @@ def crossing(
 
 
 def wasted(
-    situation: Situation,
-    robot: Robot,
-    placement: Mapping[str, str],
-    bad: Sequence[LinkState],
+    situation: Situation, placement: Mapping[str, str], bad: Sequence[LinkState]
 ) -> float:
     """Return what components compute in vain because of bad links [cores]."""
     shares: dict[str, float] = {}
@@ -122,7 +119,7 @@ def wasted(
         for end in connector.between:
             before = shares.get(end.component, 0.0)
             shares[end.component] = max(before, state.in_vain(rate))
-    demands = {c.name: c.demand.get("cpu", 0.0) for c in robot.components()}
+    demands = situation.robot_now.demands("cpu")
     return sum(demands[name] * share for name, share in shares.items())
 
 

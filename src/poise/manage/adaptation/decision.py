@@ -29,12 +29,7 @@ from poise.manage.adaptation.bad_links import (
     with_bad_links,
 )
 from poise.manage.adaptation.proposals import Proposal
-from poise.manage.adaptation.replan import (
-    late,
-    nothing_helps,
-    propose,
-    with_present_demands,
-)
+from poise.manage.adaptation.replan import late, nothing_helps, propose
 from poise.manage.adaptation.situation import Situation
 from poise.manage.agent_connections.statuses import components_of
 from poise.manage.migration.migration_report import TransitionStep
@@ -98,18 +93,17 @@ def decide(
     robot = _without_homes_beyond(
         beyond_cuts(situation.placement, bad), with_bad_links(situation.robot, bad)
     )
-    robot_now = with_present_demands(robot, situation.demand_estimates)
+    situation = replace(situation, robot=robot)
     short = sum(shortages_of(situation).values())
     causes = reason(situation, bad)
-    in_vain = wasted(situation, robot_now, situation.placement, bad)
+    in_vain = wasted(situation, situation.placement, bad)
     is_old = any(chain.is_late for chain in situation.chains)
     if not short and not in_vain and not is_old:
         return Decision(acts=False, why=causes + nothing_helps(situation, gone))
-    costs = move_costs(situation, robot_now)
+    costs = move_costs(situation)
     try:
         proposal = propose(
             situation,
-            robot,
             costs={name: doubt * cost / WORTH for name, cost in costs.items()},
             price=horizon / WORTH,
             is_quick=True,
@@ -119,7 +113,7 @@ def decide(
         return Decision(acts=False, why=why)
     per_core = horizon / WORTH
     undone = (proposal.now.shortage + proposal.now.time) / per_core + in_vain
-    in_vain -= wasted(situation, robot_now, proposal.placement, bad)
+    in_vain -= wasted(situation, proposal.placement, bad)
     mended = (
         proposal.now.shortage
         + proposal.now.time
@@ -131,12 +125,12 @@ def decide(
     acts = bool(proposal.steps) and gain > _LEAST and gain * horizon > doubt * cost
     why = f"{causes}{_change(proposal, gain, cost)}"
     if not acts:
-        suspended = _with_fewer(robot, situation) if short else None
+        suspended = _with_fewer(situation) if short else None
         if suspended is not None:
             return suspended
         why = f"it stays as it is: {why}"
         if short:
-            why = _why_not(situation, robot, causes, costs)
+            why = _why_not(situation, causes, costs)
         elif is_old and not proposal.steps:
             why = causes + nothing_helps(situation, gone)
     return Decision(
@@ -161,8 +155,7 @@ def _with_urgency(situation: Situation) -> Situation:
     Utilisation below 1 is not schedulability: on a crowded computer a component whose
     runs take longer than its deadline needs its CPU by that factor sooner.
     """
-    robot = with_present_demands(situation.robot, situation.demand_estimates)
-    demands = {c.name: c.demand.get("cpu", 0.0) for c in robot.components()}
+    robot, demands = situation.robot_now, situation.robot_now.demands("cpu")
     used = dict.fromkeys((c.name for c in robot.computers), 0.0)
     for name, at in situation.placement.items():
         used[at] += demands[name]
@@ -200,11 +193,9 @@ def _change(proposal: Proposal, gain: float, cost: float) -> str:
     )
 
 
-def _why_not(
-    situation: Situation, robot: Robot, causes: str, costs: Mapping[str, float]
-) -> str:
+def _why_not(situation: Situation, causes: str, costs: Mapping[str, float]) -> str:
     """Return whether any placement would help if moves cost nothing, for people."""
-    free = propose(situation, robot, is_quick=True)
+    free = propose(situation, is_quick=True)
     gain = (free.now.shortage - free.then.shortage) / plan.PRICE
     if gain <= _LEAST:
         return f"no placement can help: {causes}{late(situation)}{_room(situation)}"
@@ -214,7 +205,7 @@ def _why_not(
 
 def _room(situation: Situation) -> str:
     """Return what the components need and what there is for them, for people."""
-    robot = with_present_demands(situation.robot_left(), situation.demand_estimates)
+    robot = situation.left().robot_now
     needed = sum(
         c.demand.get("cpu", 0.0)
         for c in robot.components()
@@ -235,16 +226,15 @@ def _room(situation: Situation) -> str:
     )
 
 
-def _with_fewer(robot: Robot, situation: Situation) -> Decision | None:
+def _with_fewer(situation: Situation) -> Decision | None:
     """Return what to suspend for the sake of architectures of higher priority.
 
     CPU is short wherever components run, so the work of the lowest priorities is given
     up; but only when higher ones suffer in spite of their CPU weights.
     """
-    suffers = _suffering(situation)
-    left = replace(robot, computers=situation.computers_left())
+    suffers, robot = _suffering(situation), situation.robot
     try:
-        proposal = propose(situation, left, fewer=True, is_quick=True)
+        proposal = propose(situation.left(), fewer=True, is_quick=True)
     except RobotError:
         return None
     suspended = {
@@ -266,8 +256,7 @@ def shortages_of(situation: Situation) -> dict[str, float]:
 
     That is beside what other programs may want, and the reserve.
     """
-    robot = with_present_demands(situation.robot_left(), situation.demand_estimates)
-    return missing_cpu(robot, situation.placement)
+    return missing_cpu(situation.left().robot_now, situation.placement)
 
 
 def _suffering(situation: Situation) -> set[str]:
@@ -280,11 +269,9 @@ def _suffering(situation: Situation) -> set[str]:
     return starved | {timer.component for timer in situation.misses if timer.late}
 
 
-def move_costs(situation: Situation, robot: Robot) -> dict[str, float]:
-    """Return what it costs to move each component [core-seconds].
-
-    `robot`: with the present demands.
-    """
+def move_costs(situation: Situation) -> dict[str, float]:
+    """Return what it costs to move each component [core-seconds]."""
+    robot = situation.robot_now
     counts = importance(a.priority for a in robot.architectures)
     starts = {c.name: c.start for c in components_of(situation.statuses) if c.start}
     return {
@@ -297,14 +284,9 @@ def move_costs(situation: Situation, robot: Robot) -> dict[str, float]:
     }
 
 
-def cost_of(
-    situation: Situation, robot: Robot, steps: Iterable[TransitionStep]
-) -> float:
-    """Return what steps cost [core-seconds].
-
-    `robot`: with the present demands.
-    """
-    costs = move_costs(situation, robot)
+def cost_of(situation: Situation, steps: Iterable[TransitionStep]) -> float:
+    """Return what steps cost [core-seconds]."""
+    costs = move_costs(situation)
     return sum(costs[step.component] for step in steps)
 
 

@@ -121,7 +121,7 @@ class Adaptation:
         situation = self._situation().of_running_components()
         if not dry:
             self._suspensions.release()
-        proposal = propose(situation, situation.robot, move)
+        proposal = propose(situation, move)
         if dry or not proposal.steps:
             return proposal, None
         what = f"asked to balance: {counted(len(proposal.steps), 'step')}"

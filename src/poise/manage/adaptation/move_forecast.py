@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 
 from msgspec import Struct
-from msgspec.structs import replace
 
 from poise import plan
 from poise.errors import RobotError, UsageError
@@ -17,11 +16,7 @@ from poise.manage.adaptation.decision import (
     move_costs,
 )
 from poise.manage.adaptation.proposals import WhatIf
-from poise.manage.adaptation.replan import (
-    share_what_is_left,
-    with_costs,
-    with_present_demands,
-)
+from poise.manage.adaptation.replan import share_what_is_left, with_costs
 from poise.manage.adaptation.situation import Situation
 from poise.manage.agent_connections.statuses import components_of
 from poise.manage.migration.migration_report import TransitionStep
@@ -46,13 +41,13 @@ def what_if(situation: Situation, component: str, computer: str) -> WhatIf:
     source, after = before[component], {**before, component: computer}
     if source == computer:
         raise UsageError(f"component '{component}' runs on '{computer}' already")
-    robot = with_present_demands(situation.robot, situation.demand_estimates)
+    robot = situation.robot_now
     problem = plan.keep_components(plan.problem_of(robot), before.keys())
     now, then = plan.evaluate(problem, before), plan.evaluate(problem, after)
     assert now.objective is not None  # noqa: S101, a given placement has terms
     assert then.objective is not None  # noqa: S101, the same
     step = TransitionStep(component, source, computer)
-    demands = {c.name: c.demand.get("cpu", 0.0) for c in robot.components()}
+    demands = robot.demands("cpu")
     sizes = {c.name: c.snapshot for c in components_of(situation.statuses)}
     return WhatIf(
         component=component,
@@ -68,7 +63,7 @@ def what_if(situation: Situation, component: str, computer: str) -> WhatIf:
         },
         usable={name: computers[name].usable("cpu") for name in (source, computer)},
         downtime=situation.downtimes.get(component, DOWNTIME),
-        cost=cost_of(situation, robot, [step]),
+        cost=cost_of(situation, [step]),
         state=sizes.get(component, 0),
     )
 
@@ -90,15 +85,13 @@ def alternatives(situation: Situation) -> tuple[Alternative, ...]:
     None when some component can run nowhere.
     """
     situation = situation.of_running_components()
-    left = with_present_demands(situation.robot_left(), situation.demand_estimates)
-    robot = replace(left, computers=situation.robot.computers)
-    now = situation.placement
+    robot, now = situation.robot_now, situation.placement
     try:
         functions = situation.functions()
         problem = plan.problem_of(robot, functions=functions, present=now)
     except RobotError:
         return ()
-    costs = move_costs(situation, robot)
+    costs = move_costs(situation)
     problem = with_costs(problem, {name: x / WORTH for name, x in costs.items()})
     problem = plan.keep_components(problem, now.keys())
     problem = share_what_is_left(problem, situation, HORIZON / WORTH)
@@ -111,11 +104,11 @@ def alternatives(situation: Situation) -> tuple[Alternative, ...]:
             what=str(step) if step else "stay",
             total=result.objective.total,
             short=short,
-            cost=cost_of(situation, robot, [step]) if step else 0.0,
+            cost=cost_of(situation, [step]) if step else 0.0,
             breaks=result.reason,
         )
 
-    stays, *moves = _single_moves(left, now)
+    stays, *moves = _single_moves(situation.left().robot_now, now)
     moves.sort(key=lambda move: move[0])
     found = [work_out(*move) for move in moves[:_MOST_TRIED]]
     found.sort(
@@ -132,7 +125,7 @@ def _single_moves(
     robot: Robot, now: Mapping[str, str]
 ) -> Iterator[tuple[float, TransitionStep | None]]:
     """Yield what CPU is missing [cores]: as it is, and after each move."""
-    demands = {c.name: c.demand.get("cpu", 0.0) for c in robot.components()}
+    demands = robot.demands("cpu")
     left = {name: amounts["cpu"] for name, amounts in residue(robot, now).items()}
     short = sum(max(0.0, -amount) for amount in left.values())
     yield short, None
@@ -167,8 +160,9 @@ def check_move(situation: Situation, component: str, computer: str) -> None:
     allowed = allowed_computers(situation.robot, layers_stay=False)
     if component not in situation.placement or computer not in allowed[component]:
         return  # the move itself says so
-    robot = with_present_demands(situation.robot, situation.demand_estimates)
-    if new := _new_breaks(robot, situation.placement, component, computer):
+    if new := _new_breaks(
+        situation.robot_now, situation.placement, component, computer
+    ):
         raise UsageError(
             f"component '{component}' does not fit on '{computer}' ({'; '.join(new)}); "
             "`--force` moves it anyway"
@@ -185,10 +179,9 @@ def _new_breaks(
     return [limit for limit in after if limit not in before]
 
 
-def _broken(robot: Robot, placement: Mapping[str, str]) -> list[str]:
+def _broken(robot: Robot, placement: Mapping[str, str]) -> Sequence[str]:
     """Return the limits that a placement breaks, in the planner's words."""
     if not placement:
         return []
     problem = plan.keep_components(plan.problem_of(robot), placement.keys())
-    reason = plan.evaluate(problem, placement).reason
-    return reason.split("; ") if reason else []
+    return plan.evaluate(problem, placement).broken

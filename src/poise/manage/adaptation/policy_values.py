@@ -95,10 +95,7 @@ def _components(situation: Situation) -> Iterator[Values]:
 
 
 def _containers(situation: Situation) -> Iterator[Values]:
-    demands = {
-        component.name: component.demand.get("memory", 0.0)
-        for component in situation.robot.components()
-    }
+    demands = situation.robot.demands("memory")
     for computer, status in situation.statuses.items():
         inside = {
             container.name: container.components for container in status.containers

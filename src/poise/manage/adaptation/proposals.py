@@ -7,33 +7,8 @@ from collections.abc import Mapping
 from msgspec import Struct
 
 from poise.manage.migration.migration_report import TransitionStep
+from poise.manage.observe.estimates import PresentDemand
 from poise.plan.result_records import Terms
-
-
-class PresentDemand(Struct, frozen=True, kw_only=True):
-    """The CPU demand of a component now [cores].
-
-    Parameters
-    ----------
-    mean, error
-        By its estimate.
-    counted
-        The demand that is counted with; no more than some computer can give it.
-    is_bounded
-        Whether no computer could give it all.
-    """
-
-    mean: float
-    error: float
-    counted: float
-    is_bounded: bool = False
-
-    def __str__(self) -> str:
-        """Return it with how sure it is, for people."""
-        counted = f"counted as {self.counted:.1%}"
-        if self.is_bounded:
-            counted += ", all that any computer can give it"
-        return f"{self.mean:.1%} ± {self.error:.1%} of a core now: {counted}"
 
 
 class Proposal(Struct, frozen=True, kw_only=True):

@@ -12,7 +12,7 @@ counts like all else.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Mapping
 from time import perf_counter
 from typing import NamedTuple
 
@@ -20,13 +20,13 @@ from msgspec.structs import replace
 
 from poise import plan
 from poise.errors import RobotError
-from poise.estimate.demands import CPU_HEADROOM, shifted_cpu_demand
-from poise.manage.adaptation.proposals import PresentDemand, Proposal
+from poise.estimate.demands import CPU_HEADROOM
+from poise.manage.adaptation.proposals import Proposal
 from poise.manage.adaptation.situation import WANTS_MORE, Situation
 from poise.manage.migration.transition_plan import plan_transition
 from poise.manage.observe.chains import ChainAge
-from poise.manage.observe.estimates import DemandEstimate, Load
-from poise.model.robot import ComponentEntry, Computer, Link, Robot
+from poise.manage.observe.estimates import Load
+from poise.model.robot import Computer, Link
 from poise.units import format_cores, format_seconds
 
 _TAKES = 0.005
@@ -152,7 +152,6 @@ _BACKGROUND, _HEADROOM, _RESERVE = 0.05, 0.02, 0.005
 
 def propose(
     situation: Situation,
-    robot: Robot,
     move: float = 0.0,
     *,
     costs: Mapping[str, float] | None = None,
@@ -162,7 +161,6 @@ def propose(
 ) -> Proposal:
     """Return a better placement for a running robot, and the way to it.
 
-    `robot`: with the demands it was placed by.
     `move`: what F grows by for every component that moves, plus as much for each MB of
     its state; >= 0.
     `costs`: component -> what F grows by when it moves, instead of `move`.
@@ -173,12 +171,9 @@ def propose(
     the placement.
     """
     task, now = situation.task, situation.placement
-    shifted = dict(_shifted(robot, situation.demand_estimates))
-    robot_now = _with_cpu(
-        robot, {name: demand.counted for name, demand in shifted.items()}
-    )
+    shifted, robot = situation.shifted, situation.robot_now
     functions = situation.functions()
-    problem = plan.problem_of(robot_now, functions=functions, present=now, move=move)
+    problem = plan.problem_of(robot, functions=functions, present=now, move=move)
     if costs is not None:
         problem = with_costs(problem, costs)
     # Of alternative architectures only one runs: keep to it.
@@ -205,7 +200,7 @@ def propose(
         then=result.objective,
         placement=result.placement,
         trouble=plan.evaluate(left, now).reason,
-        steps=plan_transition(robot_now, now, result.placement, shares_cpu=True),
+        steps=plan_transition(robot, now, result.placement, shares_cpu=True),
         proven=result.proven,
         suspended=result.suspended,
     )
@@ -272,60 +267,4 @@ def with_costs(problem: plan.Problem, costs: Mapping[str, float]) -> plan.Proble
         components=tuple(
             replace(c, move_cost=costs.get(c.name, 0.0)) for c in problem.components
         ),
-    )
-
-
-def with_present_demands(
-    robot: Robot, demand_estimates: Iterable[DemandEstimate]
-) -> Robot:
-    """Return the robot with the CPU demands that its components have now [cores]."""
-    shifted = _shifted(robot, demand_estimates)
-    return _with_cpu(robot, {name: demand.counted for name, demand in shifted})
-
-
-def _shifted(
-    robot: Robot, demand_estimates: Iterable[DemandEstimate]
-) -> Iterator[tuple[str, PresentDemand]]:
-    """Give the demands that are not what was counted with: shifted, or too small."""
-    components = {c.name: c for c in robot.components()}
-    for need in demand_estimates:
-        now, component = need.estimate, components.get(need.component)
-        if component is None or now.error is None:
-            continue
-        demand = component.demand.get("cpu", 0.0)
-        if now.drift is None and now.mean - now.error <= demand:
-            continue
-        needed = shifted_cpu_demand(demand, need.expected, now)
-        most = max(_most(component, computer) for computer in robot.computers)
-        yield (
-            need.component,
-            PresentDemand(
-                mean=now.mean,
-                error=now.error,
-                counted=min(needed, most),
-                is_bounded=needed > most,
-            ),
-        )
-
-
-def _most(component: ComponentEntry, computer: Computer) -> float:
-    """Return what a computer can give a component that is alone there [cores].
-
-    One chain at a time runs a component's code, so that is one core at most; a command
-    may use all.
-    """
-    usable = computer.usable("cpu")
-    return usable if component.command else min(usable, computer.speed)
-
-
-def _with_cpu(robot: Robot, demands: Mapping[str, float]) -> Robot:
-    """Return the robot with other CPU demands [cores]."""
-    if not demands:
-        return robot
-    return robot.with_components(
-        lambda c: (
-            replace(c, demand={**c.demand, "cpu": demands[c.name]})
-            if c.name in demands
-            else c
-        )
     )

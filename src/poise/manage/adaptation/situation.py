@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
+from functools import cached_property
 from typing import Protocol
 
 from msgspec import Struct
@@ -15,7 +16,13 @@ from poise.manage.deploy.desired import Desired
 from poise.manage.deploy.lost_computers import LostComputers
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.observe.chains import ChainAge, ChainAges, ChainReader, DeadlineMisses
-from poise.manage.observe.estimates import DemandEstimate, Estimates, Load
+from poise.manage.observe.estimates import (
+    DemandEstimate,
+    Estimates,
+    Load,
+    PresentDemand,
+    present_demands,
+)
 from poise.model.policy.policy import Do, TimerValues
 from poise.model.robot import Computer, Robot, Task
 from poise.wire.records.status_records import AgentStatus
@@ -28,7 +35,7 @@ _CAUTIOUS = 1.5
 """What they may want later, likewise."""
 
 
-class Situation(Struct, frozen=True, kw_only=True):
+class Situation(Struct, frozen=True, kw_only=True, dict=True):
     """One moment of a running robot."""
 
     robot: Robot  # with the demands that it was placed by
@@ -58,14 +65,10 @@ class Situation(Struct, frozen=True, kw_only=True):
         """Return the same without what is out of reach: nothing moves from or to it."""
         if not self.lost:
             return self
-        robot, lost = self.robot, self.lost
+        lost = self.lost
         return replace(
             self,
-            robot=replace(
-                robot,
-                computers=tuple(c for c in robot.computers if c.name not in lost),
-                links=tuple(k for k in robot.links if lost.isdisjoint(k.between)),
-            ),
+            robot=self.robot.on(c for c in self.robot.computers if c.name not in lost),
             placement={n: at for n, at in self.placement.items() if at not in lost},
         )
 
@@ -77,6 +80,30 @@ class Situation(Struct, frozen=True, kw_only=True):
         runs = here.placement.keys()
         robot = here.robot.with_components(lambda c: c if c.name in runs else None)
         return replace(here, robot=robot)
+
+    def left(self) -> Situation:
+        """Return the same with what other programs leave of the computers' CPU."""
+        robot = replace(self.robot, computers=self.computers_left())
+        return replace(self, robot=robot, loads={})
+
+    @cached_property
+    def shifted(self) -> Mapping[str, PresentDemand]:
+        """Component -> its demand now, where that is not what was counted with."""
+        return present_demands(self.robot, self.demand_estimates)
+
+    @cached_property
+    def robot_now(self) -> Robot:
+        """The robot with the CPU demands that its components have now."""
+        shifted = self.shifted
+        if not shifted:
+            return self.robot
+        return self.robot.with_components(
+            lambda c: (
+                replace(c, demand={**c.demand, "cpu": shifted[c.name].counted})
+                if c.name in shifted
+                else c
+            )
+        )
 
     def functions(self) -> tuple[str, ...]:
         """Return the functions of the task, without those that nothing provides."""
@@ -91,10 +118,6 @@ class Situation(Struct, frozen=True, kw_only=True):
             )
             for computer in self.robot.computers
         )
-
-    def robot_left(self) -> Robot:
-        """Return the robot with `computers_left`."""
-        return replace(self.robot, computers=self.computers_left())
 
     def amounts(self) -> dict[str, float]:
         """Return what decides on a placement: CPU that is left, and needed [cores].

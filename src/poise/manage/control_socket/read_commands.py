@@ -87,9 +87,7 @@ def status_of(
         demand_estimates=tuple(estimates.demand_estimates()),
         chains=chain_reports(run.robot, statuses),
         capacities={c.name: _capacity(c) for c in run.robot.computers},
-        memory_demands={
-            c.name: c.demand.get("memory", 0.0) for c in run.robot.components()
-        },
+        memory_demands=run.robot.demands("memory"),
         recent=run.journal.recent(),
         tasks=tuple(tasks),
         robot_tasks=tuple(task.name for task in run.robot.tasks),

@@ -123,7 +123,7 @@ def adopt(
     found: Sequence[ReportedIncarnation],
     robot: Robot,
     layout: DeploymentPlan,
-    planned: Mapping[str, str],
+    wanted: Mapping[str, str],
     *,
     is_committed: bool = False,
     keeps: bool = True,
@@ -131,18 +131,18 @@ def adopt(
     """Return what of it goes on, and what starts."""
     counts = authoritative(found, robot, is_committed=is_committed)
     if keeps:
-        planned = _with_providers(robot, planned, counts)
-    restarts = dict(_differences(counts, robot, layout, planned))
+        wanted = _with_providers(robot, wanted, counts)
+    restarts = dict(_differences(counts, robot, layout, wanted))
     kept = {
         n: reported
         for n, reported in counts.items()
-        if n in planned and n not in restarts
+        if n in wanted and n not in restarts
     }
     return Adoption(
         kept={name: reported.incarnation for name, reported in kept.items()},
         restarts=restarts,
-        ends=tuple(sorted({reported.name for reported in found} - planned.keys())),
-        starts={name: at for name, at in planned.items() if name not in kept},
+        ends=tuple(sorted({reported.name for reported in found} - wanted.keys())),
+        starts={name: at for name, at in wanted.items() if name not in kept},
         half_done=tuple(_half_done(found, counts)),
     )
 
@@ -191,10 +191,10 @@ def _replaced(
 
 
 def _with_providers(
-    robot: Robot, planned: Mapping[str, str], counts: Mapping[str, ReportedIncarnation]
+    robot: Robot, wanted: Mapping[str, str], counts: Mapping[str, ReportedIncarnation]
 ) -> dict[str, str]:
-    """Return the plan with the architectures that run in place of alternatives."""
-    chosen = dict(planned)
+    """Return what is wanted, with architectures that run instead of alternatives."""
+    chosen = dict(wanted)
     for running in robot.architectures:
         names = [c.name for c in running.components]
         here = [counts[name].computer for name in names if name in counts]
@@ -214,12 +214,12 @@ def _differences(
     counts: Mapping[str, ReportedIncarnation],
     robot: Robot,
     layout: DeploymentPlan,
-    planned: Mapping[str, str],
+    wanted: Mapping[str, str],
 ) -> Iterator[tuple[str, str]]:
     """Yield the components that cannot keep running, and why."""
     allowed = allowed_computers(robot)
     reasons, stale = {}, {}
-    for name in sorted(counts.keys() & planned.keys()):
+    for name in sorted(counts.keys() & wanted.keys()):
         reported, now = counts[name], _spec_now(counts[name], layout)
         if reported.computer not in allowed[name]:
             reasons[name] = f"it may not run on '{reported.computer}' any more"

@@ -99,10 +99,10 @@ def _take_over(
     # what comes back from now on is claimed and told then
     run.has_taken_over = True
     run.goes_on_without_lost = True
-    planned = run.placement()
+    wanted = run.placement()
     if tasks and not is_rule:
         # the tasks go on where they are, and say themselves what they need
-        planned = _at_work(run, reported)
+        wanted = _at_work(run, reported)
     is_committed = is_half_done(reported, run.robot) and _is_committed(
         run, reported, deployments
     )
@@ -110,7 +110,7 @@ def _take_over(
         reported,
         run.robot,
         run.layout,
-        planned,
+        wanted,
         is_committed=is_committed,
         keeps=not is_rule,
     )
@@ -123,7 +123,7 @@ def _take_over(
     run.journal.note("done", "took over", placement=run.placement(), seconds=seconds)
     _start(run, adoption, reported, starts)
     if is_rule:
-        _move(run, planned)
+        _move(run, wanted)
 
 
 def _at_work(
@@ -135,25 +135,25 @@ def _at_work(
     computer that is out of reach: it counts as there, if it is allowed there, so that
     it is not started twice. Else it goes where there is room. What is only idle ends.
     """
-    allowed, planned = allowed_computers(run.robot), run.placement()
+    allowed, wanted = allowed_computers(run.robot), run.placement()
     away = {c.name for c in run.robot.computers} - run.claimed
     works = {e.name: e.computer for e in reported if e.goal != "inactive"}
     homes: dict[str, tuple[str, ...]] = {}
     for architecture in run.robot.architectures:
         names = [component.name for component in architecture.components]
-        stays = architecture.layer != "sequencing" and planned.keys() >= set(names)
+        stays = architecture.layer != "sequencing" and wanted.keys() >= set(names)
         if not stays and works.keys().isdisjoint(names):
             continue
         for name in names:
             may = allowed[name] & away or allowed[name]
             if works.get(name) in allowed[name]:
                 homes[name] = (works[name],)
-            elif planned.get(name) in may:
-                homes[name] = (planned[name],)
+            elif wanted.get(name) in may:
+                homes[name] = (wanted[name],)
             else:
                 homes[name] = tuple(sorted(may))
     situation = Situation(
-        robot=run.robot, task="", placement=planned, solve_steps=run.solve_steps
+        robot=run.robot, task="", placement=wanted, solve_steps=run.solve_steps
     )
     with contextlib.suppress(RobotError):  # what is lacking can run nowhere
         return {

@@ -21,7 +21,7 @@ from poise.manage.deploy.desired import Incarnation
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.migration.migration_plan import MigrationPlan, PlacedStep
 from poise.manage.migration.migration_report import MigrationReport
-from poise.manage.migration.planned import (
+from poise.manage.migration.preparation import (
     PREPARE_LIMIT,
     STALL_LIMIT,
     Stall,
@@ -91,7 +91,7 @@ class Migration:
         downtime, reason = 0.0, ""
         self._phases.enter("prepare")
         try:
-            plan = self._planned()
+            plan = self._plan()
             self._prepare(plan)
         except RunError as error:
             reason = str(error)
@@ -131,7 +131,7 @@ class Migration:
                 "`poise status` says where it runs now"
             )
 
-    def _planned(self) -> MigrationPlan:
+    def _plan(self) -> MigrationPlan:
         """Return the steps; raise RunError when they could not all be taken."""
         self._raise_on_failed()
         run = self._run

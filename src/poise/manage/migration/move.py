@@ -23,25 +23,15 @@ from poise.manage.deploy.running_components import (
 )
 from poise.manage.migration.coordinator import Migration
 from poise.manage.migration.migration_report import MigrationReport
-from poise.manage.migration.planned import Planned
+from poise.manage.migration.preparation import Preparation
 from poise.model.check.allowed_computers import allowed_computers
 from poise.model.robot import Architecture, Robot
 
 
 def move(
     run: RunningComponents, component: str, computer: str, *, force: bool = False
-) -> MigrationReport:
-    """Move a running component to a computer; it stays where it is when that fails.
-
-    Parameters and errors are those of `plan_move`.
-    """
-    return plan_move(run, component, computer, force=force).run()
-
-
-def plan_move(
-    run: RunningComponents, component: str, computer: str, *, force: bool = False
-) -> Planned:
-    """Return the move of a running component to a computer; nothing is begun.
+) -> Preparation:
+    """Return the move of a running component to a computer, to be run.
 
     `force`: whether it goes even when it is in the reactive or the deliberative layer;
     only people may ask so.
@@ -58,7 +48,7 @@ def plan_move(
         implementation=old.implementation,
         gently=True,
     )
-    return _planned(run, old, new)
+    return _preparation(run, old, new)
 
 
 def replace(
@@ -68,23 +58,8 @@ def replace(
     adapt: str = "",
     *,
     fresh: bool = False,
-) -> MigrationReport:
-    """Swap a running component's implementation for another with fitting ports.
-
-    Parameters and errors are those of `plan_replacement`.
-    """
-    return plan_replacement(run, component, implementation, adapt, fresh=fresh).run()
-
-
-def plan_replacement(
-    run: RunningComponents,
-    component: str,
-    implementation: str,
-    adapt: str = "",
-    *,
-    fresh: bool = False,
-) -> Planned:
-    """Return the swap of an implementation for another; nothing is begun.
+) -> Preparation:
+    """Return the swap of an implementation for another, to be run.
 
     `adapt`: ``package.module:function`` that turns the old state into the new one;
     empty: the new implementation restores the old one's state as it is.
@@ -108,12 +83,12 @@ def plan_replacement(
         fresh=fresh,
         gently=True,
     )
-    return _planned(run, old, new, implementation)
+    return _preparation(run, old, new, implementation)
 
 
-def _planned(
+def _preparation(
     run: RunningComponents, old: Incarnation, new: Incarnation, by: str = ""
-) -> Planned:
+) -> Preparation:
     report = MigrationReport(
         what=old.component,
         by=by,
@@ -122,8 +97,8 @@ def _planned(
         cold=bool(run.robot.component(old.component).command),
     )
     if report.cold:
-        return Planned(run, report, (), lambda: _move_cold(run, report, old, new))
-    return Planned(
+        return Preparation(run, report, (), lambda: _move_cold(run, report, old, new))
+    return Preparation(
         run, report, (new,), lambda: Migration(run, report, (old,), (new,)).run()
     )
 
@@ -213,25 +188,8 @@ def replace_architecture(
     adapt: str = "",
     *,
     fresh: bool = False,
-) -> MigrationReport:
-    """Replace a running architecture by another that provides the same function.
-
-    Parameters and errors are those of `plan_architecture_replacement`.
-    """
-    return plan_architecture_replacement(
-        run, architecture, by, adapt, fresh=fresh
-    ).run()
-
-
-def plan_architecture_replacement(
-    run: RunningComponents,
-    architecture: str,
-    by: str,
-    adapt: str = "",
-    *,
-    fresh: bool = False,
-) -> Planned:
-    """Return the replacement of an architecture by another; nothing is begun.
+) -> Preparation:
+    """Return the replacement of an architecture by another, to be run.
 
     What waits at its ports goes to the alternative where the same source is joined to
     both; messages that are under way within it end with it.
@@ -262,7 +220,7 @@ def plan_architecture_replacement(
         before={incarnation.component: incarnation.computer for incarnation in sources},
         after=where,
     )
-    return Planned(
+    return Preparation(
         run, report, targets, lambda: Migration(run, report, sources, targets).run()
     )
 

@@ -48,7 +48,7 @@ class _Planner:
         self._usable = {
             h.name: {r: h.usable(r) for r in h.capacity} for h in robot.computers
         }
-        self._allowed = allowed_computers(robot)
+        self._robot = robot
         self._now = dict(now)
         self._then = then
         self._steps: list[TransitionStep] = []
@@ -128,8 +128,9 @@ class _Planner:
     def _intermediate_move(
         self, pending: Iterable[str], done: set[str]
     ) -> tuple[str, str] | None:
+        allowed = allowed_computers(self._robot)
         for name in pending:
-            for computer in sorted(self._allowed[name] - {self._now[name]}):
+            for computer in sorted(allowed[name] - {self._now[name]}):
                 if name not in done and self._fits(name, computer):
                     return name, computer
         return None

@@ -157,7 +157,7 @@ class _Transition:
             elif not step.target:
                 self._stop(step.component)
             else:
-                report = move(self._run, step.component, step.target)
+                report = move(self._run, step.component, step.target).run()
                 self.moves.append(report)
                 return report.reason
         except (RunError, UsageError) as error:

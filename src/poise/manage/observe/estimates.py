@@ -9,9 +9,10 @@ from collections.abc import Collection, Iterable, Mapping
 from msgspec import Struct
 
 from poise.estimate.demand_windows import Reading
+from poise.estimate.demands import shifted_cpu_demand
 from poise.estimate.online import Drift, Estimate, RunningEstimate
 from poise.estimate.profiles import ConnectorProfile, Profile
-from poise.model.robot import Robot
+from poise.model.robot import ComponentEntry, Computer, Robot
 from poise.units import format_cores
 from poise.wire.records.status_records import (
     AgentSample,
@@ -165,7 +166,7 @@ class Estimates:
         self, robot: Robot, profile: Profile | None, *, emulated: bool
     ) -> None:
         self._speeds = {c.name: 1.0 if emulated else c.speed for c in robot.computers}
-        self._demands = {c.name: c.demand.get("cpu", 0.0) for c in robot.components()}
+        self._demands = robot.demands("cpu")
         self._profile = profile
         self.loads = Loads(robot, emulated=emulated)
         self._lock = threading.Lock()
@@ -308,3 +309,62 @@ def culprit_on(
     instead = f" instead of {format_cores(usual[worst])}" if usual.get(worst) else ""
     used = format_cores(load.components[worst])
     return f"component '{worst}' takes {used} there{instead}"
+
+
+class PresentDemand(Struct, frozen=True, kw_only=True):
+    """The CPU demand of a component now [cores].
+
+    Parameters
+    ----------
+    mean, error
+        By its estimate.
+    counted
+        The demand that is counted with; no more than some computer can give it.
+    is_bounded
+        Whether no computer could give it all.
+    """
+
+    mean: float
+    error: float
+    counted: float
+    is_bounded: bool = False
+
+    def __str__(self) -> str:
+        """Return it with how sure it is, for people."""
+        counted = f"counted as {self.counted:.1%}"
+        if self.is_bounded:
+            counted += ", all that any computer can give it"
+        return f"{self.mean:.1%} ± {self.error:.1%} of a core now: {counted}"
+
+
+def present_demands(
+    robot: Robot, demand_estimates: Iterable[DemandEstimate]
+) -> dict[str, PresentDemand]:
+    """Return the demands that are not what was counted with: shifted, or too small."""
+    components, found = {c.name: c for c in robot.components()}, {}
+    for need in demand_estimates:
+        now, component = need.estimate, components.get(need.component)
+        if component is None or now.error is None:
+            continue
+        demand = component.demand.get("cpu", 0.0)
+        if now.drift is None and now.mean - now.error <= demand:
+            continue
+        needed = shifted_cpu_demand(demand, need.expected, now)
+        most = max(_most(component, computer) for computer in robot.computers)
+        found[need.component] = PresentDemand(
+            mean=now.mean,
+            error=now.error,
+            counted=min(needed, most),
+            is_bounded=needed > most,
+        )
+    return found
+
+
+def _most(component: ComponentEntry, computer: Computer) -> float:
+    """Return what a computer can give a component that is alone there [cores].
+
+    One chain at a time runs a component's code, so that is one core at most; a command
+    may use all.
+    """
+    usable = computer.usable("cpu")
+    return usable if component.command else min(usable, computer.speed)

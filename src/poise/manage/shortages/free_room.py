@@ -15,7 +15,6 @@ from poise.manage.adaptation.replan import (
     SOLVE_FOR,
     share_what_is_left,
     with_costs,
-    with_present_demands,
 )
 from poise.manage.adaptation.situation import Homes, Situation
 from poise.model.check.allowed_computers import allowed_computers
@@ -37,9 +36,10 @@ def placed_beside(situation: Situation, homes: Homes) -> PlacedBeside:
     """
     robot = _what_is_left(situation, homes, situation.robot.computers)
     problem = _problem_of(situation, robot)
+    here = replace(situation, robot=robot, demand_estimates=())
     costs = {
         name: cost / WORTH
-        for name, cost in move_costs(situation, robot).items()
+        for name, cost in move_costs(here).items()
         if situation.placement.get(name) in homes[name]
     }
     problem = with_costs(problem, costs)
@@ -85,25 +85,14 @@ def _what_is_left(
     situation: Situation, homes: Homes, computers: Iterable[Computer]
 ) -> Robot:
     """Return the robot without what is lost, each component held to its homes."""
-    robot = with_present_demands(situation.robot, situation.demand_estimates)
     used = {computer for choices in homes.values() for computer in choices}
-    computers = tuple(c for c in computers if c.name in used)
-    names = {computer.name for computer in computers}
-    kept = robot.with_components(lambda component: _homed(component, homes))
-    return replace(
-        kept,
-        computers=computers,
-        links=tuple(k for k in robot.links if names.issuperset(k.between)),
-        architectures=tuple(
-            replace(architecture, layer="sequencing")
-            for architecture in kept.architectures
-        ),
-        tasks=(),
-    )
 
+    def homed(component: ComponentEntry) -> ComponentEntry | None:
+        if component.name not in homes:
+            return None
+        return replace(component, only=homes[component.name], devices=(), movable=True)
 
-def _homed(component: ComponentEntry, homes: Homes) -> ComponentEntry | None:
-    """Return a component held to its homes; None when it has none."""
-    if component.name not in homes:
-        return None
-    return replace(component, only=homes[component.name], devices=(), movable=True)
+    robot = situation.robot_now.with_components(homed)
+    moving = (replace(a, layer="sequencing") for a in robot.architectures)
+    here = robot.on(c for c in computers if c.name in used)
+    return replace(here, architectures=tuple(moving), tasks=())

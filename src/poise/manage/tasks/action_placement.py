@@ -12,7 +12,7 @@ from poise import plan
 from poise.clock import boot_time
 from poise.errors import PoiseError, RobotError
 from poise.estimate.success_rates import learned
-from poise.manage.adaptation.replan import SOLVE_FOR, with_present_demands
+from poise.manage.adaptation.replan import SOLVE_FOR
 from poise.manage.adaptation.situation import Situation
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.migration.migration_report import TransitionStep
@@ -36,27 +36,24 @@ class Room(Struct, frozen=True, kw_only=True):
 
 
 def room_for_functions(
-    situation: Situation, functions: Iterable[str], planned: Mapping[str, str]
+    situation: Situation, functions: Iterable[str], by_plan: Mapping[str, str]
 ) -> Room:
     """Return where functions go, beside what runs of them.
 
     What runs stays where it is, if all fits so; else it moves where it may.
 
-    `planned`: component -> computer, as the plan over time has it; it counts where it
+    `by_plan`: component -> computer, as the plan over time has it; it counts where it
     fits.
     """
     here = situation.within_reach()
-    robot = _with_chosen(
-        with_present_demands(here.robot_left(), here.demand_estimates),
-        here.placement,
-    )
+    robot = _with_chosen(here.left().robot_now, here.placement)
     try:
         problem = plan.problem_of(
             robot, functions=functions, present=here.placement, move=MOVE
         )
         names = {component.name for component in problem.components}
         present = {n: at for n, at in here.placement.items() if n in names}
-        hinted = {**planned, **present}
+        hinted = {**by_plan, **present}
         if _fits(problem, hinted):
             return Room(begins={n: at for n, at in hinted.items() if n not in present})
         result = plan.solve(problem, SOLVE_FOR, steps=here.solve_steps)
@@ -79,7 +76,7 @@ def beyond_memory(
     order: Iterable[str],
 ) -> list[str]:
     """Return what of the prepared components must go, so that memory is enough."""
-    needs = {c.name: c.demand.get("memory", 0.0) for c in robot.components()}
+    needs = robot.demands("memory")
     left = residue(robot, {**placement, **prepared})
     gone = []
     for name in order:
@@ -236,18 +233,18 @@ class Admission:
         ).robot
         situation = replace(situation, robot=robot)
         left_out = suspended | self._serving.broken(situation.lost)
-        planned: dict[str, str] = {}
+        by_plan: dict[str, str] = {}
         for record, attempt in new:
             names = tuple(t.name for t in self._tasks.tries(record))
-            planned |= self._plans.placement(
+            by_plan |= self._plans.placement(
                 record.name, names, attempt.action.functions
             )
         going = self._tasks.going()
-        whole = self._beside(situation, going, left_out, planned)
+        whole = self._beside(situation, going, left_out, by_plan)
         if not whole.why:
             return whole
         for count in range(len(going) - 1, 0, -1):
-            if not self._beside(situation, going[:count], left_out, planned).why:
+            if not self._beside(situation, going[:count], left_out, by_plan).why:
                 others = " and ".join(f"'{record.name}'" for record in going[:count])
                 for record in going[count:]:
                     text = f"task {others} uses capacity that it needs: {whole.why}"
@@ -272,7 +269,7 @@ class Admission:
         situation: Situation,
         going: Sequence[TaskRecord],
         left_out: AbstractSet[str],
-        planned: dict[str, str],
+        by_plan: dict[str, str],
     ) -> Room:
         """Return where the functions of some tasks go, when all others are idle."""
         functions = self._tasks.functions_of(going) | self._serving.fixed()
@@ -282,7 +279,7 @@ class Admission:
         idle = self._run.prepared
         hint = {
             n: idle[n].computer if n in idle else at
-            for n, at in planned.items()
+            for n, at in by_plan.items()
             if n in runs
         }
         return room_for_functions(

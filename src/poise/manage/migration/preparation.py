@@ -117,8 +117,8 @@ def raise_on_cut_state(
             )
 
 
-class Planned:
-    """A migration to come. Use it once.
+class Preparation:
+    """A migration to be run, and before that prepared. Use it once.
 
     All but `under_way` is for the manager's thread.
 
