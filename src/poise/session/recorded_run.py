@@ -183,8 +183,9 @@ class RecordedRun:
             Another robot was recorded.
         """
         self._check_robot(robot)
-        emulated = all(computer.address is None for computer in robot.computers)
-        speeds = {c.name: 1.0 if emulated else c.speed for c in robot.computers}
+        speeds = {
+            c.name: 1.0 if robot.is_emulated else c.speed for c in robot.computers
+        }
         samples = sorted(self._samples(), key=lambda each: each.at)
         began = {each.computer: each.at for each in reversed(samples)}
         used: dict[str, dict[int, float]] = {}
@@ -218,8 +219,7 @@ class RecordedRun:
             Another robot was recorded.
         """
         self._check_robot(robot)
-        emulated = all(computer.address is None for computer in robot.computers)
-        estimates = Estimates(robot, read_profile(robot), emulated=emulated)
+        estimates = Estimates(robot, read_profile(robot), emulated=robot.is_emulated)
         samples = list(self._samples())
         began = min((sample.at for sample in samples), default=0.0)
 

@@ -9,26 +9,22 @@ from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 
-from poise import threads
 from poise.clock import wall_time
 from poise.emulate import set_for
 from poise.errors import PoiseError, RunError, UsageError
 from poise.manage.control_socket.control_server import ControlServer
 from poise.manage.deploy.deactivation import drain
 from poise.manage.deploy.running_components import RunningComponents
-from poise.manage.journal import Journal, JournalEntry, check_journal
+from poise.manage.journal import JournalEntry
 from poise.manage.manager import Manager
 from poise.manage.observe.chains import chain_reports
-from poise.manage.observe.estimates import Estimates
-from poise.manage.observe.sample_recording import Recording
 from poise.model.robot import Robot
 from poise.session.callbacks import Check, Say, log, nothing
-from poise.session.folders import make_journal
 from poise.session.last_seen import LastSeen
-from poise.session.launch.start import Sampling, Started, started
-from poise.session.placing.first_phase import first_phase, note_architectures
+from poise.session.launch.managed import journal_of, managed
+from poise.session.launch.start import Started
+from poise.session.placing.first_phase import first_phase
 from poise.session.placing.placement import Placement
-from poise.session.profiling.stored_profiles import is_emulated, read_profile
 from poise.session.record_run import keeping
 from poise.session.robot_file import task_of
 from poise.session.run_records import History
@@ -91,45 +87,28 @@ def run(  # noqa: PLR0913 - each is a choice of the user
         It cannot start, a component failed or a computer was lost; everything is down
         again.
     """
-    chosen = task_of(robot, task)
-    sentences: list[str] = []
-    first = first_phase(robot, [chosen], placement, sentences.append)
-    placed = first.placed
+    chosen, decided = task_of(robot, task), list[str]()
+    first = first_phase(robot, [chosen], placement, decided.append)
+    placed, warnings = first.placed, Warnings(say)
+    decided.insert(0, f"task '{chosen}', {placed.method} placement")
     with contextlib.ExitStack() as stack:
-        check_journal(journal)
-        warnings = Warnings(say)
-        book = Journal(journal or make_journal(robot.name), warnings.hear)
-        stack.callback(book.close)
-        book.note("decided", f"task '{chosen}', {placed.method} placement")
-        for sentence in sentences:
-            book.note("decided", sentence)
-        note_architectures(book, robot, placed)
+        book = stack.enter_context(
+            journal_of(robot, first, journal, warnings.hear, decided)
+        )
         server = _server(robot, stack, say)
         kept = stack.enter_context(keeping(robot, placed.where, record, say))
         answering = stack.enter_context(contextlib.ExitStack())
-        samples = Recording()
-        up = stack.enter_context(
-            started(
+        up, manager = stack.enter_context(
+            managed(
                 kept.robot,
-                placed.where,
+                first,
                 book,
                 say,
-                Sampling(samples.add),
                 check,
-                use_kept=True,
+                adapts=adapt,
+                recorder=kept.recorder,
             )
         )
-        emulated = all(computer.address is None for computer in robot.computers)
-        manager = Manager(
-            up.run,
-            first.tasks.saved,
-            Estimates(robot, read_profile(robot), emulated=emulated),
-            samples,
-            adapts=adapt,
-            suspended=placed.why_suspended,
-            recording=kept.recorder,
-        )
-        stack.enter_context(threads.failures_heard(manager.failures.note))
         answering.callback(manager.end)
         shows = ""
         if server is not None:
@@ -185,7 +164,7 @@ def _server(
     try:
         return stack.enter_context(ControlServer(robot.name))
     except PoiseError as error:
-        has_own_computers = is_emulated(robot) and set_for(robot) is None
+        has_own_computers = robot.is_emulated and set_for(robot) is None
         if isinstance(error, UsageError) and not has_own_computers:
             raise
         say(f"this run cannot be watched: {error}")

@@ -16,18 +16,14 @@ from poise.estimate.success_rates import actions_in, learned
 from poise.manage.control_socket.commands import StopCommand
 from poise.manage.control_socket.control_server import ControlServer
 from poise.manage.deploy.takeover import start_or_take_over
-from poise.manage.journal import Journal, check_journal
 from poise.manage.manager import TICK, Manager
-from poise.manage.observe.estimates import Estimates
-from poise.manage.observe.sample_recording import Recording, RecordingFile
-from poise.manage.tasks.saved_tasks import goes_on_with
+from poise.manage.observe.sample_recording import RecordingFile
 from poise.model.robot import Robot
 from poise.session.callbacks import Check, Say, log, nothing
-from poise.session.folders import make_journal
-from poise.session.launch.start import Sampling, Started, started
-from poise.session.placing.first_phase import first_phase, note_architectures
+from poise.session.launch.managed import journal_of, managed
+from poise.session.launch.start import Started
+from poise.session.placing.first_phase import first_phase
 from poise.session.placing.placement import Placement
-from poise.session.profiling.stored_profiles import read_profile
 from poise.session.robot_file import task_of
 from poise.session.running_robots.running import Running
 
@@ -166,51 +162,32 @@ def up(  # noqa: PLR0913 - each is a choice of the user
     names = [task_of(robot, task)] if task is None or isinstance(task, str) else task
     actions = [each for name in names for each in actions_in(robot, name)]
     robot = learned(robot, actions).robot
-    sentences: list[str] = []
-    first = first_phase(robot, names, placement, sentences.append)
-    placed = first.placed
+    decided: list[str] = []
+    first = first_phase(robot, names, placement, decided.append)
     send = _telemetry() if otel is not None else None
     with contextlib.ExitStack() as stack:
         server = stack.enter_context(ControlServer(robot.name, takes_over=take_over))
-        check_journal(journal)
-        book = Journal(
-            journal or make_journal(robot.name), lambda entry: say(str(entry))
+        book = stack.enter_context(
+            journal_of(robot, first, journal, lambda entry: say(str(entry)), decided)
         )
-        stack.callback(book.close)
-        for sentence in sentences:
-            book.note("decided", sentence)
-        note_architectures(book, robot, placed)
-        emulated = all(computer.address is None for computer in robot.computers)
-        estimates = Estimates(robot, read_profile(robot), emulated=emulated)
         recorder = RecordingFile(record, robot.name) if record else None
         if recorder is not None:
             stack.callback(lambda: say(str(recorder)))
             stack.callback(recorder.close)
-        waiting = Recording()
-        it = stack.enter_context(
-            started(
+        begin = partial(
+            start_or_take_over, is_rule=placement is not None, by_force=take_over
+        )
+        it, manager = stack.enter_context(
+            managed(
                 robot,
-                placed.where,
+                first,
                 book,
                 say,
-                Sampling(waiting.add),
                 check,
-                use_kept=True,
-                begin=partial(
-                    start_or_take_over,
-                    is_rule=placement is not None,
-                    by_force=take_over,
-                ),
+                adapts=adapt,
+                recorder=recorder,
+                begin=begin,
             )
-        )
-        manager = Manager(
-            it.run,
-            goes_on_with(it.run, first.tasks, book),
-            estimates,
-            waiting,
-            adapts=adapt,
-            suspended=placed.why_suspended,
-            recording=recorder,
         )
         if metrics is not None:
             from poise.manage.observe.prometheus import MetricsCollector, MetricsServer
@@ -220,7 +197,6 @@ def up(  # noqa: PLR0913 - each is a choice of the user
         if send is not None and otel is not None:
             sender = send(robot.name, manager.status, otel)
             stack.callback(sender.close)
-        stack.enter_context(threads.failures_heard(manager.failures.note))
         running = stack.enter_context(Up(it, manager))
         server.start(manager.submit)
         yield running

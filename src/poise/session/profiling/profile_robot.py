@@ -33,7 +33,6 @@ from poise.session.profiling.figures import (
 from poise.session.profiling.rig import ProfilingRig, rig_of
 from poise.session.profiling.stored_profiles import (
     check_keepable,
-    is_emulated,
     loops,
     read_profile,
     steady,
@@ -128,7 +127,7 @@ def profile(  # noqa: PLR0913 - each is a choice of the user
             total = (repeat + 1) * (seconds + warm_up)
             with progress(name, total) as tick:
                 found.append(measuring.measure(name, tick))
-        done = loops() if is_emulated(robot) else 0.0
+        done = loops() if robot.is_emulated else 0.0
     silent = {n: p for each in found for n, p in each.silent.items()}
     unrecorded = [name for each in found for name in each.idle]
     new = measuring.profile([each.figures for each in found], unrecorded, done)
@@ -261,7 +260,7 @@ class _Measuring(Struct, frozen=True):
 
         An emulated computer of speed 0.5 runs half of the time, at full speed.
         """
-        if is_emulated(self.robot):
+        if self.robot.is_emulated:
             return 1.0
         return self.robot.computer(self.computer).speed
 

@@ -167,7 +167,7 @@ def rig_of(
     if apart:
         chosen = _apart(chosen)
     here = {c.name: computer for c in chosen.components}
-    made = _emulated if _is_emulated(robot) else _real
+    made = _emulated if robot.is_emulated else _real
     rig, elsewhere = made(robot, computer)
     others = feeding if not playing.parts else (*feeding, playing.player())
     beside = {c.name: elsewhere for a in others for c in a.components}
@@ -188,10 +188,6 @@ def rig_of(
         tuple(name for name in here if name != EMPTY),
         playing.names(robot),
     )
-
-
-def _is_emulated(robot: Robot) -> bool:
-    return all(computer.address is None for computer in robot.computers)
 
 
 def _emulated(robot: Robot, computer: str) -> tuple[Robot, str]:
@@ -233,7 +229,7 @@ def _held_by_devices(
     architectures: tuple[Architecture, ...],
 ) -> dict[str, str]:
     """Return the placement, with components of real devices at their devices."""
-    if _is_emulated(rig):
+    if rig.is_emulated:
         return dict(placement)
     held = {
         component.name: rig.device(device).computer

@@ -144,12 +144,7 @@ _SERIES = 12
 
 def steady(robot: Robot) -> contextlib.AbstractContextManager[None]:
     """Keep this machine at full speed where it emulates the robot's computers."""
-    return full_speed() if is_emulated(robot) else contextlib.nullcontext()
-
-
-def is_emulated(robot: Robot) -> bool:
-    """Return whether this machine emulates the robot's computers."""
-    return all(computer.address is None for computer in robot.computers)
+    return full_speed() if robot.is_emulated else contextlib.nullcontext()
 
 
 def loops() -> float:
@@ -164,7 +159,7 @@ def as_when_profiled(robot: Robot) -> Robot:
     by so much less or more time of it emulates the same computer.
     """
     profile = read_profile(robot)
-    if profile is None or not profile.loops or not is_emulated(robot):
+    if profile is None or not profile.loops or not robot.is_emulated:
         return robot
     factor = profile.loops / loops()
     computers = (replace(c, speed=c.speed * factor) for c in robot.computers)

@@ -1,0 +1,80 @@
+"""A robot that runs, with its manager and its journal: what `run` and `up` share."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from poise import threads
+from poise.manage.deploy.running_components import RunningComponents
+from poise.manage.journal import Journal, JournalEntry, check_journal
+from poise.manage.manager import Manager
+from poise.manage.observe.estimates import Estimates
+from poise.manage.observe.sample_recording import Recording, RecordingFile
+from poise.manage.tasks.saved_tasks import goes_on_with
+from poise.model.robot import Robot
+from poise.session.callbacks import Check, Say
+from poise.session.folders import make_journal
+from poise.session.launch.start import Sampling, Started, started
+from poise.session.placing.first_phase import FirstPhase, note_architectures
+from poise.session.profiling.stored_profiles import read_profile
+
+
+@contextlib.contextmanager
+def journal_of(
+    robot: Robot,
+    first: FirstPhase,
+    path: Path | None,
+    show: Callable[[JournalEntry], object],
+    decided: Sequence[str],
+) -> Iterator[Journal]:
+    """Keep the journal of a robot, which begins with why it is placed as it is."""
+    check_journal(path)
+    journal = Journal(path or make_journal(robot.name), show)
+    try:
+        for sentence in decided:
+            journal.note("decided", sentence)
+        note_architectures(journal, robot, first.placed)
+        yield journal
+    finally:
+        journal.close()
+
+
+class Managed(NamedTuple):
+    """A robot that runs, and its manager, which nobody calls yet."""
+
+    started: Started
+    manager: Manager
+
+
+@contextlib.contextmanager
+def managed(  # noqa: PLR0913, all that starts
+    robot: Robot,
+    first: FirstPhase,
+    journal: Journal,
+    say: Say,
+    check: Check,
+    *,
+    adapts: bool,
+    recorder: RecordingFile | None,
+    begin: Callable[[RunningComponents], object] | None = None,
+) -> Iterator[Managed]:
+    """Start a robot with a manager, and stop it afterwards."""
+    samples, where = Recording(), first.placed.where
+    sampling = Sampling(samples.add)
+    with started(
+        robot, where, journal, say, sampling, check, use_kept=True, begin=begin
+    ) as up:
+        manager = Manager(
+            up.run,
+            goes_on_with(up.run, first.tasks, journal),
+            Estimates(robot, read_profile(robot), emulated=robot.is_emulated),
+            samples,
+            adapts=adapts,
+            suspended=first.placed.why_suspended,
+            recording=recorder,
+        )
+        with threads.failures_heard(manager.failures.note):
+            yield Managed(up, manager)
