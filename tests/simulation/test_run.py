@@ -80,6 +80,24 @@ def test_the_next_manager_takes_over(scenario: Scenario) -> None:
     assert any("took over" in line for line in outcome.trace)
 
 
+@pytest.mark.slow
+def test_a_manager_that_was_replaced_undoes_nothing_when_the_next_one_is_paused(
+    scenario: Scenario,
+) -> None:
+    """The first stands still until the second, which moved components, does so, too."""
+    faults = (
+        SimulatedFault(4.0, "pause manager", "a", lasts=12.0),
+        SimulatedFault(4.3, "take over", "b"),
+        SimulatedFault(12.0, "pause manager", "b", lasts=8.0),
+    )
+    scenario = structs.replace(scenario, faults=faults, seconds=22.0)
+    for seed in (0, 1, 3, 4):  # of these, components had two incarnations at work
+        outcome = simulate(scenario, seed)
+        assert outcome.message == ""
+        moved = [line for line in outcome.trace if "manager 1    done: moved" in line]
+        assert moved
+
+
 def test_a_lease_that_is_kept_too_long_is_found(
     scenario: Scenario, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -31,20 +31,29 @@ def agent(
 
 def test_the_earlier_one_gives_way_where_each_has_some_agents() -> None:
     statuses = [agent("a", LATER, 3), agent("b", EARLIER, 2), agent("c", EARLIER, 2)]
-    assert gives_way_to(EARLIER, {"b": 2, "c": 2}, statuses) == LATER
-    assert gives_way_to(LATER, {"a": 3}, statuses) is None
+    assert gives_way_to(EARLIER, {"b": 2, "c": 2}, {}, statuses) == LATER
+    assert gives_way_to(LATER, {"a": 3}, {}, statuses) is None
 
 
 def test_the_later_one_gives_way_when_no_agent_obeys_it_any_more() -> None:
     statuses = [agent(name, EARLIER, 4) for name in COMPUTERS]
-    assert gives_way_to(LATER, {"a": 3}, statuses) == EARLIER
-    assert gives_way_to(EARLIER, dict.fromkeys(COMPUTERS, 4), statuses) is None
-    assert gives_way_to(LATER, {"a": 3}, statuses[1:]) is None  # a may obey it
+    assert gives_way_to(LATER, {"a": 3}, {}, statuses) == EARLIER
+    assert gives_way_to(EARLIER, dict.fromkeys(COMPUTERS, 4), {}, statuses) is None
+    assert gives_way_to(LATER, {"a": 3}, {}, statuses[1:]) is None  # a may obey it
 
 
 def test_nobody_gives_way_to_one_that_is_gone() -> None:
     statuses = [agent("a", LATER, 3, unmanaged=5.0), agent("b", None, 0)]
-    assert gives_way_to(EARLIER, {"a": 2}, statuses) is None
+    assert gives_way_to(EARLIER, {"a": 2}, {"a": 1}, statuses) is None
+    assert gives_way_to(EARLIER, {}, {}, statuses) is None
+
+
+def test_one_that_does_not_know_what_another_told_gives_way_though_that_is_gone() -> (
+    None
+):
+    """It was paused meanwhile, and would undo what the other one moved."""
+    statuses = [agent("a", LATER, 3, unmanaged=5.0)]
+    assert gives_way_to(EARLIER, {"a": 2}, {"a": 0}, statuses) == LATER
 
 
 @given(st.tuples(*[st.booleans()] * 3), st.data())
@@ -60,6 +69,6 @@ def test_never_do_both(are_later: tuple[bool, ...], data: st.DataObject) -> None
         lost = data.draw(st.sets(st.sampled_from(COMPUTERS)))
         mine = {name for name, each in now.items() if each.manager == manager}
         claimed = dict.fromkeys(lost, 4) | dict.fromkeys(mine, 5)
-        return bool(gives_way_to(manager, claimed, [now[name] for name in seen]))
+        return bool(gives_way_to(manager, claimed, {}, [now[n] for n in seen]))
 
     assert not (gives_way(EARLIER) and gives_way(LATER))

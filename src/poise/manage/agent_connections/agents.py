@@ -126,6 +126,7 @@ class Agents(AgentReports):
         )
         self._tokens: dict[str, int] = {}
         self._claimed: dict[str, int] = {}
+        self._told: dict[str, int] = {}
         self.checkpoints = CheckpointCopies()
         with ahead():  # zenoh's threads do nothing but carry messages
             self._session = open_session(connect=tuple(endpoints.values()), lease=lease)
@@ -192,7 +193,7 @@ class Agents(AgentReports):
         with self._changed:
             away = self._lost.keys() | self._silent.keys()
             reached = [s for name, s in self._statuses.items() if name not in away]
-            return gives_way_to(self.manager, self._claimed, reached)
+            return gives_way_to(self.manager, self._claimed, self._told, reached)
 
     def wait_alive(
         self,
@@ -274,6 +275,9 @@ class Agents(AgentReports):
 
     def begin_deploy(self, computer: str, deployment: Deployment) -> Reply:
         """Tell an agent what should run; do not wait for its answer."""
+        with self._changed:
+            last = self._told.get(computer, 0)
+            self._told[computer] = max(last, deployment.generation)
         return self._requests.begin(computer, deployment)
 
     def _new_claim(self, computer: str, *, take_over: bool = False) -> Claim:
@@ -382,19 +386,29 @@ def has_ended(manager: ManagerId) -> bool:
 
 
 def gives_way_to(
-    manager: ManagerId, claimed: Mapping[str, int], statuses: Iterable[AgentStatus]
+    manager: ManagerId,
+    claimed: Mapping[str, int],
+    told: Mapping[str, int],
+    statuses: Iterable[AgentStatus],
 ) -> ManagerId | None:
     """Return the manager to which this one gives way; None: there is none.
 
     It is a later one that an agent obeys, or one that all agents obey which this one
-    has claimed. So of two managers one gives way, whatever each of them sees.
+    has claimed. So of two managers one gives way, whatever each of them sees. Also when
+    the other is gone, if it told an agent of this one what should run: this one does
+    not know what it moved, and would undo it.
+
+    `told`: computer -> the last generation that this one told its agent.
     """
     others = {
         status.computer: status.manager
         for status in statuses
         if status.manager is not None
         and status.manager.key != manager.key
-        and not status.unmanaged
+        and (
+            not status.unmanaged
+            or status.generation > told.get(status.computer, status.generation)
+        )
         and status.token > claimed.get(status.computer, -1)
     }
     last = max(others.values(), key=lambda other: other.rank, default=None)

@@ -17,7 +17,7 @@ from poise.clock import Clock
 from poise.manage.agent_connections.requests import ANSWER_LIMIT, Reply
 from poise.manage.agent_connections.statuses import Statuses
 from poise.wire.records.deployment_records import Deployment
-from poise.wire.records.request_records import Accepted, Claimed, Refused
+from poise.wire.records.request_records import Accepted, Claimed, ManagerId, Refused
 from poise.wire.records.status_records import AgentStatus
 
 APPLY_LIMIT = 1.0
@@ -40,6 +40,10 @@ class ReconciledAgents(Protocol):
 
     def obey(self, computer: str) -> bool:
         """Return whether an agent is reached and obeys this manager."""
+        ...
+
+    def successor(self) -> ManagerId | None:
+        """Return the manager to which this one gives way; None: there is none."""
         ...
 
     def begin_claim(self, computer: str) -> Reply:
@@ -118,7 +122,8 @@ class Reconciler:
             return
         if not self._agents.obey(computer):
             agent.sent = None
-            if agent.reply is None and now >= agent.again_at:
+            is_due = agent.reply is None and now >= agent.again_at
+            if is_due and self._agents.successor() is None:
                 agent.reply = self._agents.begin_claim(computer)
                 agent.is_claim, agent.sent_at = True, now
             return
