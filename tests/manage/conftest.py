@@ -183,6 +183,9 @@ class FakeAgents:
     def heard_by(self, computer: str) -> str:
         return self.hearers.get(computer, "")
 
+    def is_sure(self, computer: str) -> bool:  # noqa: ARG002, always
+        return True
+
     def is_cut_off(self, computer: str) -> bool:  # noqa: ARG002, none ever is
         return False
 

@@ -52,3 +52,17 @@ def test_a_defect_before_the_robot_is_up_is_said(
         pytest.raises(RunError, match=r"does not come up: .*a thread broke"),
     ):
         rehearsal.come_up()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("lasts", [0.3, 0.5, 0.9])
+@pytest.mark.parametrize("after", [0.001, 0.2])
+def test_a_move_right_after_a_short_cut_waits_for_what_was_cut_off(
+    lasts: float, after: float
+) -> None:
+    """0.9 s: the agent's lease has ended, and its component rests until it is told."""
+    cut = SimulatedFault(1.0, "isolate computer", "left", lasts=lasts)
+    with closing(Rehearsal(plan(cut))) as rehearsal:
+        rehearsal.come_up()
+        rehearsal.advance(1.0 + lasts + after)
+        assert rehearsal.move("counter", "right").committed

@@ -32,8 +32,8 @@ class Preparation:
         self.misses("connector 'a.out-mid.in' is not joined")
         self.is_at("inactive")
         run = cast("RunningComponents", self.run)
-        self.stall = Stall(run, [TARGET], lambda: self.now)
-        self.stall.check()
+        self.stall = Stall(run, lambda: self.now)
+        self.stall.check(self.run.missing(), [TARGET])
 
     def misses(self, *what: str) -> None:
         self.run.missing.return_value = list(what)
@@ -54,7 +54,7 @@ class Preparation:
 
     def look_after(self, seconds: float) -> None:
         self.now += seconds
-        self.stall.check()
+        self.stall.check(self.run.missing(), [TARGET])
 
 
 def test_a_preparation_without_progress_ends_and_says_what_is_missing() -> None:

@@ -295,6 +295,10 @@ class Agents(AgentReports):
         """Return whether the lease of a lost computer has ended, or does soon."""
         return self._is_leased or self._heartbeats.have_leases_ended({computer})
 
+    def is_sure(self, computer: str) -> bool:
+        """Return whether an agent was heard just now and its lease holds."""
+        return self._heartbeats.is_sure(computer)
+
     def is_cut_off(self, computer: str) -> bool:
         """Return whether an agent says that its lease has ended."""
         return self._heartbeats.is_cut_off(computer)

@@ -206,6 +206,12 @@ class AgentHeartbeats:
         with self._lock:
             return self._reachability.heard_by(computer, self._clock.now())
 
+    def is_sure(self, computer: str) -> bool:
+        """Return whether an agent was heard just now and its lease holds."""
+        with self._lock:
+            doubted = self._reachability.asks()
+        return computer not in doubted and not self.is_cut_off(computer)
+
     def is_cut_off(self, computer: str) -> bool:
         """Return whether an agent said last that its lease has ended."""
         with self._lock:

@@ -158,10 +158,10 @@ class Migration:
         self._run.commit(desired, f"prepare the {self._what}")
         # higher than that of any earlier migration, whatever the clock says
         self._number = self._run.desired.generation
-        stall = Stall(self._run, self._targets)
+        stall = Stall(self._run)
 
         def trouble() -> bool:
-            stall.check()
+            stall.check(self._run.missing(self._targets), self._targets)
             return self._raise_on_failed()
 
         self._run.wait(self._targets, PREPARE_LIMIT, trouble)

@@ -97,9 +97,15 @@ def _preparation(
         cold=bool(run.robot.component(old.component).command),
     )
     if report.cold:
-        return Preparation(run, report, (), lambda: _move_cold(run, report, old, new))
+        return Preparation(
+            run, report, (), (), lambda: _move_cold(run, report, old, new)
+        )
     return Preparation(
-        run, report, (new,), lambda: Migration(run, report, (old,), (new,)).run()
+        run,
+        report,
+        (old,),
+        (new,),
+        lambda: Migration(run, report, (old,), (new,)).run(),
     )
 
 
@@ -201,7 +207,7 @@ def replace_architecture(
     if not adapt and not fresh:
         _check_stateless(run, old)
     where = _placement(run, old, new)
-    sources = [run.placed[component.name] for component in old.components]
+    sources = tuple(run.placed[component.name] for component in old.components)
     targets = tuple(
         Incarnation(
             component=component.name,
@@ -221,7 +227,11 @@ def replace_architecture(
         after=where,
     )
     return Preparation(
-        run, report, targets, lambda: Migration(run, report, sources, targets).run()
+        run,
+        report,
+        sources,
+        targets,
+        lambda: Migration(run, report, sources, targets).run(),
     )
 
 

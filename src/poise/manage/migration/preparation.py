@@ -34,34 +34,34 @@ class Stall:
     def __init__(
         self,
         run: RunningComponents,
-        targets: Collection[Incarnation],
         clock: Callable[[], float] = time.monotonic,  # a time that never goes back [s]
     ) -> None:
         self._run = run
-        self._targets = targets
         self._missing: list[str] = []
         self._clock = clock
         self._since = clock()
 
-    def check(self) -> None:
+    def check(self, missing: list[str], wanted: Collection[Incarnation]) -> None:
         """Raise RunError when nothing came nearer for `STALL_LIMIT`.
 
         Users' code that is imported or configured may take longer.
+
+        `missing`: what is waited for, in words.
         """
-        now, missing = self._clock(), self._run.missing(self._targets)
-        if missing != self._missing or self._is_configuring():
+        now = self._clock()
+        if missing != self._missing or self._is_configuring(wanted):
             self._missing, self._since = missing, now
         elif now > self._since + STALL_LIMIT:
             text = f"no progress for {STALL_LIMIT:g} s"
             raise RunError(f"{text}: {'; '.join(missing)}")
 
-    def _is_configuring(self) -> bool:
-        """Return whether a target is being started, imported or configured."""
+    def _is_configuring(self, wanted: Collection[Incarnation]) -> bool:
+        """Return whether one is being started, imported or configured."""
         current, container_of = self._run.current(), self._run.layout.container_of
-        wanted = {(t.component, t.epoch) for t in self._targets}
-        places = {(t.computer, container_of(t.component)) for t in self._targets}
+        keys = {(w.component, w.epoch) for w in wanted}
+        places = {(w.computer, container_of(w.component)) for w in wanted}
         states = {(c.name, c.epoch): c.state for c in components_of(current)}
-        return any(states.get(key) == "unconfigured" for key in wanted) or any(
+        return any(states.get(key) == "unconfigured" for key in keys) or any(
             health.state == "starting" and (computer, health.name) in places
             for computer, status in current.items()
             for health in status.health
@@ -123,17 +123,21 @@ class Preparation:
     All but `under_way` is for the manager's thread.
 
     `targets`: what it can have configured before; none of a cold move.
+    `sources`: what has to be at work when it begins, or its state cannot be had. After
+    a short cut an agent lets it rest until it is sent a deployment.
     """
 
     def __init__(
         self,
         run: RunningComponents,
         report: MigrationReport,
+        sources: tuple[Incarnation, ...],
         targets: tuple[Incarnation, ...],
         migrate: Callable[[], MigrationReport],  # makes it; returns how it went
     ) -> None:
         self._run = run
         self._report = report
+        self._sources = {(s.component, s.epoch): s for s in sources}
         self._targets = tuple(structs.replace(t, unjoined=True) for t in targets)
         self._migrate = migrate
         self._began = 0.0
@@ -144,7 +148,7 @@ class Preparation:
     def begin(self) -> Self:
         """Let the targets be configured; waits for nothing."""
         self._began = time.monotonic()
-        self._stall = Stall(self._run, self._targets)
+        self._stall = Stall(self._run)
         desired = self._run.desired.configuring(self._targets)
         self._run.commit(desired, f"configure for the migration of {self._report.name}")
         return self
@@ -184,10 +188,26 @@ class Preparation:
         run = self._run
         run.raise_on_unreached(self._targets)
         run.raise_on_broken(self._targets)
-        self._missing = missing = run.missing(self._targets)
+        self._missing = missing = self._unmet()
         if missing and time.monotonic() > self._began + PREPARE_LIMIT:
             text = f"not ready within {PREPARE_LIMIT:g} s: {'; '.join(missing)}"
             raise RunError(text)
         if missing and self._stall is not None:
-            self._stall.check()
+            self._stall.check(missing, self._targets)
         return not missing
+
+    def _unmet(self) -> list[str]:
+        """Return what it waits for, in words: targets, and sources that rest."""
+        ends = (*self._sources.values(), *self._targets)
+        unsure = [
+            f"computer '{computer}' is not heard, or was cut off"
+            for computer in sorted({end.computer for end in ends})
+            if not self._run.agents.is_sure(computer)
+        ]
+        resting = (
+            self._sources.get((component.name, component.epoch))
+            for component in components_of(self._run.agents.statuses())
+            if component.state == "inactive"
+        )
+        unjoined = (structs.replace(s, unjoined=True) for s in resting if s is not None)
+        return unsure + self._run.missing([*self._targets, *unjoined])
