@@ -15,7 +15,6 @@ from poise.estimate.success_rates import (
     KEPT,
     STORE,
     SuccessRate,
-    actions_in,
     beliefs_about,
     change_point,
     forget,
@@ -58,13 +57,13 @@ def robot(tmp_path: Path) -> Robot:
 
 def success(robot: Robot, task: str | None = None, **options: object) -> list[float]:
     """Return what was learned of gripper and suction."""
-    known = learned(robot, actions_in(robot, task), **options).robot  # type: ignore[arg-type]
+    known = learned(robot, robot.actions(task), **options).robot  # type: ignore[arg-type]
     return [a.success for a in known.architectures if a.function == "grasping"]
 
 
 def test_nothing_learned_changes_nothing(robot: Robot) -> None:
     """And no file is made."""
-    assert learned(robot, actions_in(robot, "tidy")).robot == robot
+    assert learned(robot, robot.actions("tidy")).robot == robot
     assert place(robot, "tidy").architectures["grasping"] == "gripper"
     assert not (Path(robot.folder) / ".poise").exists()
 

@@ -8,10 +8,11 @@ Stationary Bandits", the Bernoulli GLR test, with a restart of all alternatives)
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from math import log, sqrt
 from pathlib import Path
 from random import Random
+from statistics import fmean
 from typing import Literal, NamedTuple
 
 import msgspec
@@ -23,7 +24,7 @@ from poise.errors import UsageError
 from poise.estimate.code_version import hash_of
 from poise.estimate.sqlite_file import SqliteFile
 from poise.model.robot import Architecture, Robot
-from poise.model.steps import Action, actions_of
+from poise.model.steps import Action
 from poise.suggest import unknown
 
 STORE = Path(".poise") / "success.sqlite"
@@ -94,31 +95,19 @@ class SuccessRate(NamedTuple):
 
 
 class Belief(Struct, frozen=True, kw_only=True):
-    """What is believed of the success of an action with an architecture.
-
-    Parameters
-    ----------
-    hash
-        Of the architecture as it ran.
-    is_present
-        Whether this is its hash now: only such outcomes count.
-    done, failed
-        Outcomes since the last change; earlier ones count for less.
-    mean, deviation
-        Of the success rate.
-    """
+    """What is believed of the success of an action with an architecture."""
 
     action: str
     conditions: Conditions
-    hash: str
-    is_present: bool
-    done: float
+    hash: str  # of the architecture as it ran
+    is_present: bool  # whether this is its hash now: only such outcomes count
+    done: float  # outcomes since the last change; earlier ones count for less
     failed: float
     mean: float
     deviation: float
 
 
-class Learned(Struct, frozen=True):
+class Learned(NamedTuple):
     """A robot whose alternatives know their success, and sentences about it."""
 
     robot: Robot
@@ -179,10 +168,8 @@ def note_outcome(
     ----------
     robot
         As `poise.load` returns it; its folder keeps the outcomes.
-    action
-        The name of the action.
-    ending
-        ``done`` or ``failed``.
+    action, ending
+        The name of the action, and ``done`` or ``failed``.
     architectures
         What served the action: `Placement.architectures`, of which those count whose
         function the action needs; or names of architectures, which all count.
@@ -195,14 +182,14 @@ def note_outcome(
         The robot has no such action or architecture, or is from no file; or there is
         no such ending.
     """
-    actions = list(actions_in(robot, None))
-    functions = {f for a in actions if a.name == action for f in a.functions}
-    if all(a.name != action for a in actions):
-        raise UsageError(unknown("action", action, [a.name for a in actions]))
+    functions = {a.name: a.functions for a in robot.actions()}
+    if action not in functions:
+        raise UsageError(unknown("action", action, functions))
     if ending not in ("done", "failed"):
         raise UsageError(f"ending is {ending!r}: it is 'done' or 'failed'")
     if isinstance(architectures, Mapping):
-        architectures = [architectures[f] for f in architectures if f in functions]
+        needed = functions[action]
+        architectures = [name for f, name in architectures.items() if f in needed]
     served = [_named(robot, name) for name in architectures]
     situation = msgspec.json.encode(conditions).decode()
     with _store(robot) as store:
@@ -211,7 +198,7 @@ def note_outcome(
             store.execute(
                 "INSERT INTO outcomes (robot, function, action, situation, at,"
                 " architecture, hash, ending) VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
-                *(*key, wall_time(), a.name, hash_in(robot, a), ending),
+                *(*key, wall_time(), a.name, hash_of(a, robot.folders), ending),
             )
             same = "robot = ? AND function = ? AND action = ? AND situation = ?"
             store.execute(
@@ -233,16 +220,20 @@ def learned(
 
     A function of which nothing is known stays as it is.
     """
-    choices = list(_choices(robot, tuple(actions)))
-    explore = explore or robot.explore
-    if not choices or not (explore or _has_outcomes(robot)):
-        return Learned(robot)
+    explore, actions = explore or robot.explore, tuple(actions)
+    groups: dict[str, list[Architecture]] = {}
+    for a in robot.architectures:
+        if a.layer == "sequencing":
+            groups.setdefault(a.function, []).append(a)
     success: dict[str, float] = {}
     says = []
-    for function, group, needing in choices:
+    for function, group in groups.items():
+        needing = dict.fromkeys(a.name for a in actions if function in a.functions)
         known, last = _rates_for(robot, function)
+        if len(group) == 1 or not needing or not (known or explore):
+            continue
         by_action = [known.get((name, conditions), {}) for name in needing]
-        keys = [(a.name, hash_in(robot, a)) for a in group]
+        keys = [(a.name, hash_of(a, robot.folders)) for a in group]
         if not explore and not any(key in of for of in by_action for key in keys):
             continue
         parts = []
@@ -250,10 +241,11 @@ def learned(
             beliefs = [of.get(key, SuccessRate()) for of in by_action]
             random = Random(f"{seed} {last} {key[0]}")  # noqa: S311 - no secret
             drawn = [b.sample(random) if explore else b.mean for b in beliefs]
-            success[key[0]] = sum(drawn) / len(drawn)
-            mean = sum(b.mean for b in beliefs) / len(beliefs)
+            success[key[0]] = fmean(drawn)
             error = sqrt(sum(b.deviation**2 for b in beliefs)) / len(beliefs)
-            parts.append(f"'{key[0]}' {mean:.0%} ± {error:.0%}")
+            parts.append(
+                f"'{key[0]}' {fmean(b.mean for b in beliefs):.0%} ± {error:.0%}"
+            )
             parts[-1] += f", drawn {success[key[0]]:.0%}" if explore else ""
         says.append(f"success learned for {function}: {'; '.join(parts)}")
     changed = (
@@ -262,29 +254,21 @@ def learned(
     return Learned(replace(robot, architectures=tuple(changed)), tuple(says))
 
 
-def actions_in(robot: Robot, task: str | None) -> Iterator[Action]:
-    """Yield the actions of a task, and of the tasks that it names; None: of all."""
-    tasks = {t.name: t for t in robot.tasks}
-    for name in tasks if task is None else (task,):
-        yield from actions_of(tasks, name)
-
-
 def beliefs_about(robot: Robot, architecture: str) -> list[Belief]:
     """Return what was learned of an architecture, by action, conditions and hash."""
     this = _named(robot, architecture)
-    known, _ = _rates_for(robot, this.function)
     return [
         Belief(
             action=action,
             conditions=conditions,
             hash=hash_,
-            is_present=hash_ == hash_in(robot, this),
+            is_present=hash_ == hash_of(this, robot.folders),
             done=rate.done,
             failed=rate.failed,
             mean=rate.mean,
             deviation=rate.deviation,
         )
-        for (action, conditions), of in known.items()
+        for (action, conditions), of in _rates_for(robot, this.function)[0].items()
         for (name, hash_), rate in of.items()
         if name == architecture
     ]
@@ -302,30 +286,11 @@ def forget(robot: Robot, architecture: str) -> int:
         ).rowcount
 
 
-def hash_in(robot: Robot, architecture: Architecture) -> str:
-    """Return the hash of an architecture of the robot."""
-    return hash_of(architecture, (robot.folder, *robot.repository))
-
-
 def _named(robot: Robot, name: str) -> Architecture:
     names = [a.name for a in robot.architectures]
     if name not in names:
         raise UsageError(unknown("architecture", name, names))
     return robot.architecture(name)
-
-
-def _choices(
-    robot: Robot, actions: tuple[Action, ...]
-) -> Iterator[tuple[str, list[Architecture], list[str]]]:
-    """Yield functions with alternatives, these, and the actions that need them."""
-    groups: dict[str, list[Architecture]] = {}
-    for a in robot.architectures:
-        if a.layer == "sequencing":
-            groups.setdefault(a.function, []).append(a)
-    for function, group in groups.items():
-        needing = dict.fromkeys(a.name for a in actions if function in a.functions)
-        if len(group) > 1 and needing:
-            yield function, group, list(needing)
 
 
 def _rates_for(

@@ -303,6 +303,11 @@ class Robot(Struct, frozen=True, kw_only=True):
         return replace(self, computers=computers, links=links)
 
     @property
+    def folders(self) -> tuple[str, ...]:
+        """Where its implementations are imported from."""
+        return (self.folder, *self.repository)
+
+    @property
     def is_emulated(self) -> bool:
         """Whether its computers have no addresses: one machine emulates them."""
         return all(computer.address is None for computer in self.computers)
@@ -332,15 +337,19 @@ class Robot(Struct, frozen=True, kw_only=True):
         """Return the task called `name`; KeyError when there is none."""
         return _named(self.tasks, name)
 
+    def actions(self, task: str | None = None) -> Iterator[Action]:
+        """Yield the actions of a task, and of the tasks that it names; None: of all."""
+        tasks = {each.name: each for each in self.tasks}
+        for name in tasks if task is None else (task,):
+            yield from actions_of(tasks, name)
+
     def functions_of(self, task: str) -> tuple[str, ...]:
         """Return all functions that a task needs, each once, in order.
 
         Those of the tasks that it names are among them, and those of actions that are
         done on failure. None when there is no such task.
         """
-        tasks = {each.name: each for each in self.tasks}
-        every = (f for a in actions_of(tasks, task) for f in a.functions)
-        return tuple(dict.fromkeys(every))
+        return tuple(dict.fromkeys(f for a in self.actions(task) for f in a.functions))
 
     def whole(self, components: Container[str]) -> list[Architecture]:
         """Return the architectures all of whose components are among `components`."""

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Self
 from poise import threads
 from poise.emulate import EmulatedComputer, set_for
 from poise.errors import RunError, UsageError
-from poise.estimate.success_rates import actions_in, learned
+from poise.estimate.success_rates import learned
 from poise.manage.control_socket.commands import StopCommand
 from poise.manage.control_socket.control_server import ControlServer
 from poise.manage.deploy.takeover import start_or_take_over
@@ -160,7 +160,7 @@ def up(  # noqa: PLR0913 - each is a choice of the user
     if take_over:
         _check_outlives(robot)
     names = [task_of(robot, task)] if task is None or isinstance(task, str) else task
-    actions = [each for name in names for each in actions_in(robot, name)]
+    actions = [each for name in names for each in robot.actions(name)]
     robot = learned(robot, actions).robot
     decided: list[str] = []
     first = first_phase(robot, names, placement, decided.append)

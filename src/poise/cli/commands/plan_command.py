@@ -14,7 +14,7 @@ from poise import plan, units
 from poise.cli.interrupts import Interrupts
 from poise.cli.options import AsJson, busy, in_file, print_json
 from poise.errors import UsageError
-from poise.estimate.success_rates import Conditions, actions_in, learned
+from poise.estimate.success_rates import Conditions, learned
 from poise.model import load
 from poise.model.robot import Computer, Robot
 from poise.session.placing.by_time import DecidedByTime, decide_by_time
@@ -129,7 +129,7 @@ def plan_command(
         if robot is None:
             return None
         conditions = Conditions(lost=tuple(without or ()))
-        actions = actions_in(robot, task)
+        actions = robot.actions(task)
         found = learned(
             robot, actions, conditions=conditions, explore=explore, seed=seed
         )

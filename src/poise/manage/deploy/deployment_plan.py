@@ -231,9 +231,7 @@ class DeploymentPlan:
             code = structs.replace(
                 component, implementation=implementation, parameters={}
             )
-            self._code[key] = self._code_version(
-                code, self._robot.folder, *self._robot.repository
-            )
+            self._code[key] = self._code_version(code, *self._robot.folders)
         return ComponentSpec(
             name=component.name,
             epoch=incarnation.epoch,

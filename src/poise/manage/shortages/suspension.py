@@ -201,8 +201,7 @@ class Suspensions:
                 self._run.journal.note("seen", what)
 
     def _code_of(self, architecture: Architecture) -> str:
-        robot = self._run.robot
-        folders = robot.folder, *robot.repository
+        folders = self._run.robot.folders
         return " ".join(version_of(c, *folders) for c in architecture.components)
 
     def _suspended(self) -> list[Architecture]:

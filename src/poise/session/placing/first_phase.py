@@ -11,7 +11,7 @@ from poise import plan
 from poise.clock import boot_time
 from poise.errors import FileProblem, RobotError
 from poise.estimate.code_version import hash_of
-from poise.estimate.success_rates import WELL, Belief, hash_in
+from poise.estimate.success_rates import WELL, Belief
 from poise.manage.journal import Journal
 from poise.manage.tasks.concurrent_tasks import Tasks
 from poise.manage.tasks.learned_choice import choose
@@ -113,13 +113,12 @@ def listed(file: Path | None) -> list[Listed]:
     else:
         source = load_source(file)
         robot, positions = source.robot, source.positions
-        folders = (robot.folder, *robot.repository)
         rows = [
-            _row(a, str(positions.at(("architectures", a.name))), "", folders)
+            _row(a, str(positions.at(("architectures", a.name))), "", robot.folders)
             for a in robot.architectures
         ]
         rows += [
-            _row(o.architecture, str(o.node.place), o.unused, folders)
+            _row(o.architecture, str(o.node.place), o.unused, robot.folders)
             for o in source.repository.offers
             if o.unused
         ]
@@ -132,7 +131,7 @@ def note_architectures(journal: Journal, robot: Robot, placement: Placement) -> 
     facts = {
         a.name: {
             "function": a.function,
-            "hash": hash_in(robot, a),
+            "hash": hash_of(a, robot.folders),
             "file": a.file,
             "package": a.package,
             "runs": a.name in runs,

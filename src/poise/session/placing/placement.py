@@ -13,7 +13,7 @@ from rich.console import RenderableType
 
 from poise import plan
 from poise.errors import UsageError
-from poise.estimate.success_rates import WELL, Conditions, actions_in, learned
+from poise.estimate.success_rates import WELL, Conditions, learned
 from poise.model.robot import Robot
 from poise.plan.portfolio import METHODS as SOLVERS
 from poise.session.placing.by_time import decide_by_time
@@ -292,7 +292,7 @@ def place(  # noqa: PLR0913 - each is a choice of the user
     """
     robot = learned(
         robot,
-        actions_in(robot, task),
+        robot.actions(task),
         conditions=conditions,
         explore=explore,
         seed=seed,

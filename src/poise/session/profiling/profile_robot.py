@@ -178,8 +178,7 @@ class _Measuring(Struct, frozen=True):
             names = ", ".join(doubtful)
             self.say(f"not stable after {len(runs)} measurements: {names}")
         versions = {
-            c.name: version_of(c, self.robot.folder, *self.robot.repository)
-            for c in self.robot.components()
+            c.name: version_of(c, *self.robot.folders) for c in self.robot.components()
         }
         found = figures(
             self.robot, rig, runs, sizes, versions=versions, speed=self._speed()

@@ -99,7 +99,7 @@ def stale(robot: Robot, profile: Profile) -> list[str]:
         for component in robot.components()
         if component.name in profile.components
         and profile.components[component.name].version
-        != version_of(component, robot.folder, *robot.repository)
+        != version_of(component, *robot.folders)
     ]
 
 
