@@ -23,15 +23,13 @@ from poise.session.placing.placement import Placement, place
 from poise.session.profiling.stored_profiles import read_profile
 from poise.session.recorded_run import RecordedRun
 from poise.session.render.printable import Printable
-from poise.session.render.simulation_page import (
-    comparison_page,
-    simulation_page,
-    simulation_picture,
-)
 from poise.session.render.simulation_tables import (
+    comparison_page,
     comparison_parts,
     ended_early,
+    simulation_page,
     simulation_parts,
+    simulation_picture,
     verdict,
 )
 from poise.session.robot_file import task_of

@@ -7,8 +7,14 @@ from msgspec.structs import replace
 
 from poise.manage.journal import JournalEntry
 from poise.session.running_robots.running import Status
-from poise.view.dashboard.history import Page, RecentHistory
-from poise.view.dashboard.state import PageState, Updates, changes, why
+from poise.view.dashboard.state import (
+    Page,
+    PageState,
+    RecentHistory,
+    Updates,
+    changes,
+    why,
+)
 from poise.view.robot_view import Look
 from poise.wire.records.request_records import ManagerId
 from poise.wire.records.status_records import (

@@ -18,8 +18,7 @@ from nicegui.events import GenericEventArguments
 
 from poise.clock import wall_time
 from poise.view.dashboard.dialogs import PageActions
-from poise.view.dashboard.history import Page
-from poise.view.dashboard.state import PageState, Updates
+from poise.view.dashboard.state import Page, PageState, Updates
 from poise.view.robot_view import LiveReader, Look
 
 Scope = MutableMapping[str, Any]

@@ -17,8 +17,7 @@ from poise.errors import PoiseError
 from poise.session.render.report_page import html_table
 from poise.session.render.tables import outcome_sentence, what_if_lines
 from poise.session.running_robots.running import JournalEntry, Running, WhatIf
-from poise.view.dashboard.history import Page
-from poise.view.dashboard.state import proposal_in, why
+from poise.view.dashboard.state import Page, proposal_in, why
 from poise.wire.records.request_records import OutputLine
 
 _LOG_EVERY = 0.5
