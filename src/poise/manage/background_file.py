@@ -1,4 +1,4 @@
-"""A file that grows by records, on a thread of its own: a slow disk delays nobody."""
+"""Files that grow by records, on threads of their own: a slow disk delays nobody."""
 
 from __future__ import annotations
 
@@ -8,9 +8,12 @@ import os
 import threading
 import time
 from collections import deque
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Generic, TypeVar
 
 from poise import threads
+from poise.errors import RunError
 from poise.units import counted
 
 _RETRY_AFTER = 1.0
@@ -22,38 +25,32 @@ _MOST_AT_ONCE = 1 << 20
 _CLOSE_LIMIT = 2.0
 
 
-class BackgroundFile:
-    """Appends records to a file. Its methods never raise, and any thread may use them.
+T = TypeVar("T")
 
-    A record is in the file whole or not at all, unless the process is killed while the
-    kernel takes it. So a reader finds all but the last few milliseconds.
 
-    `most`: so much waits for the disk at most; further records are dropped [bytes];
-    `largest`: a file that would grow beyond `largest` [bytes] is renamed to ``path.1``,
-    that one to ``path.2``, and so on; the oldest of `files` is removed. 0: it may grow;
-    `files`: a file that would grow beyond `largest` [bytes] is renamed to ``path.1``,
-    that one to ``path.2``, and so on; the oldest of `files` is removed. 0: it may grow.
+class BackgroundWriter(Generic[T]):
+    """Writes records to a file. Its methods never raise, and any thread may use them.
+
+    `unit`: what a record is called; `most`: so much waits for the disk at most; further
+    records are dropped [bytes]; `every`: what comes within this time is written at once
+    [s].
     """
 
+    close_limit: float | None = None
+    """What waits is written within this time at the end [s]; None: 2."""
+
     def __init__(
-        self,
-        path: Path,
-        name: str,
-        unit: str,
-        *,
-        most: int,
-        largest: int = 0,
-        files: int = 1,
+        self, path: Path, name: str, unit: str, *, most: int, every: float = 0.0
     ) -> None:
         self.path = path
         self.missing = 0
+        """How many records were dropped."""
         self._what, self._unit = f"{name} {path}", unit
-        self._most, self._largest, self._files = most, largest, files
-        self._waiting: deque[bytes] = deque()
+        self._most, self._every = most, every
+        self._waiting: deque[tuple[T, int]] = deque()
         self._size = 0
         self._changed = threading.Condition()
         self._is_closing = False
-        self._fd = -1
         self._error = ""
         self._began: float | None = None
         self._thread = threads.daemon(self._main, name, again=True)
@@ -62,15 +59,25 @@ class BackgroundFile:
         """Begin to write."""
         self._thread.start()
 
-    def add(self, record: bytes) -> None:
+    def put(self, record: T, size: int) -> None:
         """Write a record soon; it is dropped and counted when too many wait."""
         with self._changed:
-            if self._is_closing or self._size + len(record) > self._most:
+            if self._is_closing or self._size + size > self._most:
                 self.missing += 1
                 return
-            self._waiting.append(record)
-            self._size += len(record)
+            self._waiting.append((record, size))
+            self._size += size
             self._changed.notify_all()
+
+    def write(self, records: Sequence[T]) -> None:
+        """Write records, and note how many are written; OSError or RunError: not all.
+
+        Called on its thread; what is not noted is written again later.
+        """
+        raise NotImplementedError
+
+    def end(self) -> None:
+        """End the file."""
 
     @property
     def trouble(self) -> str:
@@ -92,12 +99,13 @@ class BackgroundFile:
             ) and not bool(self._waiting)
 
     def close(self) -> None:
-        """Write what waits, within 2 s; what then still waits is missing."""
+        """Write what waits, within a limit; what then still waits is missing."""
         with self._changed:
             self._is_closing = True
             self._changed.notify_all()
         if self._thread.is_alive():
-            self._thread.join(_CLOSE_LIMIT)
+            limit = self.close_limit
+            self._thread.join(_CLOSE_LIMIT if limit is None else limit)
         with self._changed:
             self.missing += len(self._waiting)
             self._waiting.clear()
@@ -111,32 +119,33 @@ class BackgroundFile:
         while records := self._next():
             self._began = time.monotonic()
             try:
-                self._append(b"".join(records))
-            except OSError as error:
-                self._note(str(error.strerror or error))
+                self.write(records)
+            except (OSError, RunError) as error:
+                self._note(str(getattr(error, "strerror", "") or error))
                 if not self._wait_to_retry():
                     break
-            else:
-                self._note_written(len(records))
             finally:
                 self._began = None
-        if self._fd >= 0:
-            os.close(self._fd)
+        try:
+            self.end()
+        except RunError as error:
+            self._note(str(error))
 
-    def _next(self) -> list[bytes]:
+    def _next(self) -> list[T]:
         """Return what is to be written next; nothing: it is to be closed.
 
         In trouble that is one record, for which there may be room.
         """
         with self._changed:
             self._changed.wait_for(lambda: self._waiting or self._is_closing)
-            records: list[bytes] = []
-            size = 0
-            for record in self._waiting:
-                if records and (self._error or size + len(record) > _MOST_AT_ONCE):
+            self._changed.wait_for(lambda: self._is_closing, self._every)
+            records: list[T] = []
+            total = 0
+            for record, size in self._waiting:
+                if records and (self._error or total + size > _MOST_AT_ONCE):
                     break
                 records.append(record)
-                size += len(record)
+                total += size
             return records
 
     def _wait_to_retry(self) -> bool:
@@ -152,13 +161,53 @@ class BackgroundFile:
             self._error, self._began = error, None
             self._changed.notify_all()
 
-    def _note_written(self, count: int) -> None:
+    def note_written(self, count: int) -> None:
+        """Note that the first so many of what waits are written."""
         with self._changed:
             for _ in range(min(count, len(self._waiting))):
-                self._size -= len(self._waiting.popleft())
+                self._size -= self._waiting.popleft()[1]
             if not self._waiting:
                 self._error = ""
             self._changed.notify_all()
+
+
+class BackgroundFile(BackgroundWriter[bytes]):
+    """Appends records to a file.
+
+    A record is in the file whole or not at all, unless the process is killed while the
+    kernel takes it. So a reader finds all but the last few milliseconds.
+
+    `largest`: a file that would grow beyond it [bytes] is renamed to ``path.1``, that
+    one to ``path.2``, and so on; the oldest of `files` is removed. 0: it may grow.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        name: str,
+        unit: str,
+        *,
+        most: int,
+        largest: int = 0,
+        files: int = 1,
+    ) -> None:
+        super().__init__(path, name, unit, most=most)
+        self._largest, self._files = largest, files
+        self._fd = -1
+
+    def add(self, record: bytes) -> None:
+        """Write a record soon; it is dropped and counted when too many wait."""
+        self.put(record, len(record))
+
+    def write(self, records: Sequence[bytes]) -> None:
+        """Append records."""
+        self._append(b"".join(records))
+        self.note_written(len(records))
+
+    def end(self) -> None:
+        """Close the file."""
+        if self._fd >= 0:
+            os.close(self._fd)
 
     def _append(self, data: bytes) -> None:
         """Write all of it, or raise OSError and leave the file as it was."""

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import threading
-import time
 from collections import deque
+from collections.abc import Sequence
 from pathlib import Path
 
-from poise import threads
 from poise.clock import wall_time
-from poise.errors import RunError
+from poise.manage.background_file import BackgroundWriter
 from poise.model.policy.policy import Seen
 from poise.units import counted
 from poise.wire.recording_file import McapFile, message_of
@@ -21,9 +20,6 @@ MOST_WAITING = 32 << 20
 """The most that waits for the disk [bytes]."""
 _WRITE_EVERY = 1.0
 """What came meanwhile is compressed and written at once [s]."""
-_SLOW_AFTER, _CLOSE_LIMIT = 2.0, 30.0
-"""A disk that has not answered for so long is said to be the trouble; a recording is
-ended within so much [s]."""
 
 
 class Recording:
@@ -58,91 +54,49 @@ class Recording:
         return taken
 
 
-class RecordingFile:
-    """Writes a recording while it is made; its methods neither raise nor wait for it.
+class RecordingFile(BackgroundWriter[tuple[str, float, bytes]]):
+    """Writes a recording while it is made: records with their topics and moments.
 
     What the disk does not take is dropped and counted, and the robot goes on. A kill
     loses what came within the last second.
     """
 
+    close_limit = 30.0
+
     def __init__(self, path: Path, robot: str) -> None:
         self.file = McapFile(path, robot, replaces=True)
         self.count = 0
         """How many samples came."""
-        self.missing = 0
-        """How many records were dropped."""
-        self._waiting: list[tuple[str, float, bytes]] = []
-        self._size = 0
-        self._changed = threading.Condition()
-        self._is_closing = False
-        self._error = ""
-        self._began: float | None = None
-        self._thread = threads.daemon(self._main, "recording", again=True)
-        self._thread.start()
+        super().__init__(
+            path, "the recording", "record", most=MOST_WAITING, every=_WRITE_EVERY
+        )
+        self.start()
 
     def add(self, sample: AgentSample) -> None:
         """Write a sample soon."""
         self.count += 1
-        self._put(*message_of(sample))
+        self._add(sample)
 
     def add_seen(self, seen: Seen) -> None:
         """Write soon what policies saw."""
-        self._put(*message_of(seen))
+        self._add(seen)
 
-    @property
-    def trouble(self) -> str:
-        """Why records are not written, and how many lack; empty: all is well."""
-        began, error = self._began, self._error
-        if not error and began and time.monotonic() - began > _SLOW_AFTER:
-            error = f"its disk has not answered for {_SLOW_AFTER:g} s"
-        said = [f"cannot be written: {error}"] if error else []
-        said += [f"lacks {counted(self.missing, 'record')}"] if self.missing else []
-        return f"the recording {self.file.path} {', '.join(said)}" if said else ""
+    def _add(self, record: AgentSample | Seen) -> None:
+        topic, data = message_of(record)
+        self.put((topic, wall_time(), data), len(data))
 
-    def close(self) -> None:
-        """Write what waits and end the file, within half a minute; add nothing more."""
-        with self._changed:
-            self._is_closing = True
-            self._changed.notify_all()
-        self._thread.join(_CLOSE_LIMIT)
+    def write(self, records: Sequence[tuple[str, float, bytes]]) -> None:
+        """Compress records, and write them."""
+        for topic, at, data in records:
+            self.file.add(topic, None, at, data)
+            self.note_written(1)
+        self.file.flush()
+
+    def end(self) -> None:
+        """End the file: it is whole then."""
+        self.file.close()
 
     def __str__(self) -> str:
         """Return how much there is, and is not, for people."""
-        said = f"recorded {self.count} samples to {self.file.path}"
+        said = f"recorded {self.count} samples to {self.path}"
         return f"{said}; {self.trouble}" if self.trouble else said
-
-    def _put(self, topic: str, data: bytes) -> None:
-        with self._changed:
-            if self._is_closing or self._size + len(data) > MOST_WAITING:
-                self.missing += 1
-                return
-            self._waiting.append((topic, wall_time(), data))
-            self._size += len(data)
-
-    def _main(self) -> None:
-        is_closing = False
-        while not is_closing:
-            with self._changed:
-                is_closing = self._changed.wait_for(
-                    lambda: self._is_closing, _WRITE_EVERY
-                )
-                taken, self._waiting, self._size = self._waiting, [], 0
-            self._began = time.monotonic()
-            self._write(taken)
-            self._began = None
-        try:
-            self.file.close()
-        except RunError as error:
-            self._error = str(error)
-
-    def _write(self, taken: list[tuple[str, float, bytes]]) -> None:
-        written = 0
-        try:
-            for topic, at, data in taken:
-                self.file.add(topic, None, at, data)
-                written += 1
-            self.file.flush()
-            self._error = ""
-        except RunError as error:
-            self._error = str(error)
-        self.missing += len(taken) - written
