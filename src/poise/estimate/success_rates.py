@@ -95,13 +95,25 @@ class SuccessRate(NamedTuple):
 
 
 class Belief(Struct, frozen=True, kw_only=True):
-    """What is believed of the success of an action with an architecture."""
+    """What is believed of the success of an action with an architecture.
+
+    Parameters
+    ----------
+    hash
+        Of the architecture as it ran.
+    is_present
+        Whether this is its hash now: only such outcomes count.
+    done, failed
+        Outcomes since the last change; earlier ones count for less.
+    mean, deviation
+        Of the success rate.
+    """
 
     action: str
     conditions: Conditions
-    hash: str  # of the architecture as it ran
-    is_present: bool  # whether this is its hash now: only such outcomes count
-    done: float  # outcomes since the last change; earlier ones count for less
+    hash: str
+    is_present: bool
+    done: float
     failed: float
     mean: float
     deviation: float

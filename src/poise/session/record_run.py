@@ -75,30 +75,23 @@ def _type(robot: Robot, end: ConnectorEnd, kinds: tuple[str, ...]) -> str:
     return f"{port.type.__module__}:{port.type.__qualname__}"
 
 
-class Kept(Struct, frozen=True):
-    """What is to run, and what records it; None: nothing does."""
-
-    robot: Robot
-    recorder: RecordingFile | None = None
-
-
 @contextlib.contextmanager
 def keeping(
     robot: Robot, placed: Collection[str], file: Path | None, say: Say
-) -> Iterator[Kept]:
-    """Write a recording of what runs within to `file`; None: nothing is kept.
+) -> Iterator[tuple[Robot, RecordingFile | None]]:
+    """Give what is to run, and what records it in `file`; None: nothing does.
 
     To be entered before the run is, for containers write until it ends.
     """
     if file is None:
-        yield Kept(robot)
+        yield robot, None
         return
     inputs = inputs_folder(file)
     shutil.rmtree(inputs, ignore_errors=True)
     tap = tapped(robot, placed, inputs)
     recorder = RecordingFile(file, robot.name)
     try:
-        yield Kept(tap.robot, recorder)
+        yield tap.robot, recorder
     finally:
         inputs_said = _collect(tap, recorder, file)
         recorder.close()

@@ -96,17 +96,18 @@ def run(  # noqa: PLR0913 - each is a choice of the user
             journal_of(robot, first, journal, warnings.hear, decided)
         )
         server = _server(robot, stack, say)
-        kept = stack.enter_context(keeping(robot, placed.where, record, say))
+        recorded = keeping(robot, placed.where, record, say)
+        runs, recorder = stack.enter_context(recorded)
         answering = stack.enter_context(contextlib.ExitStack())
         up, manager = stack.enter_context(
             managed(
-                kept.robot,
+                runs,
                 first,
                 book,
                 say,
                 check,
                 adapts=adapt,
-                recorder=kept.recorder,
+                recorder=recorder,
             )
         )
         answering.callback(manager.end)

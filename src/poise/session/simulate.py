@@ -33,7 +33,6 @@ from poise.session.render.simulation_tables import (
     verdict,
 )
 from poise.session.robot_file import task_of
-from poise.simulation.faults import SimulatedFault
 from poise.simulation.simulation_report import SimulationReport
 
 
@@ -123,9 +122,9 @@ def simulate(  # noqa: PLR0913 - each is a choice of the user
     UsageError
         A fault cannot happen to this robot, or the extra `simulate` is not installed.
     """
-    asked = _asked(robot, task, seconds, faults, seed, recording, adapt=adapt)
-    placed = first_phase(robot, [asked.task], placement, say).placed
-    return _simulated(asked, placed, meanwhile, check)
+    asked = _scenario(robot, task, seconds, (faults, seed), recording, adapt=adapt)
+    placed = first_phase(robot, asked.tasks, placement, say).placed
+    return _simulated(asked, seed, placed, meanwhile, check)
 
 
 def compare_simulations(  # noqa: PLR0913 - each is a choice of the user
@@ -161,20 +160,20 @@ def compare_simulations(  # noqa: PLR0913 - each is a choice of the user
     """
     if not methods:
         raise UsageError("name the placements to compare, such as auto and static")
-    asked = _asked(robot, task, seconds, faults, seed, recording, adapt=adapt)
+    asked = _scenario(robot, task, seconds, (faults, seed), recording, adapt=adapt)
     without: dict[str, str] = {}
     placements: dict[str, Placement] = {}
     for method in dict.fromkeys(methods):
         try:
-            planned = place(robot, asked.task, method=method, fewer=True)
-            placements[method] = first_phase(robot, [asked.task], planned, say).placed
+            planned = place(robot, asked.tasks[0], method=method, fewer=True)
+            placements[method] = first_phase(robot, asked.tasks, planned, say).placed
         except RobotError as error:
             without[method] = str(error)
     results: dict[str, Simulation] = {}
     for method, placed in placements.items():
         say(f"simulating {method} placement")
         try:
-            results[method] = _simulated(asked, placed, meanwhile, check)
+            results[method] = _simulated(asked, seed, placed, meanwhile, check)
         except RunError as error:
             without[method] = str(error)
         except KeyboardInterrupt:
@@ -187,61 +186,40 @@ def compare_simulations(  # noqa: PLR0913 - each is a choice of the user
     return SimulationComparison(results=results, without=without)
 
 
-class _Asked(Struct, frozen=True, kw_only=True):
-    """What is simulated, but for the placement."""
-
-    robot: Robot
-    task: str
-    seconds: float
-    faults: tuple[SimulatedFault, ...]
-    seed: int
-    adapts: bool
-    cores: Mapping[str, tuple[float, ...]]
-
-
-def _asked(
+def _scenario(
     robot: Robot,
     task: str | None,
     seconds: float,
-    faults: Faults,
-    seed: int,
+    faults: tuple[Faults, int],
     recording: str | PathLike[str] | None,
     *,
     adapt: bool,
-) -> _Asked:
-    """Return what the user asks for, when it can be simulated."""
-    _engine()  # before anything is decided
+) -> RehearsalPlan:
+    """Return what the user asks for, but for the placement, if it can be simulated."""
+    _, plan = _engine()  # before anything is decided
     if not (isfinite(seconds) and seconds > 0):
         raise UsageError(f"{seconds:g} s: a simulation must last longer than 0 s")
-    return _Asked(
+    return plan(
         robot=robot,
-        task=task_of(robot, task),
-        seconds=seconds,
-        faults=faults_of(robot, faults, seconds, seed),
-        seed=seed,
+        placement={},
+        method="",
+        tasks=(task_of(robot, task),),
+        profile=read_profile(robot),
+        faults=faults_of(robot, faults[0], seconds, faults[1]),
         adapts=adapt,
         cores=RecordedRun(recording).cores(robot) if recording else {},
+        seconds=seconds,
     )
 
 
 def _simulated(
-    asked: _Asked, placed: Placement, meanwhile: Watch, check: Check
+    asked: RehearsalPlan, seed: int, placed: Placement, meanwhile: Watch, check: Check
 ) -> Simulation:
     """Return what comes of a placement."""
-    rehearsal, plan = _engine()
-    scenario = plan(
-        robot=asked.robot,
-        placement=placed.where,
-        method=placed.method,
-        tasks=(asked.task,),
-        profile=read_profile(asked.robot),
-        faults=asked.faults,
-        adapts=asked.adapts,
-        cores=asked.cores,
-        seconds=asked.seconds,
-    )
+    scenario = structs.replace(asked, placement=placed.where, method=placed.method)
+    rehearsal, _ = _engine()
     check()
-    with closing(rehearsal(scenario, asked.seed)) as simulated:
+    with closing(rehearsal(scenario, seed)) as simulated:
         with interrupts_held():
             simulated.come_up()
         with suppress(KeyboardInterrupt):  # the report says that it was ended early

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from math import isfinite
 from pathlib import Path
-from typing import Annotated, NamedTuple
+from typing import Annotated
 
 import typer
 from rich.console import Console
@@ -17,8 +18,8 @@ from poise.errors import UsageError
 from poise.estimate.success_rates import Conditions, learned
 from poise.model import load
 from poise.model.robot import Computer, Robot
-from poise.session.placing.by_time import DecidedByTime, decide_by_time
-from poise.session.placing.placement import ALL, ruled
+from poise.session.placing.by_time import DecidedByTime
+from poise.session.placing.placement import ALL, decided
 from poise.session.profiling.stored_profiles import profiled
 from poise.session.render.plan_tables import (
     show,
@@ -158,55 +159,40 @@ def plan_command(
     _check_phases(tasks, phase, compare, has_phases=has_phases)
     problems = {name: each.changed(changed) for name, each in problems.items()}
     with Interrupts() as interrupts:
-        how = How(
-            robot, method, budget, seed, steps, fewer, interrupts.has_come, not smallest
+        solve = partial(
+            plan.solve_phases,
+            budget=budget,
+            seed=seed,
+            steps=steps,
+            fewer=fewer,
+            stop=interrupts.has_come,
+            why=not smallest,
         )
+        how = partial(_decide, robot, solve)
         if smallest:
-            feasible = _answer_smallest(problems, how, json=json)
+            feasible = _answer_smallest(problems, partial(how, method), json=json)
         else:
             (one,) = problems.values()
             if compare is not None:
                 feasible = _answer_comparison(one, how, compare, json=json)
             else:
-                feasible = _answer(one, how, explain, phase, json=json)
+                feasible = _answer(one, partial(how, method), explain, phase, json=json)
     if not feasible:
         raise typer.Exit(1)
 
 
-class How(NamedTuple):
-    """How to decide: the options of the command."""
+Decider = Callable[[plan.PhasedProblem], DecidedByTime]
 
-    robot: Robot | None
-    method: str
-    budget: float | None
-    seed: int
-    steps: int | None
-    fewer: bool
-    stop: Callable[[], bool]
-    why: bool
 
-    def decide(
-        self, problem: plan.PhasedProblem, method: str | None = None
-    ) -> DecidedByTime:
-        """Decide where components run; `method` is taken instead of the option's."""
-        method = method or self.method
-
-        def solve(asked: plan.PhasedProblem) -> plan.PhasedResult:
-            return ruled(method, self.robot, asked) or plan.solve_phases(
-                asked,
-                self.budget,
-                method,
-                self.seed,
-                steps=self.steps,
-                fewer=self.fewer,
-                stop=self.stop,
-                why=self.why,
-            )
-
-        with busy("placing"):
-            if self.robot is None:
-                return DecidedByTime(solve(problem))
-            return decide_by_time(self.robot, problem, solve)
+def _decide(
+    robot: Robot | None,
+    solve: Callable[..., plan.PhasedResult],
+    method: str,
+    problem: plan.PhasedProblem,
+) -> DecidedByTime:
+    """Decide where components run, by a method."""
+    with busy("placing"):
+        return decided(robot, problem, method, partial(solve, method=method))
 
 
 def _check_together(
@@ -274,15 +260,15 @@ def _robot(
 
 def _answer(
     problem: plan.PhasedProblem,
-    how: How,
+    how: Decider,
     explain: str | None,
     phase: str | None,
     *,
     json: bool,
 ) -> bool:
     """Decide and print, or why something is where it is; return whether it holds."""
-    decided = how.decide(problem)
-    result = decided.phased
+    found = how(problem)
+    result = found.phased
     several = len(result.results) > 1
     explanation = None
     if explain is not None and (several or result.only[1].placement):
@@ -294,7 +280,7 @@ def _answer(
         print_json(
             {
                 **plain,
-                "predicted": decided.predicted,
+                "predicted": found.predicted,
                 **extra,
                 **({"phase": phase} if several and extra else {}),
             }
@@ -302,7 +288,7 @@ def _answer(
         return result.feasible
     console = Console()
     if explanation is None:
-        show(result, console, decided.predicted)
+        show(result, console, found.predicted)
         return result.feasible
     if several:
         console.print(f"phase {phase}:", highlight=False)
@@ -311,11 +297,11 @@ def _answer(
 
 
 def _answer_smallest(
-    tasks: Mapping[str, plan.PhasedProblem], how: How, *, json: bool
+    tasks: Mapping[str, plan.PhasedProblem], how: Decider, *, json: bool
 ) -> bool:
     """Print the cheapest computers on which each task fits; return whether all do."""
     problems = [*tasks.values()]
-    few = plan.smallest(problems, lambda each: how.decide(each).phased)
+    few = plan.smallest(problems, lambda each: how(each).phased)
     known = problems[0].computers
     price = sum(h.price for h in known if h.name in few.computers)
     results = dict(zip(tasks, few.results, strict=False))
@@ -340,11 +326,15 @@ def _answer_smallest(
 
 
 def _answer_comparison(
-    problem: plan.PhasedProblem, how: How, methods: str, *, json: bool
+    problem: plan.PhasedProblem,
+    how: Callable[[str, plan.PhasedProblem], DecidedByTime],
+    methods: str,
+    *,
+    json: bool,
 ) -> bool:
     """Print what several methods find; return whether one of them holds."""
     names = [name.strip() for name in methods.split(",")]
-    results = {name: how.decide(problem, name).phased.only[1] for name in names}
+    results = {name: how(name, problem).phased.only[1] for name in names}
     if json:
         print_json({"results": {name: r.to_dict() for name, r in results.items()}})
     else:

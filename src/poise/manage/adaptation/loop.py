@@ -12,7 +12,6 @@ import time
 from collections.abc import Callable
 from functools import cache, partial
 
-from msgspec import Struct
 from msgspec.structs import replace
 
 from poise.clock import wall_time
@@ -76,7 +75,7 @@ class Adaptation:
             UseAgain(self._transitions),
         )
         self._troubles: set[str] = set()
-        self._reported: dict[Key, _Reported] = {}
+        self._reported: dict[Key, Deviation] = {}
         self.deviations: tuple[Deviation, ...] = ()
 
     def adapt(self) -> None:
@@ -169,25 +168,10 @@ class Adaptation:
         for symptom in symptoms:
             # a computer that is out of reach is reported as such (`LostComputers`)
             if symptom.key not in self._reported and symptom.policy.do != "fail over":
-                self._reported[symptom.key] = _Reported(symptom, wall_time())
+                self._reported[symptom.key] = Deviation(
+                    what=symptom.what, computer=symptom.computer, since=wall_time()
+                )
                 note("wrong", symptom.what, policies=saw([symptom]))
         for key in sorted(self._reported.keys() - self._policies.since.keys()):
-            note("right", f"no more: {self._reported.pop(key).symptom.what}")
-        self.deviations = (
-            *self._needs.deviations(),
-            *(
-                Deviation(
-                    what=reported.symptom.what,
-                    computer=reported.symptom.computer,
-                    since=reported.since,
-                )
-                for reported in self._reported.values()
-            ),
-        )
-
-
-class _Reported(Struct):
-    """A symptom as it was reported, and since when [s since 1970]."""
-
-    symptom: Symptom
-    since: float
+            note("right", self._reported.pop(key).end())
+        self.deviations = (*self._needs.deviations(), *self._reported.values())

@@ -12,7 +12,7 @@ from collections.abc import Set as AbstractSet
 from functools import partial
 from itertools import groupby, islice, product
 
-from msgspec import Struct, structs
+from msgspec import structs
 
 from poise.clock import wall_time
 from poise.errors import UsageError
@@ -38,13 +38,6 @@ _LOOK_AT_CODE = 2.0
 """Whether the code of what crashed is another is looked at so often [s]."""
 
 
-class _Aside(Struct):
-    """Why an architecture does not run."""
-
-    why: str
-    since: float  # [s since 1970]
-
-
 class Suspensions:
     """What a robot's task needs, but does not run. Times are those of one clock [s]."""
 
@@ -54,7 +47,7 @@ class Suspensions:
         self._run = run
         self._task = task
         self._why = why
-        self._known: dict[str, _Aside] = {}
+        self._known: dict[str, Deviation] = {}
         self._stays: dict[str, tuple[float, float]] = {}
         self._crashed: dict[str, str] = {}
         self._look_at_code = 0.0
@@ -153,12 +146,7 @@ class Suspensions:
 
     def deviations(self) -> tuple[Deviation, ...]:
         """Return what is suspended; from any thread."""
-        return tuple(
-            Deviation(
-                what=_sentence(name, suspended.why), computer="", since=suspended.since
-            )
-            for name, suspended in sorted(self._known.copy().items())
-        )
+        return tuple(known for _, known in sorted(self._known.copy().items()))
 
     def due(self, now: float) -> list[Architecture]:
         """Return what may be started again, the highest priority first."""
@@ -210,10 +198,14 @@ class Suspensions:
         return not_running(robot, task.name, self._run.placed)
 
     def _add(self, name: str, why: str) -> None:
-        before = self._known.get(name)
-        self._known[name] = _Aside(why, before.since if before else wall_time())
-        if before is None or before.why != why:
-            self._run.journal.note("wrong", _sentence(name, why))
+        before, what = (
+            self._known.get(name),
+            f"architecture '{name}' is suspended: {why}",
+        )
+        since = before.since if before else wall_time()
+        self._known[name] = Deviation(what=what, computer="", since=since)
+        if before is None or before.what != what:
+            self._run.journal.note("wrong", what)
 
 
 def not_running(robot: Robot, task: str, placed: Iterable[str]) -> list[Architecture]:
@@ -236,10 +228,6 @@ def not_running(robot: Robot, task: str, placed: Iterable[str]) -> list[Architec
         ),
         key=lambda a: (-a.priority, -a.quality),
     )
-
-
-def _sentence(name: str, why: str) -> str:
-    return f"architecture '{name}' is suspended: {why}"
 
 
 class NeededFunctions:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import random
 from collections.abc import Collection, Mapping
+from functools import partial
 from itertools import cycle
 from pathlib import Path
 
@@ -16,7 +17,7 @@ from poise.errors import UsageError
 from poise.estimate.success_rates import WELL, Conditions, learned
 from poise.model.robot import Robot
 from poise.plan.portfolio import METHODS as SOLVERS
-from poise.session.placing.by_time import decide_by_time
+from poise.session.placing.by_time import Decide, DecidedByTime, decide_by_time
 from poise.session.render.picture import planned_picture
 from poise.session.render.plan_tables import plan_parts
 from poise.session.render.printable import Printable
@@ -302,19 +303,29 @@ def place(  # noqa: PLR0913 - each is a choice of the user
         problem = plan.PhasedProblem.of_one(name, plan.problem_of(robot, task))
     else:
         problem = plan.phased_problem_of(robot, task)
-
-    def decide(asked: plan.PhasedProblem) -> plan.PhasedResult:
-        return ruled(method, robot, asked) or plan.solve_phases(
-            asked, budget, method, seed, fewer=fewer
-        )
-
-    decided = decide_by_time(robot, problem, decide)
+    solve = partial(
+        plan.solve_phases, budget=budget, method=method, seed=seed, fewer=fewer
+    )
+    found = decided(robot, problem, method, solve)
     return Placement(
-        task=task, method=method, phased=decided.phased, predicted=decided.predicted
+        task=task, method=method, phased=found.phased, predicted=found.predicted
     )
 
 
-def ruled(
+def decided(
+    robot: Robot | None, problem: plan.PhasedProblem, method: str, solve: Decide
+) -> DecidedByTime:
+    """Return what a rule decides, or else a solver; None: there is no robot file."""
+
+    def decide(asked: plan.PhasedProblem) -> plan.PhasedResult:
+        return _ruled(method, robot, asked) or solve(asked)
+
+    if robot is None:
+        return DecidedByTime(decide(problem))
+    return decide_by_time(robot, problem, decide)
+
+
+def _ruled(
     method: str, robot: Robot | None, problem: plan.PhasedProblem
 ) -> plan.PhasedResult | None:
     """Return what a rule places in each phase; None: a solver is to decide."""
