@@ -172,3 +172,26 @@ def test_a_chain_whose_data_never_comes_is_not_predicted(robot: Robot) -> None:
     times = predict_times(robot, ALL_LEFT, work)
     assert times.chains == ()
     assert times.unknown == ("see",)
+
+
+def test_data_that_only_waits_for_cpu_is_as_old_as_the_simulation_is_long(
+    robot: Robot,
+) -> None:
+    """On the right a run takes 20 s; 5 s are simulated."""
+    left, right = robot.computers
+    slow = replace(right, speed=0.0005, address="10.0.0.1")
+    placement = {"eye": "left", "mind": "right", "arm": "left"}
+    chain = predicted(replace(robot, computers=(left, slow)), placement)
+    assert (chain.median, chain.p99, chain.late) == (5.0, 5.0, 1.0)
+    assert chain.slowest == "mind"
+
+
+def test_a_timer_that_skips_releases_does_not_keep_its_deadline(robot: Robot) -> None:
+    """One run of twenty takes over a period, so that a release is skipped."""
+    hog = ComponentModel(timers=(timer(0.1, 0.05),), factors=(1.0,) * 19 + (1.5,))
+    often = ComponentModel(timers=(timer(0.1, 0.05),), factors=(1.0,) * 4 + (2.5,))
+    for model, keeps in ((hog, True), (often, False)):
+        work = SimulatedWork(models={**PASSED_ON, "hog": model})
+        times = predict_times(robot, {**ALL_LEFT, "hog": "right"}, work)
+        (found,) = (each for each in times.timers if each.component == "hog")
+        assert (found.p99 < found.deadline) is keeps

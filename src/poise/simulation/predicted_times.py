@@ -14,7 +14,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from itertools import pairwise
 from random import Random
 
-from msgspec import Struct
+from msgspec import Struct, structs
 
 from poise.estimate.demands import kinds_together
 from poise.manage.deploy.deployment_plan import DeploymentPlan
@@ -142,6 +142,7 @@ _ROBOTS = 8
 _SHORTEST, _LONGEST = 5.0, 60.0
 _PERIODS = 50.0
 """Each robot is simulated for 50 of the longest period, within these times [s]."""
+_OFTEN = 0.01
 
 
 class PredictedHop(Struct, frozen=True, kw_only=True):
@@ -167,7 +168,8 @@ class PredictedChain(Struct, frozen=True, kw_only=True):
     deadline
         How old it may be [s].
     median, p99
-        Its age [s].
+        Its age [s]; where no data got to the end while the robot was simulated, the
+        length of that.
     late
         The share of uses at which it is older than that.
     slowest
@@ -196,9 +198,10 @@ class PredictedTimer(Struct, frozen=True, kw_only=True):
     Parameters
     ----------
     p99
-        Of the time from its release to the end of its run [s].
+        Of the time from its release to the end of its run [s]; at least the deadline
+        where more than one release of a hundred misses it.
     late
-        The share of releases that miss the deadline.
+        The share of releases that miss the deadline, or are skipped.
     """
 
     component: str
@@ -207,6 +210,11 @@ class PredictedTimer(Struct, frozen=True, kw_only=True):
     p99: float
     late: float
 
+    @property
+    def name(self) -> str:
+        """The component and the timer."""
+        return f"{self.component}.{self.timer}"
+
 
 class PredictedTimes(Struct, frozen=True, kw_only=True):
     """What is predicted of a placement.
@@ -214,7 +222,8 @@ class PredictedTimes(Struct, frozen=True, kw_only=True):
     Parameters
     ----------
     unknown
-        The chains whose data does not get to their end, by what is known.
+        The chains whose data does not get to their end wherever their components run,
+        by what is known.
     guesses
         What was assumed, because neither profile nor robot file nor code says it.
     """
@@ -242,17 +251,44 @@ def predict_times(
     robots = [PlacedComponents(robot, placement, work, seed) for seed in range(_ROBOTS)]
     for each in robots:
         each.run(each.now + seconds)
-    found = [_chain(each, robots, placement) for each in chains]
+    found = {each: _chain(each, robots, placement) for each in chains}
+    if None in found.values():
+        free = PlacedComponents(_uncrowded(robot, len(placement)), placement, work)
+        free.run(free.now + seconds)
+        found |= {
+            each: _stuck(_chain(each, [free], placement), seconds)
+            for each, predicted in found.items()
+            if predicted is None
+        }
     return PredictedTimes(
-        chains=tuple(each for each in found if each is not None),
-        unknown=tuple(
-            chain.name
-            for chain, each in zip(chains, found, strict=True)
-            if each is None
-        ),
+        chains=tuple(each for each in found.values() if each is not None),
+        unknown=tuple(each.name for each, known in found.items() if known is None),
         timers=tuple(_timers(robots, placement)),
         guesses=work.guesses,
     )
+
+
+def _uncrowded(robot: Robot, cores: int) -> Robot:
+    """Return the robot with a core of the reference for each component."""
+    return structs.replace(
+        robot,
+        computers=tuple(
+            structs.replace(
+                c, capacity={"cpu": float(cores)}, speed=1.0, address="free"
+            )
+            for c in robot.computers
+        ),
+    )
+
+
+def _stuck(free: PredictedChain | None, seconds: float) -> PredictedChain | None:
+    """Return a chain whose data only gets to its end where there is CPU enough.
+
+    `free`: what is predicted of it there; None: nothing gets to its end there either.
+    """
+    if free is None:
+        return None
+    return structs.replace(free, median=seconds, p99=seconds, late=1.0)
 
 
 def _chain(
@@ -300,14 +336,20 @@ def _timers(
             first, releases = same[0], sum(timer.releases for timer in same)
             if first.deadline is None or not releases:
                 continue
-            took = _mean(timer.duration for timer in same)
-            late = _mean(timer.lateness for timer in same)
+            p99 = sum(
+                _mean(each).p99
+                for each in (
+                    [timer.lateness for timer in same],
+                    [timer.duration for timer in same],
+                )
+            )
+            late = sum(timer.missed for timer in same) / releases
             yield PredictedTimer(
                 component=component,
                 timer=first.name,
                 deadline=first.deadline,
-                p99=late.p99 + took.p99,
-                late=sum(timer.missed for timer in same) / releases,
+                p99=max(p99, first.deadline if late > _OFTEN else 0.0),
+                late=late,
             )
 
 

@@ -43,6 +43,12 @@ class Arm(poise.Component):
         pass
 
 
+class Beat(poise.Component):
+    @poise.every(0.02, deadline=0.005)
+    def beat(self):
+        pass
+
+
 class Hog(poise.Component):
     @poise.every(0.1)
     def toil(self):
@@ -61,9 +67,10 @@ architectures:
       mind: {{implementation: "{module}:Mind", cpu: {mind}}}
       arm: {{implementation: "{module}:Arm", cpu: 5%, devices: [motor]}}
       hog: {{implementation: "{module}:Hog", cpu: {hog}, devices: [{hog_needs}]}}
+      beat: {{implementation: "{module}:{beats}", cpu: 1%, devices: [motor]}}
     connectors:
-      - {{between: [eye.seen, mind.seen], message: {message}, rate: 10 Hz}}
-      - {{between: [mind.wish, arm.wish], message: 100 B, rate: 10 Hz}}
+      - {{between: [eye.seen, mind.seen], message: {message}, rate: {rate}}}
+      - {{between: [mind.wish, arm.wish], message: 100 B, rate: {rate}}}
 objective: {{communication: {communication}, balance: 0.5}}
 {chains}
 tasks: {{go: {{actions: [{{name: go, functions: [servo]}}]}}}}
@@ -90,6 +97,8 @@ def placed(tmp_path: Path) -> Place:
             "hog": "0%",
             "hog_needs": "",
             "chains": CHAIN,
+            "beats": "Arm",
+            "rate": "10 Hz",
         }
         path.write_text(FILE.format(module=module, **(usual | keys)))
         robot = load(path)
@@ -120,7 +129,7 @@ def test_a_chain_does_not_cross_a_link_that_takes_too_long(
 
 def test_a_chain_goes_round_a_busy_computer(placed: Place) -> None:
     """Only a simulation tells how much longer things take there."""
-    keys = {"hog": "20%", "hog_needs": "motor", "communication": "0.5"}
+    keys = {"hog": "22%", "hog_needs": "motor", "communication": "0.5"}
     assert placed(**keys, chains="")["mind"] == "a"
     assert placed(**keys)["mind"] == "b"
 
@@ -140,10 +149,37 @@ def test_a_chain_that_is_late_anywhere_is_placed_and_said(placed: Place) -> None
 
 def test_a_given_placement_is_predicted_as_it_is(placed: Place, tmp_path: Path) -> None:
     given = tmp_path / "given.yaml"
-    given.write_text("{eye: a, mind: b, arm: a, hog: a}")
+    given.write_text("{eye: a, mind: b, arm: a, hog: a, beat: a}")
     found = placed(method=str(given), link="latency: 80 ms")
     assert found["mind"] == "b"
     (chain,) = found.predicted["go"].chains
     assert chain.median > 0.16
     assert found.result.objective is not None
     assert found.result.objective.time > 0.5
+
+
+def test_a_timer_with_a_deadline_is_placed_so_that_it_keeps_it(placed: Place) -> None:
+    """Beside a hog it would miss it; without the deadline the hog is beside it."""
+    keys = {"hog": "30%", "mind": "0.1%", "chains": "", "communication": "0.0"}
+    assert placed(**keys, hog_needs="motor")["hog"] == "a"
+    beside = placed(**keys, beats="Beat", hog_needs="motor")
+    (timer,) = beside.predicted["go"].timers
+    assert (timer.name, timer.late > 0.05) == ("beat.beat", True)
+    assert beside.result.objective is not None
+    assert beside.result.objective.time > 1.0
+    apart = placed(**keys, beats="Beat")
+    assert apart["hog"] == "b"
+    assert apart.result.objective is not None
+    assert apart.result.objective.time == 0.0
+
+
+def test_a_chain_that_is_not_predicted_counts_what_it_takes_at_least(
+    placed: Place,
+) -> None:
+    """Nothing is known to go over its connectors, and its wire is known to be slow."""
+    keys = {"link": "latency: 80 ms", "rate": "0 Hz", "communication": "0.05"}
+    assert placed(**keys, chains="")["mind"] == "b"
+    found = placed(**keys)
+    assert found["mind"] == "a"
+    assert found.predicted["go"].unknown == ("see",)
+    assert "not predicted: see, at least" in " ".join(str(found).split())

@@ -111,14 +111,23 @@ def test_a_slow_computer_takes_longer_for_the_same_work(engine: Engine) -> None:
 
 
 def test_an_emulated_computer_runs_quickly_and_then_stands(engine: Engine) -> None:
-    """It has 3 of each 10 ms: 7 ms of work take 20 ms, and 1 ms more."""
+    """It has 3 of each 10 ms, which the kernel looks at every 4 ms.
+
+    So it takes 4 ms, has 2 of the next period, and ends 7 ms of work in the third.
+    """
     cpu = engine.cpu(1.0, speed=0.3, is_emulated=True)
     group, other = cpu.group(), cpu.group()
     group.run(0.007)
-    for until, used in ((0.002, 0.002), (0.009, 0.003), (0.012, 0.005), (0.03, 0.007)):
+    for until, used in (
+        (0.002, 0.002),
+        (0.009, 0.004),
+        (0.011, 0.005),
+        (0.019, 0.006),
+        (0.03, 0.007),
+    ):
         engine.run(until)
         assert group.used == pytest.approx(used)
-    group.run(0.002)
-    other.run(0.002)  # they share the core, and 3 ms of the next period
+    group.run(0.005)
+    other.run(0.005)  # they share 1 ms of the last period, 3 of this one, 2 too many
     engine.run(0.039)
-    assert (group.used, other.used) == pytest.approx((0.0085, 0.0015))
+    assert (group.used, other.used) == pytest.approx((0.01, 0.003))

@@ -1,18 +1,16 @@
-"""Decides where components run so that the data of chains is in time.
+"""Decides where components run so that chains and timers keep their deadlines.
 
-What a chain's data waits for where it is (a timer's next run, the turn of others) is
-part of what is predicted of a whole placement, and not of these: see `by_time`.
-
-How old data gets depends on all that runs beside it, which no sum over components and
-connectors tells. So a placement is decided by what can be summed (`chain_limits`),
-simulated, and decided again with what was missing from the sums, until the data is in
-time or nothing changes any more.
+How old data gets, and when a timer's run ends, depends on all that runs beside it,
+which no sum over components and connectors tells. So a placement is decided by what can
+be summed (`chain_limits`, `timer_limits`), simulated, and decided again with what was
+missing from the sums, until all is in time or nothing changes any more.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from itertools import pairwise
+from math import isclose
 
 from msgspec import Struct
 from msgspec.structs import replace
@@ -22,6 +20,7 @@ from poise.estimate.demands import kinds_together
 from poise.manage.deploy.deployment_plan import DeploymentPlan
 from poise.model.robot import Chain, Connector, Robot
 from poise.plan import Hop, Run, TimeLimit
+from poise.plan.from_robot import LATE
 from poise.session.profiling.stored_profiles import read_profile
 from poise.session.robot_file import with_code
 from poise.simulation.components.models import ComponentModel, HandlerModel
@@ -50,6 +49,23 @@ def chain_limits(robot: Robot, work: SimulatedWork) -> Iterator[TimeLimit]:
             ),
             shared=True,
         )
+
+
+def timer_limits(work: SimulatedWork) -> Iterator[TimeLimit]:
+    """Yield what a run of each timer with a deadline takes.
+
+    What it waits for besides is predicted of a whole placement.
+    """
+    for component, model in work.models.items():
+        for each in model.timers:
+            if each.timer.deadline is not None:
+                yield TimeLimit(
+                    name=f"{component}.{each.timer.name}",
+                    limit=each.timer.deadline,
+                    runs=(Run(component=component, seconds=each.handler.work),),
+                    shared=True,
+                    price=LATE,
+                )
 
 
 class _Paths:
@@ -116,14 +132,15 @@ def _sends(handler: HandlerModel, slot: str) -> bool:
 
 
 SURE = 1.25
-"""The predicted age of data counts 1.25 times, as predictions may be wrong."""
+"""What is predicted counts 1.25 times, as predictions may be wrong."""
 _ROUNDS = 4
+_ROUNDING = 1e-6
 
 Decide = Callable[[plan.PhasedProblem], plan.PhasedResult]
 
 
 class DecidedByTime(Struct, frozen=True):
-    """A placement of each phase, and what is predicted of it; none: it has no chain."""
+    """A placement of each phase, and what is predicted of it; none: no deadlines."""
 
     phased: plan.PhasedResult
     predicted: Mapping[str, PredictedTimes] = {}
@@ -132,17 +149,19 @@ class DecidedByTime(Struct, frozen=True):
 def decide_by_time(
     robot: Robot, problem: plan.PhasedProblem, decide: Decide
 ) -> DecidedByTime:
-    """Return the best placement found, with the age of data as predicted for it.
+    """Return the best placement found, with the times that are predicted for it.
 
-    `robot`: if its code was not read yet, another process imports it.
+    `robot`: if it has chains and its code was not read yet, another process imports it.
     `decide`: decides a problem.
     """
-    if not any(phase.problem.time_limits for phase in problem.phases):
+    if any(phase.problem.time_limits for phase in problem.phases):
+        robot = with_code(robot)
+    elif not _has_deadlines(robot):
         return DecidedByTime(decide(problem))
-    robot = with_code(robot)
     work = workload_of(robot, read_profile(robot))
-    known = {each.name: each for each in chain_limits(robot, work)}
-    problem = problem.changed(lambda each: _with_runs(each, known))
+    chains = {each.name: each for each in chain_limits(robot, work)}
+    timers = tuple(timer_limits(work))
+    problem = problem.changed(lambda each: _with_limits(each, chains, timers))
     found: list[tuple[float, DecidedByTime]] = []
     for _ in range(_ROUNDS):
         result = decide(problem)
@@ -153,16 +172,47 @@ def decide_by_time(
             break
         problem = _calibrated(problem, decided)
     # the last of equally good ones: what it was decided by is what was predicted of it
-    return min(reversed(found), key=lambda each: each[0])[1]
+    return _as_predicted(min(reversed(found), key=lambda each: each[0])[1])
 
 
-def _with_runs(problem: plan.Problem, known: Mapping[str, TimeLimit]) -> plan.Problem:
-    """Return the problem whose limits have the runs and hops of chains."""
+def _as_predicted(decided: DecidedByTime) -> DecidedByTime:
+    """Return a placement whose F has the times that are predicted of it.
+
+    It may have been decided by what was predicted of another one.
+    """
+    result = decided.phased
+    summed = _summed(result)
+    is_whole = all(r.placement and not r.suspended for r in result.results.values())
+    if not is_whole or isclose(summed, sum(_excesses(decided)), abs_tol=_ROUNDING):
+        return decided
+    problem = _calibrated(result.problem, decided)
+    results = {
+        phase.name: plan.evaluate(phase.problem, found.placement, found.method)
+        for phase in problem.phases
+        for found in [result.results[phase.name]]
+    }
+    told = plan.PhasedResult(problem, results, seconds=result.seconds)
+    return DecidedByTime(told, decided.predicted)
+
+
+def _has_deadlines(robot: Robot) -> bool:
+    timers = (timer for code in robot.code.values() for timer in code.timers)
+    return any(timer.deadline is not None for timer in timers)
+
+
+def _with_limits(
+    problem: plan.Problem,
+    chains: Mapping[str, TimeLimit],
+    timers: Iterable[TimeLimit],
+) -> plan.Problem:
+    """Return the problem with the runs and hops of its chains, and with its timers."""
+    names = {each.name for each in problem.components}
     limits = (
-        replace(known[each.name], price=each.price) if each.name in known else each
+        replace(chains[each.name], price=each.price) if each.name in chains else each
         for each in problem.time_limits
     )
-    return replace(problem, time_limits=tuple(limits))
+    own = (each for each in timers if names.issuperset(each.components))
+    return replace(problem, time_limits=(*limits, *own))
 
 
 def _predicted(
@@ -180,26 +230,38 @@ def _placed(result: plan.PhasedResult) -> Mapping[str, Mapping[str, str]]:
 
 
 def _total(decided: DecidedByTime) -> float:
-    """Return F with the age of data that is predicted, not that which is summed."""
-    weights = decided.phased.problem.weights
-    summed = sum(
-        weights[name] * each.objective.time
-        for name, each in decided.phased.results.items()
+    """Return F with the times that are predicted, not those that are summed."""
+    total = decided.phased.total or 0.0
+    return total - _summed(decided.phased) + sum(_excesses(decided))
+
+
+def _summed(result: plan.PhasedResult) -> float:
+    """Return what the times that are summed add to F."""
+    return sum(
+        result.problem.weights[name] * each.objective.time
+        for name, each in result.results.items()
         if each.objective is not None
     )
-    return (decided.phased.total or 0.0) - summed + sum(_excesses(decided))
 
 
 def _excesses(decided: DecidedByTime) -> Iterator[float]:
-    """Yield what F grows by for each chain whose data may be late."""
+    """Yield what F grows by for each deadline that may not be kept.
+
+    Of what is not predicted the sum counts, which it takes at least.
+    """
     weights = decided.phased.problem.weights
     for name, times in decided.predicted.items():
-        problem = decided.phased.results[name].problem
-        prices = {each.name: each.price for each in problem.time_limits}
-        for chain in times.chains:
-            over = SURE * chain.p99 / chain.deadline - 1
+        ages = _ages(times)
+        for each in decided.phased.results[name].times:
+            over = ages.get(each.name, each.seconds) / each.limit - 1
             if over > 0:
-                yield weights[name] * prices.get(chain.name, 0.0) * over
+                yield weights[name] * each.price * over
+
+
+def _ages(times: PredictedTimes) -> dict[str, float]:
+    """Return the name of each limit that is predicted -> what counts for it [s]."""
+    chains = {each.name: SURE * each.p99 for each in times.chains}
+    return chains | {each.name: SURE * each.p99 for each in times.timers}
 
 
 def _calibrated(
@@ -208,8 +270,7 @@ def _calibrated(
     """Return the problem that says of the placement what is predicted of it."""
     phases = []
     for phase in problem.phases:
-        times = decided.predicted.get(phase.name, PredictedTimes())
-        ages = {each.name: SURE * each.p99 for each in times.chains}
+        ages = _ages(decided.predicted.get(phase.name, PredictedTimes()))
         summed = {e.name: e.seconds for e in decided.phased.results[phase.name].times}
         limits = (
             replace(

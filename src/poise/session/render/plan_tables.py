@@ -33,10 +33,12 @@ def plan_parts(
     """Return what is printed of a placement, with what is predicted of each phase."""
     several = len(phased.results) > 1
     parts = _phases(phased) if several else _phase(phased.only[1])
-    return (*parts, *_chains(times))
+    return (*parts, *_chains(phased, times))
 
 
-def _chains(times: Mapping[str, PredictedTimes]) -> Iterator[RenderableType]:
+def _chains(
+    phased: plan.PhasedResult, times: Mapping[str, PredictedTimes]
+) -> Iterator[RenderableType]:
     """Yield how old the data of each chain is predicted to be, if there is one."""
     phase = ("phase",) if len(times) > 1 else ()
     names = "predicted data age", "median", "p99", "deadline", "margin", "late"
@@ -68,10 +70,15 @@ def _chains(times: Mapping[str, PredictedTimes]) -> Iterator[RenderableType]:
                     f"{chain.slowest}",
                 )
         if predicted.unknown:
+            least = {e.name: e.seconds for e in phased.results[name].times}
+            ages = (
+                f"{each}, at least {units.format_seconds(least[each])} old"
+                for each in predicted.unknown
+            )
             yield _line(
-                "no data age is predicted",
-                f"of {', '.join(predicted.unknown)}: as far as is known, data does not "
-                f"get to the end. {'; '.join(predicted.guesses)}",
+                "not predicted",
+                f"{'; '.join(ages)}: as far as is known, data does not get to the end. "
+                f"{'; '.join(predicted.guesses)}",
             )
         late = [
             f"{each.component}.{each.timer} {each.late:.0%}"

@@ -11,6 +11,12 @@ constexpr double never = std::numeric_limits<double>::infinity();
 // A quota is refilled this often [s], as `cpu.max` has it unless it is told.
 constexpr double period = 0.1;
 constexpr double emulated_period = 0.01;
+// The kernel looks whether the share of an emulated computer is used up when something
+// begins or ends there, and at each of its ticks [s]. It hands the share out by slices; a
+// computer that idles keeps a little of one, and what it took too much [core-seconds].
+constexpr double tick = 0.004;
+constexpr double slice = 0.005;
+constexpr double kept = 0.001;
 // Less work than this is none [core-seconds].
 constexpr double none = 1e-9;
 
@@ -91,7 +97,7 @@ Cpu::Cpu(Events& events, double cores, double speed, bool is_emulated)
       real_cores_(is_emulated ? std::ceil(cores * speed) : cores),
       real_speed_(is_emulated ? 1.0 : speed),
       quota_(is_emulated ? cores * speed : never),
-      bucket_(quota_ * emulated_period),
+      share_(quota_ * emulated_period),
       at_(events.now()),
       refill_at_(events.now() + period),
       next_at_(events.now() + emulated_period) {}
@@ -113,22 +119,36 @@ void Cpu::advance() {
   at_ = events_.now();
   if (passed > 0.0)
     for (CpuGroup* group : busy_) {
-      bucket_ -= group->rate_ * passed;
+      slice_ -= group->rate_ * passed;
       group->advance(passed);
     }
   if (at_ >= next_at_) {
     while (next_at_ <= at_) next_at_ += emulated_period;
-    bucket_ = quota_ * emulated_period;
+    share_ = quota_ * emulated_period;
   }
   if (at_ < refill_at_) return;
   while (refill_at_ <= at_) refill_at_ += period;
   for (CpuGroup* group : groups_) group->bucket_ = group->quota_ * period;
 }
 
+bool Cpu::may_run() {
+  if (!is_emulated()) return true;
+  if (slice_ <= none) {
+    const double taken = std::min(share_, slice - slice_);
+    slice_ += taken;
+    share_ -= taken;
+  }
+  if (busy_.empty() && slice_ > kept) {
+    share_ += slice_ - kept;
+    slice_ = kept;
+  }
+  return slice_ > none;
+}
+
 void Cpu::share() {
+  const bool is_running = may_run();
   double sum = 0.0;
-  for (CpuGroup* group : busy_)
-    sum += group->rate_ = bucket_ > none ? group->could_use() : 0.0;
+  for (CpuGroup* group : busy_) sum += group->rate_ = is_running ? group->could_use() : 0.0;
   if (sum <= real_cores_) return;
   std::vector<CpuClaim> claims;
   for (const CpuGroup* group : busy_) claims.push_back({group->weight_, group->rate_});
@@ -151,8 +171,9 @@ void Cpu::plan() {
     if (group->quota_ < never && (rate > 0.0 || group->bucket_ <= none))
       first = std::min(first, refill_at_);
   }
-  if (is_emulated() && !busy_.empty())
-    first = std::min({first, next_at_, total > 0.0 ? at_ + bucket_ / total : never});
+  if (is_emulated() && !busy_.empty()) first = std::min(first, next_at_);
+  if (is_emulated() && total > 0.0)
+    first = std::min(first, std::ceil((at_ + slice_ / total) / tick) * tick);
   ++plan_;
   if (first < never)
     events_.at(first, [this, plan = plan_] {

@@ -108,11 +108,13 @@ class Cpu {
   // Share out again, and plan the next moment at which that changes.
   void plan();
   void share();
+  // Whether there is something left of its share of CPU, if it is emulated.
+  bool may_run();
   void finish_jobs();
 
   Events& events_;
   double cores_, speed_;
-  double real_cores_, real_speed_, quota_, bucket_;
+  double real_cores_, real_speed_, quota_, share_, slice_ = 0.0;
   double at_, refill_at_, next_at_;  // groups' quotas and its own are refilled then
   double ended_ = 0.0;  // CPU time of groups that have ended [s]
   int depth_ = 0;
