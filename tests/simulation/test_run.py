@@ -22,8 +22,8 @@ import sys
 from poise.simulation.simulated_run import simulate
 from tests.simulation.conftest import small_scenario
 for seed in map(int, sys.argv[1:]):
-    outcome = simulate(small_scenario(40.0), seed)
-print(outcome.digest, outcome.steps, outcome.failure or "held")
+    outcome = simulate(small_scenario(30.0), seed)
+print(outcome.digest, outcome.failure or "held", *outcome.trace, sep="\\n")
 """
 
 
@@ -151,6 +151,6 @@ def test_a_seed_gives_one_run_in_any_interpreter() -> None:
             check=True,
             timeout=100,
         ).stdout
-        for hash_seed, seeds in (("1", "7"), ("2", "7"), ("77", "5 7"))
+        for hash_seed, seeds in (("0", "1"), ("2", "1"), ("77", "5 1"))
     }
     assert len(digests) == 1, digests

@@ -362,7 +362,7 @@ class UseAgain:
     def respond(self, situation: Situation, _desired: Desired) -> Change | None:
         """Return a transition that uses what is back, if that is worth it."""
         limits, now = self._transitions.limits, situation.now
-        self._back |= dict.fromkeys(self._lost - situation.lost, now)
+        self._back |= dict.fromkeys(sorted(self._lost - situation.lost), now)
         self._lost = situation.lost
         back = [
             name
