@@ -15,7 +15,6 @@ import socket
 import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from statistics import median
 from typing import NamedTuple, Protocol
 
 import msgspec
@@ -78,10 +77,16 @@ class Contact:
         missed = max(0, int(silent / EVERY) - 1)
         lost = min(missed, _IN_A_ROW) + sum(self._lost)
         return LinkQuality(
-            delay=median(self._delays) if self._delays and silent < LEASE else None,
+            delay=_median(self._delays) if self._delays and silent < LEASE else None,
             loss=lost / (lost + len(self._lost)) if self._lost else 0.0,
             silent=silent,
         )
+
+
+def _median(values: Iterable[float]) -> float:
+    """Return the median; `statistics.median` takes four times as long for so few."""
+    ordered = sorted(values)
+    return (ordered[(len(ordered) - 1) // 2] + ordered[len(ordered) // 2]) / 2
 
 
 class Contacts:

@@ -72,7 +72,7 @@ def link_values(situation: Situation) -> Iterator[LinkValues]:
     """Yield what policies may ask of links."""
     traffic: dict[frozenset[str | None], float] = {}
     for connector in situation.robot.all_connectors():
-        now = situation.traffic.get(str(connector))
+        now = situation.traffic.get(connector.name)
         if now is not None:
             ends = _ends(connector, situation.placement)
             carried = now.size * (now.calls + now.messages)
@@ -213,4 +213,5 @@ def beyond_cuts(
 
 
 def _ends(connector: Connector, placement: Mapping[str, str]) -> frozenset[str | None]:
-    return frozenset(placement.get(end.component) for end in connector.between)
+    source, target = connector.between
+    return frozenset((placement.get(source.component), placement.get(target.component)))

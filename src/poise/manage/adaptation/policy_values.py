@@ -31,6 +31,7 @@ def _computers(situation: Situation) -> Iterator[Values]:
     for each in situation.demand_estimates:
         estimates.setdefault(each.computer, []).append(each)
     components = Counter(situation.placement.values())
+    late = Counter(timer.computer for timer in situation.misses if timer.late)
     by_name = {each.component: each for each in situation.demand_estimates}
     for computer in situation.robot.computers:
         here = estimates.get(computer.name, ())
@@ -45,7 +46,7 @@ def _computers(situation: Situation) -> Iterator[Values]:
             background=load.background if load else 0.0,
             full=load is not None and load.is_full,
             starved=max((each.estimate.starved for each in here), default=0.0),
-            late=sum(e.late for e in situation.misses if e.computer == computer.name),
+            late=late[computer.name],
             drifted=sum(each.estimate.drift is not None for each in here),
             short=shortages[computer.name],
             culprit=culprit_on(load, running)
@@ -103,9 +104,7 @@ def _containers(situation: Situation) -> Iterator[Values]:
         for health in status.health:
             components = inside.get(health.name, ())
             # what a component allocates in `configure` is no leak
-            is_starting = any(
-                component.state == "unconfigured" for component in components
-            )
+            is_starting = "unconfigured" in [c.state for c in components]
             yield ContainerValues(
                 name=health.name,
                 computer=computer,
@@ -114,10 +113,8 @@ def _containers(situation: Situation) -> Iterator[Values]:
                 restarts_lately=health.restarts_lately,
                 cpu=health.cpu,
                 memory=health.memory,
-                components=", ".join(component.name for component in components),
-                expected=sum(
-                    demands.get(component.name, 0.0) for component in components
-                ),
+                components=", ".join([c.name for c in components]),
+                expected=sum([demands.get(c.name, 0.0) for c in components]),
                 growth=0.0 if is_starting else health.growth,
                 limit=health.limit,
                 full_in=health.full_in,

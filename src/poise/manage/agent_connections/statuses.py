@@ -64,6 +64,16 @@ def cut_links(statuses: Statuses) -> set[frozenset[str]]:
     }
 
 
+def unresponsive_containers(statuses: Statuses) -> dict[tuple[str, str], str]:
+    """Return computer and container -> why it does not respond."""
+    return {
+        (computer, health.name): health.reason
+        for computer, status in statuses.items()
+        for health in status.health
+        if health.state == "unresponsive"
+    }
+
+
 def gateways(statuses: Statuses) -> dict[str, str]:
     """Return where other computers reach each computer's containers."""
     return {name: status.gateway for name, status in statuses.items()}

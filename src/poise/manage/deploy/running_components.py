@@ -22,6 +22,7 @@ from poise.manage.agent_connections.statuses import (
     located,
     missing,
     unreached,
+    unresponsive_containers,
 )
 from poise.manage.deploy.desired import Desired, Incarnation
 from poise.manage.deploy.desired_state import DesiredState
@@ -203,19 +204,15 @@ class RunningComponents(DesiredState):
 
     def unresponsive(self, incarnations: Iterable[Incarnation]) -> list[str]:
         """Return which of their containers do not respond, and why, in words."""
-        known = {
-            (computer, health.name): health
-            for computer, status in self.agents.statuses().items()
-            for health in status.health
-            if health.state == "unresponsive"
-        }
+        known = unresponsive_containers(self.agents.statuses())
+        if not known:
+            return []
         places = dict.fromkeys(
             (incarnation.computer, self.layout.container_of(incarnation.component))
             for incarnation in incarnations
         )
         return [
-            f"container '{place[1]}' on '{place[0]}' does not respond: "
-            f"{known[place].reason}"
+            f"container '{place[1]}' on '{place[0]}' does not respond: {known[place]}"
             for place in places
             if place in known
         ]
@@ -243,7 +240,8 @@ class RunningComponents(DesiredState):
 
     def unreached_connectors(self, placed: Mapping[str, Incarnation]) -> dict[str, str]:
         """Return the connectors whose ends do not reach each other, and why."""
-        cut = cut_links(self.agents.statuses())
+        statuses = self.agents.statuses()
+        cut, is_stuck = cut_links(statuses), bool(unresponsive_containers(statuses))
         away = set(self.agents.out_of_reach())
         unreached = {}
         for connector in self.layout.connectors(placed):
@@ -253,8 +251,8 @@ class RunningComponents(DesiredState):
                 unreached[str(connector)] = f"computer '{min(lost)}' is out of reach"
             elif frozenset(between) in cut:
                 unreached[str(connector)] = f"link '{'-'.join(between)}' is cut"
-            elif frozen := self.unresponsive(ends):
-                unreached[str(connector)] = "; ".join(frozen)
+            elif is_stuck and (stuck := self.unresponsive(ends)):
+                unreached[str(connector)] = "; ".join(stuck)
         return unreached
 
     def _involved(self, wanted: Iterable[Incarnation]) -> set[str]:

@@ -107,6 +107,8 @@ class ChainReader:
 
     def reports(self, statuses: Statuses) -> tuple[ChainReport, ...]:
         """Return the chains all of whose components run, in the robot file's order."""
+        if not self._chains:
+            return ()
         running: dict[str, tuple[str, ComponentStatus]] = {}
         for computer, component in located(statuses):
             known = running.get(component.name)

@@ -47,9 +47,10 @@ class ClockOffset:
     """The offset of one other computer's clock, from the last round trips."""
 
     def __init__(self) -> None:
-        # sent, lowest, highest, trip. Bounds widen with age: they are what each would
-        # have been when this clock showed 0
-        self._bounds: deque[tuple[float, float, float, float]] = deque(maxlen=_KEPT)
+        self._sent, self._trips = (deque[float](maxlen=_KEPT) for _ in range(2))
+        # bounds widen with age: these are what each would have been when this clock
+        # showed 0
+        self._lows, self._highs = (deque[float](maxlen=_KEPT) for _ in range(2))
 
     def add(
         self, sent: float, received: float, answered: float, returned: float
@@ -61,7 +62,10 @@ class ClockOffset:
         low, high = answered - returned, received - sent
         if low <= high and received <= answered:
             wide = DRIFT * sent
-            self._bounds.append((sent, low + wide, high - wide, high - low))
+            self._sent.append(sent)
+            self._lows.append(low + wide)
+            self._highs.append(high - wide)
+            self._trips.append(high - low)
 
     def at(self, now: float) -> ClockStatus | None:
         """Return what is known at `now` [s, on this clock]; None before any round trip.
@@ -69,15 +73,14 @@ class ClockOffset:
         When bounds contradict each other a clock was set: older bounds are dropped.
         """
         wide = DRIFT * now
-        while self._bounds:  # heartbeats that overtook each other contradict all
-            _, lows, highs, trips = zip(*self._bounds, strict=True)
-            low, high = max(lows) - wide, min(highs) + wide
+        while self._sent:  # heartbeats that overtook each other contradict all
+            low, high = max(self._lows) - wide, min(self._highs) + wide
             if low <= high:
                 return ClockStatus(
                     offset=(low + high) / 2,
                     error=(high - low) / 2,
                     at=now,
-                    trip=min(trips),
+                    trip=min(self._trips),
                 )
             self._forget_contradicted(wide)
         return None
@@ -85,12 +88,13 @@ class ClockOffset:
     def _forget_contradicted(self, wide: float) -> None:
         """Forget the newest bound that contradicts newer ones, and all before it."""
         low, high = float("-inf"), float("inf")
-        bounds = list(self._bounds)
+        bounds = list(zip(self._sent, self._lows, self._highs, strict=True))
         while low <= high:
-            began, least, most, _ = bounds.pop()
+            began, least, most = bounds.pop()
             low, high = max(low, least - wide), min(high, most + wide)
-        while self._bounds and self._bounds[0][0] <= began:
-            self._bounds.popleft()
+        while self._sent and self._sent[0] <= began:
+            for each in (self._sent, self._lows, self._highs, self._trips):
+                each.popleft()
 
 
 _STALLED = 0.3
