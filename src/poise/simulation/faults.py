@@ -206,9 +206,8 @@ def _fill_disk(robot: SimulatedRobot, fault: SimulatedFault) -> Mend:
 
 def _containers(robot: SimulatedRobot, fault: SimulatedFault) -> list[Process]:
     """Return the process of the picked container of a computer, if it has any."""
-    here = [
-        c.process for c in robot.containers() if c.process.computer.name == fault.target
-    ]
+    computer = robot.computers[fault.target]
+    here = [container.process for container in robot.containers_on(computer)]
     return here[int(fault.pick * len(here)) :][:1]
 
 

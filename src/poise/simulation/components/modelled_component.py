@@ -61,10 +61,6 @@ class SimulatedComponent:
         self.executor.resume()
         self._go_on()
 
-    def is_working(self) -> bool:
-        """Return whether it may start a handler."""
-        return self.executor.is_working
-
     def status(self) -> ComponentStatus:
         """Return what its container reports of it, or reported last."""
         now = min(self.container.world.scheduler.now, self.container.process.died_at)

@@ -12,7 +12,7 @@ from poise.simulation.components.modelled_component import SimulatedComponent
 from poise.simulation.components.modelled_migration import MigrationModel
 from poise.simulation.components.models import ComponentModel
 from poise.simulation.network.network import Network
-from poise.simulation.robot.simulated_process import Process
+from poise.simulation.robot.simulated_process import Process, SimulatedComputer
 from poise.simulation.schedule.choices import Choices
 from poise.simulation.schedule.scheduler import Scheduler, SimulatedTask
 from poise.wire.heartbeats import Datagrams
@@ -75,6 +75,10 @@ class World(Protocol):
 
     def containers(self) -> list[SimulatedContainer]:
         """Return all containers that run."""
+        ...
+
+    def containers_on(self, computer: SimulatedComputer) -> list[SimulatedContainer]:
+        """Return the containers that run on a computer."""
         ...
 
     def add_container(self, container: SimulatedContainer) -> None:

@@ -179,11 +179,7 @@ class SimulatedAdoption:
         computer = agent.process.computer
         self.num_adopted = 0
         self._limit = computer.monotonic() + ADOPT_LIMIT
-        self._left = {
-            each.process.pid: each
-            for each in world.containers()
-            if each.process.computer is computer
-        }
+        self._left = {each.process.pid: each for each in world.containers_on(computer)}
 
     def begin(self) -> None:
         """Let the containers find the agent."""

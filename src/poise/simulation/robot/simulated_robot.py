@@ -205,14 +205,19 @@ class SimulatedRobot:
         """Return all containers that run."""
         return [c for c in self._containers.values() if not c.process.is_dead]
 
+    def containers_on(self, computer: SimulatedComputer) -> list[SimulatedContainer]:
+        """Return the containers that run on a computer."""
+        found = map(self._containers.get, computer.processes)
+        return [container for container in found if container is not None]
+
     def working(self) -> dict[str, list[str]]:
         """Return component -> the computers where it works."""
         found: dict[str, list[str]] = {}
         for container in self.containers():
             if not container.process.is_paused:
+                at = container.process.computer.name
                 for component in container.components.values():
-                    if component.is_working():
-                        at = container.process.computer.name
+                    if component.executor.is_working:
                         found.setdefault(component.spec.name, []).append(at)
         return found
 
@@ -228,9 +233,8 @@ class SimulatedRobot:
             and key[1:] in known.components
         ):
             return known
-        for container in self.containers():
-            at = container.process.computer.name
-            if at == computer and (component, epoch) in container.components:
+        for container in self.containers_on(self.computers[computer]):
+            if (component, epoch) in container.components:
                 self._where[key] = container
                 return container
         return None

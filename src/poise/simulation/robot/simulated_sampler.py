@@ -52,7 +52,7 @@ class SimulatedSampler:
             self._group.run(work)
         computer = self._process.computer
         busy = computer.cpu.used()
-        here = [c for c in self._world.containers() if c.process.computer is computer]
+        here = self._world.containers_on(computer)
         containers = tuple(map(self._of_container, here))
         self.usage = {
             each.name: ContainerUse(
