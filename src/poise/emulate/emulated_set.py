@@ -360,14 +360,14 @@ def find_set(robot: str | None = None) -> EmulatedSet:
 
 def set_for(robot: Robot) -> EmulatedSet | None:
     """Return the set that a robot is to use; None when none is kept for it."""
-    for each in all_sets():
-        if each.robot != robot.name:
+    for kept in all_sets():
+        if kept.robot != robot.name:
             continue
-        if each.state().hardware == KeptSet.of(robot).hardware:
-            return each
+        if kept.state().hardware == KeptSet.of(robot).hardware:
+            return kept
         raise UsageError(
-            f"process {each.layout.owner.pid} keeps emulated computers of robot "
-            f"'{robot.name}' ({', '.join(each.computers)}) that are not those of this "
+            f"process {kept.layout.owner.pid} keeps emulated computers of robot "
+            f"'{robot.name}' ({', '.join(kept.computers)}) that are not those of this "
             f"robot file: `poise emulate stop --robot {robot.name}` ends them; "
             "then `poise emulate FILE` brings these up"
         )

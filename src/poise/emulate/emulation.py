@@ -94,10 +94,10 @@ class Emulation:
         self, layout: EmulationLayout, groups: Groups, host: Probe, refused: list[str]
     ) -> None:
         computers = {}
-        for each in layout.computers:
-            Path(each.folder).mkdir(parents=True)
-            groups.make(each.mark, each.limits)
-            computers[each.name] = EmulatedComputer(each)
+        for computer in layout.computers:
+            Path(computer.folder).mkdir(parents=True)
+            groups.make(computer.mark, computer.limits)
+            computers[computer.name] = EmulatedComputer(computer)
         self.computers = MappingProxyType(computers)
         unshaped = _wire(layout.network, host) if layout.network else []
         self.address = layout.network.owner_address if layout.network else "127.0.0.1"

@@ -39,8 +39,8 @@ def overheads(robot: Robot, profile: Profile) -> dict[str, float]:
     """Return the relative overhead of each measured connector."""
     kinds = kinds_together(robot)
     return {
-        name: overhead_of(each, kinds[name], profile.costs)
-        for name, each in profile.connectors.items()
+        name: overhead_of(connector, kinds[name], profile.costs)
+        for name, connector in profile.connectors.items()
         if name in kinds
     }
 

@@ -223,8 +223,8 @@ def actions_of(tasks: Mapping[str, Task], name: str) -> Iterator[Action]:
 def steps_of(tasks: Mapping[str, Task], name: str) -> Iterator[Step]:
     """Yield every step of a task, with those of the tasks that it names, if known."""
     reached = [name]
-    for each in reached:  # grows meanwhile
-        for _, step in walk(tasks[each]) if each in tasks else ():
+    for task in reached:  # grows meanwhile
+        for _, step in walk(tasks[task]) if task in tasks else ():
             yield step
             if isinstance(step, Subtask) and step.task not in reached:
                 reached.append(step.task)

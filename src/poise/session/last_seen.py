@@ -85,11 +85,11 @@ def _chain(before: ChainStatus | None, last: ChainStatus) -> ChainStatus:
 
 def _errors(errors: Iterable[ErrorCount]) -> tuple[ErrorCount, ...]:
     found: dict[tuple[str, str], ErrorCount] = {}
-    for each in errors:
-        key = each.where, each.text
+    for error in errors:
+        key = error.where, error.text
         known = found.get(key)
-        count = each.count + (known.count if known else 0)
-        found[key] = replace(known or each, count=count)
+        count = error.count + (known.count if known else 0)
+        found[key] = replace(known or error, count=count)
     return tuple(found.values())
 
 
@@ -132,10 +132,10 @@ class LastSeen:
                 if at == place:  # a source with two paths counts the same at both
                     self.ended += known[:1] if side == "source" else known
         self._containers[place] = container
-        for each in container.components:
-            self._places[each.name] = place
-            stays = self._stays.setdefault(each.name, {})
-            stays[place, container.pid, each.epoch] = each
+        for component in container.components:
+            self._places[component.name] = place
+            stays = self._stays.setdefault(component.name, {})
+            stays[place, container.pid, component.epoch] = component
             _fold(stays)
         ends = sorted(container.connectors, key=_key)
         for key, same in groupby(ends, _key):  # of a source with two paths

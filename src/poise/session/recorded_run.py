@@ -193,13 +193,13 @@ class RecordedRun:
         for sample in samples:
             second = int(sample.at - began[sample.computer])
             for container in sample.containers:
-                for each in container.components:
-                    key = each.name, each.epoch, container.pid
-                    cpu = (each.cpu - before.get(key, each.cpu)) * speeds.get(
+                for component in container.components:
+                    key = component.name, component.epoch, container.pid
+                    cpu = (component.cpu - before.get(key, component.cpu)) * speeds.get(
                         sample.computer, 1.0
                     )
-                    before[key] = each.cpu
-                    seconds = used.setdefault(each.name, {})
+                    before[key] = component.cpu
+                    seconds = used.setdefault(component.name, {})
                     seconds[second] = seconds.get(second, 0.0) + max(0.0, cpu)
         return {name: _each_second(seconds) for name, seconds in sorted(used.items())}
 
@@ -315,14 +315,14 @@ def test_policies(
             found += [
                 PolicyEvent(
                     at=seen.at - began,
-                    policy=each.policy.name,
-                    do=each.policy.do,
-                    about=each.values.name,  # noqa: PD011, no data frame
-                    computer=each.computer,
-                    what=each.what,
-                    saw=each.values,
+                    policy=symptom.policy.name,
+                    do=symptom.policy.do,
+                    about=symptom.values.name,  # noqa: PD011, no data frame
+                    computer=symptom.computer,
+                    what=symptom.what,
+                    saw=symptom.values,
                 )
-                for each in due
+                for symptom in due
             ]
     finally:
         policies.close()

@@ -94,9 +94,9 @@ def _draw_memory(axes: Any, profile: Profile) -> None:  # noqa: ANN401, as above
 
 def _draw_timers(axes: Any, profile: Profile) -> None:  # noqa: ANN401, as above
     found = [
-        (f"{name}.{timer}", each)
+        (f"{name}.{timer}", times)
         for name, component in profile.components.items()
-        for timer, each in component.timers.items()
+        for timer, times in component.timers.items()
     ][-_MOST_ROWS:]
     names = [name for name, _ in found]
     axes.barh(names, [1e3 * t.median for _, t in found], label="median")

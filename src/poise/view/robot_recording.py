@@ -295,9 +295,13 @@ class Recorder:
         view, at = self._reader.take(status, now), wall_time()
         ages = tuple(
             ChainRow(
-                each.name, each.age.median, each.age.p99, each.deadline, each.missed
+                chain.name,
+                chain.age.median,
+                chain.age.p99,
+                chain.deadline,
+                chain.missed,
             )
-            for each in status.chains
+            for chain in status.chains
         )
         parts: dict[str, tuple[_Row, ...]] = {
             "computers": view.computers,
@@ -358,13 +362,13 @@ class Recorder:
         )
 
     def _write_messages(self, file: McapFile, reading: TapReading) -> None:
-        for each in reading.passed:
-            value: Any = each.value
+        for passed in reading.passed:
+            value: Any = passed.value
             message = value if isinstance(value, dict) else {"value": value}
             topic = f"messages/{reading.connector}"
             schema = {} if topic in file else schema_like(message, reading.carries)
-            file.add(topic, schema, each.at, message)
-            self.shortened[reading.connector] += not each.is_whole
+            file.add(topic, schema, passed.at, message)
+            self.shortened[reading.connector] += not passed.is_whole
         more = len(reading.times) + reading.missing - len(reading.passed)
         if more:
             self.missing[reading.connector] += more

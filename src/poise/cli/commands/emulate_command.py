@@ -82,13 +82,13 @@ def list_command(as_json: AsJson = False) -> None:
         print_json(listed)
         return
     console = console_to()
-    for each in listed:
-        since = time.strftime("%H:%M:%S", time.localtime(each.since))
-        names = ", ".join(f"{name} {at}" for name, at in each.computers.items())
+    for kept in listed:
+        since = time.strftime("%H:%M:%S", time.localtime(kept.since))
+        names = ", ".join(f"{name} {at}" for name, at in kept.computers.items())
         console.print(
-            escape(f"{each.robot}: {names}; since {since}, process {each.process}")
+            escape(f"{kept.robot}: {names}; since {since}, process {kept.process}")
         )
-        for sentence in (*(f"without {w}" for w in each.without), *each.faults):
+        for sentence in (*(f"without {w}" for w in kept.without), *kept.faults):
             console.print(escape(f"  {sentence}"))
     if not listed:
         console.print("no emulated computers are kept up")

@@ -79,12 +79,12 @@ def recording_command(
 
 def _show(demand_estimates: list[DemandEstimate], console: Console) -> None:
     rows = table("component", "computer", "CPU", "p95", "profile", folds=1)
-    for each in demand_estimates:
-        now = each.estimate
+    for demand in demand_estimates:
+        now = demand.estimate
         error = f" ± {now.error:.1%}" if now.error is not None else ""
-        expected = "" if each.expected is None else f"{each.expected:.1%}"
+        expected = "" if demand.expected is None else f"{demand.expected:.1%}"
         mean, p95 = f"{now.mean:.1%}{error}", f"{now.p95:.1%}"
-        rows.add_row(each.component, each.computer, mean, p95, expected)
+        rows.add_row(demand.component, demand.computer, mean, p95, expected)
     console.print(rows)
 
 

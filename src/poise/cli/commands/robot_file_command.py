@@ -125,14 +125,14 @@ def policy_command(
 
 def _show_policies(policies: tuple[Policy, ...], console: Console) -> None:
     rows = table("policy", "for each", "when", "lasts", "do", "cool down", folds=2)
-    for each in policies:
+    for policy in policies:
         rows.add_row(
-            each.name,
-            each.for_each or "",
-            each.when or each.call or "",
-            format_seconds(each.lasts or 0.0),
-            "off" if each.off else each.do or "",
-            format_seconds(each.cool_down or 0.0),
+            policy.name,
+            policy.for_each or "",
+            policy.when or policy.call or "",
+            format_seconds(policy.lasts or 0.0),
+            "off" if policy.off else policy.do or "",
+            format_seconds(policy.cool_down or 0.0),
         )
     console.print(rows)
 
@@ -232,13 +232,13 @@ def _show_architecture(row: Listed, beliefs: list[Belief], console: Console) -> 
         console.print("nothing is learned of its success yet")
         return
     shown = table("action", "conditions", "success", "of", "hash", folds=1)
-    for each in beliefs:
+    for belief in beliefs:
         shown.add_row(
-            each.action,
-            str(each.conditions),
-            f"{each.mean:.0%} ± {each.deviation:.0%}",
-            f"{each.done + each.failed:.0f}",
-            each.hash if each.is_present else f"{each.hash}, before",
+            belief.action,
+            str(belief.conditions),
+            f"{belief.mean:.0%} ± {belief.deviation:.0%}",
+            f"{belief.done + belief.failed:.0f}",
+            belief.hash if belief.is_present else f"{belief.hash}, before",
         )
     console.print(shown)
 

@@ -295,28 +295,28 @@ def check_workload(robot: Robot) -> Iterator[Finding]:
             ("workload",), "the workload is empty: give command, recording or generate"
         )
     names = component_names(robot)
-    for each in workload.generate:
-        path = ("workload", "generate", str(each.port))
-        if each.port.component not in names:
-            yield Finding(path, unknown("component", each.port.component, names))
-        elif not each.port.port:
-            yield Finding(path, f"give the port, as in {each.port.component}.scan")
+    for generated in workload.generate:
+        path = ("workload", "generate", str(generated.port))
+        if generated.port.component not in names:
+            yield Finding(path, unknown("component", generated.port.component, names))
+        elif not generated.port.port:
+            yield Finding(path, f"give the port, as in {generated.port.component}.scan")
 
 
 def check_generated(
     robot: Robot, known: Mapping[str, Mapping[str, KnownPort]]
 ) -> Iterator[Finding]:
     """Yield generated messages for ports that do not subscribe."""
-    for each in robot.workload.generate if robot.workload else ():
-        ports = known.get(each.port.component)
+    for generated in robot.workload.generate if robot.workload else ():
+        ports = known.get(generated.port.component)
         if ports is None:
             continue  # its code is faulty, which is reported already
         subscribing = [
             name for name, port in ports.items() if port.kind == "subscribes"
         ]
-        if each.port.port not in subscribing:
+        if generated.port.port not in subscribing:
             yield Finding(
-                ("workload", "generate", str(each.port)),
-                f"'{each.port.component}' subscribes to no '{each.port.port}'; it "
-                f"subscribes to {listed(subscribing)}",
+                ("workload", "generate", str(generated.port)),
+                f"'{generated.port.component}' subscribes to no "
+                f"'{generated.port.port}'; it subscribes to {listed(subscribing)}",
             )

@@ -108,8 +108,8 @@ def plantuml(diagram: Diagram) -> str:
     if isinstance(diagram, SequenceDiagram):
         body = [f'participant "{name}" as {_id(name)}' for name in diagram.lifelines]
         body += [
-            f"{_id(each.source)} -> {_id(each.target)} : {each.text}"
-            for each in diagram.messages
+            f"{_id(arrow.source)} -> {_id(arrow.target)} : {arrow.text}"
+            for arrow in diagram.messages
         ]
     else:
         is_flat = all(box.kind == "subsystem" for box in diagram.boxes)

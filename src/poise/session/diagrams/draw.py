@@ -132,9 +132,9 @@ Ports = dict[str, dict[str, tuple[str, str]]]
 def component_diagram(robot: Robot, functions: Collection[str] | None) -> BoxDiagram:
     """Return the diagram of what provides `functions`; None: of all architectures."""
     chosen = [
-        each
-        for each in robot.architectures
-        if functions is None or each.function in functions
+        architecture
+        for architecture in robot.architectures
+        if functions is None or architecture.function in functions
     ]
     drawn = {c.name for each in chosen for c in each.components}
     boxes = tuple(_subsystem(each) for each in chosen)
@@ -172,8 +172,8 @@ def _ports(robot: Robot, drawn: Collection[str]) -> Ports:
     for component in robot.components():
         if component.name in drawn:
             declared = {
-                each.name: (each.kind, each.type.rpartition(":")[2])
-                for each in component.ports
+                port.name: (port.kind, port.type.rpartition(":")[2])
+                for port in component.ports
             }
             named = dict(_of_class(component.implementation, robot.folder))
             ports[component.name] = declared | named

@@ -232,16 +232,16 @@ def _sequence(diagram: SequenceDiagram) -> tuple[list[str], float, float]:
         half = _width(name, _SIZE) / 2 + _PAD
         parts.append(_rect(x - half, 34, 2 * half, 24, _PLAIN, "#444", 3))
         parts.append(_text(x, 51, name, bold=True, anchor="middle"))
-    for row, each in enumerate(diagram.messages, 1):
+    for row, arrow in enumerate(diagram.messages, 1):
         one, other, y = (
-            xs[place[each.source]],
-            xs[place[each.target]],
+            xs[place[arrow.source]],
+            xs[place[arrow.target]],
             high + step * row,
         )
         back = -9 if other > one else 9
         parts.append(f'<path d="M{one:.1f} {y:.1f}H{other:.1f}" stroke="#444"/>')
         parts.append(f'<path d="M{other:.1f} {y:.1f}l{back} -4v8z" fill="#444"/>')
-        parts.append(_text((one + other) / 2, y - 5, each.text, 11, anchor="middle"))
+        parts.append(_text((one + other) / 2, y - 5, arrow.text, 11, anchor="middle"))
     return parts, xs[-1] + apart / 2 + _PAD if xs else 0.0, bottom + _GAP
 
 

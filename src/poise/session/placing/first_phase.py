@@ -139,10 +139,10 @@ def note_architectures(journal: Journal, robot: Robot, placement: Placement) -> 
         for a in robot.architectures
     }
     served = [
-        f"{each['function']} by '{name}' ({each['hash']}"
-        + (f", {each['package'] or each['file']})" if each["file"] else ")")
-        for name, each in facts.items()
-        if each["runs"]
+        f"{fact['function']} by '{name}' ({fact['hash']}"
+        + (f", {fact['package'] or fact['file']})" if fact["file"] else ")")
+        for name, fact in facts.items()
+        if fact["runs"]
     ]
     journal.note("decided", f"provided: {'; '.join(served)}", architectures=facts)
 

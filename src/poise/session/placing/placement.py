@@ -71,8 +71,8 @@ def _whole(
     cpu = {each.name: each.demand.get("cpu", 0.0) for each in problem.components}
     left = {c.name: c.capacity.get("cpu", 0.0) * c.speed for c in problem.computers}
     functions = [
-        [name for name in each.components if name in wanted]
-        for each in problem.architectures
+        [name for name in bundle.components if name in wanted]
+        for bundle in problem.architectures
     ]
     placement = {}
     for function in sorted(functions, key=lambda f: -sum(cpu[name] for name in f)):

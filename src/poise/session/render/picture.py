@@ -32,10 +32,12 @@ def picture(shares: Mapping[str, float], hosted: Iterable[Hosted]) -> str:
     for computer, share in shares.items():
         rows = [
             bar_row(
-                each.name, f"{each.cpu:.1%} of a core", each.cpu / most if most else 0.0
+                component.name,
+                f"{component.cpu:.1%} of a core",
+                component.cpu / most if most else 0.0,
             )
-            for each in placed
-            if each.computer == computer
+            for component in placed
+            if component.computer == computer
         ]
         full = " ▲ more than it has" if share > 1 else ""
         head = bar_row(computer, f"CPU {share:.0%}{full}", share, weight="bold")
@@ -47,9 +49,13 @@ def planned_picture(result: plan.Result, title: str) -> str:
     """Return the picture of a planned placement; a title if there is one."""
     problem = result.problem
     hosted = [
-        Hosted(each.name, result.placement[each.name], each.demand.get("cpu", 0.0))
-        for each in problem.components
-        if each.name in result.placement
+        Hosted(
+            component.name,
+            result.placement[component.name],
+            component.demand.get("cpu", 0.0),
+        )
+        for component in problem.components
+        if component.name in result.placement
     ]
     if not hosted:
         return ""

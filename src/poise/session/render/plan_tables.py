@@ -81,9 +81,9 @@ def _chains(
                 f"{'; '.join(predicted.guesses)}",
             )
         late = [
-            f"{each.component}.{each.timer} {each.late:.0%}"
-            for each in predicted.timers
-            if each.late >= _LATE
+            f"{timer.component}.{timer.timer} {timer.late:.0%}"
+            for timer in predicted.timers
+            if timer.late >= _LATE
         ]
         if late:
             where = f" in {name}" if phase else ""
@@ -132,10 +132,10 @@ def _short(result: plan.Result) -> list[str]:
     """Return what computers are short of, where that is shared."""
     return [
         _line(
-            f"short on {each.computer}",
-            f"{units.format_amount(each.resource, each.amount)} of {each.resource}",
+            f"short on {lack.computer}",
+            f"{units.format_amount(lack.resource, lack.amount)} of {lack.resource}",
         )
-        for each in result.shortages
+        for lack in result.shortages
     ]
 
 

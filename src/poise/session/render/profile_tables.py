@@ -51,8 +51,8 @@ def history_table(now: Profile, earlier: Sequence[Profile]) -> Table:
     for name, found in now.components.items():
         cells = [_brief(found)]
         newer = found
-        for each in others:
-            older = each.components.get(name)
+        for profile in others:
+            older = profile.components.get(name)
             cells.append(_compared(older, newer) if older else "")
             newer = older or newer
         rows.add_row(name, *cells)
@@ -76,8 +76,8 @@ def _compared(older: ComponentProfile, newer: ComponentProfile) -> str:
 
 def _cpu(found: Mapping[str, ComponentProfile]) -> Table:
     rows = table("CPU of component", "mean", "p95", "p99", "peak", "sustained")
-    for name, each in found.items():
-        cpu = each.cpu
+    for name, component in found.items():
+        cpu = component.cpu
         error = f" ± {cpu.error:.1%}" if cpu.error is not None else ""
         shares = (f"{s:.1%}" for s in (cpu.p95, cpu.p99, cpu.peak, cpu.sustained))
         rows.add_row(name, f"{cpu.mean:.2%}{error}", *shares)
@@ -86,14 +86,14 @@ def _cpu(found: Mapping[str, ComponentProfile]) -> Table:
 
 def _needs(found: Mapping[str, ComponentProfile]) -> Table:
     rows = table("component", "memory", "snapshot", "start", "demand: CPU", "memory")
-    for name, each in found.items():
+    for name, component in found.items():
         rows.add_row(
             name,
-            format_bytes(each.memory),
-            format_bytes(each.state) if each.state else "",
-            format_seconds(each.start),
-            f"{cpu_demand(each):.2%}",
-            format_bytes(memory_demand(each)),
+            format_bytes(component.memory),
+            format_bytes(component.state) if component.state else "",
+            format_seconds(component.start),
+            f"{cpu_demand(component):.2%}",
+            format_bytes(memory_demand(component)),
         )
     return rows
 
@@ -101,14 +101,14 @@ def _needs(found: Mapping[str, ComponentProfile]) -> Table:
 def _timers(found: Mapping[str, ComponentProfile]) -> Table:
     rows = table("timer", "period", "median", "p99", "longest", "missed")
     for name, component in found.items():
-        for timer, each in component.timers.items():
+        for timer, times in component.timers.items():
             rows.add_row(
                 f"{name}.{timer}",
-                format_seconds(each.period),
-                format_seconds(each.median),
-                format_seconds(each.p99),
-                format_seconds(each.maximum),
-                f"{each.missed:.1%}",
+                format_seconds(times.period),
+                format_seconds(times.median),
+                format_seconds(times.p99),
+                format_seconds(times.maximum),
+                f"{times.missed:.1%}",
             )
     return rows
 
@@ -116,11 +116,11 @@ def _timers(found: Mapping[str, ComponentProfile]) -> Table:
 def _connectors(robot: Robot, profile: Profile) -> NamedRows:
     rows = NamedRows("connector", "a second", "size", "p99", "largest", "overhead")
     relative = overheads(robot, profile)
-    for name, each in profile.connectors.items():
-        sizes = each.median or each.size, each.p99, each.largest
+    for name, connector in profile.connectors.items():
+        sizes = connector.median or connector.size, connector.p99, connector.largest
         rows.add_row(
             name,
-            _rates(each),
+            _rates(connector),
             *(format_bytes(size) if size else "" for size in sizes),
             f"{relative.get(name, 0.0):.3g}",
         )

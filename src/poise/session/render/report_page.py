@@ -251,15 +251,15 @@ def _worst(report: RunRecord, entries: Mapping[int, JournalEntry]) -> Iterator[s
         yield "<p>None was missed.</p>"
         return
     rows = []
-    for each in missed[:_MOST_DEADLINES]:
-        moments = [m for m in report.history if each.name in m.missed]
-        worst = max(moments, key=lambda m: m.missed[each.name], default=None)
-        around = _around(each.name, worst, entries, report.began) if worst else ""
+    for late in missed[:_MOST_DEADLINES]:
+        moments = [m for m in report.history if late.name in m.missed]
+        worst = max(moments, key=lambda m: m.missed[late.name], default=None)
+        around = _around(late.name, worst, entries, report.began) if worst else ""
         rows.append(
             (
-                escape(f"{each.name}, {each.where}"),
-                f"{each.missed} of {each.times} ({each.share:.1%})",
-                f"{format_seconds(each.p99)} of {format_seconds(each.deadline)}",
+                escape(f"{late.name}, {late.where}"),
+                f"{late.missed} of {late.times} ({late.share:.1%})",
+                f"{format_seconds(late.p99)} of {format_seconds(late.deadline)}",
                 around,
             )
         )

@@ -84,10 +84,10 @@ def report_parts(report: RunRecord) -> Iterator[RenderableType]:
 def _world(report: RunRecord) -> Iterator[RenderableType]:
     """Yield what the simulated world judges; without judgements, its plain values."""
     rows = table("in the simulated world", "success", "measured", folds=2)
-    for each in judgements(report.simulation, [task.name for task in report.tasks]):
-        values = (f"{name} {value}" for name, value in each.values.items())
-        success = "yes" if each.success else "[red]no[/]"
-        rows.add_row(escape(each.name), success, escape(", ".join(values)))
+    for judged in judgements(report.simulation, [task.name for task in report.tasks]):
+        values = (f"{name} {value}" for name, value in judged.values.items())
+        success = "yes" if judged.success else "[red]no[/]"
+        rows.add_row(escape(judged.name), success, escape(", ".join(values)))
     if rows.row_count:
         yield rows
     elif report.simulation:

@@ -200,13 +200,13 @@ def memory(load: SimulatedLoad) -> str:
 def _timers(report: SimulationReport) -> Iterator[RenderableType]:
     rows = table("timer", "period", "deadline", "missed", "share")
     timers = [each for each in late(report.timers) if each.missed]
-    for each in timers[:MOST_ROWS]:
+    for timer in timers[:MOST_ROWS]:
         rows.add_row(
-            escape(f"{each.component}.{each.timer}"),
-            format_seconds(each.period),
-            format_seconds(each.deadline or 0.0),
-            f"{each.missed} of {each.due}",
-            f"{share(each.missed, each.due):.2%}",
+            escape(f"{timer.component}.{timer.timer}"),
+            format_seconds(timer.period),
+            format_seconds(timer.deadline or 0.0),
+            f"{timer.missed} of {timer.due}",
+            f"{share(timer.missed, timer.due):.2%}",
         )
     yield from _rows(rows, len(timers), "late timer")
 
@@ -330,13 +330,13 @@ def _marked(report: SimulationReport) -> dict[int, SimulatedEvent]:
     faults = [each for each in report.events if each.who == _FAULT]
     moves = [
         SimulatedEvent(
-            at=each.at,
+            at=move.at,
             who="manager",
-            kind=each.kind,
-            what=f"{each.component}: {each.before} → {each.after}"
-            + (f", {each.why}" if each.why else ""),
+            kind=move.kind,
+            what=f"{move.component}: {move.before} → {move.after}"
+            + (f", {move.why}" if move.why else ""),
         )
-        for each in report.moves
+        for move in report.moves
     ]
     return dict(enumerate(sorted([*faults, *moves], key=lambda each: each.at), 1))
 
@@ -358,10 +358,10 @@ def _late(report: SimulationReport) -> Iterator[str]:
     timers = [each for each in late(report.timers) if each.missed]
     if not timers:
         yield "<p>None was missed.</p>"
-    for each in timers[:_MOST_LATE]:
-        part = share(each.missed, each.due)
-        value = f"{each.missed} of {each.due} ({part:.2%})"
-        yield bar_row(f"{each.component}.{each.timer}", value, part)
+    for timer in timers[:_MOST_LATE]:
+        part = share(timer.missed, timer.due)
+        value = f"{timer.missed} of {timer.due} ({part:.2%})"
+        yield bar_row(f"{timer.component}.{timer.timer}", value, part)
     if more := timers[_MOST_LATE:]:
         yield f"<p>{len(more)} more missed some.</p>"
 

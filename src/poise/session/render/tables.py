@@ -205,38 +205,38 @@ _COLOURS = {"failed": "red", "waiting": "yellow", "paused": "yellow"}
 def task_table(tasks: Iterable[TaskReport]) -> Table:
     """Return tasks with their states and actions, and why under them."""
     rows = table("task", "state", "since", "priority", "actions", folds=4)
-    for each in tasks:
-        colour = _COLOURS.get(each.state, "")
-        actions = ", ".join(map(_action, each.actions))
+    for task in tasks:
+        colour = _COLOURS.get(task.state, "")
+        actions = ", ".join(map(_action, task.actions))
         rows.add_row(
-            each.name,
-            f"[{colour}]{each.state}[/]" if colour else each.state,
-            time.strftime("%H:%M:%S", time.localtime(each.since)),
-            str(each.priority),
-            escape("\n".join(filter(None, [actions, each.why]))),
+            task.name,
+            f"[{colour}]{task.state}[/]" if colour else task.state,
+            time.strftime("%H:%M:%S", time.localtime(task.since)),
+            str(task.priority),
+            escape("\n".join(filter(None, [actions, task.why]))),
         )
     return rows
 
 
 def task_lines(tasks: Iterable[TaskReport], *, is_over: bool = False) -> Iterator[str]:
     """Yield a line for each task; `is_over`: of a robot that runs no more."""
-    for each in tasks:
-        was_cut = is_over and each.state not in OVER
-        colour = _COLOURS.get(each.state, "")
-        at = f" with {', '.join(map(_action, each.actions))}" if each.actions else ""
-        why = f": {each.why}" if each.why else ""
-        state = f"was {each.state}" if was_cut else f"is {each.state}"
+    for task in tasks:
+        was_cut = is_over and task.state not in OVER
+        colour = _COLOURS.get(task.state, "")
+        at = f" with {', '.join(map(_action, task.actions))}" if task.actions else ""
+        why = f": {task.why}" if task.why else ""
+        state = f"was {task.state}" if was_cut else f"is {task.state}"
         end = " when the run ended" if was_cut else ""
-        line = escape(f"task '{each.name}' {state}{at}{end}{why}")
+        line = escape(f"task '{task.name}' {state}{at}{end}{why}")
         yield f"[{colour}]{line}[/]" if colour else line
 
 
 def action_lines(task: TaskReport) -> Iterator[str]:
     """Yield a line for each action of a task whose turn it is."""
-    for each in task.actions:
-        by = ", ".join(each.architectures) or "nothing yet"
-        needs = ", ".join(each.functions) or "no function"
-        yield escape(f"{_action(each)}: uses {needs}, provided by {by}")
+    for action in task.actions:
+        by = ", ".join(action.architectures) or "nothing yet"
+        needs = ", ".join(action.functions) or "no function"
+        yield escape(f"{_action(action)}: uses {needs}, provided by {by}")
 
 
 def _action(action: ActionReport) -> str:

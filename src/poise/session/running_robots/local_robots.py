@@ -32,11 +32,11 @@ def robots_here(name: str | None = None) -> Robots:
         return {name: Running(name).status()}
     found: dict[str, RobotStatus | None] = {}
     managed = running_here()
-    for each in managed:
+    for robot in managed:
         try:
-            found[each] = Running(each).status()
+            found[robot] = Running(robot).status()
         except PoiseError:
-            found[each] = None
+            found[robot] = None
     return found | robots_without_manager(but=managed)
 
 

@@ -261,13 +261,13 @@ def _alternatives(others: list[dict[str, Any]]) -> str:
     heads = ("", "F", "cores too little", "cost", "limits that it breaks")
     cells = [
         (
-            each["what"],
-            f"{each['total']:.4g}",
-            f"{each['short']:.2f}",
-            f"{each['cost']:.2f}",
-            each["breaks"] or "none",
+            other["what"],
+            f"{other['total']:.4g}",
+            f"{other['short']:.2f}",
+            f"{other['cost']:.2f}",
+            other["breaks"] or "none",
         )
-        for each in others
+        for other in others
     ]
     return html_table(heads, (map(escape, row) for row in cells))
 

@@ -123,14 +123,14 @@ def _task(report: Any) -> dict[str, Any]:  # noqa: ANN401, `view` does not impor
 
 def _entries(look: Look) -> Records:
     return {
-        str(each.number): {
-            "number": each.number,
-            "at": round(each.at, 2),
-            "kind": each.kind,
-            "what": each.what,
-            "why": why(each),
+        str(entry.number): {
+            "number": entry.number,
+            "at": round(entry.at, 2),
+            "kind": entry.kind,
+            "what": entry.what,
+            "why": why(entry),
         }
-        for each in look.entries[-MOST_SHOWN:]
+        for entry in look.entries[-MOST_SHOWN:]
     }
 
 
@@ -138,9 +138,9 @@ def why(entry: JournalEntry) -> str:
     """Return why something was decided, in sentences; empty: the entry says all."""
     facts: Mapping[str, Any] = entry.facts if isinstance(entry.facts, dict) else {}
     said = [
-        f"Policy '{each['policy']}' saw of '{each['saw'].get('name', 'the robot')}': "
-        f"{_values(each['saw'])}."
-        for each in facts.get("policies", ())
+        f"Policy '{policy['policy']}' saw of "
+        f"'{policy['saw'].get('name', 'the robot')}': {_values(policy['saw'])}."
+        for policy in facts.get("policies", ())
     ]
     if (proposal := proposal_in(facts)) and proposal.get("trouble"):
         said.append(f"As it was, {proposal['trouble']}.")
@@ -246,13 +246,16 @@ def _components(status: Status) -> Iterator[tuple[str, dict[str, Any]]]:
                     "error": component.error.rstrip().rpartition("\n")[2],
                     "hung": round(component.hung, 1),
                 }
-    for name, each in shown.items():
+    for name, shown_as in shown.items():
         if (need := needs.get(name)) is not None:
-            each["cpu"], each["starved"] = _round(need.mean), _round(need.starved)
-            each["sure"] = None if need.error is None else _round(need.error)
-        if each["at"] in status.not_known():
-            each["state"] = "unknown"
-        yield name, each
+            shown_as["cpu"], shown_as["starved"] = (
+                _round(need.mean),
+                _round(need.starved),
+            )
+            shown_as["sure"] = None if need.error is None else _round(need.error)
+        if shown_as["at"] in status.not_known():
+            shown_as["state"] = "unknown"
+        yield name, shown_as
 
 
 def _computers(
