@@ -2,7 +2,8 @@
 
 `words.toml` says which, what to say instead, and what is excepted for which reason.
 A *name* is what Python code calls a thing; a *phrase* is text of any tracked file:
-documents, messages, docstrings, comments.
+documents, messages, docstrings, comments. A *message* is a string of the code of
+`src`, but no docstring.
 """
 
 from __future__ import annotations
@@ -52,6 +53,28 @@ def wrong_phrases(
             yield line, " ".join(found[0].split()), instead
 
 
+def messages_in(tree: ast.AST) -> Iterator[tuple[int, str]]:
+    """Yield line and text of all strings of a module that are no docstrings."""
+    said = {
+        id(node.value)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
+    }
+    for node in ast.walk(tree):
+        match node:
+            case ast.Constant(value=str(text)) if id(node) not in said:
+                yield node.lineno, text
+
+
+def wrong_messages(
+    text: str, messages: Mapping[str, str]
+) -> Iterator[tuple[int, str, str]]:
+    """Yield line, phrase and way out of messages that need other words."""
+    for line, message in messages_in(ast.parse(text)):
+        for _, phrase, instead in wrong_phrases(message, messages):
+            yield line, phrase, instead
+
+
 def is_excepted(file: str, word: str, exceptions: Sequence[Mapping[str, str]]) -> bool:
     """Return whether a word may stand in a file."""
     return any(
@@ -82,6 +105,8 @@ def problems(words: Mapping[str, Any], files: Sequence[str]) -> Iterator[str]:
         wrong = list(wrong_phrases(text, words["phrases"]))
         if file.endswith(".py"):
             wrong += wrong_names(text, words["names"])
+            if file.startswith("src/"):
+                wrong += wrong_messages(text, words["messages"])
         for line, word, instead in wrong:
             if not is_excepted(file, word, words["exceptions"]):
                 yield f"{file}:{line}: {word!r}: say {instead}"

@@ -106,10 +106,10 @@ PARTS: dict[str, Callable[[Buggy], tuple[object, str]]] = {
         purpose: lambda b, n=number: (b.adaptation.responders[n], "respond")  # type: ignore[misc]
         for number, purpose in enumerate(
             [
-                "restart what was on lost computers",
-                "stop a task that lacks what it needs",
+                "restart components of lost computers",
+                "stop a task that lacks a needed function",
                 "carry out policies",
-                "start again what was suspended",
+                "start suspended architectures again",
                 "plan again",
                 "use computers that are back",
             ]

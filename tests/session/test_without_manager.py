@@ -193,7 +193,7 @@ def test_a_computer_that_does_not_answer_is_named_and_not_called_fine() -> None:
     sentences = [each["what"] for each in after["deviations"]]
     says(SENTENCE, sentences[0])
     assert "the agent of 'right' (" in sentences[1]
-    assert sentences[1].endswith("what runs there is not known")
+    assert sentences[1].endswith("its components are not known")
 
 
 @pytest.mark.usefixtures("file")

@@ -38,5 +38,5 @@ class SqliteFile:
     def _broken(self, error: Exception) -> UsageError:
         return UsageError(
             f"{self._path} cannot store {self._holds}: {error}. If it is damaged, "
-            "remove it: what it holds is lost then"
+            "remove it: its content is lost then"
         )

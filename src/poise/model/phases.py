@@ -122,7 +122,7 @@ def assumed(robot: Robot, task: str) -> Iterator[str]:
     if any(isinstance(step, Choice) for step in steps):
         yield "steps of a choice are taken in proportion to what they promise"
     if any(isinstance(step, Repeat) and step.times is None for step in steps):
-        yield f"what has no number of times is repeated {ROUNDS} times"
+        yield f"repetitions without a number of times are done {ROUNDS} times"
 
 
 def _listed(names: list[str]) -> str:

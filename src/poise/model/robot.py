@@ -227,7 +227,7 @@ class Robot(Struct, frozen=True, kw_only=True):
     prefetch: Annotated[
         Prefetch,
         PREFETCH,
-        says("What is prepared of the next actions while others run, or `off`."),
+        says("How much is prepared for the next actions while others run, or `off`."),
     ] = Prefetch()
     objective: Annotated[Objective, says("The weights of a good placement.")] = (
         Objective()

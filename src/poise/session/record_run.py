@@ -110,9 +110,9 @@ def _collect(tap: Tapped, recorder: RecordingFile, path: Path) -> str:
             counts[entry.tag is not None] += 1
         recorder.file.flush()
     except PoiseError as error:
-        return f"{error}; what came is in {inputs_folder(path)}"
+        return f"{error}; the inputs are in {inputs_folder(path)}"
     if not counts:
-        return f"what came is in {inputs_folder(path)} on the robot, if any"
+        return f"the inputs are in {inputs_folder(path)} on the robot, if any"
     shutil.rmtree(inputs_folder(path))
     said = [
         f"{counts[is_call]} {what} of {', '.join(names)}"

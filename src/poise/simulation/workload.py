@@ -327,7 +327,7 @@ class _ComponentWork:
             elif over.messages:
                 by.publishes[slot] = _each(over.messages / by.rate)
             else:
-                self._guess(f"nobody says what goes over '{slot}': nothing does here")
+                self._guess(f"the traffic over '{slot}' is not known: it has none here")
 
 
 def _each(often: float) -> float:

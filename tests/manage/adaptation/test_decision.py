@@ -118,7 +118,7 @@ def test_what_is_lost_with_its_computer_is_named_where_nothing_helps(
     assert not found.acts
     assert "blocked" not in found.why
     assert found.why.endswith(
-        "Lost with their computers: 'eye' of 'c2'; what needs them waits"
+        "Lost with their computers: 'eye' of 'c2'; components that need them wait"
     )
 
 

@@ -55,7 +55,7 @@ def test_what_runs_well_is_not_disturbed() -> None:
     back.look(100.0)
     assert back.run.placement() == BOTH
     assert back.said() == [
-        "'right' may be used again; every running component has what it needs"
+        "'right' may be used again; every running component has the CPU that it needs"
     ]
 
 

@@ -11,10 +11,10 @@ from poise.testing.virtual_clock import VirtualClock
 from tests.manage.adaptation.shortages.test_suspension import Robbed, robot_with
 
 PURPOSES = [
-    "restart what was on lost computers",
-    "stop a task that lacks what it needs",
+    "restart components of lost computers",
+    "stop a task that lacks a needed function",
     "carry out policies",
-    "start again what was suspended",
+    "start suspended architectures again",
     "plan again",
     "use computers that are back",
 ]

@@ -71,7 +71,7 @@ class Cut:
         )
 
     def heal(self, *found: Incarnation, robot: Robot) -> None:
-        """Let all computers be reached, the missing one with what runs there."""
+        """Let all computers be reached, the missing one with its components."""
         (computer,) = self.agents.gone
         plan = DeploymentPlan(robot, "/run", code_version=version_of)
         self.agents.left_with[computer] = plan.specs(found, 9, {})[computer]

@@ -104,8 +104,8 @@ def test_nothing_begins_while_other_programs_use_all_cpu(rig: Rig) -> None:
     rig.look(NEXT, loads={"right": full})
     assert rig.said("seen") == [
         (
-            "nothing is prepared for action 'think' of task 'serve': what runs leaves "
-            "no CPU of computer 'right'"
+            "nothing is prepared for action 'think' of task 'serve': the running "
+            "components leave no CPU of computer 'right'"
         )
     ]
 

@@ -49,7 +49,7 @@ def agent_command(
         typer.Option(help="Folder of its own for its sockets and what it must keep."),
     ] = None,
     sample_every: Annotated[
-        str, typer.Option(help="How often to count what is used; 0: never.")
+        str, typer.Option(help="How often to sample the CPU use; 0: never.")
     ] = "200 ms",
     lifeline: Annotated[
         int | None, typer.Option(hidden=True, help="End at this descriptor's end.")

@@ -50,7 +50,7 @@ def run_command(
     record: Annotated[
         Path | None,
         typer.Option(
-            help="File for what is used, and what architectures publish.",
+            help="File for samples, and for messages between architectures.",
             callback=to_write,
         ),
     ] = None,
@@ -167,7 +167,7 @@ def up_command(
     record: Annotated[
         Path | None,
         typer.Option(
-            help="File for what is used, and what policies see.", callback=to_write
+            help="File for samples, and for the values of policies.", callback=to_write
         ),
     ] = None,
 ) -> None:

@@ -125,8 +125,8 @@ def move_command(
 
     It keeps its state, and no call or message is lost, doubled or reordered. When
     something fails it goes on where it was, and the exit code is 1. A command-line
-    component is stopped and started. A component that does not fit beside what
-    runs on the computer is refused, unless --force is given. With --dry-run it says
+    component is stopped and started. A component that does not fit beside
+    the running ones is refused, unless --force is given. With --dry-run it says
     what the move would change and cost; the exit code is 1 when it would be refused.
 
     Example: poise move localiser vision

@@ -83,7 +83,7 @@ class Adaptation:
         situation = self._analysed(self._situation())
         tick = self._run.tick
         tick.run("report symptoms", partial(self._report, situation.symptoms))
-        tick.run("see what is suspended", self._suspensions.record)
+        tick.run("see which architectures are suspended", self._suspensions.record)
         if self._acts:
             for responder in self.responders:
                 respond = partial(self._respond, responder, situation)

@@ -153,7 +153,7 @@ def _load(
 
 
 def check_move(situation: Situation, component: str, computer: str) -> None:
-    """Raise UsageError when a component does not fit on a computer beside what runs.
+    """Raise UsageError when a component does not fit on a computer with all others.
 
     Limits that are broken without it do not count.
     """

@@ -102,7 +102,9 @@ def nothing_helps(situation: Situation, gone: str = "") -> str:
         f"{_others(situation)}: another placement would not help. "
     )
     if gone:
-        return f"{what}Lost with their computers: {gone}; what needs them waits"
+        return (
+            f"{what}Lost with their computers: {gone}; components that need them wait"
+        )
     return f"{what}Is a component blocked, or its deadline too short for its work?"
 
 

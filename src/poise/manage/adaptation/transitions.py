@@ -376,7 +376,11 @@ class UseAgain:
         decision = decide(situation)
         why_not = self._transitions.why_not(decision, now)
         is_better = decision.acts or decision.proposal is not None
-        why = decision.why if is_better else "every running component has what it needs"
+        why = (
+            decision.why
+            if is_better
+            else "every running component has the CPU that it needs"
+        )
         names = " and ".join(f"'{name}'" for name in back)
         note = self._transitions.run.journal.note
         note("seen", f"{names} may be used again; {why}")

@@ -137,7 +137,7 @@ def _deviations(
     for name in silent:
         what = (
             f"the agent of '{name}' ({endpoint_of(endpoints[name])}) gave no answer "
-            f"within {AGENT_LIMIT:g} s: what runs there is not known"
+            f"within {AGENT_LIMIT:g} s: its components are not known"
         )
         yield Deviation(what=what, computer=name, since=now)
     for name, status in sorted(statuses.items()):

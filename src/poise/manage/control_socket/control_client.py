@@ -111,7 +111,7 @@ def _wait(connection: socket.socket, path: Path, command: Command) -> None:
             raise _no_answer(path.stem, manager, waited)
         if waited >= ANSWER_LIMIT:
             raise Timeout(
-                f"the manager has been busy for {ANSWER_LIMIT:g} s; what it began "
+                f"the manager has been busy for {ANSWER_LIMIT:g} s; its work "
                 "continues, and `poise status` shows the outcome"
             )
         patience = waited + STATUS_LIMIT

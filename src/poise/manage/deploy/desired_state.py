@@ -67,7 +67,7 @@ class DesiredState:
         """What runs the parts of the manager's loop."""
         self.reconciler = Reconciler(agents, self.clock, self._note_claimed)
         self.claimed: set[str] = set()
-        """The computers that this manager has claimed, and so knows what runs there."""
+        """The computers that this manager has claimed: it knows their components."""
         self._joining: dict[str, Claimed] = {}
         self._gateways: dict[str, str] = {}
         self._deployments: Mapping[str, Deployment] = {}
@@ -188,7 +188,7 @@ class DesiredState:
     def _note_claimed(self, computer: str, answer: Claimed) -> None:
         """Take in what an agent works towards that was claimed."""
         deployment = answer.deployment or Deployment(generation=0, containers=())
-        if computer in self.claimed:  # this manager knows what runs there
+        if computer in self.claimed:  # this manager knows their components
             deployment = structs.replace(deployment, containers=())
         self._joining[computer] = structs.replace(answer, deployment=deployment)
 

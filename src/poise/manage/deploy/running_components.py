@@ -86,7 +86,7 @@ class RunningComponents(DesiredState):
             self.journal.note("seen", text)
             placed = self.desired
             self.end_all("an earlier manager left something")
-            self.commit(placed, "what it left has ended")
+            self.commit(placed, "its containers have ended")
         self.start_all()
 
     def start_all(self) -> None:

@@ -62,7 +62,7 @@ def start_or_take_over(
     if not reported:
         away = {computer.name for computer in run.robot.computers} - run.claimed
         if away:
-            run.leave()  # what runs there may be another manager's
+            run.leave()  # their components may be another manager's
             names = ", ".join(f"'{name}'" for name in sorted(away - unclaimed.keys()))
             lost = f"nothing runs yet, and no agent answers on {names}: start it there"
             raise RunError("; ".join([*unclaimed.values(), *([lost] if names else [])]))
@@ -287,13 +287,13 @@ def _start(
             if old.name in adoption.restarts:
                 run.wait_ended(old.incarnation)
         inactive = [incarnation.with_goal("inactive") for incarnation in new]
-        run.bring(inactive, READY_LIMIT, "start what is missing")
-        run.bring(new, ACTIVE_LIMIT, "activate what is missing")
+        run.bring(inactive, READY_LIMIT, "start missing components")
+        run.bring(new, ACTIVE_LIMIT, "activate missing components")
         if new:
             run.journal.note("done", f"started {counted(len(new), 'component')}")
     except RunError as error:
         run.journal.note("failed", f"not all that is missing started: {error}")
-    run.commit(run.desired.placing(starts), "what is missing belongs there")
+    run.commit(run.desired.placing(starts), "missing components belong there")
 
 
 def _claim(

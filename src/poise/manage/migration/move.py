@@ -333,7 +333,8 @@ def _placement(
     result = plan.solve(problem, steps=run.solve_steps)
     if not result.feasible:
         raise UsageError(
-            f"architecture '{new.name}' does not fit beside what runs: {result.reason}"
+            f"architecture '{new.name}' does not fit beside the running components: "
+            f"{result.reason}"
         )
     return {name: result.placement[name] for name in comes}
 

@@ -88,7 +88,7 @@ def _revoke_leases(run: RunningComponents, lost: Collection[str]) -> None:
         if run.agents.wait_news(is_back, _LOOK_EVERY):
             raise RunError(f"{_names(lost)} is reached again")
         if time.monotonic() > deadline:
-            raise RunError(f"what was on {_names(lost)} may still be at work")
+            raise RunError(f"components of {_names(lost)} may still be at work")
 
 
 def _names(computers: Collection[str]) -> str:

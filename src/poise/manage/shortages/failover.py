@@ -40,7 +40,7 @@ class Failover(Struct, frozen=True, kw_only=True):
 class FailOver:
     """Restarts elsewhere what was on lost computers, once for each loss."""
 
-    purpose = "restart what was on lost computers"
+    purpose = "restart components of lost computers"
 
     def __init__(self, run: RunningComponents, suspensions: Suspensions) -> None:
         self._run = run
@@ -169,7 +169,7 @@ def _by_priority(
                 break
         else:
             explain(result)
-            why = f"it fits nowhere beside what runs: {result.reason}"
+            why = f"it fits nowhere beside the running components: {result.reason}"
             missing |= dict.fromkeys(names, why)
     return Failover(
         placement=placement,

@@ -1,4 +1,4 @@
-"""Where components fit beside what runs. Pure."""
+"""Where components fit beside the running components. Pure."""
 
 from __future__ import annotations
 

@@ -295,7 +295,7 @@ class StopWithoutNeeded:
     computer stay as they are.
     """
 
-    purpose = "stop a task that lacks what it needs"
+    purpose = "stop a task that lacks a needed function"
 
     def __init__(self, suspensions: Suspensions) -> None:
         self._suspensions = suspensions
@@ -328,12 +328,12 @@ class StopWithoutNeeded:
 
 
 class ResumeSuspended:
-    """Starts what fits again beside what runs, the highest priority first.
+    """Starts what fits again beside the running components, the highest priority first.
 
     What runs stays where it is.
     """
 
-    purpose = "start again what was suspended"
+    purpose = "start suspended architectures again"
 
     def __init__(self, run: RunningComponents, suspensions: Suspensions) -> None:
         self._run = run

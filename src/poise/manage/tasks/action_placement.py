@@ -38,7 +38,7 @@ class Room(Struct, frozen=True, kw_only=True):
 def room_for_functions(
     situation: Situation, functions: Iterable[str], by_plan: Mapping[str, str]
 ) -> Room:
-    """Return where functions go, beside what runs of them.
+    """Return where functions go, beside their running components.
 
     What runs stays where it is, if all fits so; else it moves where it may.
 

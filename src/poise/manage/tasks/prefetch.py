@@ -102,7 +102,7 @@ def _without_cpu(computers: Collection[str], cpu: Mapping[str, float]) -> str:
         if name not in cpu:
             return f"computer '{name}' is out of reach"
         if cpu[name] < LEAST_CPU:
-            return f"what runs leaves no CPU of computer '{name}'"
+            return f"the running components leave no CPU of computer '{name}'"
     return ""
 
 
@@ -263,7 +263,7 @@ class Prefetcher:
             else:
                 unready.append(name)
         if ready:
-            run.commit(run.desired.preparing(ready), "what is prepared is idle")
+            run.commit(run.desired.preparing(ready), "prepared components are idle")
         return unready
 
     def _cpu_left(

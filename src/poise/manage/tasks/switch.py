@@ -44,7 +44,7 @@ def prepare(
     preparation_cpu = {**run.desired.preparation_cpu, **cpu}
     run.commit(
         replace(run.desired, preparation_cpu=preparation_cpu).preparing(new),
-        "prepare what is next",
+        "prepare the next action",
     )
 
 
@@ -52,7 +52,7 @@ def drop(run: RunningComponents, components: Iterable[str]) -> None:
     """End prepared components; their state is lost."""
     gone = [name for name in components if name in run.prepared]
     if gone:
-        run.commit(run.desired.without(gone), "what is idle ends")
+        run.commit(run.desired.without(gone), "idle components end")
 
 
 def switch(

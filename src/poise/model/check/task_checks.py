@@ -267,8 +267,9 @@ def _phases(robot: Robot, task: Task) -> Iterator[Finding]:
     except TooManyPhasesError:
         yield Finding(
             ("tasks", task.name),
-            f"task '{task.name}' has more than {MOST_PHASES} phases: what runs at the "
-            "same time, in all combinations of parallel steps. Make it several tasks",
+            f"task '{task.name}' has more than {MOST_PHASES} phases: sets "
+            "of actions at the same time, in all combinations of parallel steps. Make "
+            "it several tasks",
         )
         return
     reported: set[str] = set()

@@ -201,7 +201,7 @@ def emulated(robot: Robot, *, say: Say = log.info) -> Iterator[EmulatedSet]:
         try:
             yield find_set(robot.name)
         finally:
-            forget(robot.name)  # what runs there ends, with a manager or without
+            forget(robot.name)  # components there end, with a manager or without
 
 
 _TOLERATED = 0.1

@@ -206,7 +206,7 @@ def _verdict(report: RunRecord) -> str:
     if report.invalid:
         return f"✗ invalid run: {report.invalid}"
     if report.failed:
-        return "✗ failed: errors, faults or what was suspended are at the end"
+        return "✗ failed: errors, faults or suspended architectures are at the end"
     missed = sum(each.missed for each in _deadlines(report))
     return f"✓ ran without a fault; {counted(missed, 'deadline')} missed"
 

@@ -192,7 +192,7 @@ class Running:
         Parameters
         ----------
         force
-            Whether to move it even where it does not fit beside what runs.
+            Whether to move it even where it does not fit beside the running components.
 
         Raises
         ------

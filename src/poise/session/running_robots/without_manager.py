@@ -66,7 +66,7 @@ def stop_agents(addresses: AgentAddresses) -> None:
     missing = ", ".join(sorted(ends.keys() - reached))
     if missing:
         raise RunError(
-            f"out of reach: {missing}; what runs there goes on. "
+            f"out of reach: {missing}; their containers go on. "
             f"Stopped: {', '.join(sorted(reached)) or 'nothing'}"
         )
     forget(addresses.robot)
@@ -97,6 +97,6 @@ def _addresses(robot: Robot) -> AgentAddresses:
     if kept is None:
         raise UsageError(
             f"robot '{robot.name}' has no computer with an address, and `poise "
-            "emulate` keeps none for it: what ran on emulated ones has ended"
+            "emulate` keeps none for it: components on emulated ones have ended"
         )
     return AgentAddresses(robot.name, agent_locators(kept.computers))

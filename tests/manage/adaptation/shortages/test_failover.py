@@ -75,7 +75,9 @@ def test_what_does_not_fit_beside_the_others_is_missing(
     robot = with_memory(two, {"left": 9, "right": 9}, {"a": 5, "b": 5})
     found = fail_over(situation(APART, robot=robot), {"left"})
     assert found.placement == {}
-    assert found.missing["a"].startswith("it fits nowhere beside what runs: ")
+    assert found.missing["a"].startswith(
+        "it fits nowhere beside the running components: "
+    )
 
 
 def test_what_works_moves_when_only_that_makes_room(
@@ -182,7 +184,9 @@ def test_of_what_does_not_fit_whole_architectures_are_dropped_by_priority(
     robot = with_memory(robot, {"left": 9, "right": 7}, {"a": 4, "b": 4})
     found = fail_over(situation({"a": "left", "b": "left"}, robot=robot), {"left"})
     assert found.placement == {"a": "right"}
-    assert found.missing["b"].startswith("it fits nowhere beside what runs: ")
+    assert found.missing["b"].startswith(
+        "it fits nowhere beside the running components: "
+    )
     assert found.waits_for_room
 
 

@@ -271,7 +271,9 @@ def test_a_lost_computer_puts_lower_priorities_aside_for_higher_ones() -> None:
     )
     found = fail_over(swapped, {"right"})
     assert (found.placement, found.suspended) == ({}, ())
-    assert found.missing["low"].startswith("it fits nowhere beside what runs")
+    assert found.missing["low"].startswith(
+        "it fits nowhere beside the running components"
+    )
 
 
 def test_of_what_was_lost_the_higher_is_restarted_when_not_all_fits() -> None:
