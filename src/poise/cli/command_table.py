@@ -45,6 +45,8 @@ COMMANDS = {
     "list": ("look", "List robots that run, and what they consist of."),
     "echo": ("look", "Show messages as they go out over a connector."),
     "hz": ("look", "Show how often something goes out over a connector."),
+    "call": ("outside", "Call a component of a running robot."),
+    "pub": ("outside", "Send a message into a running robot."),
     "record": ("recording", "Record a running robot for Foxglove."),
     "log": ("look", "Show what components wrote."),
     "task": ("running_robot", "Start, pause, resume and cancel tasks."),

@@ -104,6 +104,49 @@ class Codec(Generic[T]):
             raise WireError(f"not {self.name}: {error}") from error
 
 
+class Packed(msgspec.Struct, frozen=True):
+    """A value as plain data and arrays, for who does not know its type."""
+
+    body: bytes
+    buffers: bytes = b""
+
+    @property
+    def size(self) -> int:
+        """How much it is [bytes]."""
+        return len(self.body) + len(self.buffers)
+
+
+def pack(value: object) -> Packed:
+    """Return a value as plain data; WireError when it cannot cross a connector."""
+    body, buffers = codec(Any).encode(value)
+    return Packed(body, b"".join(_padded(buffers)))
+
+
+def unpack(packed: Packed, type_: Any = Any) -> Any:  # noqa: ANN401, any type
+    """Return what was packed, as a value of a type.
+
+    Lists stand for arrays, too. WireError when it is no such value.
+    """
+    plain = codec(Any).decode(packed.body, memoryview(packed.buffers))
+    try:
+        return msgspec.convert(plain, type_, dec_hook=_array_of)
+    except (msgspec.ValidationError, *_UNFIT) as error:
+        raise WireError(str(error)) from error
+
+
+def _padded(buffers: Iterable[memoryview]) -> Iterable[bytes]:
+    for buffer in buffers:
+        yield bytes(buffer)
+        yield bytes(padding(buffer.nbytes))
+
+
+def _array_of(type_: Any, value: Any) -> Any:  # noqa: ANN401, msgspec's hook
+    np = _numpy()
+    if isinstance(value, list | int | float | bool):
+        value = np.asarray(value, *_declared(type_)[:1])
+    return _check(type_, value)
+
+
 @cache
 def codec(type_: Any, name: str = "") -> Codec[Any]:  # noqa: ANN401, any type
     """Return the codec of a type; the same one every time."""

@@ -17,10 +17,12 @@ from poise.manage.observe.deviations import Deviation
 from poise.manage.observe.estimates import DemandEstimate, Load
 from poise.manage.tasks.concurrent_tasks import TaskReport
 from poise.manage.tasks.prefetch_report import PrefetchReport
+from poise.wire.codec import Packed
 from poise.wire.records.request_records import (
     SHOWN_ITEMS,
     ManagerId,
     OutputLine,
+    PortAnswer,
     TapReading,
 )
 from poise.wire.records.status_records import AgentStatus
@@ -86,6 +88,20 @@ class TapCommand(Struct, frozen=True, tag=True):
     viewer: str
     rate: float = 0.0
     items: int = SHOWN_ITEMS
+    is_whole: bool = False
+
+
+class PortCommand(Struct, frozen=True, tag=True, kw_only=True):
+    """Give a port a message, publish one there, or call it; see `PortRequest`.
+
+    `limit`: it is done within this time, wherever the component is meanwhile [s].
+    """
+
+    component: str
+    port: str
+    method: str = ""
+    value: Packed
+    limit: float = 1.0
 
 
 class LogCommand(Struct, frozen=True, tag=True):
@@ -112,6 +128,7 @@ Command = (
     | ReplaceCommand
     | RebalanceCommand
     | TapCommand
+    | PortCommand
     | LogCommand
     | TaskCommand
 )
@@ -203,6 +220,7 @@ Result = (
     | Rebalanced
     | TaskDone
     | TapReading
+    | PortAnswer
     | LogReading
     | JournalEntries
     | WhatIf

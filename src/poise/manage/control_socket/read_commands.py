@@ -1,4 +1,4 @@
-"""Answers to commands that change nothing: status, journal, log and taps."""
+"""Answers to commands that change no placement: status, journal, log, taps, ports."""
 
 from __future__ import annotations
 
@@ -18,12 +18,14 @@ from poise.manage.control_socket.commands import (
     JournalEntries,
     LogCommand,
     LogReading,
+    PortCommand,
     Refusal,
     Result,
     RobotStatus,
     StatusCommand,
     TapCommand,
 )
+from poise.manage.control_socket.port_requests import ask_port
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.observe.chains import chain_reports
 from poise.manage.observe.deviations import Deviation
@@ -47,23 +49,26 @@ _BITS = 62
 def answer(
     run: RunningComponents, status: Callable[[], RobotStatus], command: Command
 ) -> Result | Refusal | None:
-    """Return the answer to a command that changes nothing; None: it is another one.
+    """Return the answer to a command that changes no placement; None: another one.
 
     It waits for no move, and may be called from any thread.
     """
+    done: Result | None = None
     try:
         match command:
             case StatusCommand():
-                return status()
+                done = status()
             case JournalCommand(after=after, most=most):
-                return JournalEntries(tuple(run.journal.entries(after, most)))
+                done = JournalEntries(tuple(run.journal.entries(after, most)))
             case LogCommand():
-                return _read_log(run.agents, command)
+                done = _read_log(run.agents, command)
             case TapCommand():
-                return _read_tap(run.agents, command)
+                done = _read_tap(run.agents, command)
+            case PortCommand():
+                done = ask_port(run, command)
     except PoiseError as error:
         return Refusal.from_error(error)
-    return None
+    return done
 
 
 def status_of(
@@ -149,6 +154,7 @@ def _read_tap(agents: Agents, command: TapCommand) -> TapReading:
         viewer=command.viewer,
         rate=command.rate,
         items=command.items,
+        is_whole=command.is_whole,
         limit=_ANSWER_LIMIT,
     )
     reply = agents.ask(computer, asked, _ANSWER_LIMIT)

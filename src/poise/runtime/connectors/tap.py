@@ -23,11 +23,18 @@ import msgspec
 
 from poise.clock import wall_time
 from poise.errors import RunError, UsageError
+from poise.wire.codec import WireError, pack
 from poise.wire.connections.connection_server import Handler
 from poise.wire.frame import Frame, Kind, Pieces
 from poise.wire.recording_file import Input, McapFile
 from poise.wire.records.migration_records import StepsFailed
-from poise.wire.records.request_records import SHOWN_ITEMS, Passed, Tap, TapReading
+from poise.wire.records.request_records import (
+    MOST_PACKED,
+    SHOWN_ITEMS,
+    Passed,
+    Tap,
+    TapReading,
+)
 
 if TYPE_CHECKING:
     from poise.runtime.connectors.sender import Sender
@@ -53,12 +60,20 @@ class Observer:
     """What one viewer gets of a connector. Any thread may use it."""
 
     def __init__(
-        self, connector: str, type_: object, rate: float, items: int = SHOWN_ITEMS
+        self,
+        connector: str,
+        type_: object,
+        rate: float,
+        items: int = SHOWN_ITEMS,
+        *,
+        is_whole: bool = False,
     ) -> None:
         self.connector = connector
         self.carries = getattr(type_, "__qualname__", str(type_))
         self.read_at = time.monotonic()
         self._items = items
+        self._is_whole = is_whole
+        self._size = 0
         self._every = 1 / rate if rate > 0 else float("inf")
         self._due = 0.0 if rate > 0 else float("inf")
         self._times: list[float] = []
@@ -78,17 +93,35 @@ class Observer:
                 return
             # half a gap early is in time, or a jitter would leave every second out
             self._due = max(self._due, now - self._every / 2) + self._every
-        plain = Plain(self._items)
-        passed = Passed(at, plain.of(value()), plain.is_whole)
+        passed = (
+            self._packed(at, value()) if self._is_whole else self._plain(at, value())
+        )
         with self._lock:
-            self._passed.append(passed)
+            if passed is not None:
+                self._passed.append(passed)
+
+    def _plain(self, at: float, value: object) -> Passed:
+        plain = Plain(self._items)
+        return Passed(at, plain.of(value), plain.is_whole)
+
+    def _packed(self, at: float, value: object) -> Passed | None:
+        """Return a value as it is; None: it has no room, or cannot be packed."""
+        try:
+            packed = pack(value)
+        except WireError as error:
+            return Passed(at, str(error), is_whole=False)
+        with self._lock:
+            if self._size + packed.size > MOST_PACKED:
+                return None
+            self._size += packed.size
+        return Passed(at, packed)
 
     def read(self, number: int) -> TapReading:
         """Return what was noted since the last time."""
         self.read_at = time.monotonic()
         with self._lock:
             times, self._times = self._times, []
-            passed, self._passed = self._passed, []
+            passed, self._passed, self._size = self._passed, [], 0
             missing, self._missing = self._missing, 0
         return TapReading(
             number=number,
@@ -235,7 +268,11 @@ class Taps:
                 text = f"{MOST_VIEWERS} viewers watch this container already"
                 return StepsFailed(tap.number, text)
             self._observed[key] = Observer(
-                tap.connector, sender.port.type, tap.rate, tap.items
+                tap.connector,
+                sender.port.type,
+                tap.rate,
+                tap.items,
+                is_whole=tap.is_whole,
             )
             self._show(sender)
         return self._observed[key].read(tap.number)

@@ -36,6 +36,7 @@ from poise.runtime.execution.counters import ComponentKey, StatsPage
 from poise.runtime.execution.data_age import ComputerClock
 from poise.runtime.hosting.checkpoints import Checkpoints
 from poise.runtime.hosting.command_line import freeze_fenced
+from poise.runtime.hosting.outside_requests import OutsideRequests
 from poise.runtime.hosting.runner import Runner
 from poise.runtime.hosting.wiring import Wiring
 from poise.runtime.migration.executor import MigrationExecutor
@@ -45,7 +46,7 @@ from poise.wire.connections.connection_server import ConnectionServer
 from poise.wire.records.deployment_records import ComponentSpec, ContainerSpec
 from poise.wire.records.heartbeat_records import Clocks
 from poise.wire.records.migration_records import MigrationSteps
-from poise.wire.records.request_records import Tap
+from poise.wire.records.request_records import PortRequest, Tap
 from poise.wire.records.status_records import (
     ComponentStatus,
     ContainerAnswer,
@@ -106,6 +107,9 @@ class Container:
         self._steps = MigrationExecutor(self._runners, self._wiring, self._server)
         # steps wait for components and for other computers; the control thread must not
         self._step_threads = ThreadPoolExecutor(_STEP_THREADS, "step", go_first)
+        self._outside = OutsideRequests(
+            self._active, lambda answer: self._take_steps(lambda: answer)
+        )
         self._paused: dict[Runner, float] = {}
         self._news_waits_until = 0.0
         self._stopping = False
@@ -226,6 +230,8 @@ class Container:
         elif isinstance(what, Tap):
             reading = self._taps.read(what)
             self._take_steps(lambda: reading)
+        elif isinstance(what, PortRequest):
+            self._outside.take(what)
         elif isinstance(what, MigrationSteps) and what.steps[0].name == "halt":
             # at once: all threads for steps may be waiting
             outcome = self._steps.halt(what)
@@ -240,6 +246,14 @@ class Container:
             self._wanted, self._news_waits_until = what, 0.0
             with as_usual():
                 self._apply(what)
+
+    def _active(self, component: str) -> Runner | None:
+        """Return the incarnation of a component that works here, or the latest."""
+        known = [
+            r for (name, _), r in self._runners.copy().items() if name == component
+        ]
+        known.sort(key=lambda r: (r.life_cycle.state == "active", r.spec.epoch))
+        return known[-1] if known else None
 
     def _take_steps(self, take: Callable[[], ContainerAnswer]) -> None:
         outcome = take()
@@ -329,6 +343,7 @@ class Container:
         runner.aim("finalized")
         self._ending[key] = runner, self._clock.now() + _STOP_LIMIT
         self._steps.forget(runner)
+        self._outside.forget(runner)
 
     def _end_removed(self) -> bool:
         """Forget removed components that have ended; whether there were any."""
@@ -374,6 +389,7 @@ class Container:
         with contextlib.suppress(Timeout):  # nobody may be left to tell
             self._report(self._status())
         self._step_threads.shutdown(wait=False, cancel_futures=True)
+        self._outside.close()
         self._wiring.close()
         self._server.close()
 

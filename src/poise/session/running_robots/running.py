@@ -39,6 +39,7 @@ from poise.manage.tasks.task_progress import OVER
 from poise.session.render.printable import Printable
 from poise.session.render.status_tables import detail_parts, status_parts
 from poise.session.render.tables import Outcome, outcome_sentence
+from poise.session.running_robots.running_component import RunningComponent
 from poise.session.running_robots.without_manager import stop_agents
 from poise.wire.records.request_records import SHOWN_ITEMS, TapReading
 
@@ -170,6 +171,13 @@ class Running:
     def tasks(self) -> RunningTasks:
         """Its tasks: ``running.tasks.start("fetch")``."""
         return RunningTasks(self.name)
+
+    def component(self, name: str) -> RunningComponent:
+        """Return a component of it: to call it, send it messages, hear its own.
+
+        ``running.component("heater").call("heating", "heat", 0.4)``
+        """
+        return RunningComponent(self.name, name)
 
     def status(self) -> Status:
         """Return where components run, and how they and their computers are.

@@ -19,7 +19,7 @@ from poise.wire.heartbeats import Datagrams
 from poise.wire.records.deployment_records import ConnectorSpec, ContainerSpec
 from poise.wire.records.heartbeat_records import Clocks
 from poise.wire.records.migration_records import MigrationSteps
-from poise.wire.records.request_records import TapReading
+from poise.wire.records.request_records import PortAnswer, PortRequest, TapReading
 from poise.wire.records.status_records import (
     ConnectorStatus,
     ContainerStatus,
@@ -138,6 +138,9 @@ class SimulatedContainer:
             self._report_later()
         elif isinstance(record, MigrationSteps):
             self.migration.receive(record)
+        elif isinstance(record, PortRequest):
+            why = "what a component would answer is not simulated"
+            self.answer(PortAnswer(number=record.number, outcome="refused", reason=why))
         elif not isinstance(record, Clocks):
             self.answer(
                 TapReading(number=record.number, connector=record.connector, carries="")

@@ -7,15 +7,16 @@ import time
 from collections.abc import Mapping
 from hashlib import blake2s
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from msgspec import Struct
 
 from poise.clock import boot_time
+from poise.wire.codec import Packed
 from poise.wire.records.deployment_records import Deployment
 from poise.wire.records.migration_records import MigrationSteps, StepsDone, StepsFailed
 
-PROTOCOL = 10
+PROTOCOL = 11
 """Manager, agents and containers of different protocol versions refuse each other."""
 
 
@@ -103,6 +104,7 @@ class Tap(Struct, frozen=True, tag=True, kw_only=True):
     container: str
     connector: str
     viewer: str  # Each viewer gets everything
+    is_whole: bool = False  # Whether contents are `Packed`, and not shortened
     # Messages a second that are reported with their content; 0: none
     rate: float = 0.0
     # Of longer lists, arrays and mappings the rest is left out; up to `SHOWN_ITEMS`,
@@ -129,6 +131,40 @@ class TapReading(Struct, frozen=True, tag=True, kw_only=True):
     times: tuple[float, ...] = ()
     passed: tuple[Passed, ...] = ()  # Some of them with their content
     missing: int = 0  # How many are not among the times: there was no room for them
+
+
+MOST_PACKED = 16 << 20
+"""No more comes from outside, or goes out there, at once [bytes]."""
+
+
+class PortRequest(Struct, frozen=True, tag=True, kw_only=True):
+    """Give a port a message, publish one there, or call it, for somebody outside.
+
+    `value` has the message, or a call's positional and named arguments.
+    """
+
+    number: int
+    container: str
+    component: str
+    port: str
+    method: str  # Empty: a message
+    value: Packed
+    limit: float  # It is answered within this time [s]
+
+
+class PortAnswer(Struct, frozen=True, tag=True, kw_only=True):
+    """What came of a request; only ``done`` has a `value`.
+
+    It was ``raised`` by the callee, ``refused`` as it does not fit, ``late``, or the
+    component is ``away``: then nothing was done, and it may be asked at another place.
+    """
+
+    number: int
+    outcome: Literal["done", "raised", "refused", "late", "away"]
+    value: Packed = Packed(b"\xc0")
+    reason: str = ""
+    error_type: str = ""
+    traceback: str = ""
 
 
 MOST_KEPT = 64 << 20
@@ -172,10 +208,25 @@ class Refused(Struct, frozen=True, tag=True):
 
 
 Answer = (
-    Accepted | Claimed | Refused | StepsDone | StepsFailed | TapReading | OutputLines
+    Accepted
+    | Claimed
+    | Refused
+    | StepsDone
+    | StepsFailed
+    | TapReading
+    | PortAnswer
+    | OutputLines
 )
 
-Request = Claim | Deployment | MigrationSteps | CheckpointCopy | Tap | ReadOutput
+Request = (
+    Claim
+    | Deployment
+    | MigrationSteps
+    | CheckpointCopy
+    | Tap
+    | PortRequest
+    | ReadOutput
+)
 """What a manager asks of an agent."""
 
 

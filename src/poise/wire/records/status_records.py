@@ -11,7 +11,14 @@ from msgspec import Struct
 from poise.wire.records.deployment_records import ConnectorKind, ContainerSpec
 from poise.wire.records.heartbeat_records import Clocks, ClockStatus, LinkQuality
 from poise.wire.records.migration_records import MigrationSteps, StepsDone, StepsFailed
-from poise.wire.records.request_records import PROTOCOL, ManagerId, Tap, TapReading
+from poise.wire.records.request_records import (
+    PROTOCOL,
+    ManagerId,
+    PortAnswer,
+    PortRequest,
+    Tap,
+    TapReading,
+)
 
 State = Literal[
     "unconfigured", "inactive", "active", "finalized", "failed", "unresponsive"
@@ -353,9 +360,9 @@ class ContainerFailure(Struct, frozen=True, tag=True):
     reason: str
 
 
-ContainerRequest = MigrationSteps | Tap
+ContainerRequest = MigrationSteps | Tap | PortRequest
 """What a manager asks of a container by way of its agent."""
-ContainerAnswer = StepsDone | StepsFailed | TapReading
+ContainerAnswer = StepsDone | StepsFailed | TapReading | PortAnswer
 
 ToContainer = ContainerSpec | Clocks | ContainerRequest
 """What an agent sends a container."""

@@ -1,0 +1,221 @@
+"""Messages and calls that come from outside the robot, by way of its manager.
+
+They enter a component as its own threads do, in its exclusion: so a move loses and
+doubles none, and whoever comes too late for a move is told to ask at the new place.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, NoReturn, get_args
+
+from poise import threads
+from poise.errors import CalleeError, PoiseError, Timeout, UsageError
+from poise.runtime.component.component import within
+from poise.runtime.component.ports import Port
+from poise.runtime.connectors.interface import Method, message_tag, methods
+from poise.runtime.connectors.route import direct_call
+from poise.runtime.execution.counters import Counts
+from poise.runtime.execution.exclusion import Redirected, new_chain
+from poise.runtime.execution.mailbox import Feed
+from poise.runtime.hosting.runner import Runner
+from poise.suggest import did_you_mean, listed
+from poise.wire.codec import Packed, WireError, pack, unpack
+from poise.wire.records.request_records import MOST_PACKED, PortAnswer, PortRequest
+
+_THREADS = 4
+_MOST_WAITING = 64
+"""So many requests wait in a container; further ones are refused."""
+_LOOK_EVERY = 0.005
+
+
+class Away(Exception):
+    """The component does not work here; nothing was done."""
+
+
+class OutsideRequests:
+    """Carries out what comes from outside, on threads of its own."""
+
+    def __init__(
+        self,
+        runner_of: Callable[[str], Runner | None],
+        answer: Callable[[PortAnswer], object],
+    ) -> None:
+        self._runner_of = runner_of
+        self._answer = answer
+        self._threads = ThreadPoolExecutor(_THREADS, "outside")
+        self._num_waiting = 0
+        self._feeds: dict[tuple[Runner, str], Feed] = {}
+
+    def take(self, request: PortRequest) -> None:
+        """Take a request; it is answered later."""
+        if self._num_waiting >= _MOST_WAITING:
+            why = f"{_MOST_WAITING} requests from outside wait for this container"
+            self._answer(PortAnswer(number=request.number, outcome="late", reason=why))
+            return
+        self._num_waiting += 1
+        until = time.monotonic() + request.limit
+        self._threads.submit(self._carry_out, request, until)
+
+    def forget(self, runner: Runner) -> None:
+        """Forget a component that is not here any more."""
+        for key in [key for key in self._feeds if key[0] is runner]:
+            del self._feeds[key]
+
+    def close(self) -> None:
+        """Begin no more."""
+        self._threads.shutdown(wait=False, cancel_futures=True)
+
+    def _carry_out(self, request: PortRequest, until: float) -> None:
+        try:
+            answer = self._outcome(request, until)
+        except Exception as error:  # noqa: BLE001, a defect must not stop the others
+            threads.report_failure()
+            answer = PortAnswer(
+                number=request.number, outcome="refused", reason=f"a defect: {error!r}"
+            )
+        finally:
+            self._num_waiting -= 1
+        self._answer(answer)
+
+    def _outcome(self, request: PortRequest, until: float) -> PortAnswer:
+        number = request.number
+        try:
+            value = pack(self._done(request, until))
+        except CalleeError as error:
+            return PortAnswer(
+                number=number,
+                outcome="raised",
+                reason=error.message,
+                error_type=error.type_name,
+                traceback=error.traceback,
+            )
+        except Timeout as error:
+            return PortAnswer(number=number, outcome="late", reason=str(error))
+        except Away as error:
+            return PortAnswer(number=number, outcome="away", reason=str(error))
+        except PoiseError as error:
+            return PortAnswer(number=number, outcome="refused", reason=str(error))
+        if value.size > MOST_PACKED:
+            why = f"the result has {value.size} B, over {MOST_PACKED} B"
+            return PortAnswer(number=number, outcome="refused", reason=why)
+        return PortAnswer(number=number, outcome="done", value=value)
+
+    def _done(self, request: PortRequest, until: float) -> Any:  # noqa: ANN401, a result
+        runner = self._runner_of(request.component)
+        if runner is None:
+            raise Away(f"component '{request.component}' is not here")
+        if (state := runner.life_cycle.state) != "active":
+            raise Away(f"component '{request.component}' is {state}")
+        if runner.is_fenced:
+            raise Away(f"the lease of component '{request.component}' has ended")
+        port = _port(runner, request)
+        if port.kind == "provides":
+            return self._call(runner, port, request, until)
+        message = _converted(request.value, port.type, "the message")
+        if port.kind == "publishes":
+            publish = getattr(runner.component, port.name).publish
+            _inside(runner, until, lambda: publish(message))
+        else:
+            self._queue(runner, port, (message_tag(port.type), message), until)
+        return None
+
+    def _call(
+        self, runner: Runner, port: Port, request: PortRequest, until: float
+    ) -> Any:  # noqa: ANN401, a result
+        method = _method(port, request)
+        arguments = _arguments(method, request)
+        if method.oneway:
+            self._queue(runner, port, (method.tag, arguments), until)
+            return None
+
+        def away(*_: object, **__: object) -> NoReturn:
+            raise Away(f"component '{runner.spec.name}' has moved")
+
+        new_chain()
+        left = max(0.0, until - time.monotonic())
+        code = getattr(runner.component, method.name)
+        call = direct_call(code, runner.exclusion, left, Counts(), away)
+        with within(left):
+            return call(*arguments)
+
+    def _queue(
+        self, runner: Runner, port: Port, entry: tuple[int, Any], until: float
+    ) -> None:
+        """Put a message into a port's queue, when there is room."""
+        key = runner, port.name
+        if (feed := self._feeds.get(key)) is None:
+            feed = runner.endpoints.mailbox.feed(port.name, Counts())
+            self._feeds[key] = feed
+        while not feed.has_room():
+            if time.monotonic() > until:
+                raise Timeout(f"port '{port.name}' has no room")
+            time.sleep(_LOOK_EVERY)
+        _inside(runner, until, lambda: feed.put(entry))
+
+
+def _inside(runner: Runner, until: float, do: Callable[[], object]) -> None:
+    """Do something where no move is under way."""
+    try:
+        runner.exclusion.enter(new_chain(), max(0.0, until - time.monotonic()))
+    except Redirected:
+        raise Away(f"component '{runner.spec.name}' has moved") from None
+    try:
+        do()
+    finally:
+        runner.exclusion.leave()
+
+
+def _port(runner: Runner, request: PortRequest) -> Port:
+    name, ports = runner.spec.name, runner.ports
+    fitting = {
+        port.name: port
+        for port in ports.values()
+        if (port.kind == "provides") == bool(request.method) and port.kind != "requires"
+    }
+    if request.port in fitting:
+        return fitting[request.port]
+    does = "answer calls" if request.method else "take or publish messages"
+    known = f"ports that {does}: {listed(fitting)}"
+    if request.port in ports:
+        raise UsageError(f"'{name}.{request.port}' does not {does}; {known}")
+    guess = did_you_mean(request.port, fitting)
+    raise UsageError(f"component '{name}' has no port '{request.port}'{guess}; {known}")
+
+
+def _method(port: Port, request: PortRequest) -> Method:
+    known = {method.name: method for method in methods(port.type).values()}
+    if request.method not in known:
+        guess = did_you_mean(request.method, known)
+        raise UsageError(
+            f"'{request.component}.{port.name}' has no method '{request.method}'"
+            f"{guess}; methods: {listed(known)}"
+        )
+    return known[request.method]
+
+
+def _arguments(method: Method, request: PortRequest) -> tuple[Any, ...]:
+    """Return a call's arguments as its method declares them."""
+    places, names = unpack(request.value, tuple[list[Any], dict[str, Any]])
+    try:
+        bound = method.bind(*places, **names)
+    except TypeError as error:
+        raise UsageError(f"{request.method}: {error}") from error
+    types = get_args(method.arguments.type)
+    return tuple(
+        _converted(pack(value), type_, f"argument {number} of {method.name}")
+        for number, (value, type_) in enumerate(zip(bound, types, strict=True), 1)
+    )
+
+
+def _converted(value: Packed, type_: Any, what: str) -> Any:  # noqa: ANN401, any type
+    try:
+        return unpack(value, type_)
+    except WireError as error:
+        raise UsageError(f"{what} is no {_name(type_)}: {error}") from error
+
+
+def _name(type_: object) -> str:
+    return getattr(type_, "__qualname__", str(type_))

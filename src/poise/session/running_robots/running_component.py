@@ -1,0 +1,193 @@
+"""A component of a running robot: to call it, send it messages, and hear its own."""
+
+from __future__ import annotations
+
+import secrets
+import time
+from collections.abc import Iterator
+from typing import Any, TypeVar, cast, get_type_hints
+
+import msgspec
+
+from poise.errors import CalleeError, RunError, Timeout, UsageError
+from poise.manage.control_socket.commands import PortCommand, TapCommand
+from poise.manage.control_socket.control_client import ask
+from poise.wire.codec import Packed, WireError, pack, unpack
+from poise.wire.records.request_records import PortAnswer, TapReading
+
+_LOOK_EVERY = 0.05
+I = TypeVar("I")  # noqa: E741, an interface
+T = TypeVar("T")
+
+
+class RunningComponent:
+    """A component of a robot that is up, wherever it runs at the moment.
+
+    Nothing that is sent is lost or doubled while the component moves. Every method
+    raises `UsageError` for what does not fit: a component, port, method, argument or
+    message; `RunError` when nobody took it within its limit; and `NoManager` when the
+    robot goes on without one.
+
+    Parameters
+    ----------
+    robot
+        The robot's name; None: the only one that runs here.
+    name
+        The component's.
+    """
+
+    def __init__(self, robot: str | None, name: str) -> None:
+        self._robot = robot
+        self.name = name
+
+    def call(
+        self,
+        port: str,
+        method: str,
+        *args: object,
+        limit: float = 1.0,
+        returns: Any = Any,  # noqa: ANN401, any type
+        **kwargs: object,
+    ) -> Any:  # noqa: ANN401, of the type that it returns
+        """Call a method of one of its interfaces, and return the result.
+
+        Parameters
+        ----------
+        port
+            A ``Provided`` port.
+        method
+            One of its interface.
+        *args, **kwargs
+            The method's arguments: of its types, or plain data that fits them.
+        limit
+            How long it waits at most, also while the component moves [s]; up to 50.
+        returns
+            The type of the result; else it is plain data, with arrays.
+
+        Raises
+        ------
+        CalleeError
+            The method raised.
+        Timeout
+            There was no answer in time; the method may still run.
+        """
+        answer = self._ask(port, method, (args, kwargs), limit)
+        try:
+            return unpack(answer.value, returns)
+        except WireError as error:
+            raise UsageError(
+                f"'{self.name}.{port}' returned no {_name(returns)}: {error}"
+            ) from error
+
+    def interface(self, port: str, type_: type[I], *, limit: float = 1.0) -> I:
+        """Return its interface at a port, to be called as a component calls it.
+
+        Parameters
+        ----------
+        type_
+            The port's interface, as in ``Provided[...]``: results are of its types.
+        limit
+            How long each call waits at most [s]; up to 50.
+        """
+        return cast("I", _Interface(self, port, type_, limit))
+
+    def publish(self, port: str, message: object, *, limit: float = 1.0) -> None:
+        """Send a message.
+
+        Parameters
+        ----------
+        port
+            A topic: it goes to all who are connected, as if the component had published
+            it. Or a port with ``@subscribed``: only this component gets it.
+        message
+            Of the port's type, or plain data that fits it.
+        limit
+            How long it waits at most for the component, and for room [s]; up to 50.
+
+        Raises
+        ------
+        Timeout
+            There was no room in time; the message was not sent.
+        """
+        self._ask(port, "", message, limit)
+
+    def subscribe(self, port: str, type_: type[T]) -> Iterator[T]:
+        """Yield what goes out from a topic, or in at a port with ``@subscribed``.
+
+        What goes out while nobody takes from the iterator is lost beyond 100 messages
+        or 16 MiB, and then `RunError` says how many; a robot waits for no viewer.
+
+        Parameters
+        ----------
+        type_
+            The type of the messages; `typing.Any`: plain data, with arrays.
+        """
+        viewer, connector = secrets.token_hex(8), f"{self.name}.{port}"
+        command = TapCommand(connector, viewer, _ALL, is_whole=True)
+        while True:
+            reading = ask(self._robot, command, TapReading)
+            for passed in reading.passed:
+                if not passed.is_whole:
+                    raise RunError(f"a message of '{connector}': {passed.value}")
+                packed = msgspec.convert(passed.value, Packed)
+                try:
+                    yield unpack(packed, type_)
+                except WireError as error:
+                    raise UsageError(f"no message of '{connector}': {error}") from error
+            lost = len(reading.times) - len(reading.passed) + reading.missing
+            if lost:
+                raise RunError(
+                    f"{lost} messages of '{connector}' were lost: they came faster "
+                    "than they were taken"
+                )
+            time.sleep(_LOOK_EVERY)
+
+    def _ask(self, port: str, method: str, value: object, limit: float) -> PortAnswer:
+        try:
+            packed = pack(value)
+        except WireError as error:
+            raise UsageError(str(error)) from error
+        command = PortCommand(
+            component=self.name, port=port, method=method, value=packed, limit=limit
+        )
+        answer = ask(self._robot, command, PortAnswer)
+        match answer.outcome:
+            case "raised":
+                raise CalleeError(answer.error_type, answer.reason, answer.traceback)
+            case "late":
+                raise Timeout(f"'{self.name}.{port}': {answer.reason}")
+            case "refused":
+                raise UsageError(answer.reason)
+        return answer
+
+
+_ALL = 1e6
+"""So many messages a second come with their content: all."""
+
+
+class _Interface:
+    """Calls a component as its interface has it."""
+
+    def __init__(
+        self, component: RunningComponent, port: str, type_: type, limit: float
+    ) -> None:
+        self._component = component
+        self._port = port
+        self._type = type_
+        self._limit = limit
+
+    def __getattr__(self, name: str) -> Any:  # noqa: ANN401, a method
+        method = getattr(self._type, name)
+        returns = get_type_hints(method).get("return", type(None))
+
+        def call(*args: object, **kwargs: object) -> Any:  # noqa: ANN401, its result
+            ask_for = self._component.call
+            return ask_for(
+                self._port, name, *args, limit=self._limit, returns=returns, **kwargs
+            )
+
+        return call
+
+
+def _name(type_: object) -> str:
+    return getattr(type_, "__qualname__", str(type_))

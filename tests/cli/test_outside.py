@@ -1,0 +1,288 @@
+"""Calls and messages from outside a running robot, while its components move."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import os
+import sys
+import threading
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+
+import poise as api
+from poise.errors import CalleeError, RunError, Timeout, UsageError
+from tests.command import Poise, robot_up
+from tests.waiting import wait_long
+
+pytestmark = pytest.mark.slow
+
+NAME = f"outside{os.getpid()}"
+CODE = """
+import time
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from poise import Component, Message, Provided, Published, oneway, subscribed
+
+
+class Number(Message):
+    value: int
+
+
+class Picture(Message):
+    pixels: NDArray[np.uint8]
+
+
+class Sums(Protocol):
+    def add(self, value: int) -> int: ...
+
+    def total(self) -> int: ...
+
+    def size(self, picture: Picture) -> NDArray[np.int64]: ...
+
+    def sleep(self, seconds: float) -> None: ...
+
+    @oneway
+    def note(self, value: int) -> None: ...
+
+
+class Summer(Component):
+    sums: Provided[Sums]
+    said: Published[Number]
+
+    def configure(self) -> None:
+        self.sum = 0
+
+    def add(self, value: int) -> int:
+        if value < 0:
+            raise ValueError(f"{value} is negative")
+        self.sum += value
+        return self.sum
+
+    def total(self) -> int:
+        return self.sum
+
+    def size(self, picture: Picture) -> NDArray[np.int64]:
+        return np.array(picture.pixels.shape)
+
+    def sleep(self, seconds: float) -> None:
+        time.sleep(seconds)
+
+    def note(self, value: int) -> None:
+        self.sum += value
+
+    @subscribed(block=10)
+    def numbers(self, message: Number) -> None:
+        self.sum += message.value
+
+    def snapshot(self) -> int:
+        return self.sum
+
+    def restore(self, state: int) -> None:
+        self.sum = state
+
+
+class Silent(Component):
+    numbers: Published[Number]
+
+
+class Hearer(Summer):
+    said: Published[Picture]
+
+    @subscribed(keep=1000)
+    def heard(self, message: Number) -> None:
+        self.sum += message.value
+"""
+ROBOT = f"""
+robot: {NAME}
+computers:
+  left: {{cpu: 1, memory: 1 GiB}}
+  right: {{cpu: 1, memory: 1 GiB}}
+architectures:
+  adding:
+    function: adding
+    home: left
+    components:
+      summer: {{implementation: "{NAME}:Summer", cpu: 5%, memory: 50 MiB}}
+      hearer: {{implementation: "{NAME}:Hearer", cpu: 5%, memory: 50 MiB}}
+      silent: {{implementation: "{NAME}:Silent", cpu: 5%, memory: 50 MiB}}
+    connectors:
+      - {{between: [summer.said, hearer.heard]}}
+      - {{between: [silent.numbers, summer.numbers]}}
+      - {{between: [silent.numbers, hearer.numbers]}}
+tasks:
+  add: {{actions: [{{name: add, functions: [adding]}}]}}
+"""
+
+
+@pytest.fixture(scope="module", autouse=True)
+def robot(tmp_path_factory: pytest.TempPathFactory) -> Iterator[api.Running]:
+    """Keep a robot up for all tests of this file."""
+    folder = tmp_path_factory.mktemp("outside")
+    (folder / f"{NAME}.py").write_text(CODE)
+    (folder / "robot.yaml").write_text(ROBOT)
+    sys.path.append(str(folder))
+    with robot_up(folder / "robot.yaml"):
+        yield api.connect(NAME)
+    sys.path.remove(str(folder))
+
+
+def total(robot: api.Running, component: str = "summer") -> int:
+    result = robot.component(component).call("sums", "total", limit=20.0)
+    assert isinstance(result, int)
+    return result
+
+
+def move(robot: api.Running, component: str) -> None:
+    here = robot.status().placement[component]
+    robot.move(component, "left" if here == "right" else "right", force=True)
+
+
+def test_calls_made_while_a_component_moves_are_made_once(robot: api.Running) -> None:
+    before, ended, made = total(robot), threading.Event(), [0, 0]
+    failures: list[Exception] = []
+
+    def call(number: int) -> None:
+        try:
+            while not ended.is_set():
+                robot.component("summer").call("sums", "add", 1, limit=20.0)
+                made[number] += 1
+        except Exception as error:
+            failures.append(error)
+            raise
+
+    callers = [threading.Thread(target=call, args=(number,)) for number in range(2)]
+    for caller in callers:
+        caller.start()
+    for _ in range(4):
+        move(robot, "summer")
+    ended.set()
+    for caller in callers:
+        caller.join()
+    assert failures == []
+    assert min(made) > 0
+    assert total(robot) - before == sum(made)
+
+
+@pytest.mark.parametrize(
+    ("port", "hearer"), [("numbers", "summer"), ("said", "hearer")]
+)
+def test_messages_sent_while_a_component_moves_come_once(
+    robot: api.Running, port: str, hearer: str
+) -> None:
+    before, ended = total(robot, hearer), threading.Event()
+
+    def go_on_moving() -> None:
+        while not ended.is_set():
+            move(robot, "summer")
+
+    mover = threading.Thread(target=go_on_moving)
+    mover.start()
+    try:
+        for _ in range(200):
+            robot.component("summer").publish(port, {"value": 1}, limit=20.0)
+    finally:
+        ended.set()
+        mover.join()
+    wait_long(lambda: total(robot, hearer) - before >= 200)
+    assert total(robot, hearer) - before == 200
+
+
+def test_an_interface_has_the_types_that_it_declares(robot: api.Running) -> None:
+    code: Any = __import__(NAME)
+    sums = robot.component("summer").interface("sums", code.Sums, limit=10.0)
+    before = sums.total()
+    assert sums.note(3) is None
+    assert sums.add(4) in {before + 4, before + 7}
+    size = sums.size(code.Picture(np.zeros((3, 5), np.uint8)))
+    assert size.tolist() == [3, 5]
+
+
+def test_hears_whole_messages_of_a_topic(robot: api.Running) -> None:
+    code: Any = __import__(NAME)
+    heard: list[int] = []
+
+    def hear() -> None:
+        numbers = robot.component("summer").subscribe("said", code.Number)
+        heard.extend(each.value for each in itertools.islice(numbers, 3))
+
+    hearer = threading.Thread(target=hear, daemon=True)
+    hearer.start()
+    for value in itertools.count(1):
+        robot.component("summer").publish("said", code.Number(value), limit=10.0)
+        if not hearer.is_alive() or value == 1000:
+            break
+    hearer.join(10.0)
+    assert len(heard) == 3
+    assert heard == list(range(heard[0], heard[0] + 3))
+
+
+def test_the_command_prints_what_a_call_returned(poise: Poise) -> None:
+    wide = ("--robot", NAME, "--limit", 10)
+    text = poise("call", "summer.sums", "size", "{pixels: [[1, 2, 3]]}", *wide).stdout
+    assert text == "- 1\n- 3\n"
+    done = poise("call", "summer.sums", "add", "value=0", "--json", *wide)
+    assert isinstance(json.loads(done.stdout)["result"], int)
+    assert poise("call", "summer.sums", "note", 1, *wide).stdout == ""
+    sent = poise("pub", "summer.numbers", "{value: 1}", "--count", 3, *wide)
+    assert sent.stderr == "sent 3 messages to summer.numbers\n"
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "said"),
+    [
+        ("call summer.sums add -- -1", 1, "ValueError: -1 is negative"),
+        ("call summer.sums add x", 2, "argument 1 of add is no int: Expected `int`"),
+        ("call summer.sums add", 2, "add: missing a required argument: 'value'"),
+        ("call summer.sums ad 1", 2, "no method 'ad' (did you mean 'add'?)"),
+        ("call summer.sum add 1", 2, "no port 'sum' (did you mean 'sums'?)"),
+        ("call sumer.sums add 1", 2, "no component 'sumer' (did you mean 'summer'?)"),
+        ("call summer.said add 1", 2, "'summer.said' does not answer calls"),
+        ("call summer add 1", 2, "'summer': give COMPONENT.PORT"),
+        ("call summer.sums sleep 5 --limit 0.2", 1, "summer.sums"),
+        ("call summer.sums total --limit 99", 2, "at most 50 s"),
+        ("pub summer.numbers {value:", 2, "neither JSON nor YAML"),
+        ("pub summer.numbers 3", 2, "the message is no Number: Expected `object`"),
+        ("pub summer.sums 3", 2, "'summer.sums' does not take or publish messages"),
+    ],
+)
+def test_what_does_not_fit_is_refused_with_a_reason(
+    poise: Poise, words: str, code: int, said: str
+) -> None:
+    before = words.split(" --limit", maxsplit=1)[0]
+    verb, port, *rest = before.split(" ", 2 if before.startswith("pub") else -1)
+    more = [words[len(before) :].rsplit(maxsplit=1)[-1]] if words != before else []
+    limit = ["--limit", *more] if more else []
+    done = poise(verb, port, "--robot", NAME, *limit, *rest)
+    assert (done.returncode, said in done.stderr) == (code, True), done.stderr
+
+
+def test_errors_are_those_of_calls_between_components(robot: api.Running) -> None:
+    summer = robot.component("summer")
+    with pytest.raises(CalleeError) as raised:
+        summer.call("sums", "add", -1, limit=10.0)
+    assert (raised.value.type_name, raised.value.message) == (
+        "ValueError",
+        "-1 is negative",
+    )
+    assert "in add" in raised.value.traceback
+    with pytest.raises(Timeout):
+        summer.call("sums", "sleep", 1.0, limit=0.1)
+    with pytest.raises(UsageError, match="returned no dict: Expected"):
+        summer.call("sums", "total", returns=dict)
+
+
+def test_one_who_does_not_run_is_waited_for_within_the_limit(
+    robot: api.Running,
+) -> None:
+    robot.tasks.cancel("add")
+    with pytest.raises(RunError, match=r"within 0\.2 s: .*no task at work needs it"):
+        robot.component("summer").call("sums", "total", limit=0.2)
+    robot.tasks.start("add")
+    assert total(robot) >= 0
