@@ -198,7 +198,7 @@ class SimulationObserver:
 
     def _note_outages(self) -> None:
         now = self._robot.scheduler.now
-        working = self._robot.working().keys()
+        working = self._robot.names_at_work()
         is_calm = not (self._down or self._since or self._restarting)
         if is_calm and working >= self._placed.keys():
             return

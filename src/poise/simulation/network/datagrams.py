@@ -112,18 +112,22 @@ class SimulatedDatagrams:
         """Send a heartbeat, encoded and decoded once for all who receive it."""
         data = msgspec.msgpack.encode(beat)
         beat, size = self._decode(data), len(data)
-        here, bound = self.computer, self._addresses.bound
+        wakes = bool(
+            beat.sender == MANAGER or beat.asks or beat.is_cut_off or beat.revoked
+        )
+        here, source, bound = self.computer, self._address, self._addresses.bound
+        arrivals = self._network.arrivals
         for address in targets:
             if (target := bound(address)) is not None:
-                for at in self._network.arrivals(here, target.computer, size):
-                    target.take(at, beat, self._address)
+                for at in arrivals(here, target.computer, size):
+                    target.take(at, beat, source, wakes=wakes)
 
-    def take(self, at: float, beat: Heartbeat, source: Address) -> None:
-        """Keep what arrives at a moment [s] until it is read."""
+    def take(self, at: float, beat: Heartbeat, source: Address, *, wakes: bool) -> None:
+        """Keep what arrives at a moment [s]; wake the reader for it, or not."""
         if len(self._waiting) < _MOST:
             scheduler = self._process.scheduler
             heappush(self._waiting, (at, scheduler.number(), beat, source))
-            if beat.sender == MANAGER or beat.asks or beat.is_cut_off or beat.revoked:
+            if wakes:
                 scheduler.at(at, self._wake)
 
     def close(self) -> None:

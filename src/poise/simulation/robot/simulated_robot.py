@@ -221,6 +221,16 @@ class SimulatedRobot:
                         found.setdefault(component.spec.name, []).append(at)
         return found
 
+    def names_at_work(self) -> set[str]:
+        """Return the components that work somewhere."""
+        return {
+            component.spec.name
+            for container in self.containers()
+            if not container.process.is_paused
+            for component in container.components.values()
+            if component.executor.is_working
+        }
+
     def container_of(
         self, computer: str, component: str, epoch: int
     ) -> SimulatedContainer | None:

@@ -7,6 +7,7 @@ from collections.abc import Callable
 import msgspec
 
 from poise.runtime.supervision.health import ContainerUse, Usage
+from poise.simulation._engine import Sender
 from poise.simulation.components.modelled_container import SimulatedContainer, World
 from poise.simulation.robot.simulated_process import Process
 from poise.wire.records.status_records import (
@@ -86,19 +87,10 @@ class SimulatedSampler:
                 )
                 for each in components
             ),
-            connectors=tuple(
-                ConnectorSample(
-                    each.connector.name,
-                    each.calls,
-                    each.messages,
-                    round(
-                        (each.calls + each.messages)
-                        * self._world.size_of(each.connector.name)
-                    ),
-                    0,
-                    0,
-                    each.drops,
-                )
-                for each in container.senders.values()
-            ),
+            connectors=tuple(map(self._of_sender, container.senders.values())),
         )
+
+    def _of_sender(self, sender: Sender) -> ConnectorSample:
+        name, calls, messages = sender.connector.name, sender.calls, sender.messages
+        size = round((calls + messages) * self._world.size_of(name))
+        return ConnectorSample(name, calls, messages, size, 0, 0, sender.drops)
