@@ -174,9 +174,9 @@ class PresentJob:
     @property
     def is_long(self) -> bool:
         """Whether it stands out among the jobs before."""
-        # windows are rounded
-        has_lasted = self.seconds >= AFTER - 1e-6
+        if self.seconds < AFTER - 1e-6:  # windows are rounded
+            return False
         outweighs = self.cpu >= max(USED, _OUTWEIGHS * self._costliest)
         # else it answers calls between two jobs of its own
         is_job = self._asked > 0 or self._only_answers
-        return has_lasted and outweighs and is_job
+        return outweighs and is_job

@@ -171,7 +171,7 @@ class Policies:
 
     def __init__(self, policies: Iterable[Policy], folder: str = "") -> None:
         policies = [policy for policy in policies if not policy.off]
-        self._policies = [(p, _condition(p)) for p in policies if not p.call]
+        self._policies = [(p, _condition(p).read) for p in policies if not p.call]
         self._functions = [(p, OwnFunction(p.call, folder)) for p in policies if p.call]
         self._acted: dict[Key, float] = {}
         self.since: Mapping[Key, float] = {}
@@ -198,8 +198,7 @@ class Policies:
             _key(policy, subject): (policy, subject)
             for policy, holds in self._policies
             if policy.for_each is not None
-            for subject in read(policy.for_each)
-            if holds(subject)
+            for subject in filter(holds, read(policy.for_each))
         }
         holding |= self._by_functions(read, now, waits=waits)
         self.since = {key: self.since.get(key, now) for key in holding}

@@ -12,11 +12,7 @@ from typing import TYPE_CHECKING
 
 from msgspec import Struct
 
-from poise.manage.agent_connections.statuses import (
-    Statuses,
-    components_of,
-    connectors_of,
-)
+from poise.manage.agent_connections.statuses import Statuses, connectors_of
 from poise.wire.records.status_records import (
     AgentStatus,
     ComponentStatus,
@@ -29,7 +25,7 @@ if TYPE_CHECKING:
 
 
 import time
-from collections import deque
+from collections import defaultdict, deque
 from collections.abc import Iterable, Mapping
 
 from poise.wire.records.status_records import Fault
@@ -68,15 +64,16 @@ def find_deviations(
     now: float,  # the time [s since 1970]
 ) -> Iterator[Deviation]:
     """Yield what differs between the placement and what the agents reported."""
+    here: dict[str, list[Incarnation]] = defaultdict(list)
+    names: dict[str, set[str]] = defaultdict(set)
+    for incarnation in settled:
+        here[incarnation.computer].append(incarnation)
+    for incarnation in wanted:
+        container = layout.container_of(incarnation.component)
+        names[incarnation.computer].add(container)
     for computer, status in sorted(statuses.items()):
-        here = [
-            incarnation for incarnation in settled if incarnation.computer == computer
-        ]
-        yield from _of_components(here, layout, status, now)
-        names = {
-            layout.container_of(e.component) for e in wanted if e.computer == computer
-        }
-        for what in _of_containers(names, status):
+        yield from _of_components(here[computer], layout, status, now)
+        for what in _of_containers(names[computer], status):
             yield Deviation(what=what, computer=computer, since=now)
 
 
@@ -108,7 +105,7 @@ def _of_components(
     status: AgentStatus,
     now: float,
 ) -> Iterator[Deviation]:
-    there = {(c.name, c.epoch): c for c in components_of({status.computer: status})}
+    there = {(c.name, c.epoch): c for c in status.components}
     health = {health.name: health for health in status.health}
     for incarnation in settled:
         reported = there.get((incarnation.component, incarnation.epoch))

@@ -131,6 +131,11 @@ class CodeErrors:
         for computer, status in statuses.items():
             for container in status.containers:
                 for component in container.components:
+                    if (
+                        not component.error_counts
+                        and component.name not in self._counts
+                    ):
+                        continue
                     stay = container.pid, component.epoch
                     self._take(component.name, stay, _raised(component, computer), now)
                 for name, count in refused(container):

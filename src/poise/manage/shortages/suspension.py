@@ -48,6 +48,8 @@ class Suspensions:
         self._task = task
         self._why = why
         self._known: dict[str, Deviation] = {}
+        self._inputs: tuple[Robot, AbstractSet[str], Task] | None = None
+        self._not_running: list[Architecture] = []
         self._stays: dict[str, tuple[float, float]] = {}
         self._crashed: dict[str, str] = {}
         self._look_at_code = 0.0
@@ -193,9 +195,14 @@ class Suspensions:
         return " ".join(version_of(c, *folders) for c in architecture.components)
 
     def _suspended(self) -> list[Architecture]:
-        task = self._task()
-        robot = structs.replace(self._run.robot, tasks=(task,))
-        return not_running(robot, task.name, self._run.placed)
+        """Return what does not run; worked out when what that depends on changes."""
+        inputs = self._run.robot, self._run.placed.keys(), self._task()
+        if inputs != self._inputs:
+            robot, placed, task = inputs
+            self._inputs = robot, frozenset(placed), task
+            robot = structs.replace(robot, tasks=(task,))
+            self._not_running = not_running(robot, task.name, placed)
+        return self._not_running
 
     def _add(self, name: str, why: str) -> None:
         before, what = (

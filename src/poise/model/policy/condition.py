@@ -12,6 +12,7 @@ import math
 import operator
 import re
 from collections.abc import Callable, Mapping
+from functools import reduce
 from string import Formatter
 from typing import Any, TypeAlias
 
@@ -198,9 +199,8 @@ class _Compiler:
         if isinstance(node, ast.UnaryOp):
             is_so = self.of("truth value", node.operand)
             return lambda record: not is_so(record)
-        reads = [self.of("truth value", part) for part in node.values]
-        every = all if isinstance(node.op, ast.And) else any
-        return lambda record: every(read(record) for read in reads)
+        joins = _both if isinstance(node.op, ast.And) else _either
+        return reduce(joins, [self.of("truth value", part) for part in node.values])
 
     def _name(self, name: str) -> tuple[_Kind, _Read]:
         if name in self._constants:
@@ -252,6 +252,14 @@ class _Compiler:
         return lambda record: all(
             compare(first(record), second(record)) for first, compare, second in steps
         )
+
+
+def _both(first: _Read, second: _Read) -> _Read:
+    return lambda record: first(record) and second(record)
+
+
+def _either(first: _Read, second: _Read) -> _Read:
+    return lambda record: first(record) or second(record)
 
 
 def _check_alike(kind: _Kind, other: _Kind, op: ast.cmpop) -> None:
