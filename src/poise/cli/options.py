@@ -15,6 +15,8 @@ from poise.errors import UsageError
 from poise.units import Dimension, parse
 
 if TYPE_CHECKING:
+    from rich.console import RenderableType
+
     from poise.session.running_robots.local_robots import Thing
 
 Complete = Callable[[typer.Context, str], list[str]]
@@ -88,6 +90,18 @@ AsJson = Annotated[bool, typer.Option("--json", help="Print the outcome as JSON.
 def print_json(outcome: object) -> None:
     """Print one JSON object."""
     sys.stdout.write(msgspec.json.encode(outcome).decode() + "\n")
+
+
+def show(outcome: object, parts: Iterable[RenderableType], *, as_json: bool) -> None:
+    """Print an outcome, as JSON or in parts for people."""
+    from poise.session.render.printable import console_to
+
+    if as_json:
+        print_json(outcome)
+        return
+    console = console_to()
+    for part in parts:
+        console.print(part)
 
 
 def busy(what: str) -> AbstractContextManager[object]:

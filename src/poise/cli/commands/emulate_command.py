@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated
 
@@ -12,7 +12,7 @@ from msgspec import Struct
 from rich.markup import escape
 
 from poise.cli.interrupts import Interrupts
-from poise.cli.options import AsJson, RobotFile, parse_option, print_json
+from poise.cli.options import AsJson, RobotFile, parse_option, show
 from poise.emulate import EmulatedSet, InjectedFault, all_sets, find_set
 from poise.errors import UsageError
 from poise.session.launch.computers import emulated
@@ -78,20 +78,18 @@ def list_command(as_json: AsJson = False) -> None:
     Example: poise emulate list
     """
     listed = [_listed(each) for each in all_sets()]
-    if as_json:
-        print_json(listed)
-        return
-    console = console_to()
+    show(listed, map(escape, _lines(listed)), as_json=as_json)
+
+
+def _lines(listed: list[ListedSet]) -> Iterator[str]:
+    if not listed:
+        yield "no emulated computers are kept up"
     for kept in listed:
         since = time.strftime("%H:%M:%S", time.localtime(kept.since))
         names = ", ".join(f"{name} {at}" for name, at in kept.computers.items())
-        console.print(
-            escape(f"{kept.robot}: {names}; since {since}, process {kept.process}")
-        )
+        yield f"{kept.robot}: {names}; since {since}, process {kept.process}"
         for sentence in (*(f"without {w}" for w in kept.without), *kept.faults):
-            console.print(escape(f"  {sentence}"))
-    if not listed:
-        console.print("no emulated computers are kept up")
+            yield f"  {sentence}"
 
 
 def cut_command(

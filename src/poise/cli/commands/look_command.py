@@ -15,7 +15,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from poise.cli.commands.running_robot_command import Robot
-from poise.cli.options import AsJson, print_json, running
+from poise.cli.options import AsJson, print_json, running, show
 from poise.errors import UsageError
 from poise.manage.agent_connections.statuses import connectors_of
 from poise.manage.journal import KINDS, JournalEntry, read_journal
@@ -57,15 +57,10 @@ def list_command(
     poise list connectors
     """
     robots = robots_here(robot)
-    if as_json:
-        print_json(robots)
-    elif what is not None:
-        for name in names_of(robots, what):
-            sys.stdout.write(f"{name}\n")
+    if what is not None and not as_json:
+        sys.stdout.writelines(f"{name}\n" for name in names_of(robots, what))
     else:
-        console = console_to()
-        for part in listing(robots):
-            console.print(part)
+        show(robots, listing(robots), as_json=as_json)
 
 
 def echo_command(

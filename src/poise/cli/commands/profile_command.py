@@ -14,7 +14,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
 from poise.cli.interrupts import Interrupts
-from poise.cli.options import AsJson, RobotFile, parse_option, print_json
+from poise.cli.options import AsJson, RobotFile, parse_option, print_json, show
 from poise.errors import RobotError, RunError
 from poise.estimate.demands import overheads
 from poise.estimate.profiles import Profile
@@ -216,11 +216,8 @@ def calibrate_command(
         result = calibrate(
             robot, reference=reference, seconds=seconds, force=force, check=check
         )
-    if as_json:
-        print_json(result)
-    else:
-        console.print(_speed_table(robot, result))
-        console.print(_cost_table(result))
+    tables = _speed_table(robot, result), _cost_table(result)
+    show(result, tables, as_json=as_json)
     reasons = "; ".join(result.busy)
     if not result.kept:
         raise RunError(f"not written: {reasons}. `--force` writes the result anyway")

@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
-from rich.console import Console
 from rich.markup import escape
+from rich.table import Table
 
 from poise.cli.commands.running_robot_command import Robot
 from poise.cli.interrupts import Interrupts
-from poise.cli.options import AsJson, print_json, running
+from poise.cli.options import AsJson, print_json, running, show
 from poise.errors import UsageError
 from poise.manage.agent_connections.statuses import connectors_of
 from poise.manage.observe.estimates import DemandEstimate
@@ -71,13 +71,10 @@ def recording_command(
     demand_estimates = recorded.replay(
         load_bare(robot), say=lambda sentence: console.print(f"[yellow]{sentence}[/]")
     )
-    if as_json:
-        print_json(demand_estimates)
-    else:
-        _show(demand_estimates, console)
+    show(demand_estimates, [_estimate_table(demand_estimates)], as_json=as_json)
 
 
-def _show(demand_estimates: list[DemandEstimate], console: Console) -> None:
+def _estimate_table(demand_estimates: list[DemandEstimate]) -> Table:
     rows = table("component", "computer", "CPU", "p95", "profile", folds=1)
     for demand in demand_estimates:
         now = demand.estimate
@@ -85,7 +82,7 @@ def _show(demand_estimates: list[DemandEstimate], console: Console) -> None:
         expected = "" if demand.expected is None else f"{demand.expected:.1%}"
         mean, p95 = f"{now.mean:.1%}{error}", f"{now.p95:.1%}"
         rows.add_row(demand.component, demand.computer, mean, p95, expected)
-    console.print(rows)
+    return rows
 
 
 def record_command(

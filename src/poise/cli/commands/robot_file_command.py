@@ -4,19 +4,20 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Literal
 
 import msgspec
 import typer
 from msgspec import structs
-from rich.console import Console
+from rich.console import RenderableType
 from rich.markup import escape
+from rich.table import Table
 
-from poise.cli.options import AsJson, RobotFile, RobotTask, busy, print_json
+from poise.cli.options import AsJson, RobotFile, RobotTask, busy, show
 from poise.errors import FileProblem, RobotError, UsageError
-from poise.estimate.success_rates import Belief, beliefs_about, forget
+from poise.estimate.success_rates import beliefs_about, forget
 from poise.model.load import load
 from poise.model.policy.policy import Policy, policies_of
 from poise.model.robot import Robot
@@ -107,23 +108,17 @@ def policy_command(
     robot, console = load(file), console_to(stderr=as_json)
     if what == "list":
         policies = policies_of(robot.policies)
-        if as_json:
-            print_json(policies)
-        else:
-            _show_policies(policies, console)
+        show(policies, [_policy_table(policies)], as_json=as_json)
         return
     if recording is None:
         raise UsageError("give a recording: --recording FILE, of `poise up --record`")
     events = test_policies(
         robot, recording, say=lambda text: console.print(text, style="yellow")
     )
-    if as_json:
-        print_json(events)
-    else:
-        _show_events(events, console)
+    show(events, _event_parts(events), as_json=as_json)
 
 
-def _show_policies(policies: tuple[Policy, ...], console: Console) -> None:
+def _policy_table(policies: tuple[Policy, ...]) -> Table:
     rows = table("policy", "for each", "when", "lasts", "do", "cool down", folds=2)
     for policy in policies:
         rows.add_row(
@@ -134,16 +129,16 @@ def _show_policies(policies: tuple[Policy, ...], console: Console) -> None:
             "off" if policy.off else policy.do or "",
             format_seconds(policy.cool_down or 0.0),
         )
-    console.print(rows)
+    return rows
 
 
-def _show_events(events: tuple[PolicyEvent, ...], console: Console) -> None:
+def _event_parts(events: tuple[PolicyEvent, ...]) -> Iterator[RenderableType]:
     rows = table("at [s]", "policy", "do", "what was seen", folds=3)
     for each in events:
         rows.add_row(f"{each.at:.1f}", each.policy, each.do or "", each.what)
-    console.print(rows)
+    yield rows
     if not events:
-        console.print("the policies would have done nothing")
+        yield "the policies would have done nothing"
 
 
 AnyFile = Annotated[
@@ -167,14 +162,8 @@ def list_command(file: AnyFile = None, as_json: AsJson = False) -> None:
     poise repository list robot.yaml
     """
     rows = listed(file)
-    if as_json:
-        print_json(rows)
-    elif rows:
-        _show_list(rows, console_to())
-    else:
-        console_to().print(
-            "no installed package has the entry point poise.architectures"
-        )
+    none = "no installed package has the entry point poise.architectures"
+    show(rows, [_architecture_table(rows) if rows else none], as_json=as_json)
 
 
 def show_command(name: Name, file: AnyFile = None, as_json: AsJson = False) -> None:
@@ -190,10 +179,8 @@ def show_command(name: Name, file: AnyFile = None, as_json: AsJson = False) -> N
         names = [row.architecture for row in rows]
         raise UsageError(unknown("architecture", name, names))
     beliefs = [] if file is None or row.unused else beliefs_about(load(file), name)
-    if as_json:
-        print_json(Described(**structs.asdict(row), learned=tuple(beliefs)))
-    else:
-        _show_architecture(row, beliefs, console_to())
+    described = Described(**structs.asdict(row), learned=tuple(beliefs))
+    show(described, _architecture_parts(described), as_json=as_json)
 
 
 def reset_command(name: Name, file: RobotFile) -> None:
@@ -207,7 +194,7 @@ def reset_command(name: Name, file: RobotFile) -> None:
     console_to().print(f"{counted(count, 'outcome')} of '{name}' forgotten")
 
 
-def _show_list(rows: list[Listed], console: Console) -> None:
+def _architecture_table(rows: list[Listed]) -> Table:
     shown = table("function", "architecture", "quality", "hash", "from", folds=4)
     for row in rows:
         source = f"{row.where} ({row.package})" if row.package else row.where
@@ -215,10 +202,10 @@ def _show_list(rows: list[Listed], console: Console) -> None:
         quality = f"{row.quality:g}"
         where = escape(source + unused)
         shown.add_row(row.function, row.architecture, quality, row.hash, where)
-    console.print(shown)
+    return shown
 
 
-def _show_architecture(row: Listed, beliefs: list[Belief], console: Console) -> None:
+def _architecture_parts(row: Described) -> Iterator[RenderableType]:
     what = f"{row.architecture} provides {row.function}"
     for sentence in (
         f"{what}, quality {row.quality:g}, {row.layer} layer",
@@ -227,12 +214,12 @@ def _show_architecture(row: Listed, beliefs: list[Belief], console: Console) -> 
         f"components: {', '.join(row.components)}",
         *((f"not used: {row.unused}",) if row.unused else ()),
     ):
-        console.print(escape(sentence), highlight=False)
-    if not beliefs:
-        console.print("nothing is learned of its success yet")
+        yield escape(sentence)
+    if not row.learned:
+        yield "nothing is learned of its success yet"
         return
     shown = table("action", "conditions", "success", "of", "hash", folds=1)
-    for belief in beliefs:
+    for belief in row.learned:
         shown.add_row(
             belief.action,
             str(belief.conditions),
@@ -240,7 +227,7 @@ def _show_architecture(row: Listed, beliefs: list[Belief], console: Console) -> 
             f"{belief.done + belief.failed:.0f}",
             belief.hash if belief.is_present else f"{belief.hash}, before",
         )
-    console.print(shown)
+    yield shown
 
 
 repository_command = list_command

@@ -12,10 +12,11 @@ from typing import Annotated
 
 import typer
 from msgspec.structs import asdict
+from rich.markup import escape
 
 import poise
 from poise import threads
-from poise.cli.options import AsJson, busy, print_json, running
+from poise.cli.options import AsJson, busy, running, show
 from poise.errors import PoiseError, UsageError
 from poise.manage.tasks.concurrent_tasks import TaskReport
 from poise.model import load
@@ -89,10 +90,8 @@ def status_command(
         status = Running(robot).status()
     else:
         status = Status(**asdict(poise.status_without_manager(load(file))))
-    if as_json:
-        print_json(status)
-    else:
-        console_to().print(status, *(status.details() if everything else ()))
+    details = status.details() if everything else ()
+    show(status, (*status.parts(), *details), as_json=as_json)
     if status.by_agents:
         raise typer.Exit(NoManager.exit_code)
     if status.deviations:
@@ -134,9 +133,7 @@ def move_command(
     running = Running(robot)
     if dry:
         seen = running.what_if(component, computer)
-        print_json(seen) if as_json else sys.stdout.writelines(
-            f"{line}\n" for line in what_if_lines(seen)
-        )
+        show(seen, map(escape, what_if_lines(seen)), as_json=as_json)
         if seen.breaks:
             raise typer.Exit(1)
         return
@@ -234,12 +231,7 @@ def _act(act: Callable[[], Outcome], *, as_json: bool) -> None:
             outcome, is_done = act(), True
     except RolledBack as error:
         outcome, is_done = error.outcome, False
-    if as_json:
-        print_json(outcome)
-    else:
-        console = console_to()
-        for line in outcome_lines(outcome):
-            console.print(line)
+    show(outcome, outcome_lines(outcome), as_json=as_json)
     if not is_done:
         raise typer.Exit(1)
 
@@ -299,7 +291,7 @@ def list_command(robot: Robot = None, as_json: AsJson = False) -> None:
     Example: poise task list
     """
     tasks = Running(robot).tasks.started()
-    print_json(tasks) if as_json else console_to().print(task_table(tasks))
+    show(tasks, [task_table(tasks)], as_json=as_json)
 
 
 def show_command(task: Name, robot: Robot = None, as_json: AsJson = False) -> None:
@@ -311,12 +303,7 @@ def show_command(task: Name, robot: Robot = None, as_json: AsJson = False) -> No
 
 
 def _show(report: TaskReport, *, as_json: bool) -> None:
-    if as_json:
-        print_json(report)
-        return
-    console = console_to()
-    for line in (*task_lines([report]), *action_lines(report)):
-        console.print(line)
+    show(report, (*task_lines([report]), *action_lines(report)), as_json=as_json)
 
 
 task_command = list_command
