@@ -86,6 +86,10 @@ class Unavailable(CallError):
     """Nobody answers at the other end of a connector."""
 
 
+class CannotCross(CallError):
+    """An argument or the result of a call is not of its declared type, or too large."""
+
+
 class Timeout(CallError):
     """The answer did not come within the connector's time limit."""
 

@@ -9,10 +9,10 @@ from typing import Any, Protocol
 import pytest
 
 from poise import Component, Message, Provided, Published, Required, subscribed
-from poise.errors import CalleeError
+from poise.errors import CalleeError, CannotCross
 from poise.runtime.connectors.channel_route import ChannelRoute
 from poise.runtime.connectors.interface import message_tag, methods
-from poise.wire.codec import WireError, codec
+from poise.wire.codec import codec
 from poise.wire.connections.channel import Channel
 from poise.wire.frame import FAILURE, LARGEST, Kind, Pieces, segments
 from tests.waiting import LIMIT, wait_until
@@ -176,7 +176,7 @@ def test_an_answer_that_is_too_large_is_the_callers_error(
     ends: tuple[Source, Target], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("poise.wire.connections.connection.LARGEST", 1000)
-    with pytest.raises(WireError, match="1000 B is the largest"):
+    with pytest.raises(CannotCross, match="1000 B is the largest"):
         ends[0].doubling.zeros(1000)
     assert ends[0].doubling.double(21) == 42
 

@@ -120,7 +120,7 @@ def code_of(entry: ComponentEntry, folder: str) -> ComponentCode:
     code = find(entry.implementation, folder)
     ports, timers = ports_of(code), timers_of(code)
     handlers = {name: [name] for name in timers} | {
-        name: methods_of(port.type) if port.kind == "provides" else [name]
+        name: methods_of(port.type) if port.kind == "provides" else [port.handler]
         for name, port in ports.items()
         if port.kind in {"subscribes", "provides"}
     }

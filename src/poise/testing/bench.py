@@ -91,7 +91,7 @@ class Bench(Generic[C]):
         """
         if port not in self._named("subscribes"):
             raise UsageError(self._no_port(port, "subscribes"))
-        getattr(self.component, port)(message)
+        getattr(self.component, self._ports[port].handler)(message)
 
     def advance(self, seconds: float) -> None:
         """Let `seconds` [s] pass and run every timer that comes due, in time's order.

@@ -53,8 +53,14 @@ class Everything(Component):
     @subscribed(keep=3)
     def target(self, message: Pose) -> None: ...
 
+    @subscribed("goal", block=2)
+    def on_goal(self, message: Pose) -> None: ...
+
     @every(0.1, deadline=0.05)
     def cycle(self) -> None: ...
+
+    @every(hz=50)
+    def steer(self) -> None: ...
 
 
 def test_finds_every_port() -> None:
@@ -62,7 +68,8 @@ def test_finds_every_port() -> None:
         "mine": Port("mine", "provides", Walls),
         "theirs": Port("theirs", "requires", Walls),
         "pose": Port("pose", "publishes", Pose),
-        "target": Port("target", "subscribes", Pose, Queue("keep", 3)),
+        "target": Port("target", "subscribes", Pose, Queue("keep", 3), "target"),
+        "goal": Port("goal", "subscribes", Pose, Queue("block", 2), "on_goal"),
     }
 
 
@@ -74,7 +81,10 @@ def test_ports_are_inherited() -> None:
 
 
 def test_finds_every_timer() -> None:
-    assert timers_of(Everything) == {"cycle": Timer("cycle", 0.1, 0.05)}
+    assert timers_of(Everything) == {
+        "cycle": Timer("cycle", 0.1, 0.05),
+        "steer": Timer("steer", 0.02),
+    }
 
 
 def test_knows_an_interfaces_methods() -> None:
@@ -95,8 +105,31 @@ def test_binds_arguments_however_they_are_given() -> None:
     ("period", "deadline"), [(0, None), (-1, None), (float("nan"), None), (1, 0)]
 )
 def test_a_timer_needs_times_above_zero(period: float, deadline: float | None) -> None:
-    with pytest.raises(UsageError, match="must be above 0 s"):
+    with pytest.raises(UsageError, match="all must be above 0"):
         every(period, deadline=deadline)
+
+
+def test_a_timer_has_a_period_or_a_rate() -> None:
+    for wrong in ({}, {"period": 0.1, "hz": 10}):
+        with pytest.raises(UsageError, match=r"give either, as in @every\(0.1\)"):
+            every(**wrong)
+
+
+def test_two_handlers_are_no_one_port() -> None:
+    class Double(Component):
+        @subscribed("scan", keep=1)
+        def first(self, message: Pose) -> None: ...
+
+        @subscribed("scan", keep=1)
+        def second(self, message: Pose) -> None: ...
+
+    with pytest.raises(UsageError, match=r"two ports are named 'scan'.*'second'"):
+        ports_of(Double)
+
+
+def test_a_port_is_named_as_python_names_things() -> None:
+    with pytest.raises(UsageError, match="a port's name is one like 'scan'"):
+        subscribed("front scan")
 
 
 @pytest.mark.parametrize(

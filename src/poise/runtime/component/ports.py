@@ -7,10 +7,10 @@
         walls: Required[Walls]           # I call the methods of `Walls` on another
         pose: Published[Pose]            # I publish messages of type `Pose`
 
-        @subscribed(keep=1)              # messages come to me; the port is `scan`
-        def scan(self, message: Scan) -> None: ...
+        @subscribed("scan", keep=1)      # messages come to me; the port is `scan`
+        def on_scan(self, message: Scan) -> None: ...
 
-        @every(0.2, deadline=0.2)        # not a port: a timer
+        @every(hz=5, deadline=0.2)       # not a port: a timer
         def cycle(self) -> None: ...
 
 The component never learns where the other ends are.
@@ -122,6 +122,7 @@ class Port(Struct, frozen=True):
     kind: Kind
     type: Any
     queue: Queue | None = None
+    handler: str = ""  # the method that takes the messages of a subscribed topic
 
 
 class Timer(Struct, frozen=True):
@@ -137,12 +138,14 @@ class Timer(Struct, frozen=True):
 
 
 def subscribed(
-    bare: None = None, /, *, keep: int | None = None, block: int | None = None
+    port: str = "", /, *, keep: int | None = None, block: int | None = None
 ) -> Callable[[F], F]:
-    """Make a method the handler of a subscribed topic; the port has its name.
+    """Make a method the handler of a subscribed topic.
 
     Parameters
     ----------
+    port
+        The port's name; else it has the method's.
     keep
         Queue at most the last `keep` messages; older ones are dropped and counted.
         1 unless `block` is given.
@@ -154,8 +157,10 @@ def subscribed(
     The method is called once per message, in the order of publication per publisher,
     while nothing else of the component runs.
     """
-    if bare is not None:
+    if not isinstance(port, str):
         raise UsageError("@subscribed takes what to queue, as in @subscribed(keep=1)")
+    if port and not port.isidentifier():
+        raise UsageError(f"subscribed({port!r}): a port's name is one like 'scan'")
     if keep is not None and block is not None:
         msg = f"subscribed(keep={keep}, block={block}): give one of them, not both"
         raise UsageError(msg)
@@ -167,14 +172,19 @@ def subscribed(
         raise UsageError(msg)
 
     def mark(method: F) -> F:
-        method.__poise_queue__ = queue  # type: ignore[attr-defined]
+        method.__poise_queue__ = (port or method.__name__, queue)  # type: ignore[attr-defined]
         return method
 
     return mark
 
 
-def every(period: float, *, deadline: float | None = None) -> Callable[[F], F]:
-    """Call a method every `period` [s] while the component is active.
+def every(
+    period: float | None = None,
+    *,
+    hz: float | None = None,
+    deadline: float | None = None,
+) -> Callable[[F], F]:
+    """Call a method again and again while the component is active.
 
     Releases keep their phase: they lie at multiples of `period` after activation. When
     releases pass while the method still runs, the last of them is run at once
@@ -183,18 +193,26 @@ def every(period: float, *, deadline: float | None = None) -> Callable[[F], F]:
     Parameters
     ----------
     period
-        [s]; > 0.
+        From one release to the next [s]; > 0.
+    hz
+        In place of `period`: releases in a second; > 0.
     deadline
         [s] after the release; > 0. None: not watched.
     """
     if callable(period):
         raise UsageError("@every takes its period [s], as in @every(0.1)")
-    if not period > 0 or (deadline is not None and not deadline > 0):
-        msg = f"every({period}, deadline={deadline}): both must be above 0 s"
-        raise UsageError(msg)
+    if (period is None) == (hz is None):
+        text = (
+            f"every({period}, hz={hz}): give either, as in @every(0.1) or every(hz=10)"
+        )
+        raise UsageError(text)
+    if any(given is not None and not given > 0 for given in (period, hz, deadline)):
+        text = f"every({period}, hz={hz}, deadline={deadline}): all must be above 0"
+        raise UsageError(text)
+    seconds = 1 / hz if period is None and hz is not None else period
 
     def mark(method: F) -> F:
-        method.__poise_timer__ = (period, deadline)  # type: ignore[attr-defined]
+        method.__poise_timer__ = (seconds, deadline)  # type: ignore[attr-defined]
         return method
 
     return mark
@@ -223,9 +241,15 @@ def ports_of(component: type) -> Mapping[str, Port]:
         if port is not None:
             ports[name] = port
     for name, method in inspect.getmembers(component, inspect.isfunction):
-        queue = getattr(method, "__poise_queue__", None)
-        if queue is not None:
-            ports[name] = Port(name, "subscribes", _message_type(method), queue)
+        if hasattr(method, "__poise_queue__"):
+            port_name, queue = method.__poise_queue__
+            if port_name in ports:
+                raise UsageError(
+                    f"{component.__qualname__}: two ports are named '{port_name}'; "
+                    f"one is subscribed by method '{name}'"
+                )
+            type_ = _message_type(method)
+            ports[port_name] = Port(port_name, "subscribes", type_, queue, name)
     for port in ports.values():
         if port.kind == "provides":
             _check_provided(component, port)

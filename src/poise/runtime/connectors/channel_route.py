@@ -8,7 +8,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any, NoReturn
 
-from poise.errors import CalleeError, CallError, Timeout, Unavailable
+from poise.errors import CalleeError, CallError, CannotCross, Timeout, Unavailable
 from poise.runtime._calls import ServedCall, call_remote, time_left
 from poise.runtime.component.error_report import Sparing
 from poise.runtime.component.ports import Port
@@ -135,11 +135,12 @@ class ChannelRoute:
                 raise Timeout(f"connector {name}: no call was made: no time is left")
             values = bind(*args, **kwargs)
             waits = int(1e9 * min(left, _LONGEST)) or 1  # 0 were no limit
-            pieces = segments(
-                arguments, values, _CALL, tag=tag, number=waits, chain=chain
-            )
-            answer = None
+            answer: Frame | None = None
+            pieces: Pieces = []
             try:
+                pieces = segments(
+                    arguments, values, _CALL, tag=tag, number=waits, chain=chain
+                )
                 answer = call_remote(chain, left, name, request, pieces)
                 if answer.kind is _RESULT:
                     result = decode(answer.body, answer.buffers)
@@ -150,11 +151,9 @@ class ChannelRoute:
             except (CallError, WireError) as error:
                 came = answer.size if answer is not None else 0
                 took = time.monotonic() - started
-                counts.add_call(took, size_of(pieces), came, failed=True)
-                if isinstance(error, Timeout):
-                    late = f"{method.name} over {name}, limit {left:.3g} s: {error}"
-                    raise Timeout(late) from None
-                raise
+                sent = size_of(pieces) if pieces else 0
+                counts.add_call(took, sent, came, failed=True)
+                raise _told(error, f"{method.name} over {name}", left) from None
             if answer is None or answer.kind is _MOVED:  # it was not run
                 deadline = started + left
                 return sender.again(self, method.name, args, kwargs, deadline)
@@ -165,6 +164,15 @@ class ChannelRoute:
             return result
 
         return call
+
+
+def _told(error: CallError | WireError, call: str, limit: float) -> CallError:
+    """Return what a caller is told of an error of its call."""
+    if isinstance(error, Timeout):
+        return Timeout(f"{call}, limit {limit:.3g} s: {error}")
+    if isinstance(error, WireError):
+        return CannotCross(f"{call}: {error}")
+    return error
 
 
 def receiving(

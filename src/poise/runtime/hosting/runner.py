@@ -331,7 +331,7 @@ class Runner:
         if type(value) is Stamped:
             taken, value = value, value.value
         if port.kind == "subscribes":
-            handler = getattr(self.component, port.name)
+            handler = getattr(self.component, port.handler)
             self._run(handler, port.name, value, taken=taken)
         else:
             method = getattr(self.component, methods(port.type)[tag].name)
