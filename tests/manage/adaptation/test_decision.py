@@ -150,6 +150,18 @@ def test_what_mends_a_part_is_done(situation: Make) -> None:
     assert found.gain == pytest.approx(0.94 - 0.525 - (0.54 - 0.525), abs=0.05)
 
 
+def test_where_one_move_mends_all_no_other_is_made(situation: Make) -> None:
+    """Two moves would balance better, 0.4 on each computer, and do no work more."""
+    left, right = {"a": 0.3, "b": 0.1, "c": 0.1, "d": 0.06}, {"e": 0.2, "f": 0.04}
+    placed = dict.fromkeys(left, "left") | dict.fromkeys(right, "right")
+    seen = situation(placed, robot=robot_of(left | right))
+    found = decide(replace(seen, demand_estimates=()))
+    assert found.acts
+    assert found.proposal is not None
+    (step,) = found.proposal.steps
+    assert step.source == "left"
+
+
 def test_a_computer_that_is_lost_with_what_is_pinned_there_stops_no_decision(
     situation: Make,
 ) -> None:
