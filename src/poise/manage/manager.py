@@ -226,7 +226,7 @@ class Manager:
         self.tasks.advance(self._suspensions.functions())
 
     def _prepare_next(self) -> None:
-        self._prefetch.update(self.tasks.likely_next(), self._estimates.loads.loads())
+        self._prefetch.update(self.tasks.likely_next(), self._estimates.loads.loads)
 
     def _wait_news(self, limit: float) -> bool:
         return self._run.agents.wait_news(self._has_news, limit)

@@ -43,7 +43,7 @@ class Rig:
     def look(
         self, *likely: LikelyAction, loads: Mapping[str, Load] | None = None
     ) -> None:
-        self.prefetch.update(likely, loads or {})
+        self.prefetch.update(likely, lambda: loads or {})
 
     def told(self, computer: str) -> list[tuple[str, Any]]:
         """Return the containers sent last to an agent, and their preparation CPU."""

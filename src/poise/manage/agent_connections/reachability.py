@@ -96,7 +96,9 @@ class Reachability:
             # its lease was extended at this moment at the latest, on any clock
             unanswered = self._contacts.unanswered_since(name)
             sign = min(contact.heard_at, unanswered + _INFORMED)
-            relayed = self._contacts.relayed(name, now)
+            # of one that is heard itself, it matters little when others heard it
+            is_quiet = now - sign > _STALLED
+            relayed = self._contacts.relayed(name, now) if is_quiet else None
             known = self._agents.get(name)
             if known is None:
                 known = self._agents[name] = _Agent(_Silence(), _Silence())

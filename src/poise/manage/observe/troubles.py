@@ -284,7 +284,7 @@ class SupervisedTick:
         self, part: str, work: Callable[[], object], *, changes: bool = False
     ) -> object:
         """Run a part, unless it backs off; return what it returns, or None."""
-        if self.backs_off(part):
+        if self._failures and self.backs_off(part):
             return None
         try:
             result = work()
@@ -294,7 +294,7 @@ class SupervisedTick:
             if not (isinstance(error, PoiseError) and self._is_ending()):
                 self._note(part, error, changes=changes)
             return None
-        if self._failures.pop(part, None) is not None:
+        if self._failures and self._failures.pop(part, None) is not None:
             self._journal.note("right", f"the manager can {part} again")
         return result
 

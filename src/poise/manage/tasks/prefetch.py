@@ -169,7 +169,9 @@ class Prefetcher:
         )
 
     def update(
-        self, likely: Collection[LikelyAction], loads: Mapping[str, Load]
+        self,
+        likely: Collection[LikelyAction],
+        loads: Callable[[], Mapping[str, Load]],
     ) -> None:
         """Note how preparations go, and prepare what is likely next."""
         self._note_failures()
@@ -182,7 +184,7 @@ class Prefetcher:
             return
         self._chosen_at = now
         likely = [action for action in likely if not self._is_backed_off(action)]
-        cpu = self._cpu_left(placement, loads)
+        cpu = self._cpu_left(placement, loads())
         held = {
             name: incarnation.computer
             for name, incarnation in self._run.prepared.items()

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Iterable, Sequence
-from heapq import heappop, heappush
 from math import inf
+from operator import itemgetter
 
 import msgspec
 
@@ -102,10 +103,14 @@ class SimulatedDatagrams:
         now, waiting = scheduler.now, self._waiting
         # while the process stood still nobody read what came
         ago = now - max(self._reads_since, self._process.awake_since)
-        own_now, received = computer.monotonic(), list[Received]()
-        while waiting and waiting[0][0] <= now:
-            at, _, beat, source = heappop(waiting)
-            received.append(Received(beat, source, own_now - min(now - at, ago)))
+        own_now = computer.monotonic()
+        waiting.sort()  # by moment, and by number: no two have the same
+        come = bisect_right(waiting, now, key=itemgetter(0))
+        received = [
+            Received(beat, source, own_now - min(now - at, ago))
+            for at, _, beat, source in waiting[:come]
+        ]
+        del waiting[:come]
         return received
 
     def send(self, beat: Heartbeat, targets: Iterable[Address]) -> None:
@@ -126,7 +131,7 @@ class SimulatedDatagrams:
         """Keep what arrives at a moment [s]; wake the reader for it, or not."""
         if len(self._waiting) < _MOST:
             scheduler = self._process.scheduler
-            heappush(self._waiting, (at, scheduler.number(), beat, source))
+            self._waiting.append((at, scheduler.number(), beat, source))
             if wakes:
                 scheduler.at(at, self._wake)
 
