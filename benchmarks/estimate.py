@@ -121,7 +121,7 @@ def run(
             end_at = time.monotonic() + seconds
             while (left := end_at - time.monotonic()) > 0:
                 up.run.watch(min(left, 0.2))
-                up.computers.look()
+                up.computers.poll()
             end, manager = up.run.agents.statuses(), time.process_time() - manager
             void = up.computers.end()
     finally:

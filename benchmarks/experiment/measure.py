@@ -157,9 +157,9 @@ def _watched(
     seen, moves, where = LastSeen(), 0, run.placement()
     computers.begin()
     waited = world.waited() if world is not None else 0.0
-    run.agents.on_status = seen.take
+    run.agents.on_status = seen.record_status
     begin, began = run.agents.statuses(), time.monotonic()
-    seen.look(begin)
+    seen.record(begin)
     ticks, stolen = _cpu_times()
     with _programs(running, condition) as start_programs:
         while (now := time.monotonic() - began) < seconds:
@@ -169,7 +169,7 @@ def _watched(
                 raise RunError("the robot was stopped")
             if world is not None and world.has_ended():
                 raise RunError(f"the simulated world ended after {now:.1f} s")
-            computers.look()
+            computers.poll()
             places = run.placement()
             moves += sum(where.get(name, at) != at for name, at in places.items())
             where = places

@@ -47,8 +47,8 @@ def where(statuses: Statuses) -> list[tuple[str, str]]:
 
 def test_keeps_components_and_connectors_that_are_gone() -> None:
     seen = LastSeen()
-    seen.look(on("left", "hand", "eye", ends=[("eye.x-hand.x", 3)]))
-    seen.look(on("left", "hand", "eye", ends=[("eye.x-hand.x", 7)]))
+    seen.record(on("left", "hand", "eye", ends=[("eye.x-hand.x", 3)]))
+    seen.record(on("left", "hand", "eye", ends=[("eye.x-hand.x", 7)]))
     merged = seen.merged(on("left", "hand"))
     assert where(merged) == [("left", "hand"), ("left", "eye")]
     assert [end.messages for end in connectors_of(merged)] == [7]
@@ -56,7 +56,7 @@ def test_keeps_components_and_connectors_that_are_gone() -> None:
 
 def test_keeps_a_container_that_is_gone() -> None:
     seen = LastSeen()
-    seen.look(on("left", "hand"))
+    seen.record(on("left", "hand"))
     merged = seen.merged({"left": agent("left")})
     assert where(merged) == [("left", "hand")]
 
@@ -64,8 +64,8 @@ def test_keeps_a_container_that_is_gone() -> None:
 def test_counts_what_moved_only_where_it_was_last() -> None:
     seen = LastSeen()
     ends = [("eye.x-hand.x", 3)]
-    seen.look(on("left", "eye", ends=ends) | on("right"))
-    seen.look(on("left") | on("right", "eye", ends=ends))
+    seen.record(on("left", "eye", ends=ends) | on("right"))
+    seen.record(on("left") | on("right", "eye", ends=ends))
     merged = seen.merged(on("left") | on("right"))
     assert where(merged) == [("right", "eye")]
     assert len(list(connectors_of(merged))) == 1
@@ -73,35 +73,35 @@ def test_counts_what_moved_only_where_it_was_last() -> None:
 
 def test_keeps_what_a_container_had_counted_when_another_took_its_place() -> None:
     seen = LastSeen()
-    seen.look(on("left", "eye", ends=[("eye.x-hand.x", 3)]))
-    seen.look(on("left"))
-    seen.look(on("left", "eye", ends=[("eye.x-hand.x", 1)], pid=2))
+    seen.record(on("left", "eye", ends=[("eye.x-hand.x", 3)]))
+    seen.record(on("left"))
+    seen.record(on("left", "eye", ends=[("eye.x-hand.x", 1)], pid=2))
     assert [end.messages for end in seen.ended] == [3]
 
 
 def test_a_connector_counts_what_all_processes_at_its_end_did() -> None:
     """Of a source that began again after an action, the target counts all."""
     seen = LastSeen()
-    seen.look(on("left", "eye", ends=[("eye.x-hand.x", 30)]))
-    seen.look(on("left", "eye", ends=[("eye.x-hand.x", 4)], pid=2))
-    seen.look(on("left", "eye", ends=[("eye.x-hand.x", 20)], pid=2))
-    seen.look(on("left"))
+    seen.record(on("left", "eye", ends=[("eye.x-hand.x", 30)]))
+    seen.record(on("left", "eye", ends=[("eye.x-hand.x", 4)], pid=2))
+    seen.record(on("left", "eye", ends=[("eye.x-hand.x", 20)], pid=2))
+    seen.record(on("left"))
     assert [end.messages for end in seen.connectors()] == [50]
 
 
 def test_an_end_that_is_joined_again_in_its_process_counts_on() -> None:
     seen = LastSeen()
-    seen.look(on("left", "eye", ends=[("eye.x-hand.x", 30)]))
-    seen.look(on("left", "eye"))
-    seen.look(on("left", "eye", ends=[("eye.x-hand.x", 20)]))
+    seen.record(on("left", "eye", ends=[("eye.x-hand.x", 30)]))
+    seen.record(on("left", "eye"))
+    seen.record(on("left", "eye", ends=[("eye.x-hand.x", 20)]))
     assert [end.messages for end in seen.connectors()] == [50]
 
 
 def test_what_comes_back_from_elsewhere_has_its_count_with_it() -> None:
     seen = LastSeen()
-    seen.look(on("left", "eye", ends=[("eye.x-hand.x", 3)]))
-    seen.look(on("left") | on("right", "eye", ends=[("eye.x-hand.x", 4)]))
-    seen.look(on("left", "eye", ends=[("eye.x-hand.x", 5)], pid=2) | on("right"))
+    seen.record(on("left", "eye", ends=[("eye.x-hand.x", 3)]))
+    seen.record(on("left") | on("right", "eye", ends=[("eye.x-hand.x", 4)]))
+    seen.record(on("left", "eye", ends=[("eye.x-hand.x", 5)], pid=2) | on("right"))
     assert not seen.ended
 
 
@@ -141,11 +141,11 @@ def test_adds_up_what_was_counted_in_each_place() -> None:
     seen = LastSeen()
     error = ErrorCount(where="tick", text="oops", first=3.0, count=1)
     left, right = running("left"), running("right")
-    seen.look({"left": running("left", counted(1, 5, 4)), "right": right})
+    seen.record({"left": running("left", counted(1, 5, 4)), "right": right})
     first = counted(1, 10, 9, errors=(error,))
     prepared = running("right", counted(2, 0, 0))
-    seen.look({"left": running("left", first), "right": prepared})
-    seen.look({"left": left, "right": running("right", counted(2, 20, 0, (error,)))})
+    seen.record({"left": running("left", first), "right": prepared})
+    seen.record({"left": left, "right": running("right", counted(2, 20, 0, (error,)))})
     again = running("right", counted(2, 10, 1), pid=2)
     ((computer, found),) = located(seen.merged({"left": left, "right": again}))
     assert computer == "right"
@@ -162,7 +162,7 @@ def test_adds_up_what_was_counted_in_each_place() -> None:
 def test_many_stays_count_all_the_same() -> None:
     seen = LastSeen()
     for pid in range(1, 201):
-        seen.look({"left": running("left", counted(1, 3, 2), pid=pid)})
+        seen.record({"left": running("left", counted(1, 3, 2), pid=pid)})
     assert len(list(seen.stays())) < 60
     ((_, found),) = located(seen.merged({"left": agent("left")}))
     assert (found.timers[0].releases, found.timers[0].missed) == (600, 400)

@@ -113,13 +113,13 @@ class LastSeen:
         self._stays: dict[str, dict[_Stay, ComponentStatus]] = {}
         self._ends: dict[tuple[str, Side], tuple[Place, list[ConnectorStatus]]] = {}
 
-    def look(self, statuses: Statuses) -> None:
-        """Take what the agents say now."""
+    def record(self, statuses: Statuses) -> None:
+        """Record what the agents say now."""
         for _, status in sorted(statuses.items()):
-            self.take(status)
+            self.record_status(status)
 
-    def take(self, status: AgentStatus) -> None:
-        """Take what an agent says; any thread may."""
+    def record_status(self, status: AgentStatus) -> None:
+        """Record what an agent says; any thread may."""
         with self._lock:
             for container in status.containers:
                 self._take(status.computer, container)
@@ -147,7 +147,7 @@ class LastSeen:
 
     def merged(self, statuses: Statuses) -> Statuses:
         """Return the statuses, with what was there before and is gone."""
-        self.look(statuses)
+        self.record(statuses)
         with self._lock:
             return self._merged(statuses)
 

@@ -179,9 +179,9 @@ def _measure(
     run, looks = up.run, up.run.check
     up.computers.begin()
     history, last_seen = History(run.robot, up.computers.faster), LastSeen()
-    run.agents.on_status = last_seen.take
+    run.agents.on_status = last_seen.record_status
     begin, began, at = run.agents.statuses(), time.monotonic(), wall_time()
-    last_seen.look(begin)
+    last_seen.record(begin)
     interrupted = False
 
     def look_around() -> None:
@@ -195,7 +195,7 @@ def _measure(
 
     def look(_: float) -> None:
         now, statuses = time.monotonic(), run.agents.statuses()
-        history.look(statuses, wall_time(), now)
+        history.record(statuses, wall_time(), now)
         manager.work(0.0)
         meanwhile(run, now - began)
 

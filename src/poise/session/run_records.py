@@ -58,7 +58,7 @@ class History:
         self._before: Statuses = {}
         self._every, self._next = 1.0, 0.0
 
-    def look(self, statuses: Statuses, at: float, now: float) -> None:
+    def record(self, statuses: Statuses, at: float, now: float) -> None:
         """Take a moment when it is time: `at` since 1970, `now` never goes back [s]."""
         if now < self._next:
             return

@@ -57,7 +57,7 @@ class Actions:
             "replace": self._replace,
             "restart": self._restart,
             "restart elsewhere": CrashLoops(run, suspensions, limits).restart_elsewhere,
-            "suspend": self._put,
+            "suspend": self._suspend,
         }
 
     def respond(self, situation: Situation, _desired: Desired) -> Change | None:
@@ -128,7 +128,7 @@ class Actions:
             steps += [TransitionStep(name, at), TransitionStep(name, target=at)]
         _raise_on_failure(transit(run, tuple(steps)))
 
-    def _put(self, symptom: Symptom, situation: Situation, now: float) -> None:
+    def _suspend(self, symptom: Symptom, situation: Situation, now: float) -> None:
         if symptom.policy.for_each == "computer":
             architecture = _lowest(situation, symptom.computer)
         else:
@@ -223,9 +223,9 @@ class CrashLoops:
                 raise RunError(f"{away} is out of reach meanwhile")
             crashed |= dict.fromkeys(where.values(), now)
         del self._crashed[container]
-        self._put(names, symptom, situation, sorted(crashed), now)
+        self._suspend(names, symptom, situation, sorted(crashed), now)
 
-    def _put(
+    def _suspend(
         self,
         names: list[str],
         symptom: Symptom,

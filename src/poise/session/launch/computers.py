@@ -249,7 +249,7 @@ class Computers:
         if self.emulated:
             self._watch = StarvationWatch(self.emulated, self._clock)
 
-    def look(self) -> None:
+    def poll(self) -> None:
         """Judge the moment; call it a few times a second."""
         if self._watch is not None:
             self._watch.poll()

@@ -197,7 +197,7 @@ class Started(Struct, frozen=True):
         last, end = time.monotonic(), time.monotonic() + seconds
         while (left := end - last) > 0:
             self.run.watch(min(left, _STEP))
-            self.computers.look()
+            self.computers.poll()
             now = time.monotonic()
             meanwhile(now - last)
             last = now

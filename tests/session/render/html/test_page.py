@@ -160,7 +160,7 @@ def test_a_moment_is_taken_every_second() -> None:
     for step in range(16):
         now = step / 5
         statuses = {"left": status(10 + now, now / 2, step, step // 2)}
-        history.look(statuses, 1000 + now, now)
+        history.record(statuses, 1000 + now, now)
     assert [m.at for m in history.moments] == [1000.0, 1001.0, 1002.0, 1003.0]
     assert [m.cpu_share for m in history.moments[1:]] == [{"left": 0.5}] * 3
     assert history.moments[0].missed == {}
@@ -170,7 +170,7 @@ def test_a_moment_is_taken_every_second() -> None:
 def test_a_long_run_has_fewer_moments_per_second() -> None:
     history = History(ROBOT, {})
     for second in range(3 * MOST):
-        history.look({}, 1000.0 + second, float(second))
+        history.record({}, 1000.0 + second, float(second))
     assert MOST / 2 <= len(history.moments) <= MOST
     assert history.moments[-1].at >= 1000 + 3 * MOST - 4
 
