@@ -218,6 +218,20 @@ def test_a_claim_while_the_lease_lasts_interrupts_nothing(rig: Rig) -> None:
     assert rig.exchange.is_held()
 
 
+def test_a_lease_ends_when_the_manager_that_claims_never_sends_a_heartbeat(
+    rig: Rig,
+) -> None:
+    """It was paused just after: what runs here counts as lost once it goes on."""
+    rig.exchange.begin("k", AGENTS, is_leased=True)
+    heard(rig, 1)
+    rig.exchange.begin("next", AGENTS, is_leased=True)
+    assert rig.beat(0.1) > 0
+    for _ in range(7):
+        rig.beat(0.1)
+    assert rig.ends[-1] == -inf
+    assert rig.fence.is_cut_off
+
+
 def test_what_ran_here_without_an_agent_waits_for_what_the_manager_says(
     rig: Rig,
 ) -> None:

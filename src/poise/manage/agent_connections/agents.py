@@ -235,14 +235,14 @@ class Agents(AgentReports):
             self.manager = replace(self.manager, term=last + 1)
         for computer in sorted(computers):
             answer = self._claim(computer, take_over=take_over)
+            if self._is_leased:
+                self._heartbeats.start()
             if isinstance(answer, Claimed) and answer.deployment is not None:
                 deployments[computer] = answer.deployment
             self.wait_news(
                 lambda c=computer: self.obey(c),  # type: ignore[misc]
                 ANSWER_LIMIT,
             )
-        if self._is_leased:
-            self._heartbeats.start()
         return deployments
 
     def _claim(self, computer: str, *, take_over: bool) -> Answer:

@@ -176,7 +176,11 @@ class HeartbeatExchange:
         *,
         is_leased: bool,
     ) -> None:
-        """Send heartbeats from now on to those whom the manager with `key` names."""
+        """Send heartbeats from now on to those whom the manager with `key` names.
+
+        The lease begins at once where datagrams are known to get through, for the
+        manager may stand still before its first heartbeat; else with that.
+        """
         others = {
             name: endpoint_of(where)
             for name, where in agents.items()
@@ -186,6 +190,8 @@ class HeartbeatExchange:
             self.agents, self.is_leased = agents, is_leased
             is_new = key != self._claimed_by
             self._claimed_by = key
+            if began is None and self._lease.managed(self._clock.now()) is not None:
+                began = self._clock.now()
             self._lease.begin(others.keys(), key, began)
             if is_new:
                 self._contacts.forget(MANAGER)
