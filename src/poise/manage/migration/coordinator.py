@@ -81,12 +81,14 @@ class Migration:
         self._phases = MigrationPhases("manager", self._what)
         self._taken: list[StepTaken] = []
         self._late: list[PlacedStep] = []
+        self._committed = 0
 
     def run(self) -> MigrationReport:
         """Migrate, or roll back.
 
         Nothing that goes wrong on the way is raised, but `RunError` where another
-        manager has the robot: that one decides whether what is half done is finished.
+        manager has the robot, or may have it, for no agent could be told of the commit:
+        that one decides whether what is half done is finished.
         """
         downtime, reason = 0.0, ""
         self._phases.enter("prepare")
@@ -113,6 +115,11 @@ class Migration:
             self._run.reconcile()
         self._wait_ended(self._targets if reason else self._sources)
         self._raise_on_successor()
+        if not reason and not self._is_known():
+            raise RunError(
+                f"the {self._what} is committed, but no agent could be told: another "
+                "manager may undo it; `poise status` says where it runs"
+            )
         return structs.replace(
             self._report,
             committed=not reason,
@@ -121,6 +128,22 @@ class Migration:
             phases=phases,
             steps=tuple(self._taken),
             late={} if reason else self._dropped,
+        )
+
+    def _is_known(self) -> bool:
+        """Return whether agents know of the commit, so that nobody rolls it back.
+
+        Those of the targets know what is active, those of the sources what is gone.
+        """
+        agents = self._run.agents
+        statuses = agents.statuses()
+        return any(
+            all(
+                agents.obey(end.computer)
+                and statuses[end.computer].generation >= self._committed
+                for end in ends
+            )
+            for ends in (self._targets, self._sources)
         )
 
     def _raise_on_successor(self) -> None:
@@ -196,6 +219,7 @@ class Migration:
             incarnation.with_goal("active") for incarnation in self._targets
         )
         self._run.commit(desired, f"{self._what} is committed", tell_later=True)
+        self._committed = self._run.desired.generation
         self._phases.enter("resume")
         self._resume(plan.resume())
         return ""
@@ -283,10 +307,15 @@ class Migration:
 
         def have_ended() -> bool:
             run.reconcile()
-            return all(map(run.has_ended, gone))
+            away = run.agents.out_of_reach()
+            is_told = not self._committed or self._is_known()
+            is_told = is_told or all(
+                target.computer in away for target in self._targets
+            )
+            return is_told and all(map(run.has_ended, gone))
 
-        if not run.agents.wait_news(have_ended, REMOVE_LIMIT):
-            hanging = [e.component for e in gone if not run.has_ended(e)]
+        run.agents.wait_news(have_ended, REMOVE_LIMIT)
+        if hanging := [e.component for e in gone if not run.has_ended(e)]:
             self._note_failure(
                 f"'{', '.join(hanging)}' has not stopped within {REMOVE_LIMIT:g} s"
             )
