@@ -18,6 +18,7 @@ from typing import Any, cast
 
 from msgspec import structs
 
+from poise.manage.agent_connections import agents
 from poise.manage.agent_connections.agents import Agents
 from poise.manage.agent_connections.reports import AgentReports
 from poise.manage.deploy import desired_state, takeover
@@ -179,6 +180,7 @@ def _lease_of_another_manager() -> None:
         return min([direct, *ages, self._unheard(now)])
 
     setattr(Lease, "age", age)
+    setattr(HeartbeatExchange, "note_lapsed", lambda _: None)
 
 
 def _same_epoch() -> None:
@@ -215,6 +217,24 @@ def _claims_by_force() -> None:
     setattr(Fence, "claim", by_force)
 
 
+def _replaced_goes_on() -> None:
+    def gives_way_to(manager: Any, claimed: Any, _: Any, statuses: Any) -> Any:
+        return known(manager, claimed, {}, statuses)
+
+    known = agents.gives_way_to
+    setattr(agents, "gives_way_to", gives_way_to)
+
+
+def _lease_of_first_heartbeat() -> None:
+    begin = Lease.begin
+
+    def later(self: Lease, others: Any, manager: Any, began: Any = None) -> None:
+        began = None if began is not None and began > 0 else began
+        begin(self, others, manager, began)
+
+    setattr(Lease, "begin", later)
+
+
 def _commit_that_rolls_back() -> None:
     original = Migration._switch
 
@@ -245,7 +265,7 @@ DEFECTS: Defects = {
     "stale": ("stale incarnations are adopted at a heal", _stale_adopted),
     "token": ("a lost token is taken for the manager's end", _lost_token_is_an_end),
     "other-lease": (
-        "another manager's agents extend the lease",
+        "another manager's agents extend the lease of an agent that was started again",
         _lease_of_another_manager,
     ),
     "stale-disk": (
@@ -259,6 +279,18 @@ DEFECTS: Defects = {
     "lost-commit": (
         "a manager that was replaced says how its move ended",
         _put(Migration, "_raise_on_successor", lambda _: None),
+    ),
+    "replaced-goes-on": (
+        "a manager that was replaced goes on once its successor is gone",
+        _replaced_goes_on,
+    ),
+    "late-lease": (
+        "a lease begins with the first heartbeat of a manager that claims",
+        _lease_of_first_heartbeat,
+    ),
+    "untold-commit": (
+        "a manager says that it committed what no agent was told",
+        _put(Migration, "_is_known", lambda _: True),
     ),
     # mutations
     "long-lease": ("agents keep leases for 2 s", _put(fence, "LEASE", 2.0)),

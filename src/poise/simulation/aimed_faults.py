@@ -1,37 +1,55 @@
-"""Faults at the worst moments: amid a move, and as soon as a manager is up."""
+"""Faults at the worst moments: amid a move, as a manager is up, and as one hangs."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
+from msgspec import Struct
+
+from poise.simulation.components.modelled_container import Moment
 from poise.simulation.faults import Kind, SimulatedFault
 from poise.simulation.robot.simulated_robot import SimulatedRobot
 
-_KINDS: tuple[Kind, ...] = (
-    "kill manager",
-    "pause manager",
-    "kill container",
-    "pause container",
-    "kill agent",
-    "pause agent",
-    "pause computer",
-    "cut link",
-    "isolate computer",
-    "take over",
-)
+
+class _Aim(Struct, frozen=True):
+    """What may follow on a moment, in which share of them, and how soon [s]."""
+
+    kinds: tuple[Kind, ...]
+    often: float
+    within: float
+
+
+_AIMS: Mapping[Moment, _Aim] = {
+    "steps": _Aim(
+        (
+            "kill manager",
+            "pause manager",
+            "kill container",
+            "pause container",
+            "kill agent",
+            "pause agent",
+            "pause computer",
+            "cut link",
+            "isolate computer",
+            "take over",
+        ),
+        often=0.05,
+        within=0.02,
+    ),
+    "up": _Aim(("kill manager", "pause manager"), often=0.3, within=0.3),
+    # somebody sees that it does not answer
+    "paused": _Aim(("take over", "another manager"), often=0.5, within=3.0),
+}
 _IN_RUNS = 0.5
-_OFTEN = {"steps": 0.05, "up": 0.3}
-"""How often one follows on steps of a migration that a container gets, and on a manager
-that is up."""
-_WITHIN = {"steps": 0.02, "up": 0.3}
-"""It follows within this time [s]."""
+_AGAIN = 0.3
+"""How often one more follows on the same moment."""
 _LONGEST = 8.0
 
 
 class AimedFaults:
     """Breaks something when something else begins, in about half of all runs.
 
-    `end`: all are over before this moment [s].
+    `begin`, `end`: nothing breaks before, and all is over after [s].
     `inject`: lets a fault begin now.
     `faults`: those so far.
     """
@@ -39,24 +57,33 @@ class AimedFaults:
     def __init__(
         self,
         robot: SimulatedRobot,
+        begin: float,
         end: float,
         inject: Callable[[SimulatedFault], object],
     ) -> None:
         self.faults: list[SimulatedFault] = []
         self._robot = robot
-        self._end = end
+        self._begin, self._end = begin, end
         self._inject = inject
         if robot.choices.happens("faults", _IN_RUNS):
             robot.on_moment = self._note
 
-    def _note(self, moment: str, computer: str) -> None:
-        choices, scheduler = self._robot.choices, self._robot.scheduler
-        if not choices.happens("faults", _OFTEN[moment]):
+    def _note(self, moment: Moment, computer: str) -> None:
+        if self._robot.scheduler.now < self._begin:
             return
-        kind = _KINDS[choices.among("faults", len(_KINDS))]
-        if moment == "up":
-            kind = "kill manager"
-        at = scheduler.now + choices.between("faults", 0.0, _WITHIN[moment])
+        aim = _AIMS[moment]
+        often, choices = aim.often, self._robot.choices
+        while choices.happens("faults", often):
+            self._plan(aim, computer)
+            computer = [*self._robot.computers][
+                choices.among("faults", len(self._robot.computers))
+            ]
+            often = _AGAIN
+
+    def _plan(self, aim: _Aim, computer: str) -> None:
+        choices, scheduler = self._robot.choices, self._robot.scheduler
+        kind = aim.kinds[choices.among("faults", len(aim.kinds))]
+        at = scheduler.now + choices.between("faults", 0.0, aim.within)
         lasts = _LONGEST * choices.draw("faults") ** 2
         others = [name for name in self._robot.computers if name != computer]
         other = others[choices.among("faults", len(others))]

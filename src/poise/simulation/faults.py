@@ -227,6 +227,8 @@ def _pause(robot: SimulatedRobot, fault: SimulatedFault) -> Mend:
     standing = _paused_by(robot, fault)
     for process in standing:
         process.pause()
+    if fault.kind == "pause manager" and robot.manager is not None:
+        robot.on_moment("paused", robot.manager.process.computer.name)
 
     def resume() -> None:
         for process in standing:

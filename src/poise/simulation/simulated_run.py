@@ -34,6 +34,7 @@ from poise.simulation.robot.simulated_robot import SimulatedRobot
 from poise.simulation.schedule.choices import Choices
 from poise.simulation.schedule.scheduler import ENGINE, SimulationError
 from poise.simulation.workload import SimulatedWork
+from poise.wire.records.request_records import Claim, ManagerId
 
 INVARIANTS: Mapping[str, str] = {
     "nothing-active-twice": "No two incarnations of a component work at one time.",
@@ -46,6 +47,7 @@ INVARIANTS: Mapping[str, str] = {
     "failures-are-shown": "A failure is in `status` within a second.",
     "what-is-lost-runs": "What a lost computer ran runs elsewhere soon.",
     "one-manager-is-obeyed": "An agent does nothing for a manager that was replaced.",
+    "a-manager-stays": "Without a take-over no agent leaves a manager that is well.",
     "no-bug-stops-the-robot": "No error ends a manager, an agent or a thread of them.",
 }
 """Id -> what it says; `docs/design/simulation.md` cites the ids."""
@@ -73,9 +75,14 @@ FAILED_OVER_WITHIN = 4.0
 """What a computer that is cut off ran works elsewhere within this time [s]."""
 _LOSSES = {"kill agent", "pause agent", "pause computer", "isolate computer"}
 _BAD_LINKS = {*LINK_KINDS, "isolate computer", "lose datagrams"}
+_SILENCING = {*_BAD_LINKS, *(kind for kind in KINDS if "pause" in kind)} | {
+    "suspend computer"
+}
 COMMAND_LIMIT = 60.0
 """An accepted command ends within this time [s]."""
 _LOOK_EVERY = 0.05
+_QUIET = 0.15
+"""In this share of runs nothing breaks in the first half."""
 _COMMAND_EVERY, _COMMANDED = 1.0, 0.2
 _LINES = 400
 
@@ -196,6 +203,7 @@ class _Run:
         self._scheduler = robot.scheduler
         self._aimed: AimedFaults | None = None
         self._scheduler.on_step = self._check
+        robot.on_claim = self._check_claim
 
     def go(self) -> None:
         """Come up, break, heal, converge."""
@@ -211,8 +219,10 @@ class _Run:
         if self._scenario.faults is None:
             names = tuple(robot.computers)
             kinds = self._scenario.kinds
-            self.faults = tuple(plan_faults(robot.choices, names, begin, end, kinds))
-            self._aimed = AimedFaults(robot, end, self._inject)
+            is_quiet = robot.choices.happens("faults", _QUIET)
+            first = (begin + end) / 2 if is_quiet else begin
+            self.faults = tuple(plan_faults(robot.choices, names, first, end, kinds))
+            self._aimed = AimedFaults(robot, first, end, self._inject)
         for fault in self.faults:
             self._scheduler.at(fault.at, partial(self._inject, fault))
         if self._scenario.moves:
@@ -305,6 +315,28 @@ class _Run:
             self.robot.ledger.violate(
                 "what-is-lost-runs",
                 f"{missing} works nowhere {FAILED_OVER_WITHIN:g} s after {fault}",
+            )
+
+    def _check_claim(self, computer: str, claim: Claim, before: ManagerId) -> None:
+        """See that the manager before has ended, or may seem so."""
+        alive = [
+            each.process
+            for each in self.robot.managers
+            if each.process.pid == before.pid and not each.process.is_dead
+        ]
+        since = self._scheduler.now - CONVERGE_LIMIT
+        is_broken = any(
+            fault.kind in _SILENCING
+            and fault.at < self._scheduler.now
+            and since < fault.at + fault.lasts
+            for fault in self.all_faults()
+        )
+        is_same = claim.manager.key == before.key
+        if alive and not (is_same or claim.take_over or is_broken):
+            self.robot.ledger.violate(
+                "a-manager-stays",
+                f"the agent of '{computer}' obeys {claim.manager} while {before}, "
+                "which it obeyed, is at work",
             )
 
     def _is_heard(self, computer: str) -> bool:

@@ -53,6 +53,7 @@ class SimulatedComponent:
         self.goal = goal
         self.executor.set_wanted(goal in {"active", "ready"})
         if goal == "active":
+            self.container.migration.give_back(self)
             self.executor.resume()
         self._go_on()
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from math import inf
-from typing import Protocol
+from typing import Literal, Protocol
 
 from poise.errors import RunError
 from poise.simulation._engine import Connector, Ledger, Model, Sender
@@ -19,7 +19,13 @@ from poise.wire.heartbeats import Datagrams
 from poise.wire.records.deployment_records import ConnectorSpec, ContainerSpec
 from poise.wire.records.heartbeat_records import Clocks
 from poise.wire.records.migration_records import MigrationSteps
-from poise.wire.records.request_records import PortAnswer, PortRequest, TapReading
+from poise.wire.records.request_records import (
+    Claim,
+    ManagerId,
+    PortAnswer,
+    PortRequest,
+    TapReading,
+)
 from poise.wire.records.status_records import (
     ConnectorStatus,
     ContainerStatus,
@@ -39,6 +45,7 @@ ORPHAN_LIMIT, LEASED_ORPHAN_LIMIT = 60.0, 10.0
 """A container without an agent ends after this time [s]; with leased components, after
 the shorter one."""
 Key = tuple[str, int]
+Moment = Literal["steps", "up", "paused"]
 
 
 class World(Protocol):
@@ -51,7 +58,8 @@ class World(Protocol):
 
     agent_cpu: float
     components: list[SimulatedComponent]
-    on_moment: Callable[[str, str], object]
+    on_moment: Callable[[Moment, str], object]
+    on_claim: Callable[[str, Claim, ManagerId], object]
 
     def model_of(self, component: str) -> ComponentModel:
         """Return the model of a component."""

@@ -32,7 +32,7 @@ _LOOK_EVERY = 0.002
 class MigrationModel:
     """The steps of one container.
 
-    `states`: component and epoch -> what sources here have sent.
+    `states`: component, epoch and migration -> what sources here have sent.
     """
 
     def __init__(self, container: SimulatedContainer) -> None:
@@ -41,13 +41,18 @@ class MigrationModel:
         self._is_committed = False
         self._deployed: ContainerSpec | None = None
         self._phases: dict[tuple[str, int], tuple[int, MigrationPhases]] = {}
-        self.states: dict[tuple[str, int], ExecutorState] = {}
+        self.states: dict[tuple[str, int, int], ExecutorState] = {}
 
     def note_deployment(self, spec: ContainerSpec) -> None:
         """Refuse the steps that were received until now."""
         self._num_deployments += 1
         if self._deployed is None or not self._deployed.agrees_with(spec):
             self._deployed, self._is_committed = spec, False
+
+    def give_back(self, component: SimulatedComponent) -> None:
+        """Let a source go on with all that waited for it: the real one keeps it."""
+        for key in [key for key in self.states if key[:2] == component.key]:
+            component.executor.take_back(self.states.pop(key))
 
     def receive(self, batch: MigrationSteps) -> None:
         """Take steps on a task of their own, and answer; `halt` at once."""
@@ -127,7 +132,7 @@ class MigrationModel:
             if step.role == "source":
                 self._take_source(component, step, migration, deadline)
             else:
-                self._take_target(component, step, deadline)
+                self._take_target(component, step, migration, deadline)
 
     def _take_source(
         self,
@@ -148,18 +153,21 @@ class MigrationModel:
                 for sender in container.execution.senders_of(key):
                     sender.mark(migration)
             case "send state":
-                self.states[key] = executor.hand_over()
+                self.states[*key, migration] = executor.hand_over()
             case "roll back":
-                if (state := self.states.pop(key, None)) is not None:
-                    executor.take_back(state)
+                self.give_back(component)
                 component.resume()
 
     def _take_target(
-        self, component: SimulatedComponent, step: Step, deadline: float
+        self,
+        component: SimulatedComponent,
+        step: Step,
+        migration: int,
+        deadline: float,
     ) -> None:
         match step.name:
             case "restore state":
-                self._restore(component, deadline)
+                self._restore(component, migration, deadline)
             case "activate":
                 component.executor.pause()
                 component.aim("ready")
@@ -169,7 +177,9 @@ class MigrationModel:
             case "resume":
                 component.aim("active")
 
-    def _restore(self, component: SimulatedComponent, deadline: float) -> None:
+    def _restore(
+        self, component: SimulatedComponent, migration: int, deadline: float
+    ) -> None:
         """Wait until the source has sent its state, and take it."""
         container, world = self._container, self._container.world
         name, here = component.spec.name, container.process.computer.name
@@ -185,13 +195,13 @@ class MigrationModel:
         def is_there() -> bool:
             if world.network.is_cut(there, here) or source.process.is_paused:
                 return False
-            return (name, epoch) in states
+            return (name, epoch, migration) in states
 
         while not is_there():
             if self._now >= deadline or source.process.is_dead:
                 raise RunError(f"the state of '{name}' did not come from '{there}'")
             world.scheduler.wait(_LOOK_EVERY, "a state")
-        state = states[name, epoch]
+        state = states[name, epoch, migration]
         world.scheduler.wait(seconds, "a state's transfer")
         component.executor.restore(state)
 

@@ -26,7 +26,14 @@ from poise.simulation.schedule.scheduler import SimulatedTask
 from poise.wire.control_session import identity_key, locator, open_session
 from poise.wire.heartbeats import Hear, Heartbeats, NextBeat
 from poise.wire.records.migration_records import StepsDone
-from poise.wire.records.request_records import Accepted, Answer, Claimed, ManagerRequest
+from poise.wire.records.request_records import (
+    Accepted,
+    Answer,
+    Claim,
+    Claimed,
+    ManagerId,
+    ManagerRequest,
+)
 from poise.wire.records.status_records import AgentStatus
 
 PORT = 7447
@@ -67,6 +74,7 @@ class SimulatedAgent:
         self._task: SimulatedTask | None = None
         self._is_woken = False
         self._claimed = 0
+        self._obeyed: ManagerId | None = None
         self._sampler: SimulatedSampler
         self.core: AgentCore
         self.watchdog: SimulatedWatchdog
@@ -175,8 +183,12 @@ class SimulatedAgent:
                     f"{self.process.name}, claimed with token {claimed}, did "
                     f"{type(asked.request).__name__} for token {asked.token}",
                 )
-            if isinstance(answer, Claimed):
-                self._claimed = asked.token
+            if isinstance(answer, Claimed) and isinstance(asked.request, Claim):
+                self._claimed, before = asked.token, self._obeyed
+                self._obeyed = asked.request.manager
+                if before is not None:
+                    computer = self.process.computer.name
+                    self._world.on_claim(computer, asked.request, before)
             reply(answer)
 
         self.core.on_request(asked, check)

@@ -10,7 +10,7 @@ from poise.manage.journal import JournalEntry
 from poise.runtime.execution.timers import release_offset
 from poise.simulation._engine import Connector, Model
 from poise.simulation.components.modelled_component import SimulatedComponent
-from poise.simulation.components.modelled_container import SimulatedContainer
+from poise.simulation.components.modelled_container import Moment, SimulatedContainer
 from poise.simulation.components.models import ComponentModel
 from poise.simulation.network.datagrams import Addresses, SimulatedDatagrams
 from poise.simulation.network.links import links_of
@@ -25,6 +25,7 @@ from poise.simulation.schedule.scheduler import Scheduler
 from poise.simulation.schedule.simulated_library import SimulatedLibrary
 from poise.simulation.workload import SimulatedWork
 from poise.wire.records.deployment_records import ConnectorSpec
+from poise.wire.records.request_records import Claim, ManagerId
 
 _LONGEST_UPTIME = 1e5
 _DRIFT = 25e-6
@@ -44,7 +45,10 @@ class SimulatedRobot:
     one last.
     `components`: all incarnations of components so far.
     `on_moment`: called with ``steps`` and a computer when a container gets steps of a
-    migration, and with ``up`` when a manager is up there.
+    migration, with ``up`` when a manager is up there, and with ``paused`` when the one
+    there hangs.
+    `on_claim`: called with a computer, a claim that its agent accepted, and the manager
+    that it obeyed before.
     `on_entry`: called with each entry of a manager's journal.
     """
 
@@ -70,7 +74,8 @@ class SimulatedRobot:
         self.managers: list[SimulatedManager] = []
         self.endpoints: dict[str, str] = {}
         self.is_stopped = False
-        self.on_moment: Callable[[str, str], object] = lambda *_: None
+        self.on_moment: Callable[[Moment, str], object] = lambda *_: None
+        self.on_claim: Callable[[str, Claim, ManagerId], object] = lambda *_: None
         self.on_entry: Callable[[JournalEntry], object] = lambda _: None
         self.components: list[SimulatedComponent] = []
         self.workload = workload
