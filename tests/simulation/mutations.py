@@ -268,6 +268,10 @@ DEFECTS: Defects = {
         "another manager's agents extend the lease of an agent that was started again",
         _lease_of_another_manager,
     ),
+    "no-witness": (
+        "a take-over rolls back each half-done move, and asks no container",
+        _put(takeover, "_is_committed", lambda *_: False),
+    ),
     "stale-disk": (
         "an agent starts what its disk says, however old that is",
         _put(Supervisor, "_left", lambda _, spec: spec),
@@ -287,6 +291,10 @@ DEFECTS: Defects = {
     "late-lease": (
         "a lease begins with the first heartbeat of a manager that claims",
         _lease_of_first_heartbeat,
+    ),
+    "relayed-lease": (
+        "other agents extend a lease that ended while its agent stood still",
+        _put(Lease, "note_stall", lambda *_: None),
     ),
     "untold-commit": (
         "a manager says that it committed what no agent was told",

@@ -139,17 +139,18 @@ def test_the_next_agent_of_a_robot_without_others_lets_components_go_on(
     assert rig.ends == [inf]
 
 
-def heard(rig: Rig, number: int) -> None:
-    """Let the manager be heard, which has heard this agent."""
+def heard(rig: Rig, number: int, sender: str = THE_MANAGER) -> None:
+    """Let the manager be heard, which has heard this agent, or another agent."""
     now = rig.clock.now()
     beat = Heartbeat(
         robot="robot",
-        sender=THE_MANAGER,
+        sender=sender,
         key="k",
         number=number,
         sent=now,
         heard={"left": Echo(now, 0.0)},
         managed=0.0,
+        manager="k",
     )
     rig.exchange._hear([Received(beat, ("127.0.0.1", 3), now)])
 
@@ -230,6 +231,29 @@ def test_a_lease_ends_when_the_manager_that_claims_never_sends_a_heartbeat(
         rig.beat(0.1)
     assert rig.ends[-1] == -inf
     assert rig.fence.is_cut_off
+
+
+def test_after_a_stall_longer_than_the_lease_only_the_manager_extends_it(
+    rig: Rig,
+) -> None:
+    """It may have started what runs here elsewhere, and other agents not know yet."""
+    rig.exchange.begin("k", AGENTS, is_leased=True)
+    heard(rig, 1)
+    rig.beat(0.1)
+    rig.clock.sleep(0.9)
+    assert rig.beat(0.0) < 0
+    heard(rig, 1, "right")
+    assert rig.beat(0.01) < 0
+    heard(rig, 2)
+    assert rig.beat(0.01) > 0
+
+
+def test_other_agents_extend_the_lease_of_one_that_did_not_stall(rig: Rig) -> None:
+    rig.exchange.begin("k", AGENTS, is_leased=True)
+    heard(rig, 1)
+    for number in range(10):
+        assert rig.beat(0.1) > 0
+        heard(rig, number, "right")
 
 
 def test_what_ran_here_without_an_agent_waits_for_what_the_manager_says(

@@ -149,6 +149,7 @@ class Lease:
         self._others: Collection[str] = ()
         self._manager = ""
         self._began: float | None = None
+        self._stalled = -inf
 
     def begin(
         self, others: Collection[str], manager: str, began: float | None = None
@@ -156,6 +157,14 @@ class Lease:
         """Be claimed by a manager that knows these other agents, at a moment [s]."""
         self._others, self._manager = others, manager
         self._began = began
+
+    def note_stall(self, now: float) -> None:
+        """Note that its agent stood still until now [s], and that it ended meanwhile.
+
+        The manager may have begun to start elsewhere what runs here, before the other
+        agents know: from now on they extend nothing until it has heard this one.
+        """
+        self._stalled = now
 
     def managed(self, now: float) -> float | None:
         """Return how long ago it sent what its manager has heard [s]; None: unknown."""
@@ -171,7 +180,8 @@ class Lease:
         direct = self.managed(now)
         if direct is None:
             return 0.0
-        if direct <= ASK_AFTER:  # no other agent is needed
+        # no other agent is needed, or may extend it
+        if direct <= ASK_AFTER or now - direct < self._stalled:
             return direct
         others = [c for name in self._others if (c := self._contacts.get(name))]
         ages = [

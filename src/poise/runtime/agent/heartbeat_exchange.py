@@ -309,6 +309,8 @@ class HeartbeatExchange:
         self._looked_at = now
         if stalled > _STALLED:  # it could hear nobody meanwhile
             self._grace_until = max(self._grace_until, now + _GRACE)
+            if age >= LEASE:
+                self._lease.note_stall(now)
         has_slept, self._slept = slept > self._slept + _NAP, max(slept, self._slept)
         if not self._fence.is_cut_off and (
             has_slept or self._has_ended(now, age, stalled)
