@@ -1,7 +1,8 @@
 """Asks whether the simulator finds defects that Poise had, and mutations of its code.
 
     python -m tests.simulation.mutations                 # all, one after the other
-    python -m tests.simulation.mutations no-lease --seeds 200
+    python -m tests.simulation.mutations no-revoke --seeds 200
+    python -m tests.simulation.mutations token --first 20 --seeds 5
 
 Each runs in a process of its own: seeds one after the other until one fails, whose run
 is shrunk. The exit code is 1 when one is not found.
@@ -51,18 +52,19 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("names", nargs="*", help="defects; none: all")
     parser.add_argument("--seeds", type=int, default=MOST_SEEDS)
+    parser.add_argument("--first", type=int, default=0, help="the first seed")
     parser.add_argument("--shrink", type=int, default=40, help="runs, at most")
     parser.add_argument("--here", action="store_true", help="in this process")
     asked = parser.parse_args()
     if asked.here:
-        return look_for(asked.names[0], asked.seeds, asked.shrink)
+        return look_for(asked.names[0], asked.first, asked.seeds, asked.shrink)
     missed = 0
     for name in asked.names or DEFECTS:
         words = "-m", "tests.simulation.mutations", name, "--here"
         done = subprocess.run(
             [
                 *(sys.executable, *words, "--seeds", str(asked.seeds)),
-                *("--shrink", str(asked.shrink)),
+                *("--first", str(asked.first), "--shrink", str(asked.shrink)),
             ],
             stderr=subprocess.DEVNULL,
             check=False,
@@ -72,12 +74,12 @@ def main() -> int:
     return bool(missed)
 
 
-def look_for(name: str, seeds: int, most: int) -> int:
+def look_for(name: str, first: int, seeds: int, most: int) -> int:
     """Run seeds until one shows a defect; print one line of the table."""
     what, break_it = DEFECTS[name]
     break_it()
     scenario, began = small_scenario(SECONDS), time.monotonic()
-    for seed in range(seeds):
+    for seed in range(first, first + seeds):
         outcome = simulate(scenario, seed)
         if outcome.failure and not _fails_without(seed):
             shrunk = Shrunk(scenario, outcome)
