@@ -5,17 +5,20 @@ from __future__ import annotations
 import itertools
 import json
 import os
+import signal
 import sys
 import threading
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 import poise as api
+from poise.emulate import probe_host
 from poise.errors import CalleeError, RunError, Timeout, UsageError
-from tests.command import Poise, robot_up
+from tests.command import Poise, robot_up, run_poise
 from tests.waiting import wait_long
 
 pytestmark = pytest.mark.slow
@@ -52,7 +55,13 @@ class Sums(Protocol):
     def note(self, value: int) -> None: ...
 
 
+class Gains(Message):
+    gain: float
+    period: float = 0.5
+
+
 class Summer(Component):
+    parameters: Gains
     sums: Provided[Sums]
     said: Published[Number]
 
@@ -81,6 +90,10 @@ class Summer(Component):
     def numbers(self, message: Number) -> None:
         self.sum += message.value
 
+    def reconfigure(self, parameters: Gains) -> None:
+        if parameters.gain > 1:
+            raise ValueError(f"a gain of {parameters.gain} is too much")
+
     def snapshot(self) -> int:
         return self.sum
 
@@ -90,6 +103,9 @@ class Summer(Component):
 
 class Silent(Component):
     numbers: Published[Number]
+
+    def configure(self) -> None:
+        self.limit = self.parameters["limit"]
 
 
 class Hearer(Summer):
@@ -109,9 +125,21 @@ architectures:
     function: adding
     home: left
     components:
-      summer: {{implementation: "{NAME}:Summer", cpu: 5%, memory: 50 MiB}}
-      hearer: {{implementation: "{NAME}:Hearer", cpu: 5%, memory: 50 MiB}}
-      silent: {{implementation: "{NAME}:Silent", cpu: 5%, memory: 50 MiB}}
+      summer:
+        implementation: "{NAME}:Summer"
+        parameters: {{gain: 50%}}
+        cpu: 5%
+        memory: 50 MiB
+      hearer:
+        implementation: "{NAME}:Hearer"
+        parameters: {{gain: 1}}
+        cpu: 5%
+        memory: 50 MiB
+      silent:
+        implementation: "{NAME}:Silent"
+        parameters: {{limit: 3}}
+        cpu: 5%
+        memory: 50 MiB
     connectors:
       - {{between: [summer.said, hearer.heard]}}
       - {{between: [silent.numbers, summer.numbers]}}
@@ -276,6 +304,95 @@ def test_errors_are_those_of_calls_between_components(robot: api.Running) -> Non
         summer.call("sums", "sleep", 1.0, limit=0.1)
     with pytest.raises(UsageError, match="returned no dict: Expected"):
         summer.call("sums", "total", returns=dict)
+
+
+def test_parameters_are_kept_through_moves_and_restarts(
+    robot: api.Running, poise: Poise
+) -> None:
+    summer = robot.component("summer")
+    assert summer.parameters(limit=20.0) == {"gain": 0.5, "period": 0.5}
+    done = poise(
+        "param", "set", "summer", "gain=25%", "period=20 ms", "--robot", NAME, "--json"
+    )
+    assert json.loads(done.stdout) == {"gain": 0.25, "period": 0.02}
+    kept = {"gain": 0.25, "period": 0.02}
+    move(robot, "summer")
+    assert summer.parameters(limit=20.0) == kept
+    (pid,) = {
+        container.pid
+        for status in robot.status().computers.values()
+        for container in status.containers
+        for component in container.components
+        if component.name == "summer"
+    }
+    os.kill(pid, signal.SIGKILL)
+    wait_long(lambda: pid not in pids(robot))
+    assert summer.parameters(limit=20.0) == kept
+    shown = poise("param", "get", "summer", "gain", "--robot", NAME)
+    assert shown.stdout == "0.25\n"
+
+
+def test_the_next_manager_keeps_parameters(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if reasons := probe_host().without_network():
+        pytest.skip("; ".join(reasons))
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    next_ = f"{NAME}-next"
+    (tmp_path / f"{NAME}.py").write_text(CODE)
+    file = tmp_path / "robot.yaml"
+    file.write_text(ROBOT.replace(f"robot: {NAME}", f"robot: {next_}"))
+    try:
+        assert run_poise("up", file, "--detach").returncode == 0
+        first = api.connect(next_)
+        first.component("summer").set_parameters({"gain": 0.75}, limit=20.0)
+        os.kill(first.status().manager.pid, signal.SIGKILL)
+        assert run_poise("up", file, "--detach").returncode == 0
+        robot = api.connect(next_)
+        for _ in range(2):
+            values = robot.component("summer").parameters(limit=20.0)
+            assert values == {"gain": 0.75, "period": 0.5}
+            move(robot, "summer")
+    finally:
+        run_poise("stop", "--robot", next_)
+        run_poise("emulate", "stop", "--robot", next_)
+
+
+def test_parameters_that_do_not_fit_change_nothing(poise: Poise) -> None:
+    for changes, code, said in (
+        (("gain=2",), 1, "ValueError: a gain of 2.0 is too much"),
+        (("gain=0.1", "perod=1"), 2, "no parameter 'perod' (did you mean 'period'?)"),
+        (("gain=high",), 2, "parameter 'gain' is 'high': Expected `float`"),
+        (("gain",), 2, "'gain': give NAME=VALUE"),
+    ):
+        done = poise("param", "set", "hearer", *changes, "--robot", NAME)
+        assert (done.returncode, said in done.stderr) == (code, True), done.stderr
+    done = poise("param", "set", "silent", "limit=4", "--robot", NAME)
+    assert (done.returncode, "has no `reconfigure`" in done.stderr) == (2, True)
+    done = poise("param", "list", "--robot", NAME, "--json")
+    assert json.loads(done.stdout)["hearer"] == {"gain": 1.0, "period": 0.5}
+    assert json.loads(done.stdout)["silent"] == {"limit": 3}
+
+
+def test_the_check_says_where_a_parameter_does_not_fit(
+    poise: Poise, tmp_path: Path
+) -> None:
+    (tmp_path / f"{NAME}.py").write_text(CODE)
+    (tmp_path / "robot.yaml").write_text(ROBOT.replace("gain: 50%", "gian: 50%"))
+    done = poise("check", tmp_path / "robot.yaml")
+    assert done.returncode == 1
+    assert "robot.yaml:13:" in done.stdout + done.stderr
+    assert "no parameter 'gian' (did you mean 'gain'?)" in done.stdout + done.stderr
+    assert "parameter 'gain' is missing" in done.stdout + done.stderr
+
+
+def pids(robot: api.Running) -> set[int]:
+    return {
+        container.pid
+        for status in robot.status().computers.values()
+        for container in status.containers
+        if container.components
+    }
 
 
 def test_one_who_does_not_run_is_waited_for_within_the_limit(

@@ -25,6 +25,7 @@ from poise.manage.control_socket.commands import (
     Command,
     JournalCommand,
     MoveCommand,
+    ParametersCommand,
     RebalanceCommand,
     Rebalanced,
     Refusal,
@@ -37,6 +38,7 @@ from poise.manage.control_socket.commands import (
     TaskCommand,
     TaskDone,
 )
+from poise.manage.control_socket.port_requests import set_parameters
 from poise.manage.control_socket.read_commands import answer, status_of
 from poise.manage.deploy.deactivation import stop
 from poise.manage.deploy.lost_computers import LostComputers
@@ -52,6 +54,8 @@ from poise.manage.shortages.suspension import Suspensions
 from poise.manage.tasks.prefetch import Prefetcher
 from poise.manage.tasks.task_manager import TaskManager
 from poise.manage.tasks.task_progress import Saved
+from poise.wire.codec import unpack
+from poise.wire.records.request_records import PortAnswer
 
 MOST_COMMANDS = 64
 """At most this many commands queue; further ones are refused."""
@@ -130,14 +134,31 @@ class Manager:
             future.set_result(Refusal("the robot is being stopped", "RunError"))
         elif (seen := answer(self._run, self.status, command)) is not None:
             future.set_result(seen)
+        elif isinstance(command, ParametersCommand):
+            self._set_parameters(command, future)
         else:
-            try:
-                self._commands.put_nowait((command, future))
-                self._run.agents.notify()
-            except queue.Full:
-                text = f"{MOST_COMMANDS} commands wait already: try again later"
-                future.set_result(Refusal(text, "RunError"))
+            self._enqueue(command, future)
         return future
+
+    def _set_parameters(self, command: ParametersCommand, future: Results) -> None:
+        """Let a component take parameters; what it took is kept by this command."""
+        try:
+            answer = set_parameters(self._run, command)
+        except PoiseError as error:
+            future.set_result(Refusal.from_error(error))
+            return
+        if answer.outcome == "done":
+            self._enqueue(structs.replace(command, changes=answer.value), future)
+        else:
+            future.set_result(answer)
+
+    def _enqueue(self, command: Command, future: Results) -> None:
+        try:
+            self._commands.put_nowait((command, future))
+            self._run.agents.notify()
+        except queue.Full:
+            text = f"{MOST_COMMANDS} commands wait already: try again later"
+            future.set_result(Refusal(text, "RunError"))
 
     def status(self) -> RobotStatus:
         """Return the last known state; from any thread, at once."""
@@ -297,19 +318,25 @@ class Manager:
         match command:
             case MoveCommand(component, computer, dry=True):
                 return self._adaptation.what_if(component, computer)
-            case MoveCommand(component, computer, force):
-                self._adaptation.check_asked(component, computer, force=force)
-                return move(run, component, computer, force=force).begin()
-            case ReplaceCommand(component, by, adapt, fresh) if ":" in by:
-                return replace(run, component, by, adapt, fresh=fresh).begin()
-            case ReplaceCommand(what, by, adapt, fresh):
-                return replace_architecture(run, what, by, adapt, fresh=fresh).begin()
             case TaskCommand(verb, task, priority):
                 self.tasks.command(verb, task, priority)
                 return TaskDone(self.tasks.report(task))
+            case ParametersCommand(component=component, changes=changes):
+                desired = run.desired.with_parameters(component, unpack(changes))
+                run.commit(desired, f"parameters of '{component}' are set")
+                return PortAnswer(number=0, outcome="done", value=changes)
             case RebalanceCommand(cost, dry):
                 return Rebalanced(*self._adaptation.balance(cost, dry=dry))
-        raise AssertionError(command)
+            case MoveCommand(component, computer, force):
+                self._adaptation.check_asked(component, computer, force=force)
+                planned = move(run, component, computer, force=force)
+            case ReplaceCommand(component, by, adapt, fresh) if ":" in by:
+                planned = replace(run, component, by, adapt, fresh=fresh)
+            case ReplaceCommand(what, by, adapt, fresh):
+                planned = replace_architecture(run, what, by, adapt, fresh=fresh)
+            case _:
+                raise AssertionError(command)
+        return planned.begin()
 
     def _situation(self) -> Situation:
         return self._reader.read(self.tasks.now())

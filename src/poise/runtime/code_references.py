@@ -14,6 +14,7 @@ from poise.model.robot import Architecture, ComponentEntry, Robot
 from poise.model.yaml.tree import Finding
 from poise.model.yaml.tree import Path as Place
 from poise.runtime.component.component import Component
+from poise.runtime.component.parameters import parameters_type, problems
 from poise.runtime.hosting.command_line import program
 from poise.suggest import did_you_mean, listed
 
@@ -52,7 +53,12 @@ def check_programs(robot: Robot) -> Iterator[Finding]:
 def check_parameters(
     path: Place, entry: ComponentEntry, code: type[Component]
 ) -> Iterator[Finding]:
-    """Yield the parameters that no code of a component reads."""
+    """Yield the parameters that no code of a component reads, or do not fit it."""
+    if (type_ := parameters_type(code)) is not None:
+        for name, text in problems(type_, entry.parameters):
+            place = (*path, "parameters", name) if name else path
+            yield Finding(place, f"'{entry.implementation}': {text}")
+        return
     if not entry.parameters or (known := _read_by(code)) is None:
         return
     for name in entry.parameters:

@@ -51,12 +51,12 @@ def call_command(
     places, names = [], {}
     for argument in arguments or ():
         if found := _NAMED.fullmatch(argument):
-            names[found[1]] = _value(found[2])
+            names[found[1]] = value_of(found[2])
         elif names:
             raise UsageError(f"{argument}: values without a name come first")
         else:
-            places.append(_value(argument))
-    result = component.call(name, method, *places, limit=limit, **names)
+            places.append(value_of(argument))
+    result = component.call_with(name, method, places, names, limit=limit)
     if as_json:
         print_json({"result": Plain(sys.maxsize).of(result)})
     elif result is not None:
@@ -91,7 +91,7 @@ def pub_command(
     if rate is not None and not (math.isfinite(rate) and rate > 0):
         raise UsageError(f"--rate {rate:g}: must be a positive number of messages")
     component, name = _component(port, robot)
-    value = _value(message)
+    value = value_of(message)
     most = count or (1 if rate is None else None)
     sent, began = 0, time.monotonic()
     try:
@@ -111,7 +111,8 @@ def _component(port: str, robot: str | None) -> tuple[RunningComponent, str]:
     return connect(robot).component(component), name
 
 
-def _value(text: str) -> Any:  # noqa: ANN401, YAML's
+def value_of(text: str) -> Any:  # noqa: ANN401, YAML's
+    """Return the value that a text in JSON or YAML has."""
     try:
         return yaml.safe_load(text)
     except yaml.YAMLError as error:

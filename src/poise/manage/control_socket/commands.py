@@ -104,6 +104,14 @@ class PortCommand(Struct, frozen=True, tag=True, kw_only=True):
     limit: float = 1.0
 
 
+class ParametersCommand(Struct, frozen=True, tag=True, kw_only=True):
+    """Set parameters of a component that runs, for as long as its robot is up."""
+
+    component: str
+    changes: Packed
+    limit: float = 1.0
+
+
 class LogCommand(Struct, frozen=True, tag=True):
     """Tell what components wrote; see `ReadOutput`. `after`: computer -> moment."""
 
@@ -129,6 +137,7 @@ Command = (
     | RebalanceCommand
     | TapCommand
     | PortCommand
+    | ParametersCommand
     | LogCommand
     | TaskCommand
 )

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import secrets
+from typing import Any
 
 from poise.errors import RunError, UsageError
 from poise.manage.agent_connections.statuses import components_of
-from poise.manage.control_socket.commands import PortCommand
+from poise.manage.control_socket.commands import ParametersCommand, PortCommand
 from poise.manage.deploy.running_components import RunningComponents
 from poise.suggest import did_you_mean, listed
 from poise.units import format_bytes
+from poise.wire.codec import pack, unpack
 from poise.wire.records.migration_records import StepsFailed
 from poise.wire.records.request_records import (
     MOST_PACKED,
+    PARAMETERS,
     PortAnswer,
     PortRequest,
     Refused,
@@ -54,6 +57,30 @@ def ask_port(run: RunningComponents, command: PortCommand) -> PortAnswer:
                 f"{why}"
             )
         clock.sleep(_LOOK_EVERY)
+
+
+def set_parameters(run: RunningComponents, command: ParametersCommand) -> PortAnswer:
+    """Let a component take other parameters, or refuse; raises as `ask_port`.
+
+    From any thread; the manager then keeps what the component took.
+    """
+    commands = {entry.name for entry in run.robot.components() if entry.command}
+    if command.component in commands:
+        raise UsageError(
+            f"component '{command.component}' is a command line: it reads its "
+            "parameters when it starts"
+        )
+    changes = unpack(command.changes, dict[str, Any])
+    return ask_port(
+        run,
+        PortCommand(
+            component=command.component,
+            port=PARAMETERS,
+            method="set",
+            value=pack(((), changes)),
+            limit=command.limit,
+        ),
+    )
 
 
 def _check(run: RunningComponents, command: PortCommand) -> None:

@@ -12,6 +12,7 @@ these computers, or a person says that it takes over.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from typing import Any
 
 from msgspec import Struct, structs
 from msgspec.structs import replace
@@ -82,6 +83,17 @@ def found_in(deployments: Mapping[str, Deployment]) -> list[ReportedIncarnation]
         for container in deployment.containers
         for spec in container.components
     ]
+
+
+def changed_parameters(
+    found: Iterable[ReportedIncarnation],
+) -> dict[str, Mapping[str, Any]]:
+    """Return component -> its parameters that were set since the start, if any."""
+    return {
+        reported.name: reported.spec.changed_parameters
+        for reported in sorted(found, key=lambda f: f.spec.epoch)
+        if reported.spec.changed_parameters
+    }
 
 
 def as_committed(
@@ -337,6 +349,7 @@ def joined_by(
     active again where it is.
     """
     placed, held = dict(desired.placed), set(desired.held)
+    parameters = dict(desired.parameters)
     provided = {
         a.function
         for a in robot.architectures
@@ -358,9 +371,12 @@ def joined_by(
         )
         if reported.goal == "active" and (is_later or is_lacking):
             placed[reported.name] = reported.incarnation
+            parameters |= changed_parameters([reported])
             is_fenced = reported.spec.held or (
                 reported.computer in fenced and reported.spec.leased
             )
             (held.add if is_fenced else held.discard)(reported.name)
     freed = {name for name in held if allowed[name].isdisjoint(missing)}
-    return replace(desired, placed=placed, held=frozenset(held - freed))
+    return replace(
+        desired, placed=placed, held=frozenset(held - freed), parameters=parameters
+    )

@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping
 from itertools import pairwise
 from pathlib import PurePath
+from typing import Any
 
 from msgspec import Struct, structs
 
@@ -103,10 +104,12 @@ class DeploymentPlan:
         generation: int,
         gateways: Mapping[str, str],
         preparation_cpu: Mapping[str, float] = {},
+        parameters: Mapping[str, Mapping[str, Any]] = {},
     ) -> dict[str, Deployment]:
         """Return what should run on each computer, by its name.
 
         `preparation_cpu`: computer -> CPU for what is being prepared there [cores].
+        `parameters`: component -> those that were set since the start.
         """
         placed = tuple(incarnations)
         connectors = self._connectors(placed, gateways)
@@ -128,7 +131,10 @@ class DeploymentPlan:
                     )
                     else 0.0,
                     repository=self._robot.repository,
-                    components=tuple(map(self.component_spec, inside)),
+                    components=tuple(
+                        self.component_spec(each, parameters.get(each.component, {}))
+                        for each in inside
+                    ),
                     connectors=tuple(connectors.get(at, ())),
                 )
             )
@@ -220,8 +226,13 @@ class DeploymentPlan:
         """Return its computer and its container."""
         return incarnation.computer, self._containers[incarnation.component]
 
-    def component_spec(self, incarnation: Incarnation) -> ComponentSpec:
-        """Return what an agent is told of an incarnation."""
+    def component_spec(
+        self, incarnation: Incarnation, parameters: Mapping[str, Any] = {}
+    ) -> ComponentSpec:
+        """Return what an agent is told of an incarnation.
+
+        `parameters`: those that were set since the start.
+        """
         component = self._components[incarnation.component]
         implementation = incarnation.implementation or component.implementation
         is_other = implementation != component.implementation
@@ -243,6 +254,7 @@ class DeploymentPlan:
             adapt=incarnation.adapt,
             fresh=incarnation.fresh,
             parameters=component.parameters,
+            changed_parameters=parameters,
             devices={
                 name: self._path(self._robot.device(name).path)
                 for name in component.devices

@@ -7,6 +7,7 @@ any thread may read the record that is in force.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping
+from typing import Any
 
 from msgspec import Struct, structs
 from msgspec.structs import replace
@@ -52,6 +53,8 @@ class Desired(Struct, frozen=True, kw_only=True):
     held: frozenset[str] = frozenset()
     # computer -> CPU for what is being prepared there [cores]
     preparation_cpu: Mapping[str, float] = {}
+    # component -> its parameters that were set since the start
+    parameters: Mapping[str, Mapping[str, Any]] = {}
     # what the next manager needs to go on with the tasks; agents keep it
     tasks: bytes = b""
     generation: int = 0
@@ -138,6 +141,11 @@ class Desired(Struct, frozen=True, kw_only=True):
         }
         return replace(self, placed=placed)
 
+    def with_parameters(self, component: str, changes: Mapping[str, Any]) -> Desired:
+        """Return this with other values of some parameters of a component."""
+        values = {**self.parameters.get(component, {}), **changes}
+        return replace(self, parameters={**self.parameters, component: values})
+
     def released(self) -> Desired:
         """Return this without any change under way: what was placed goes on."""
         return replace(
@@ -163,4 +171,9 @@ def difference(before: Desired, after: Desired) -> list[str]:
         for key, incarnation in new.items()
         if key in old and old[key].goal != incarnation.goal
     )
-    return [*gone, *come, *aims]
+    values = (
+        f"parameters of {name}: {dict(changed)}"
+        for name, changed in after.parameters.items()
+        if changed != before.parameters.get(name, {})
+    )
+    return [*gone, *come, *aims, *values]

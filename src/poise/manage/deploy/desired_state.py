@@ -9,6 +9,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Mapping
 from functools import partial
+from typing import Any
 
 from msgspec import structs
 
@@ -125,6 +126,7 @@ class DesiredState:
         last_epochs: Mapping[str, int],
         tasks: bytes,
         held: frozenset[str],
+        parameters: Mapping[str, Mapping[str, Any]],
     ) -> None:
         """Go on with what an earlier manager left, in place of what was planned."""
         self._epochs = dict(last_epochs)
@@ -134,7 +136,11 @@ class DesiredState:
         # a record of its own also when it is just what was planned: agents refuse one
         # that is older than what they were told last
         desired = Desired(
-            placed=dict(kept), tasks=tasks, held=held, generation=self._last_epoch
+            placed=dict(kept),
+            tasks=tasks,
+            held=held,
+            parameters=parameters,
+            generation=self._last_epoch,
         )
         self.commit(desired, "taking the robot over")
 
@@ -176,6 +182,7 @@ class DesiredState:
                     self.desired.generation,
                     now[1],
                     self.desired.preparation_cpu,
+                    self.desired.parameters,
                 ).items()
             }
             self._deployed_for = now

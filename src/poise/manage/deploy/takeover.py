@@ -16,6 +16,7 @@ from poise.manage.deploy.adoption import (
     ReportedIncarnation,
     adopt,
     as_committed,
+    changed_parameters,
     components_to_hold,
     found_in,
     is_half_done,
@@ -116,7 +117,13 @@ def _take_over(
     )
     _note(run, adoption)
     starts = where_held(run.robot, adoption.starts, held, run.claimed)
-    run.adopt(adoption.kept, _last_epochs(reported), tasks, held)
+    run.adopt(
+        adoption.kept,
+        _last_epochs(reported),
+        tasks,
+        held,
+        changed_parameters(reported),
+    )
     for sentence in (*unclaimed.values(), *run.unreached().values()):
         run.journal.note("wrong", sentence)
     seconds = time.monotonic() - began

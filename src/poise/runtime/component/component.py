@@ -10,10 +10,18 @@ from contextlib import contextmanager
 from typing import Any, ClassVar, Literal, TypeVar
 
 from msgspec import Struct
+from msgspec.structs import replace
 
 from poise.clock import ComponentClock
 from poise.errors import UsageError
 from poise.runtime import _calls
+from poise.runtime.component.parameters import (
+    Values,
+    as_declared,
+    parameters_type,
+    plain,
+)
+from poise.suggest import did_you_mean, listed
 from poise.wire.connections import connection
 
 Verb = Literal["start", "pause", "resume", "cancel"]
@@ -35,7 +43,7 @@ class Context(Struct, frozen=True, kw_only=True):
     """
 
     name: str
-    parameters: Mapping[str, Any]
+    parameters: Any
     devices: Mapping[str, str]
     clock: ComponentClock
     measure: Callable[[str, float], None]
@@ -102,8 +110,11 @@ class Component:
         return self._context.name
 
     @property
-    def parameters(self) -> Mapping[str, Any]:
-        """Its parameters from the robot file."""
+    def parameters(self) -> Any:  # noqa: ANN401, as its class declares
+        """Its parameters, from the robot file or as they were set since.
+
+        Values by name; or, where the class says ``parameters: Gains``, that Struct.
+        """
         return self._context.parameters
 
     @property
@@ -148,6 +159,17 @@ class Component:
 
     def configure(self) -> None:
         """Make ready what `parameters` and devices ask for; the ports are not wired."""
+
+    def reconfigure(self, parameters: Any) -> None:  # noqa: ANN401, ARG002
+        """Take other parameters while it runs, or refuse them by raising.
+
+        Called while nothing else of it runs; `self.parameters` has the old ones until
+        it returns. Where it is not overridden, all changes are refused.
+        """
+        raise UsageError(
+            f"'{self.name}' takes no parameters while it runs: "
+            f"{type(self).__qualname__} has no `reconfigure`"
+        )
 
     def activate(self) -> None:
         """Begin to work: the ports are wired, timers and messages come afterwards."""
@@ -201,7 +223,8 @@ C = TypeVar("C", bound=Component)
 def create(implementation: type[C], context: Context) -> C:
     """Return a new component that knows its context already in ``__init__``."""
     component = implementation.__new__(implementation)
-    component._context = context  # noqa: SLF001, this is its constructor
+    parameters = as_declared(implementation, context.parameters)
+    component._context = replace(context, parameters=parameters)  # noqa: SLF001, this is its constructor
     component.__init__()  # type: ignore[misc]
     return component
 
@@ -243,3 +266,22 @@ def time_left() -> float:
     """
     left = max(0.0, _calls.time_left(math.inf))
     return 0.0 if left > 0.0 and connection.is_gone() else left
+
+
+def set_parameters(component: Component, changes: Values) -> None:
+    """Let a component take other values of some of its parameters, or none of them.
+
+    Raises UsageError: there is no such parameter, or a value does not fit; and whatever
+    its `reconfigure` raises.
+    """
+    now = plain(component.parameters)
+    known = parameters_type(type(component))
+    for name in changes:
+        if known is None and name not in now:
+            raise UsageError(
+                f"'{component.name}' has no parameter '{name}'"
+                f"{did_you_mean(name, now)}; it has {listed(now)}"
+            )
+    new = as_declared(type(component), {**now, **changes})
+    component.reconfigure(new)
+    component._context = replace(component._context, parameters=new)  # noqa: SLF001, its part

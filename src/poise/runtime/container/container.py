@@ -277,7 +277,7 @@ class Container:
             elif (goal := wanted[key].goal) == "stay":
                 runner.gate.begin_migration()
             else:
-                runner.begin_action(wanted[key])
+                runner.note_spec(wanted[key])
                 runner.aim(goal)
         for key in self._preparing.keys() - wanted:
             del self._preparing[key]

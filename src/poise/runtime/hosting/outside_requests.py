@@ -13,17 +13,23 @@ from typing import Any, NoReturn, get_args
 
 from poise import threads
 from poise.errors import CalleeError, PoiseError, Timeout, UsageError
-from poise.runtime.component.component import within
+from poise.runtime.component.component import set_parameters, within
+from poise.runtime.component.parameters import plain
 from poise.runtime.component.ports import Port
 from poise.runtime.connectors.interface import Method, message_tag, methods
-from poise.runtime.connectors.route import direct_call
+from poise.runtime.connectors.route import direct_call, raise_callee_error
 from poise.runtime.execution.counters import Counts
 from poise.runtime.execution.exclusion import Redirected, new_chain
 from poise.runtime.execution.mailbox import Feed
 from poise.runtime.hosting.runner import Runner
 from poise.suggest import did_you_mean, listed
 from poise.wire.codec import Packed, WireError, pack, unpack
-from poise.wire.records.request_records import MOST_PACKED, PortAnswer, PortRequest
+from poise.wire.records.request_records import (
+    MOST_PACKED,
+    PARAMETERS,
+    PortAnswer,
+    PortRequest,
+)
 
 _THREADS = 4
 _MOST_WAITING = 64
@@ -111,6 +117,8 @@ class OutsideRequests:
             raise Away(f"component '{request.component}' is {state}")
         if runner.is_fenced:
             raise Away(f"the lease of component '{request.component}' has ended")
+        if request.port == PARAMETERS:
+            return _parameters(runner, request, until)
         port = _port(runner, request)
         if port.kind == "provides":
             return self._call(runner, port, request, until)
@@ -166,6 +174,27 @@ def _inside(runner: Runner, until: float, do: Callable[[], object]) -> None:
         do()
     finally:
         runner.exclusion.leave()
+
+
+def _parameters(runner: Runner, request: PortRequest, until: float) -> dict[str, Any]:
+    """Return parameters, all or those that are set."""
+    component = runner.component
+    _, changes = unpack(request.value, tuple[list[Any], dict[str, Any]])
+    if request.method == "get":
+        return plain(component.parameters)
+
+    def change() -> None:
+        try:
+            set_parameters(component, changes)
+        except PoiseError:
+            raise
+        # a user's hook may raise anything
+        except Exception as error:  # noqa: BLE001
+            raise_callee_error(error)
+
+    _inside(runner, until, change)
+    now = plain(component.parameters)
+    return {name: now[name] for name in changes}
 
 
 def _port(runner: Runner, request: PortRequest) -> Port:

@@ -8,7 +8,7 @@ exclusion. `ExecutionGate` pauses both.
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import nullcontext
 from functools import partial
 from typing import Any
@@ -18,8 +18,9 @@ from poise.clock import ComponentClock, wall_time
 from poise.errors import Timeout
 from poise.priority import ahead
 from poise.runtime._calls import ComponentCounters, Histogram
-from poise.runtime.component.component import Component, Context, create
+from poise.runtime.component.component import Component, Context, create, set_parameters
 from poise.runtime.component.error_report import Errors
+from poise.runtime.component.parameters import plain
 from poise.runtime.component.ports import ports_of, timers_of
 from poise.runtime.connectors.endpoints import Endpoints
 from poise.runtime.connectors.interface import methods
@@ -61,7 +62,7 @@ class Runner:
             implementation,
             Context(
                 name=spec.name,
-                parameters=spec.parameters,
+                parameters={**spec.parameters, **spec.changed_parameters},
                 devices=spec.devices,
                 clock=clock,
                 measure=self._measure,
@@ -95,6 +96,7 @@ class Runner:
         self._measures: dict[str, Histogram] = {}
         self._errors = Errors(spec.name)
         self._action = spec
+        self._changed_parameters = spec.changed_parameters
         # one that comes to take over from another goes on with its action
         is_new = spec.goal == "active" or spec.fresh
         self._action_begun = 0 if is_new else spec.action_number
@@ -125,8 +127,11 @@ class Runner:
             self.gate.resume()
         self.endpoints.mailbox.wake()
 
-    def begin_action(self, spec: ComponentSpec) -> None:
-        """Begin an action once it is active, if that is another one than before."""
+    def note_spec(self, spec: ComponentSpec) -> None:
+        """Take in what its deployment says now: another action, other parameters.
+
+        They are taken once it is active.
+        """
         self._action = spec
 
     def wait_ended(self, limit: float) -> bool:
@@ -289,6 +294,9 @@ class Runner:
     def _work(self) -> None:
         """Run the timers that are due, then at most one message."""
         spec = self._action
+        if spec.changed_parameters != self._changed_parameters and self._enter():
+            self._changed_parameters = spec.changed_parameters
+            self._run(self._take_parameters, "reconfigure", spec.changed_parameters)
         if spec.action_number > self._action_begun and self._enter():
             self._action_begun = spec.action_number
             self._run(self.component.begin, "begin", spec.action)
@@ -304,6 +312,12 @@ class Runner:
         self.counters.note_busy()
         if inbox is not None and self._enter():
             self._deliver(inbox)
+
+    def _take_parameters(self, changes: Mapping[str, Any]) -> None:
+        """Take parameters that were set at another place, or while it was away."""
+        now = plain(self.component.parameters)
+        if any(now.get(name) != value for name, value in changes.items()):
+            set_parameters(self.component, changes)
 
     def _take_checkpoint(self, checkpoints: Checkpoints, due: float | None) -> float:
         """Take a checkpoint when it is time; return when there is something to do."""

@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import secrets
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, TypeVar, cast, get_type_hints
 
 import msgspec
 
 from poise.errors import CalleeError, RunError, Timeout, UsageError
-from poise.manage.control_socket.commands import PortCommand, TapCommand
+from poise.manage.control_socket.commands import (
+    ParametersCommand,
+    PortCommand,
+    TapCommand,
+)
 from poise.manage.control_socket.control_client import ask
 from poise.wire.codec import Packed, WireError, pack, unpack
-from poise.wire.records.request_records import PortAnswer, TapReading
+from poise.wire.records.request_records import PARAMETERS, PortAnswer, TapReading
 
 _LOOK_EVERY = 0.05
 I = TypeVar("I")  # noqa: E741, an interface
@@ -44,6 +48,7 @@ class RunningComponent:
         self,
         port: str,
         method: str,
+        /,
         *args: object,
         limit: float = 1.0,
         returns: Any = Any,  # noqa: ANN401, any type
@@ -58,7 +63,8 @@ class RunningComponent:
         method
             One of its interface.
         *args, **kwargs
-            The method's arguments: of its types, or plain data that fits them.
+            The method's arguments: of its types, or plain data that fits them. One that
+            is named as what follows here goes by its place.
         limit
             How long it waits at most, also while the component moves [s]; up to 50.
         returns
@@ -71,6 +77,19 @@ class RunningComponent:
         Timeout
             There was no answer in time; the method may still run.
         """
+        return self.call_with(port, method, args, kwargs, limit=limit, returns=returns)
+
+    def call_with(
+        self,
+        port: str,
+        method: str,
+        args: Sequence[object] = (),
+        kwargs: Mapping[str, object] = {},
+        *,
+        limit: float = 1.0,
+        returns: Any = Any,  # noqa: ANN401, any type
+    ) -> Any:  # noqa: ANN401, of the type that it returns
+        """Call a method as `call` does, with arguments of any names."""
         answer = self._ask(port, method, (args, kwargs), limit)
         try:
             return unpack(answer.value, returns)
@@ -142,6 +161,44 @@ class RunningComponent:
                 )
             time.sleep(_LOOK_EVERY)
 
+    def parameters(self, *, limit: float = 1.0) -> dict[str, Any]:
+        """Return its parameters by name, as they are now.
+
+        Parameters
+        ----------
+        limit
+            How long it waits at most [s]; up to 50.
+        """
+        return dict(unpack(self._ask(PARAMETERS, "get", ((), {}), limit).value))
+
+    def set_parameters(
+        self, changes: Mapping[str, object], *, limit: float = 1.0
+    ) -> dict[str, Any]:
+        """Set some of its parameters; return them as it took them.
+
+        They hold for as long as the robot is up: after moves and restarts, on another
+        computer, and under another manager. The robot file stays as it is.
+
+        Parameters
+        ----------
+        changes
+            Their names and values; quantities may have units.
+        limit
+            How long it waits at most [s]; up to 50.
+
+        Raises
+        ------
+        CalleeError
+            Its ``reconfigure`` refused them: none has changed.
+        """
+        try:
+            packed = pack(dict(changes))
+        except WireError as error:
+            raise UsageError(str(error)) from error
+        command = ParametersCommand(component=self.name, changes=packed, limit=limit)
+        answer = self._checked(ask(self._robot, command, PortAnswer), PARAMETERS)
+        return dict(unpack(answer.value))
+
     def _ask(self, port: str, method: str, value: object, limit: float) -> PortAnswer:
         try:
             packed = pack(value)
@@ -150,7 +207,9 @@ class RunningComponent:
         command = PortCommand(
             component=self.name, port=port, method=method, value=packed, limit=limit
         )
-        answer = ask(self._robot, command, PortAnswer)
+        return self._checked(ask(self._robot, command, PortAnswer), port)
+
+    def _checked(self, answer: PortAnswer, port: str) -> PortAnswer:
         match answer.outcome:
             case "raised":
                 raise CalleeError(answer.error_type, answer.reason, answer.traceback)
@@ -181,9 +240,8 @@ class _Interface:
         returns = get_type_hints(method).get("return", type(None))
 
         def call(*args: object, **kwargs: object) -> Any:  # noqa: ANN401, its result
-            ask_for = self._component.call
-            return ask_for(
-                self._port, name, *args, limit=self._limit, returns=returns, **kwargs
+            return self._component.call_with(
+                self._port, name, args, kwargs, limit=self._limit, returns=returns
             )
 
         return call

@@ -46,6 +46,7 @@ class ComponentSpec(Struct, frozen=True, kw_only=True):
     adapt: str = ""
     fresh: bool = False  # Whether it begins without the state of the incarnation before
     parameters: Mapping[str, Any] = {}
+    changed_parameters: Mapping[str, Any] = {}  # Those that were set since the start
     devices: Mapping[str, str] = {}  # Device names to paths
     # Whether the size of its snapshot is taken when it is deactivated
     weigh: bool = False

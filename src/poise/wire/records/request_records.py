@@ -137,6 +137,10 @@ MOST_PACKED = 16 << 20
 """No more comes from outside, or goes out there, at once [bytes]."""
 
 
+PARAMETERS = "parameters"
+"""The port of every component that answers ``get()`` and ``set(name=value, ...)``."""
+
+
 class PortRequest(Struct, frozen=True, tag=True, kw_only=True):
     """Give a port a message, publish one there, or call it, for somebody outside.
 
