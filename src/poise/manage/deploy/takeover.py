@@ -165,7 +165,7 @@ def _at_work(
     with contextlib.suppress(RobotError):  # what is lacking can run nowhere
         return {
             **{name: may[0] for name, may in homes.items()},
-            **placed_beside(situation, homes).result.placement,
+            **placed_beside(situation, homes).placement,
         }
     return {name: may[0] for name, may in homes.items()}
 

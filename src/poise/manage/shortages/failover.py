@@ -121,10 +121,10 @@ def fail_over(situation: Situation, lost: Collection[str]) -> Failover:
     stranded = [name for name in homes if name not in works]
     if not stranded:
         return Failover(placement={}, missing=missing)
-    problem, result = placed_beside(situation, homes)
+    result = placed_beside(situation, homes)
     if result.feasible:
         where = {name: result.placement[name] for name in stranded}
-        has_room = plan.evaluate(problem, {**works, **where}).feasible
+        has_room = plan.evaluate(result.problem, {**works, **where}).feasible
         then = works if has_room else {name: result.placement[name] for name in works}
         with contextlib.suppress(RobotError):  # no way leads there
             robot = (
@@ -160,7 +160,7 @@ def _by_priority(
         for lower in _more_and_more(situation, architecture.priority, kept):
             gone = {c.name for a in lower for c in a.components}
             left = {name: at for name, at in kept.items() if name not in gone}
-            result = placed_beside(situation, {**left, **wanted}).result
+            result = placed_beside(situation, {**left, **wanted})
             if result.feasible:
                 where = {name: result.placement[name] for name in names}
                 placement |= where

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping
-from typing import NamedTuple
 
 from msgspec.structs import replace
 
@@ -21,14 +20,7 @@ from poise.model.check.allowed_computers import allowed_computers
 from poise.model.robot import ComponentEntry, Computer, Robot
 
 
-class PlacedBeside(NamedTuple):
-    """Where components run, and the problem that this solves."""
-
-    problem: plan.Problem
-    result: plan.Result
-
-
-def placed_beside(situation: Situation, homes: Homes) -> PlacedBeside:
+def placed_beside(situation: Situation, homes: Homes) -> plan.Result:
     """Return where components run with least work undone; CPU that is short is shared.
 
     Those without homes do not count. To move one that works on one of its homes costs
@@ -44,8 +36,7 @@ def placed_beside(situation: Situation, homes: Homes) -> PlacedBeside:
     }
     problem = with_costs(problem, costs)
     problem = share_what_is_left(problem, situation, HORIZON / WORTH)
-    result = plan.solve(problem, DECIDE_FOR, steps=situation.solve_steps, why=False)
-    return PlacedBeside(problem, result)
+    return plan.solve(problem, DECIDE_FOR, steps=situation.solve_steps, why=False)
 
 
 def room_for_components(
