@@ -45,7 +45,7 @@ soak: setup
 simulate: setup
 	@$(BIN)/python -m tests.simulation $(if $(filter command line,$(origin FOR)),$(FOR),200)
 
-# lines and branches of src/poise that no test reaches, in all processes
+# lines and branches of src/poise that no test reaches, in all processes; fails below the floor in pyproject.toml
 coverage: setup
 	@rm -rf build/coverage && mkdir -p build/coverage
 	@$(BIN)/coverage run -m pytest -q -n 2 --dist loadgroup --no-loadscope-reorder
