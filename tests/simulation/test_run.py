@@ -14,6 +14,7 @@ from msgspec import structs
 from poise.simulation.faults import SimulatedFault
 from poise.simulation.shrink import Shrunk
 from poise.simulation.simulated_run import Scenario, simulate
+from tests.simulation.conftest import small_scenario
 
 _LEASE = "poise.runtime.agent.fence.LEASE"
 _ROOT = Path(__file__).parents[2]
@@ -154,3 +155,41 @@ def test_a_seed_gives_one_run_in_any_interpreter() -> None:
         for hash_seed, seeds in (("0", "1"), ("2", "1"), ("77", "5 1"))
     }
     assert len(digests) == 1, digests
+
+
+def idle_robot(num_computers: int) -> Scenario:
+    """Return a robot that has one component on each of its computers."""
+    names = [f"m{number}" for number in range(num_computers)]
+    small = small_scenario().robot
+    whole = small.architectures[1]
+    return Scenario(
+        robot=structs.replace(
+            small,
+            computers=tuple(
+                structs.replace(small.computers[0], name=name) for name in names
+            ),
+            links=(),
+            connectors=(),
+            architectures=tuple(
+                structs.replace(
+                    whole,
+                    name=name,
+                    components=(structs.replace(whole.components[0], name=name),),
+                )
+                for name in names
+            ),
+        ),
+        placement={name: name for name in names},
+        tasks=("work",),
+        seconds=4.0,
+        faults=(),
+        moves=False,
+    )
+
+
+@pytest.mark.slow
+def test_switches_of_tasks_grow_with_the_computers_not_with_their_pairs() -> None:
+    """4 s without a fault: each computer's heartbeats, statuses and samples."""
+    few, many = (simulate(idle_robot(number), 1) for number in (5, 15))
+    assert (few.message, many.message) == ("", "")
+    assert many.steps < 3.3 * few.steps  # with the pairs: 9 times

@@ -256,7 +256,9 @@ def shortages_of(situation: Situation) -> dict[str, float]:
 
     That is beside what other programs may want, and the reserve.
     """
-    return missing_cpu(situation.left().robot_now, situation.placement)
+    left = situation.left()
+    demands = {name: now.counted for name, now in left.shifted.items()}
+    return missing_cpu(left.robot, left.placement, demands)
 
 
 def _suffering(situation: Situation) -> set[str]:

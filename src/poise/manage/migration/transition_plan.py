@@ -189,11 +189,17 @@ def residue(robot: Robot, placement: Mapping[str, str]) -> dict[str, dict[str, f
     return left
 
 
-def missing_cpu(robot: Robot, placement: Mapping[str, str]) -> dict[str, float]:
-    """Return computer -> CPU that its components need and it does not have [cores]."""
+def missing_cpu(
+    robot: Robot, placement: Mapping[str, str], demands: Mapping[str, float] = {}
+) -> dict[str, float]:
+    """Return computer -> CPU that its components need and it does not have [cores].
+
+    `demands`: component -> what it needs, if that is not what the robot says.
+    """
     left = {c.name: c.usable("cpu") for c in robot.computers}
     for component in robot.components():
         computer = placement.get(component.name)
         if computer in left:
-            left[computer] -= component.demand.get("cpu", 0.0)
+            usual = component.demand.get("cpu", 0.0)
+            left[computer] -= demands.get(component.name, usual)
     return {name: max(0.0, -cpu) for name, cpu in left.items()}
