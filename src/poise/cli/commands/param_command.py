@@ -111,3 +111,6 @@ def _show(values: dict[str, Any], *, as_json: bool) -> None:
 def _text(value: object) -> str:
     text = yaml.safe_dump(value, sort_keys=False, allow_unicode=True)
     return text.removesuffix("...\n")
+
+
+param_command = list_command
