@@ -203,3 +203,40 @@ def test_follows_managers_over_any_link_and_bears_200_components_and_ten_pages(
                 each.wait_for_function(f"{_SHOWN} === 5", timeout=_MS)
                 each.close()
         page.goto("about:blank")
+
+
+def test_parameters_are_set_in_the_dialog_of_their_component(
+    robot: Path, page: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv(_IN_TEST)
+    pytest.importorskip("nicegui")
+    with (robot.parent / "hello.py").open("a") as code:
+        code.write("""
+
+class Steps(Message):
+    step: int
+
+
+class Stepper(Counter):
+    parameters: Steps
+
+    def reconfigure(self, parameters: Steps) -> None:
+        if parameters.step > 9:
+            raise ValueError("too far")
+""")
+    stepper = '"hello:Stepper", parameters: {step: 2}'
+    robot.write_text(robot.read_text().replace('"hello:Counter"', stepper))
+    with robot_up(robot, "--dashboard") as up:
+        assert up.stdout is not None
+        page.goto(address_in(up.stdout))
+        on(page, "left", "counter").wait_for()
+        on(page, "left", "counter").press("Enter")
+        field = page.get_by_label("step")
+        for value, told in ("30", "too far"), ("3", "counter has step = 3"):
+            field.fill(value)
+            page.get_by_role("button", name="Set").click()
+            page.get_by_text(told).first.wait_for()
+        shown = run_poise(
+            "param", "get", "counter", "--robot", f"dashboard-{os.getpid()}"
+        )
+        assert shown.stdout == "step: 3\n"

@@ -17,6 +17,7 @@ from poise.errors import PoiseError
 from poise.session.render.report_page import html_table
 from poise.session.render.tables import outcome_sentence, what_if_lines
 from poise.session.running_robots.running import JournalEntry, Running, WhatIf
+from poise.view.dashboard.parameter_fields import ParameterFields
 from poise.view.dashboard.state import Page, proposal_in, why
 from poise.wire.records.request_records import OutputLine
 
@@ -122,6 +123,7 @@ class PageActions:
                         ui.button(
                             computer, on_click=self._asker(dialog, name, computer)
                         ).props("no-caps outline")
+            ParameterFields(self._running.component(name))
             self._follow_log(name)
             ui.button("Close", on_click=dialog.close).props("no-caps")
 
