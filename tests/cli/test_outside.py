@@ -31,7 +31,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from poise import Component, Message, Provided, Published, oneway, subscribed
+from poise import Component, Message, Provided, Published, Required, oneway, subscribed
 
 
 class Number(Message):
@@ -101,6 +101,38 @@ class Summer(Component):
         self.sum = state
 
 
+class Asks(Protocol):
+    def ask(self, seconds: float) -> None: ...
+
+    def answers(self) -> int: ...
+
+
+class Asker(Component):
+    asks: Provided[Asks]
+    first: Required[Sums]
+    second: Required[Sums]
+
+    def configure(self) -> None:
+        self.taken = 0
+
+    def ask(self, seconds: float) -> None:
+        for sums in self.first, self.second:
+            self.start(sums.sleep, seconds).then(self.take)
+
+    def take(self, call: object) -> None:
+        call.result()
+        self.taken += 1
+
+    def answers(self) -> int:
+        return self.taken
+
+    def snapshot(self) -> int:
+        return self.taken
+
+    def restore(self, state: int) -> None:
+        self.taken = state
+
+
 class Silent(Component):
     numbers: Published[Number]
 
@@ -140,7 +172,10 @@ architectures:
         parameters: {{limit: 3}}
         cpu: 5%
         memory: 50 MiB
+      asker: {{implementation: "{NAME}:Asker", cpu: 5%, memory: 50 MiB}}
     connectors:
+      - {{between: [asker.first, summer.sums], limit: 10 s}}
+      - {{between: [asker.second, hearer.sums], limit: 10 s}}
       - {{between: [summer.said, hearer.heard]}}
       - {{between: [silent.numbers, summer.numbers]}}
       - {{between: [silent.numbers, hearer.numbers]}}
@@ -220,6 +255,16 @@ def test_messages_sent_while_a_component_moves_come_once(
         mover.join()
     wait_long(lambda: total(robot, hearer) - before >= 200)
     assert total(robot, hearer) - before == 200
+
+
+def test_a_move_waits_for_the_answers_of_calls_that_were_started(
+    robot: api.Running,
+) -> None:
+    asker = robot.component("asker")
+    for asked in range(2, 10, 2):
+        asker.call("asks", "ask", 0.3, limit=20.0)
+        move(robot, "asker")
+        assert asker.call("asks", "answers", limit=20.0) == asked
 
 
 def test_an_interface_has_the_types_that_it_declares(robot: api.Running) -> None:

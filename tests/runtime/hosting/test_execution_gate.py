@@ -8,6 +8,7 @@ from typing import cast
 import pytest
 
 from poise.errors import Timeout
+from poise.runtime.component.started_calls import StartedCalls
 from poise.runtime.connectors.endpoints import Endpoints
 from poise.runtime.execution.exclusion import Exclusion
 from poise.runtime.hosting.life_cycle import ExecutionGate
@@ -15,7 +16,12 @@ from poise.runtime.hosting.life_cycle import ExecutionGate
 
 def test_what_hangs_is_not_waited_for_without_limit() -> None:
     gate = ExecutionGate(
-        "map", Exclusion("map"), cast("Endpoints", None), lambda: False, 0.01
+        "map",
+        Exclusion("map"),
+        cast("Endpoints", None),
+        StartedCalls("map", lambda do: do()),
+        lambda: False,
+        0.01,
     )
     hangs, goes_on = threading.Event(), threading.Event()
 

@@ -7,7 +7,7 @@ import math
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from typing import Any, ClassVar, Literal, TypeVar
+from typing import Any, ClassVar, Literal, ParamSpec, TypeVar
 
 from msgspec import Struct
 from msgspec.structs import replace
@@ -21,11 +21,15 @@ from poise.runtime.component.parameters import (
     parameters_type,
     plain,
 )
+from poise.runtime.component.started_calls import StartedCall, StartedCalls
 from poise.suggest import did_you_mean, listed
 from poise.wire.connections import connection
 
 Verb = Literal["start", "pause", "resume", "cancel"]
 """What can be done with a task."""
+
+P = ParamSpec("P")
+R = TypeVar("R")
 
 _LONGEST = 1e9
 """What is longer is no limit [s]."""
@@ -40,6 +44,7 @@ class Context(Struct, frozen=True, kw_only=True):
     again.
     `give_up`: ends the container, for this reason; the agent starts it again.
     `request`: takes what it wants done, and with which task.
+    `calls`: those that it starts without waiting.
     """
 
     name: str
@@ -50,6 +55,7 @@ class Context(Struct, frozen=True, kw_only=True):
     count_process: Callable[[int], None] = lambda _: None
     give_up: Callable[[str], None] = lambda _: None
     request: Callable[[Verb, str], None] = lambda *_: None
+    calls: StartedCalls = StartedCalls("", lambda do: do())
 
 
 class TaskRequests:
@@ -135,6 +141,35 @@ class Component:
     def tasks(self) -> TaskRequests:
         """The robot's tasks: ``self.tasks.start("fetch")``."""
         return TaskRequests(self._context.request)
+
+    def start(
+        self, call: Callable[P, R], *args: P.args, **kwargs: P.kwargs
+    ) -> StartedCall[R]:
+        """Start a call without waiting for it: so two can be asked at once.
+
+        ::
+
+            first = self.start(self.heating.heat, 0.4)
+            second = self.start(self.camera.look)
+            first.then(self.on_heat)     # later, in a turn of its own
+            picture = second.result()    # or wait for it here
+
+        The connector's limit holds, and that of `poise.within`, from now on. A move
+        waits for the answers.
+
+        Parameters
+        ----------
+        call
+            A method of a ``Required`` port.
+        *args, **kwargs
+            Its arguments.
+
+        Raises
+        ------
+        RunError
+            64 of the component's calls wait for answers.
+        """
+        return self._context.calls.start(call, *args, **kwargs)
 
     def device(self, name: str) -> str:
         """Return the path of a device that the robot file gives this component.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import threading
+import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from collections.abc import Set as AbstractSet
@@ -11,8 +12,10 @@ from contextlib import contextmanager
 
 from poise.errors import RunError, Timeout
 from poise.runtime.component.component import Verb
+from poise.runtime.component.started_calls import StartedCalls
 from poise.runtime.connectors.endpoints import Endpoints
 from poise.runtime.execution.exclusion import Exclusion, new_chain
+from poise.units import counted
 from poise.wire.records.deployment_records import Aim
 from poise.wire.records.status_records import ActionEnd, State, TaskRequest
 
@@ -131,12 +134,14 @@ class ExecutionGate:
         name: str,
         exclusion: Exclusion,
         endpoints: Endpoints,
+        calls: StartedCalls,
         may_resume: Callable[[], bool],
         borrow_limit: float = BORROW_LIMIT,
     ) -> None:
         self._name = name
         self._exclusion = exclusion
         self._endpoints = endpoints
+        self._calls = calls
         self._may_resume = may_resume
         self._borrow_limit = borrow_limit
         self._changed = threading.Condition()
@@ -172,7 +177,16 @@ class ExecutionGate:
     def pause(self, limit: float) -> None:
         """Pause; raise Timeout when it was busy for `limit` [s]."""
         if not self._is_paused:
+            until = time.monotonic() + limit
             self._exclusion.pause(limit)
+            while self._calls.num_open:  # their answers are still to be taken
+                self._exclusion.resume()
+                if not self._calls.wait(until):
+                    raise Timeout(
+                        f"component '{self._name}' waits for the answers of "
+                        f"{counted(self._calls.num_open, 'call')} that it started"
+                    )
+                self._exclusion.pause(max(0.0, until - time.monotonic()))
             with self._changed:
                 self._is_paused = True
                 self._endpoints.mailbox.set_unbounded(unbounded=True)

@@ -8,6 +8,7 @@ exclusion. `ExecutionGate` pauses both.
 from __future__ import annotations
 
 import logging
+from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import nullcontext
 from functools import partial
@@ -22,6 +23,7 @@ from poise.runtime.component.component import Component, Context, create, set_pa
 from poise.runtime.component.error_report import Errors
 from poise.runtime.component.parameters import plain
 from poise.runtime.component.ports import ports_of, timers_of
+from poise.runtime.component.started_calls import StartedCalls
 from poise.runtime.connectors.endpoints import Endpoints
 from poise.runtime.connectors.interface import methods
 from poise.runtime.execution.container_lease import LeaseEnd, LeaseEnded
@@ -58,6 +60,8 @@ class Runner:
         self.exclusion = Exclusion(spec.name)
         self.ports = ports_of(implementation)
         self._news = TaskNews(on_change)
+        self._turns: deque[Callable[[], object]] = deque()
+        calls = StartedCalls(spec.name, self._later)
         self.component = create(
             implementation,
             Context(
@@ -69,6 +73,7 @@ class Runner:
                 count_process=self._count_process,
                 give_up=self._give_up,
                 request=self._news.request,
+                calls=calls,
             ),
         )
         self.counters = ComponentCounters()
@@ -87,6 +92,7 @@ class Runner:
             spec.name,
             self.exclusion,
             self.endpoints,
+            calls,
             lambda: self.life_cycle.is_at_work,
         )
         self.timers = Timers(timers_of(implementation))
@@ -300,6 +306,8 @@ class Runner:
         if spec.action_number > self._action_begun and self._enter():
             self._action_begun = spec.action_number
             self._run(self.component.begin, "begin", spec.action)
+        while self._turns and self._enter():
+            self._run(self._turns.popleft(), "answer")
         for releases in self.timers:
             if releases.due <= self.clock.now():
                 self._run_timer(releases)
@@ -312,6 +320,11 @@ class Runner:
         self.counters.note_busy()
         if inbox is not None and self._enter():
             self._deliver(inbox)
+
+    def _later(self, turn: Callable[[], object]) -> None:
+        """Run something on its thread, as soon as nothing else of it runs."""
+        self._turns.append(turn)
+        self.endpoints.mailbox.wake()
 
     def _take_parameters(self, changes: Mapping[str, Any]) -> None:
         """Take parameters that were set at another place, or while it was away."""

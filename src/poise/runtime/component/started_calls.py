@@ -1,0 +1,151 @@
+"""Calls that a component starts without waiting: their answers come in its own turn.
+
+A call goes out from a thread of its container, with what time its starter had left. A
+move waits until all have been answered and taken, since no answer could follow.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
+from functools import cache, partial
+from typing import Generic, ParamSpec, TypeVar
+
+from poise.errors import RunError
+from poise.runtime import _calls
+from poise.runtime._calls import new_chain
+
+_THREADS = 16
+"""So many calls of one container are under way at once; others wait."""
+MOST_OPEN = 64
+"""A component may have started so many calls that are not answered."""
+P = ParamSpec("P")
+R = TypeVar("R")
+Turn = Callable[[Callable[[], object]], object]
+"""Lets a component run something as soon as nothing else of it runs."""
+
+
+class StartedCall(Generic[R]):
+    """A call that was started. Any thread may use it."""
+
+    def __init__(self, future: Future[R], calls: StartedCalls) -> None:
+        self._future = future
+        self._calls = calls
+
+    def done(self) -> bool:
+        """Return whether it was answered, failed, or was cancelled."""
+        return self._future.done()
+
+    def result(self) -> R:
+        """Wait for the result, within the connector's limit, and return it.
+
+        Raises
+        ------
+        CallError
+            As a call that is waited for: `Unavailable`, `Timeout`, `CalleeError`.
+        concurrent.futures.CancelledError
+            It was cancelled.
+        """
+        return self._future.result()
+
+    def then(self, take: Callable[[StartedCall[R]], object]) -> None:
+        """Let the component take the answer, as a message: `take` gets this call.
+
+        In an order of their own, while nothing else of the component runs, and at once
+        when the answer is there. What was cancelled is not taken.
+        """
+        self._calls.expect()
+
+        def turn() -> None:
+            try:
+                if not self._future.cancelled():
+                    take(self)
+            finally:
+                self._calls.end()
+
+        self._future.add_done_callback(lambda _: self._calls.turn(turn))
+
+    def cancel(self) -> bool:
+        """Drop the answer; return whether it was still to come.
+
+        A call that is under way is made to its end by the callee.
+        """
+        return self._future.cancel()
+
+
+class StartedCalls:
+    """The calls that one component has started and not yet taken the answers of."""
+
+    def __init__(self, name: str, turn: Turn) -> None:
+        self.turn = turn
+        self._name = name
+        self._changed = threading.Condition()
+        self._num_open = 0
+
+    def start(
+        self, call: Callable[P, R], *args: P.args, **kwargs: P.kwargs
+    ) -> StartedCall[R]:
+        """Make a call on another thread.
+
+        Raises RunError: `MOST_OPEN` are open.
+        """
+        if self._num_open >= MOST_OPEN:
+            raise RunError(f"{MOST_OPEN} calls of '{self._name}' wait for answers")
+        self.expect()
+        answer: Future[R] = Future()
+        until = _calls.deadline()
+
+        def make() -> None:
+            if answer.cancelled():
+                return
+            new_chain()
+            _calls.set_deadline(until)
+            try:
+                result = call(*args, **kwargs)
+            # what the caller is to see, whatever it is
+            except BaseException as error:  # noqa: BLE001
+                _settle(answer, partial(answer.set_exception, error))
+            else:
+                _settle(answer, partial(answer.set_result, result))
+
+        answer.add_done_callback(lambda _: self.end())
+        _threads().submit(make)
+        return StartedCall(answer, self)
+
+    def expect(self) -> None:
+        """Count one more that is to be waited for."""
+        with self._changed:
+            self._num_open += 1
+
+    def end(self) -> None:
+        """Count one less."""
+        with self._changed:
+            self._num_open -= 1
+            self._changed.notify_all()
+
+    @property
+    def num_open(self) -> int:
+        """How many calls and answers are to be waited for."""
+        return self._num_open
+
+    def wait(self, until: float) -> bool:
+        """Wait until all were answered and taken, or a moment [s]; whether they are."""
+        with self._changed:
+            left = max(0.0, until - time.monotonic())
+            return self._changed.wait_for(lambda: not self._num_open, left)
+
+
+def _settle(answer: Future[R], settle: Callable[[], None]) -> None:
+    """Set an answer, unless it was cancelled meanwhile."""
+    if answer.set_running_or_notify_cancel():
+        settle()
+
+
+@cache
+def _threads() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(_THREADS, "started")
+
+
+__all__ = ["CancelledError", "StartedCall", "StartedCalls"]

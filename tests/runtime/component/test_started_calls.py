@@ -1,0 +1,122 @@
+"""Calls that are started: at once, answered in turn, waited for by a move."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from concurrent.futures import CancelledError
+from typing import cast
+
+import pytest
+
+import poise
+from poise.errors import RunError, Timeout
+from poise.runtime.component.started_calls import MOST_OPEN, StartedCall, StartedCalls
+from poise.runtime.connectors.endpoints import Endpoints
+from poise.runtime.execution.exclusion import Exclusion
+from poise.runtime.hosting.life_cycle import ExecutionGate
+from tests.waiting import LONG, wait_until
+
+
+class Component:
+    """Something that takes answers when the test says so."""
+
+    def __init__(self) -> None:
+        self.turns: deque[Callable[[], object]] = deque()
+        self.calls = StartedCalls("asker", self.turns.append)
+
+    def take_turns(self) -> None:
+        while self.turns:
+            self.turns.popleft()()
+
+
+@pytest.fixture
+def component() -> Component:
+    return Component()
+
+
+def test_two_are_asked_at_once(component: Component) -> None:
+    both = threading.Barrier(2)
+    first = component.calls.start(both.wait, LONG)
+    second = component.calls.start(both.wait, LONG)
+    assert {first.result(), second.result()} == {0, 1}
+    assert component.calls.wait(time.monotonic() + LONG)
+
+
+def test_an_answer_is_taken_in_the_components_turn(component: Component) -> None:
+    taken: list[int] = []
+
+    def take(call: StartedCall[int]) -> None:
+        taken.append(call.result())
+
+    component.calls.start(lambda: 7).then(take)
+    wait_until(lambda: component.turns)
+    assert (taken, component.calls.num_open) == ([], 1)
+    component.take_turns()
+    assert (taken, component.calls.num_open) == ([7], 0)
+
+
+def test_what_was_raised_comes_with_the_answer(component: Component) -> None:
+    def fail() -> None:
+        raise Timeout("too late")
+
+    call = component.calls.start(fail)
+    with pytest.raises(Timeout, match="too late"):
+        call.result()
+
+
+def test_what_was_cancelled_is_not_taken(component: Component) -> None:
+    goes_on, taken = threading.Event(), list[object]()
+    call = component.calls.start(goes_on.wait, LONG)
+    call.then(taken.append)
+    assert call.cancel()
+    assert call.done()
+    goes_on.set()
+    component.take_turns()
+    assert taken == []
+    assert component.calls.wait(time.monotonic() + LONG)
+    with pytest.raises(CancelledError):
+        call.result()
+
+
+def test_the_limit_of_its_starter_holds(component: Component) -> None:
+    with poise.within(100.0):
+        left = component.calls.start(poise.time_left).result()
+    assert 50.0 < left <= 100.0
+
+
+def test_too_many_are_refused_and_none_waits_for_ever(component: Component) -> None:
+    goes_on = threading.Event()
+    calls = [component.calls.start(goes_on.wait, LONG) for _ in range(MOST_OPEN)]
+    with pytest.raises(RunError, match=f"{MOST_OPEN} calls of 'asker' wait"):
+        component.calls.start(int)
+    goes_on.set()
+    assert all(call.result() for call in calls)
+
+
+def test_a_pause_waits_for_answers_or_says_that_it_does(component: Component) -> None:
+    exclusion, goes_on = Exclusion("asker"), threading.Event()
+    nothing = cast("Endpoints", _Nothing())
+    gate = ExecutionGate("asker", exclusion, nothing, component.calls, lambda: True)
+    gate.resume()
+    call = component.calls.start(goes_on.wait, LONG)
+    with pytest.raises(Timeout, match="waits for the answers of 1 call that"):
+        gate.pause(0.05)
+    assert not gate.is_paused
+    goes_on.set()
+    assert call.result()
+    gate.pause(LONG)
+    assert gate.is_paused
+
+
+class _Nothing:
+    """Stands for endpoints that nothing goes over."""
+
+    def __init__(self) -> None:
+        self.mailbox = self
+
+    def set_unbounded(self, *, unbounded: bool) -> None: ...
+
+    def send_buffered(self) -> None: ...
