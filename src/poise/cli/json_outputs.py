@@ -113,6 +113,12 @@ class SmallestShown(TypedDict):
     tasks: Mapping[str, PlannedPhases]
 
 
+class Called(TypedDict):
+    """What a method returned, with arrays as lists."""
+
+    result: Any
+
+
 OUTPUTS: Mapping[str, Sequence[Any]] = {
     "check": [Checked],
     "plan": [PlannedPlacement, PlannedPhases, Compared, SmallestShown],
@@ -129,6 +135,11 @@ OUTPUTS: Mapping[str, Sequence[Any]] = {
     "demo": demo_module().OUTPUTS,
     "emulate list": [list[ListedSet]],
     "list": [Robots],
+    "call": [Called],
+    "param": [dict[str, dict[str, Any]]],
+    "param list": [dict[str, dict[str, Any]]],
+    "param get": [dict[str, Any]],
+    "param set": [dict[str, Any]],
     "record": [RobotRecording],
     "echo": [Echoed],
     "hz": [Rate],

@@ -113,6 +113,14 @@ class TimerProfile(Struct, frozen=True, kw_only=True):
     missed: float = 0.0
 
 
+class HandlerProfile(Struct, frozen=True, kw_only=True):
+    """CPU time of the runs of a timer, or for the messages of a port [s]."""
+
+    mean: float
+    median: float
+    p99: float
+
+
 class ComponentProfile(Struct, frozen=True, kw_only=True):
     """Measurements of a component whose architecture ran alone.
 
@@ -133,6 +141,8 @@ class ComponentProfile(Struct, frozen=True, kw_only=True):
         Size of its snapshot [bytes].
     start
         Time from the request to start its container until it is ready [s].
+    handlers
+        Timer or port -> what its runs take, of the reference computer.
     repeat
         Largest difference between the means of repeated measurements [cores].
     stable
@@ -147,6 +157,7 @@ class ComponentProfile(Struct, frozen=True, kw_only=True):
     state: float = 0.0
     start: float = 0.0
     timers: Mapping[str, TimerProfile] = {}
+    handlers: Mapping[str, HandlerProfile] = {}
     repeat: float = 0.0
     stable: bool = True
 

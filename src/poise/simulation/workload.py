@@ -3,7 +3,8 @@
 A profile says how much CPU a component takes, how often its timers are due and for how
 long they run, and what goes over each connector; not which handler sends what. Here
 
-- timers take what they were measured to take, and messages and calls share the rest;
+- handlers of timers and messages take what they were measured to take, and calls share
+  the rest; where only timers were measured, messages and calls do;
 - a connector is fed by a handler whose code names its port: of several by that whose
   rate is the nearest above its own, a fraction of whose runs send something: n out at
   n/s from a timer of n Hz go out at each run.
@@ -137,6 +138,7 @@ class _Rated(Struct):
     spread: float
     publishes: dict[str, float]
     calls: dict[str, float]
+    is_measured: bool = False
 
     def handler(self) -> HandlerModel:
         return HandlerModel(
@@ -176,10 +178,15 @@ class _ComponentWork:
         timers = {timer.name: self._timer(timer) for timer in self._timers()}
         coming = list(self._coming())
         taken = self._runs((s, at, t.messages) for s, at, t in coming if t.messages)
+        alike = {id(e): self._measured(e.of, e.rate) or e for e in taken.values()}
+        taken = {slot: alike[id(each)] for slot, each in taken.items()}
         served = self._runs((s, at, t.calls) for s, at, t in coming if t.calls)
         others = [*taken.values(), *served.values()]
         unique = list({id(each): each for each in others}.values())
-        self._share_work(list(timers.values()), unique)
+        if any(each.is_measured for each in (*timers.values(), *unique)):
+            _share_rest(self.cpu(), [*timers.values(), *unique])
+        else:
+            self._share_work(list(timers.values()), unique)
         self._feed([*timers.values(), *unique])
         return ComponentModel(
             timers=tuple(
@@ -207,6 +214,8 @@ class _ComponentWork:
         ]
 
     def _timer(self, timer: Timer) -> _Rated:
+        if (rated := self._measured(timer.name, 1 / timer.period)) is not None:
+            return rated
         measured = self._known.timers.get(timer.name) if self._known else None
         spread = self._spread(1 / timer.period)
         if measured and measured.median > 0 and measured.p99 > measured.median:
@@ -226,6 +235,15 @@ class _ComponentWork:
             for place, rate in rates.items()
         }
         return {slot: runs[place] for slot, place in places.items()}
+
+    def _measured(self, name: str, rate: float) -> _Rated | None:
+        """Return a handler whose CPU time was measured; None: it was not."""
+        taken = self._known.handlers.get(name) if self._known else None
+        if taken is None:
+            return None
+        spread = log(max(1.0, taken.p99 / (taken.median or taken.p99 or 1.0))) / _P99
+        spread = min(_MOST_SPREAD, spread)
+        return _Rated(name, rate, taken.mean, spread, {}, {}, is_measured=True)
 
     def _spread(self, rate: float) -> float:
         """Return how much runs differ, by how much windows with several of them do.
@@ -328,6 +346,14 @@ class _ComponentWork:
                 by.publishes[slot] = _each(over.messages / by.rate)
             else:
                 self._guess(f"the traffic over '{slot}' is not known: it has none here")
+
+
+def _share_rest(total: float, handlers: list[_Rated]) -> None:
+    """Let what was not measured take the rest of the CPU; all, if everything was."""
+    rest = total - sum(each.rate * each.work for each in handlers)
+    unknown = [each for each in handlers if not each.is_measured] or handlers
+    for each in unknown:
+        each.work += max(0.0, rest) / sum(other.rate for other in unknown)
 
 
 def _each(often: float) -> float:

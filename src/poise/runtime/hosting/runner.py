@@ -8,6 +8,7 @@ exclusion. `ExecutionGate` pauses both.
 from __future__ import annotations
 
 import logging
+import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import nullcontext
@@ -100,6 +101,7 @@ class Runner:
         self._on_change = on_change
         self._handler: tuple[str, float] | None = None
         self._measures: dict[str, Histogram] = {}
+        self._work_of: dict[str, Histogram] = {}
         self._errors = Errors(spec.name)
         self._action = spec
         self._changed_parameters = spec.changed_parameters
@@ -196,6 +198,7 @@ class Runner:
                 if port.queue is not None and port.queue.policy == "keep"
             },
             timers=self.timers.status(now),
+            work={n: h.summary() for n, h in list(self._work_of.items())},
             chains=self.ages.status(),
             ends=self._news.ends(),
             task_requests=self._news.requests(),
@@ -392,6 +395,7 @@ class Runner:
     ) -> None:
         """Run user code in the exclusion that was entered, and leave it."""
         self._handler = what, self.clock.now()
+        began = time.thread_time() if self.spec.weigh else 0.0
         try:
             if self.spec.chains:
                 self.ages.run(method, args, taken=taken, is_timer=is_timer)
@@ -402,6 +406,9 @@ class Runner:
             self._errors.note(what, error, self.clock.now())
         finally:
             self._handler = None
+            if self.spec.weigh:
+                work = time.thread_time() - began
+                self._work_of.setdefault(what, Histogram()).add(work)
             self.counters.note_done()
             self.exclusion.leave()
             self.gate.note_done()

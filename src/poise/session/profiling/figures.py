@@ -14,6 +14,7 @@ from poise.estimate.profiles import (
     ComponentProfile,
     ConnectorProfile,
     Distribution,
+    HandlerProfile,
     TimerProfile,
     distribution_of,
 )
@@ -196,6 +197,7 @@ def figures(
             state=float(states[name].snapshot) if name in states else 0.0,
             start=timed[name].start if name in timed else 0.0,
             timers=_timers(timed.get(name)),
+            handlers=_handlers(timed.get(name), speed),
             repeat=speed * _range(runs, name),
             stable=_is_stable(runs, name),
         )
@@ -291,6 +293,18 @@ def _timers(status: ComponentStatus | None) -> dict[str, TimerProfile]:
             missed=timer.missed / timer.releases if timer.releases else 0.0,
         )
         for timer in (status.timers if status else ())
+    }
+
+
+def _handlers(
+    status: ComponentStatus | None, speed: float
+) -> dict[str, HandlerProfile]:
+    return {
+        name: HandlerProfile(
+            mean=speed * taken.mean, median=speed * taken.median, p99=speed * taken.p99
+        )
+        for name, taken in sorted((status.work if status else {}).items())
+        if taken.count
     }
 
 

@@ -151,6 +151,9 @@ class ComponentStatus(Struct, frozen=True, kw_only=True):
     # Of the latter, those that keep only the newest messages, and how many
     keeps: Mapping[str, int] = {}
     timers: tuple[TimerStatus, ...] = ()
+    # Timer, or port at which messages come -> the CPU time of its runs [s]; measured
+    # only for a profile
+    work: Mapping[str, Summary] = {}
     # Those that it is part of, and not the beginning
     chains: tuple[ChainStatus, ...] = ()
     ends: tuple[ActionEnd, ...] = ()  # What it said of its actions
