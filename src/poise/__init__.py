@@ -52,6 +52,8 @@ if TYPE_CHECKING:
     from poise.session.robot_file import load as load
     from poise.session.run import run as run
     from poise.session.run_report import RunReport as RunReport
+    from poise.session.running_robots.playback import Playback as Playback
+    from poise.session.running_robots.playback import play as play
     from poise.session.running_robots.running import NoManager as NoManager
     from poise.session.running_robots.running import RolledBack as RolledBack
     from poise.session.running_robots.running import Running as Running
@@ -82,6 +84,7 @@ else:
         "JournalEntry": "manage.journal",
         "Message": "runtime.component.ports",
         "NoManager": "session.running_robots.running",
+        "Playback": "session.running_robots.playback",
         "Placement": "session.placing.placement",
         "PoiseError": "errors",
         "PolicyAction": "model.policy.policy",
@@ -120,6 +123,7 @@ else:
         "note_outcome": "estimate.success_rates",
         "oneway": "runtime.component.ports",
         "place": "session.placing.placement",
+        "play": "session.running_robots.playback",
         "profile": "session.profiling.profile_robot",
         "read_journal": "manage.journal",
         "record": "view.robot_recording",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import itertools
 import json
 import os
@@ -19,6 +20,7 @@ import poise as api
 from poise.emulate import probe_host
 from poise.errors import CalleeError, RunError, Timeout, UsageError
 from tests.command import Poise, robot_up, run_poise
+from tests.view.test_robot_recording import read
 from tests.waiting import wait_long
 
 pytestmark = pytest.mark.slow
@@ -117,7 +119,7 @@ class Asker(Component):
 
     def ask(self, seconds: float) -> None:
         for sums in self.first, self.second:
-            self.start(sums.sleep, seconds).then(self.take)
+            self.start_call(sums.sleep, seconds).then(self.take)
 
     def take(self, call: object) -> None:
         call.result()
@@ -135,6 +137,9 @@ class Asker(Component):
 
 class Silent(Component):
     numbers: Published[Number]
+
+    @subscribed(keep=1)
+    def pictures(self, message: Picture) -> None: ...
 
     def configure(self) -> None:
         self.limit = self.parameters["limit"]
@@ -177,6 +182,7 @@ architectures:
       - {{between: [asker.first, summer.sums], limit: 10 s}}
       - {{between: [asker.second, hearer.sums], limit: 10 s}}
       - {{between: [summer.said, hearer.heard]}}
+      - {{between: [hearer.said, silent.pictures]}}
       - {{between: [silent.numbers, summer.numbers]}}
       - {{between: [silent.numbers, hearer.numbers]}}
 tasks:
@@ -294,6 +300,46 @@ def test_hears_whole_messages_of_a_topic(robot: api.Running) -> None:
     hearer.join(10.0)
     assert len(heard) == 3
     assert heard == list(range(heard[0], heard[0] + 3))
+
+
+def test_pictures_are_recorded_whole(robot: api.Running, tmp_path: Path) -> None:
+    pytest.importorskip("mcap", reason="mcap is not installed")
+    path, ended = tmp_path / "run.mcap", threading.Event()
+    pixels = np.arange(40 * 30 * 3).reshape(40, 30, 3).astype(np.uint8)
+
+    def publish() -> None:
+        while not ended.wait(0.02):
+            hearer = robot.component("hearer")
+            hearer.publish("said", {"pixels": pixels}, limit=10.0)
+
+    publisher = threading.Thread(target=publish)
+    publisher.start()
+    try:
+        recorded = api.record(path, ["hearer.said"], robot=NAME, seconds=2.0)
+    finally:
+        ended.set()
+        publisher.join()
+    found = {topic: (schema, value) for topic, schema, _, value in read(path)}
+    of_picture, picture = found["/pictures/hearer/said-silent/pictures/pixels"]
+    assert (of_picture, picture["encoding"]) == ("foxglove.RawImage", "rgb8")
+    assert base64.b64decode(picture["data"]) == pixels.tobytes()
+    _, message = found["/messages/hearer/said-silent/pictures"]
+    assert message["pixels"]["shape"] == [40, 30, 3]
+    assert not recorded.left_out
+    heard: list[Any] = []
+
+    def hear() -> None:
+        messages = robot.component("hearer").subscribe("said", dict)
+        heard.extend(each["pixels"] for each in itertools.islice(messages, 5))
+
+    hearing = threading.Thread(target=hear, daemon=True)
+    hearing.start()
+    while hearing.is_alive():
+        played = api.play(path, robot=NAME, rate=4.0)
+        written = recorded.messages["/messages/hearer/said-silent/pictures"]
+        assert played.messages["hearer.said"] == written
+    assert len(heard) == 5
+    assert all(np.array_equal(each, pixels) for each in heard)
 
 
 def test_the_command_prints_what_a_call_returned(poise: Poise) -> None:

@@ -22,6 +22,7 @@ COMMANDS = {
     "profile": ("profile", "Measure what each component needs."),
     "profile show": ("profile", "Show the last profile."),
     "calibrate": ("profile", "Measure computers and connectors."),
+    "play": ("recording", "Publish a recording into a running robot."),
     "recording": ("recording", "Export or replay a recording."),
     "policy": ("robot_file", "Show what a robot does by itself, and when."),
     "repository": ("robot_file", "Show what provides which function."),

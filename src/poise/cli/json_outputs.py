@@ -29,6 +29,7 @@ from poise.session.placing.first_phase import Described, Listed
 from poise.session.profiling.calibrate import Calibration
 from poise.session.run_report import RunReport
 from poise.session.running_robots.local_robots import Rate, Robots
+from poise.session.running_robots.playback import Playback
 from poise.simulation.predicted_times import PredictedTimes
 from poise.simulation.simulation_report import SimulationReport
 from poise.view.robot_recording import RobotRecording
@@ -141,6 +142,7 @@ OUTPUTS: Mapping[str, Sequence[Any]] = {
     "param get": [dict[str, Any]],
     "param set": [dict[str, Any]],
     "record": [RobotRecording],
+    "play": [Playback],
     "echo": [Echoed],
     "hz": [Rate],
     "log": [OutputLine],

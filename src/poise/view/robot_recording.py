@@ -19,6 +19,7 @@ from poise.errors import PoiseError, RunError
 from poise.session.callbacks import Check, Say, log, nothing
 from poise.session.running_robots.running import JournalEntry, Status, connect
 from poise.units import counted
+from poise.view.recorded_values import TIME, as_json, pictures
 from poise.view.robot_view import (
     ComponentRow,
     ComputerRow,
@@ -27,7 +28,8 @@ from poise.view.robot_view import (
     Reader,
     TimerRow,
 )
-from poise.wire.recording_file import McapFile, Schema
+from poise.wire.codec import Packed, unpack
+from poise.wire.recording_file import MESSAGES, McapFile, Schema
 from poise.wire.records.request_records import TapReading
 
 _LOOK_EVERY = 0.25
@@ -35,20 +37,13 @@ _LOOK_EVERY = 0.25
 _READ_EVERY = 1.0
 _PATIENCE = 10.0
 """A robot that gives no answer for so long has ended [s]."""
-MOST_ITEMS = 1_000
-"""Of longer lists in messages the rest is left out, and longer arrays and images."""
 _LEVELS = {"wrong": 3, "failed": 4}
 _INFO = 2
-_TIME = {
-    "type": "object",
-    "title": "time",
-    "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}},
-}
 _LOG = {
     "title": "foxglove.Log",
     "type": "object",
     "properties": {
-        "timestamp": _TIME,
+        "timestamp": TIME,
         "level": {"type": "integer"},
         "message": {"type": "string"},
         "name": {"type": "string"},
@@ -132,9 +127,6 @@ class RobotRecording(Struct, frozen=True, kw_only=True):
         Topic -> messages in the file.
     left_out
         Connector -> messages that went out and are not in the file.
-    shortened
-        Connector -> messages in the file of which long lists, arrays, bytes or texts
-        were shortened.
     interrupted
         Whether `KeyboardInterrupt` ended it.
     """
@@ -142,7 +134,6 @@ class RobotRecording(Struct, frozen=True, kw_only=True):
     file: str
     messages: Mapping[str, int]
     left_out: Mapping[str, int] = {}
-    shortened: Mapping[str, int] = {}
     interrupted: bool = False
 
 
@@ -202,14 +193,10 @@ def record(  # noqa: PLR0913 - each is a choice of the user
         say(f"{file.summary()} in {path}")
         for connector, count in sorted(recorder.missing.items()):
             say(f"{connector}: {counted(count, 'message')} left out")
-        for connector, count in sorted((+recorder.shortened).items()):
-            kept = f"of lists {MOST_ITEMS:,} values, of arrays and bytes the size"
-            say(f"{connector}: {counted(count, 'message')} shortened: {kept}")
     return RobotRecording(
         file=str(path),
         messages=file.counts,
         left_out=recorder.missing,
-        shortened=+recorder.shortened,
         interrupted=interrupted,
     )
 
@@ -224,8 +211,6 @@ class Recorder:
     def __init__(self, robot: str, connectors: Iterable[str], rate: float) -> None:
         self.missing: Counter[str] = Counter()
         """Connector -> messages that went out and are not in the file."""
-        self.shortened: Counter[str] = Counter()
-        """Connector -> messages that are not whole in the file."""
         self.robot = robot
         self._live = LiveReader(robot)
         self._reader = Reader()
@@ -358,17 +343,29 @@ class Recorder:
 
     def _look_at(self, connector: str) -> TapReading:
         return self._live.running.look_at(
-            connector, self._viewer, rate=self._rate, items=MOST_ITEMS
+            connector, self._viewer, rate=self._rate, is_whole=True
         )
 
     def _write_messages(self, file: McapFile, reading: TapReading) -> None:
-        for passed in reading.passed:
-            value: Any = passed.value
-            message = value if isinstance(value, dict) else {"value": value}
-            topic = f"messages/{reading.connector}"
-            schema = {} if topic in file else schema_like(message, reading.carries)
-            file.add(topic, schema, passed.at, message)
-            self.shortened[reading.connector] += not passed.is_whole
-        more = len(reading.times) + reading.missing - len(reading.passed)
+        whole = [passed for passed in reading.passed if passed.is_whole]
+        for passed in whole:
+            value = unpack(msgspec.convert(passed.value, Packed))
+            self._write_message(file, reading, passed.at, value)
+        more = len(reading.times) + reading.missing - len(whole)
         if more:
             self.missing[reading.connector] += more
+
+    def _write_message(
+        self,
+        file: McapFile,
+        reading: TapReading,
+        at: float,
+        value: Any,  # noqa: ANN401, plain data and arrays
+    ) -> None:
+        plain = as_json(value)
+        message = plain if isinstance(plain, dict) else {"value": plain}
+        topic = f"{MESSAGES}/{reading.connector}"
+        schema = {} if topic in file else schema_like(message, reading.carries)
+        file.add(topic, schema, at, message)
+        for name, of_picture, picture in pictures(value, at):
+            file.add(f"pictures/{reading.connector}/{name}", of_picture, at, picture)

@@ -7,6 +7,7 @@ executed: no pickle, no object arrays, and the declared type decides what is acc
 
 from __future__ import annotations
 
+import base64
 import re
 import threading
 from collections.abc import Iterable
@@ -142,9 +143,21 @@ def _padded(buffers: Iterable[memoryview]) -> Iterable[bytes]:
 
 def _array_of(type_: Any, value: Any) -> Any:  # noqa: ANN401, msgspec's hook
     np = _numpy()
+    if isinstance(value, dict) and value.keys() == {"dtype", "shape", "data"}:
+        value = _recorded_array(value)
     if isinstance(value, list | int | float | bool):
         value = np.asarray(value, *_declared(type_)[:1])
     return _check(type_, value)
+
+
+def _recorded_array(value: dict[str, Any]) -> np.ndarray:
+    """Return an array that a recording has as text in base64."""
+    dtype = _dtype(str(value["dtype"]))
+    if dtype is None:
+        raise ValueError(f"refused array of {value['dtype']}")
+    data = base64.b64decode(value["data"], validate=True)
+    array: np.ndarray = _numpy().frombuffer(data, dtype).reshape(value["shape"])
+    return array
 
 
 @cache

@@ -59,6 +59,8 @@ class Input(Struct, frozen=True, array_like=True):
 
 
 _SAMPLES, _INPUTS = "samples", "inputs"
+MESSAGES = "messages"
+"""The topics of what went out over connectors."""
 SEEN = "policies"
 """The topic of what policies see."""
 _Record = TypeVar("_Record", bound=Struct)
@@ -117,14 +119,17 @@ class McapFile:
         Dots in the topic become slashes, for Foxglove takes what follows a dot for a
         field. A topic has the schema of its first message.
         """
-        topic, moment = _slashed(topic), int(at * 1e9)
+        name, topic, moment = topic, _slashed(topic), int(at * 1e9)
         is_packed = isinstance(value, bytes)
         data = value if is_packed else msgspec.json.encode(value)
         with self._lock:
             self._check_room()
             if topic not in self._channels:
                 self._channels[topic] = self._writer.register_channel(
-                    topic, "msgpack" if is_packed else "json", self._schema(schema)
+                    topic,
+                    "msgpack" if is_packed else "json",
+                    self._schema(schema),
+                    {"name": name},
                 )
             try:
                 self._writer.add_message(self._channels[topic], moment, data, moment)
@@ -208,6 +213,32 @@ def robot_of(path: Path) -> str:
 def samples_of(path: Path) -> Iterator[AgentSample]:
     """Yield what agents counted; UsageError: it is no recording."""
     return messages_of(path, _SAMPLES, AgentSample)
+
+
+class Said(Struct, frozen=True):
+    """A message or call that `poise record` wrote: over which connector, when [s]."""
+
+    connector: str
+    at: float
+    value: Any
+
+
+def said_in(path: Path) -> Iterator[Said]:
+    """Yield messages and calls as they went out; UsageError: it is no recording."""
+    connectors: dict[int, str] = {}
+    for record in _records(path):
+        match type(record).__name__:
+            case "Channel":
+                kind, _, name = record.metadata.get("name", "").partition("/")
+                if kind == MESSAGES:
+                    connectors[record.id] = name
+            case "Message" if record.channel_id in connectors:
+                try:
+                    value = msgspec.json.decode(record.data)
+                except msgspec.DecodeError as error:
+                    raise UsageError(f"{path} is damaged: {error}") from error
+                at = record.log_time / 1e9
+                yield Said(connectors[record.channel_id], at, value)
 
 
 def inputs_of(path: Path) -> list[Input]:

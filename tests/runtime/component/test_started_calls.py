@@ -13,7 +13,12 @@ import pytest
 
 import poise
 from poise.errors import RunError, Timeout
-from poise.runtime.component.started_calls import MOST_OPEN, StartedCall, StartedCalls
+from poise.runtime.component.started_calls import (
+    MOST_OPEN,
+    ImmediateCalls,
+    StartedCall,
+    StartedCalls,
+)
 from poise.runtime.connectors.endpoints import Endpoints
 from poise.runtime.execution.exclusion import Exclusion
 from poise.runtime.hosting.life_cycle import ExecutionGate
@@ -120,3 +125,11 @@ class _Nothing:
     def set_unbounded(self, *, unbounded: bool) -> None: ...
 
     def send_buffered(self) -> None: ...
+
+
+def test_alone_each_call_is_made_at_once() -> None:
+    calls, taken = ImmediateCalls(), list[int]()
+    here = calls.start(threading.get_ident)
+    here.then(lambda call: taken.append(call.result()))
+    assert taken == [threading.get_ident()]
+    assert calls.num_open == 0

@@ -23,7 +23,9 @@ from poise.session.recorded_run import RecordedRun
 from poise.session.render.printable import console_to
 from poise.session.render.tables import table
 from poise.session.robot_file import load_bare
+from poise.session.running_robots.playback import play
 from poise.session.running_robots.running import connect
+from poise.units import counted
 from poise.view.robot_recording import record
 
 
@@ -113,8 +115,7 @@ def record_command(
 
     How computers, components, connectors, timers and chains are each second, what the
     manager decides, and the messages and calls of the connectors that are named. The
-    robot does not wait for it: what finds no room is counted, and so is what is too
-    long: of lists over 1,000 values, of arrays and of bytes. It goes on with a new
+    robot does not wait for it: what finds no room is counted. It goes on with a new
     manager. The file is whole when this ends, also with an error: with code 1 when the
     disk is full or the robot has ended, with 130 after Ctrl-C.
 
@@ -149,3 +150,56 @@ def record_command(
             )
         if as_json:
             print_json(recorded)
+
+
+def play_command(
+    file: Annotated[Path, typer.Argument(help="A file of `poise record`.")],
+    rate: Annotated[
+        float, typer.Option(help="So many times as quickly as it was recorded.")
+    ] = 1.0,
+    only: Annotated[
+        list[str] | None,
+        typer.Option(metavar="COMPONENT.PORT", help="Only this; may be repeated."),
+    ] = None,
+    robot: Robot = None,
+    as_json: AsJson = False,
+) -> None:
+    """Publish the messages of a recording in a running robot, at their ports, in time.
+
+    They come beside what the components publish themselves; calls are not played. It
+    exits with 1 when a port could not be played, and says why.
+
+    Examples
+    --------
+    poise play run.mcap
+
+    poise play run.mcap --rate 2 --only camera.picture
+    """
+    console = console_to(stderr=as_json)
+
+    def say(sentence: str) -> None:
+        console.print(escape(sentence), soft_wrap=True)
+
+    with Interrupts() as interrupts:
+        played = play(
+            file,
+            robot=robot,
+            rate=rate,
+            only=only or (),
+            say=say,
+            check=interrupts.check,
+        )
+    if as_json:
+        print_json(played)
+    else:
+        for port, count in sorted(played.messages.items()):
+            say(f"{port}: {counted(count, 'message')}")
+        if played.behind > _LATE:
+            late = f"the last one was {played.behind:.1f} s late"
+            say(f"{late}: play it with less --rate")
+    if played.skipped:
+        raise typer.Exit(1)
+
+
+_LATE = 0.5
+"""What is later [s] than in the recording is said."""

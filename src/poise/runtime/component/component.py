@@ -21,7 +21,11 @@ from poise.runtime.component.parameters import (
     parameters_type,
     plain,
 )
-from poise.runtime.component.started_calls import StartedCall, StartedCalls
+from poise.runtime.component.started_calls import (
+    ImmediateCalls,
+    StartedCall,
+    StartedCalls,
+)
 from poise.suggest import did_you_mean, listed
 from poise.wire.connections import connection
 
@@ -55,7 +59,7 @@ class Context(Struct, frozen=True, kw_only=True):
     count_process: Callable[[int], None] = lambda _: None
     give_up: Callable[[str], None] = lambda _: None
     request: Callable[[Verb, str], None] = lambda *_: None
-    calls: StartedCalls = StartedCalls("", lambda do: do())
+    calls: StartedCalls = ImmediateCalls()
 
 
 class TaskRequests:
@@ -142,15 +146,15 @@ class Component:
         """The robot's tasks: ``self.tasks.start("fetch")``."""
         return TaskRequests(self._context.request)
 
-    def start(
+    def start_call(
         self, call: Callable[P, R], *args: P.args, **kwargs: P.kwargs
     ) -> StartedCall[R]:
         """Start a call without waiting for it: so two can be asked at once.
 
         ::
 
-            first = self.start(self.heating.heat, 0.4)
-            second = self.start(self.camera.look)
+            first = self.start_call(self.heating.heat, 0.4)
+            second = self.start_call(self.camera.look)
             first.then(self.on_heat)     # later, in a turn of its own
             picture = second.result()    # or wait for it here
 

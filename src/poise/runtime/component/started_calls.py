@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
-from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
+from collections.abc import Callable, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
 from functools import cache, partial
 from typing import Generic, ParamSpec, TypeVar
 
@@ -95,24 +95,12 @@ class StartedCalls:
             raise RunError(f"{MOST_OPEN} calls of '{self._name}' wait for answers")
         self.expect()
         answer: Future[R] = Future()
-        until = _calls.deadline()
-
-        def make() -> None:
-            if answer.cancelled():
-                return
-            new_chain()
-            _calls.set_deadline(until)
-            try:
-                result = call(*args, **kwargs)
-            # what the caller is to see, whatever it is
-            except BaseException as error:  # noqa: BLE001
-                _settle(answer, partial(answer.set_exception, error))
-            else:
-                _settle(answer, partial(answer.set_result, result))
-
         answer.add_done_callback(lambda _: self.end())
-        _threads().submit(make)
+        self._make(partial(_answer, answer, call, args, kwargs, _calls.deadline()))
         return StartedCall(answer, self)
+
+    def _make(self, do: Callable[[], None]) -> None:
+        _threads().submit(do)
 
     def expect(self) -> None:
         """Count one more that is to be waited for."""
@@ -137,8 +125,33 @@ class StartedCalls:
             return self._changed.wait_for(lambda: not self._num_open, left)
 
 
-def _settle(answer: Future[R], settle: Callable[[], None]) -> None:
-    """Set an answer, unless it was cancelled meanwhile."""
+class ImmediateCalls(StartedCalls):
+    """Makes each call at once and waits for it: for a component that runs alone."""
+
+    def __init__(self) -> None:
+        super().__init__("", lambda do: do())
+
+    def _make(self, do: Callable[[], None]) -> None:
+        do()
+
+
+def _answer(
+    answer: Future[R],
+    call: Callable[..., R],
+    args: tuple[object, ...],
+    kwargs: Mapping[str, object],
+    until: int,
+) -> None:
+    """Make a call and set its answer, unless that is cancelled before or meanwhile."""
+    if answer.cancelled():
+        return
+    new_chain()
+    _calls.set_deadline(until)
+    try:
+        settle = partial(answer.set_result, call(*args, **kwargs))
+    # what the caller is to see, whatever it is
+    except BaseException as error:  # noqa: BLE001
+        settle = partial(answer.set_exception, error)
     if answer.set_running_or_notify_cancel():
         settle()
 
@@ -146,6 +159,3 @@ def _settle(answer: Future[R], settle: Callable[[], None]) -> None:
 @cache
 def _threads() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(_THREADS, "started")
-
-
-__all__ = ["CancelledError", "StartedCall", "StartedCalls"]

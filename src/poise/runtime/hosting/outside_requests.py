@@ -6,6 +6,7 @@ doubles none, and whoever comes too late for a move is told to ask at the new pl
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -52,22 +53,21 @@ class OutsideRequests:
         self._runner_of = runner_of
         self._answer = answer
         self._threads = ThreadPoolExecutor(_THREADS, "outside")
-        self._num_waiting = 0
+        self._room = threading.Semaphore(_MOST_WAITING)
         self._feeds: dict[tuple[Runner, str], Feed] = {}
 
     def take(self, request: PortRequest) -> None:
         """Take a request; it is answered later."""
-        if self._num_waiting >= _MOST_WAITING:
+        if not self._room.acquire(blocking=False):
             why = f"{_MOST_WAITING} requests from outside wait for this container"
             self._answer(PortAnswer(number=request.number, outcome="late", reason=why))
             return
-        self._num_waiting += 1
         until = time.monotonic() + request.limit
         self._threads.submit(self._carry_out, request, until)
 
     def forget(self, runner: Runner) -> None:
         """Forget a component that is not here any more."""
-        for key in [key for key in self._feeds if key[0] is runner]:
+        for key in [key for key in list(self._feeds) if key[0] is runner]:
             del self._feeds[key]
 
     def close(self) -> None:
@@ -83,7 +83,7 @@ class OutsideRequests:
                 number=request.number, outcome="refused", reason=f"a defect: {error!r}"
             )
         finally:
-            self._num_waiting -= 1
+            self._room.release()
         self._answer(answer)
 
     def _outcome(self, request: PortRequest, until: float) -> PortAnswer:

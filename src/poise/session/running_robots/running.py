@@ -285,7 +285,13 @@ class Running:
             time.sleep(_LOOK_EVERY)
 
     def look_at(
-        self, connector: str, viewer: str, *, rate: float, items: int = SHOWN_ITEMS
+        self,
+        connector: str,
+        viewer: str,
+        *,
+        rate: float,
+        items: int = SHOWN_ITEMS,
+        is_whole: bool = False,
     ) -> TapReading:
         """Return what went out over a connector since this viewer looked last.
 
@@ -298,8 +304,11 @@ class Running:
             This number of messages or calls a second comes with its content.
         items
             Of longer lists, arrays and mappings the rest is left out.
+        is_whole
+            Whether contents are `poise.wire.codec.Packed`, with nothing left out.
         """
-        return ask(self.name, TapCommand(connector, viewer, rate, items), TapReading)
+        command = TapCommand(connector, viewer, rate, items, is_whole)
+        return ask(self.name, command, TapReading)
 
     def log(
         self, component: str = "", *, last: int = 100, follow: bool = False

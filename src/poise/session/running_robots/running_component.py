@@ -139,7 +139,7 @@ class RunningComponent:
         Parameters
         ----------
         type_
-            The type of the messages; `typing.Any`: plain data, with arrays.
+            The type of the messages; ``dict``: plain data, with arrays.
         """
         viewer, connector = secrets.token_hex(8), f"{self.name}.{port}"
         command = TapCommand(connector, viewer, _ALL, is_whole=True)
