@@ -183,8 +183,9 @@ export default {
     fine() {
       if (!this.parts.timers || this.late.length || this.unknown) return "";
       const timers = byName(this.parts.timers).filter((t) => t.deadline).length, chains = byName(this.parts.chains).length;
-      const parts = [timers && `${timers} timers`, chains && `${chains} chains`].filter(Boolean).join(" and ");
-      return parts && `all ${parts} with a deadline meet it`;
+      const counted = (count, noun) => count && `${count} ${noun}${count === 1 ? "" : "s"}`;
+      const parts = [counted(timers, "timer"), counted(chains, "chain")].filter(Boolean).join(" and ");
+      return parts && `no deadline is missed: ${parts}`;
     },
     late() {
       const timers = byName(this.parts.timers).filter((t) => t.deadline), chains = byName(this.parts.chains);
