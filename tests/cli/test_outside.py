@@ -368,6 +368,7 @@ def test_the_command_prints_what_a_call_returned(poise: Poise) -> None:
         ("call summer.sums total --limit 99", 2, "at most 50 s"),
         ("pub summer.numbers {value:", 2, "neither JSON nor YAML"),
         ("pub summer.numbers 3", 2, "the message is no Number: Expected `object`"),
+        ('pub summer.numbers {"value":1,"vale":2}', 2, "Number has no 'vale' (did you"),
         ("pub summer.sums 3", 2, "'summer.sums' does not take or publish messages"),
     ],
 )
@@ -403,12 +404,23 @@ def test_parameters_are_kept_through_moves_and_restarts(
     summer = robot.component("summer")
     assert summer.parameters(limit=20.0) == {"gain": 0.5, "period": 0.5}
     done = poise(
-        "param", "set", "summer", "gain=25%", "period=20 ms", "--robot", NAME, "--json"
+        "param",
+        "set",
+        "summer",
+        "gain=25%",
+        "period=20 ms",
+        "--robot",
+        NAME,
+        "--json",
+        "--limit",
+        20,
     )
     assert json.loads(done.stdout) == {"gain": 0.25, "period": 0.02}
     kept = {"gain": 0.25, "period": 0.02}
     move(robot, "summer")
     assert summer.parameters(limit=20.0) == kept
+    said = poise("status", "--robot", NAME).stdout
+    assert "parameters of 'summer' that were set since the start" in said
     (pid,) = {
         container.pid
         for status in robot.status().computers.values()
@@ -456,7 +468,7 @@ def test_parameters_that_do_not_fit_change_nothing(poise: Poise) -> None:
         (("gain=high",), 2, "parameter 'gain' is 'high': Expected `float`"),
         (("gain",), 2, "'gain': give NAME=VALUE"),
     ):
-        done = poise("param", "set", "hearer", *changes, "--robot", NAME)
+        done = poise("param", "set", "hearer", *changes, "--robot", NAME, "--limit", 20)
         assert (done.returncode, said in done.stderr) == (code, True), done.stderr
     done = poise("param", "set", "silent", "limit=4", "--robot", NAME)
     assert (done.returncode, "has no `reconfigure`" in done.stderr) == (2, True)
@@ -475,6 +487,31 @@ def test_the_check_says_where_a_parameter_does_not_fit(
     assert "robot.yaml:13:" in done.stdout + done.stderr
     assert "no parameter 'gian' (did you mean 'gain'?)" in done.stdout + done.stderr
     assert "parameter 'gain' is missing" in done.stdout + done.stderr
+
+
+def test_calls_wait_for_a_container_that_was_killed(robot: api.Running) -> None:
+    """Of those that were under way nobody knows; the others are made."""
+    ended, unknown = threading.Event(), list[str]()
+
+    def call() -> None:
+        while not ended.is_set():
+            try:
+                robot.component("summer").call("sums", "total", limit=20.0)
+            except RunError as error:
+                unknown.append(str(error))
+
+    caller = threading.Thread(target=call)
+    caller.start()
+    try:
+        for _ in range(3):
+            killed = min(pids(robot))
+            os.kill(killed, signal.SIGKILL)
+            wait_long(lambda pid=killed: pid not in pids(robot))  # type: ignore[misc]
+    finally:
+        ended.set()
+        caller.join()
+    assert all("may have been taken" in why for why in unknown), unknown
+    assert not any("does not run" in why for why in unknown), unknown
 
 
 def pids(robot: api.Running) -> set[int]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Literal
+from typing import Any, Literal
 
 from msgspec import Struct
 
@@ -171,6 +171,8 @@ class RobotStatus(Struct, frozen=True, tag=True, kw_only=True):
     memory_demands: Mapping[str, float] = {}
     recent: tuple[JournalEntry, ...] = ()
     tasks: tuple[TaskReport, ...] = ()
+    # component -> its parameters that were set since the start
+    parameters: Mapping[str, Mapping[str, Any]] = {}
     robot_tasks: tuple[str, ...] = ()  # those that can be started
     prefetch: PrefetchReport = PrefetchReport()  # what prefetch was good for
     loads: Mapping[str, Load] = {}

@@ -20,16 +20,20 @@ from poise.manage.control_socket.agents_without_manager import (
 from poise.manage.control_socket.commands import (
     Command,
     JournalCommand,
+    LogCommand,
     Refusal,
     Response,
     Result,
     StatusCommand,
+    TapCommand,
 )
 from poise.manage.control_socket.location import path_of, running_here
 from poise.wire import frame
 from poise.wire.address import connect
 from poise.wire.codec import WireError
 
+_LOOKS = StatusCommand | JournalCommand | TapCommand | LogCommand
+"""Commands that change nothing."""
 R = TypeVar("R", bound=Result)
 
 ANSWER_LIMIT = 60.0
@@ -58,7 +62,8 @@ def send_command(robot: str | None, command: Command) -> Result:
     except BlockingIOError:  # its queue is full
         raise _no_answer(path.stem) from None
     except (OSError, RunError, WireError) as error:
-        raise RunError(f"robot '{path.stem}' gave no answer: {error}") from error
+        done = "" if isinstance(command, _LOOKS) else "; it may have been done"
+        raise RunError(f"robot '{path.stem}' gave no answer: {error}{done}") from error
     if isinstance(told, Refusal):
         raise told.to_error()
     return told

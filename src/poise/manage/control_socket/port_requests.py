@@ -137,7 +137,7 @@ def _ask(
     if run.clock.now() >= until:
         why = f"no answer within {command.limit:g} s; the {what} may have been taken"
         return PortAnswer(number=request.number, outcome="late", reason=why)
-    why = f"computer '{computer}' gave no answer within {limit + _MARGIN:.1f} s"
+    why = f"computer '{computer}' gave no answer"
     if isinstance(answer, Refused | StepsFailed):
         why = answer.reason
     raise RunError(

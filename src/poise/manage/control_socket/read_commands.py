@@ -92,6 +92,7 @@ def status_of(
         demand_estimates=tuple(estimates.demand_estimates()),
         chains=chain_reports(run.robot, statuses),
         capacities={c.name: _capacity(c) for c in run.robot.computers},
+        parameters=run.desired.parameters,
         memory_demands=run.robot.demands("memory"),
         recent=run.journal.recent(),
         tasks=tuple(tasks),

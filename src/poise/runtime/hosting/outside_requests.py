@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NoReturn, get_args
+
+from msgspec import Struct, structs
 
 from poise import threads
 from poise.errors import CalleeError, PoiseError, Timeout, UsageError
@@ -22,6 +24,7 @@ from poise.runtime.connectors.route import direct_call, raise_callee_error
 from poise.runtime.execution.counters import Counts
 from poise.runtime.execution.exclusion import Redirected, new_chain
 from poise.runtime.execution.mailbox import Feed
+from poise.runtime.hosting.output import write_as
 from poise.runtime.hosting.runner import Runner
 from poise.suggest import did_you_mean, listed
 from poise.wire.codec import Packed, WireError, pack, unpack
@@ -110,6 +113,7 @@ class OutsideRequests:
         return PortAnswer(number=number, outcome="done", value=value)
 
     def _done(self, request: PortRequest, until: float) -> Any:  # noqa: ANN401, a result
+        write_as(request.component)
         runner = self._runner_of(request.component)
         if runner is None:
             raise Away(f"component '{request.component}' is not here")
@@ -241,9 +245,27 @@ def _arguments(method: Method, request: PortRequest) -> tuple[Any, ...]:
 
 def _converted(value: Packed, type_: Any, what: str) -> Any:  # noqa: ANN401, any type
     try:
-        return unpack(value, type_)
+        converted = unpack(value, type_)
+        unknown = next(_unknown(unpack(value), type_), "")
     except WireError as error:
         raise UsageError(f"{what} is no {_name(type_)}: {error}") from error
+    if unknown:
+        raise UsageError(f"{what}: {unknown}")
+    return converted
+
+
+def _unknown(value: object, type_: object) -> Iterator[str]:
+    """Yield what is said of fields that a message has not, also of those inside."""
+    if not (isinstance(type_, type) and issubclass(type_, Struct)):
+        return
+    if isinstance(value, dict):
+        fields = {each.encode_name: each.type for each in structs.fields(type_)}
+        for name, part in value.items():
+            if name in fields:
+                yield from _unknown(part, fields[name])
+            else:
+                guess = did_you_mean(name, fields)
+                yield f"{_name(type_)} has no '{name}'{guess}; it has {listed(fields)}"
 
 
 def _name(type_: object) -> str:

@@ -15,6 +15,7 @@ from poise.wire.codec import WireError
 from poise.wire.records.deployment_records import ContainerSpec
 from poise.wire.records.heartbeat_records import Clocks, ClockStatus
 from poise.wire.records.migration_records import StepsFailed
+from poise.wire.records.request_records import PortAnswer, PortRequest
 from poise.wire.records.status_records import (
     ComponentStatus,
     ContainerAnswer,
@@ -244,7 +245,10 @@ class MigrationRelay:
         process = self._processes.get(steps.container)
         if process is None or process.is_deaf:
             reason = f"container '{steps.container}' does not run"
-            reply(StepsFailed(steps.number, reason))
+            if isinstance(steps, PortRequest):  # it may be asked again
+                reply(PortAnswer(number=steps.number, outcome="away", reason=reason))
+            else:
+                reply(StepsFailed(steps.number, reason))
             return
         if process.is_stuck():
             reply(StepsFailed(steps.number, _why_silent(process)))

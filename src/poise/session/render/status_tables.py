@@ -44,6 +44,9 @@ def status_parts(status: RobotStatus) -> Iterator[RenderableType]:
         faults = counted(status.faults, "fault")
         lately = f"; {faults} since the start (below)" if status.faults else ""
         yield f"everything is as the robot file says{lately}"
+    for name, values in sorted(status.parameters.items()):
+        said = ", ".join(f"{key} = {value}" for key, value in values.items())
+        yield Text(f"parameters of '{name}' that were set since the start: {said}")
     yield component_table(status)
     for remark in remarks(status):
         yield f"[yellow]{remark}[/]"

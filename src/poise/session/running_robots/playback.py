@@ -16,6 +16,7 @@ from poise.session.callbacks import Check, Say, log, nothing
 from poise.session.running_robots.running import Running, connect
 from poise.wire.recording_file import Said, said_in
 
+CALLS = "calls are not played"
 _LIMIT = 10.0
 """A component takes a message within this time [s], or the playback ends."""
 _LOOK_EVERY = 0.1
@@ -125,11 +126,17 @@ def _source(said: Said) -> str:
     return f"{found[1]}.{found[2]}"
 
 
+def _is_call(value: object) -> bool:
+    """Return whether this is how a call is recorded, with its outcome."""
+    ends = {"returned", "raised"}
+    return isinstance(value, dict) and "seconds" in value and bool(ends & value.keys())
+
+
 def _publish(running: Running, port: str, said: Said) -> str:
     """Publish a message; return why that cannot be done."""
     component, _, name = port.rpartition(".")
     try:
         running.component(component).publish(name, said.value, limit=_LIMIT)
     except UsageError as error:
-        return str(error)
+        return CALLS if _is_call(said.value) else str(error)
     return ""

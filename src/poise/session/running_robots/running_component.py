@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, TypeVar, cast, get_type_hints
 
 import msgspec
+from msgspec import structs
 
 from poise.errors import CalleeError, RunError, Timeout, UsageError
 from poise.manage.control_socket.commands import (
@@ -16,6 +17,7 @@ from poise.manage.control_socket.commands import (
     TapCommand,
 )
 from poise.manage.control_socket.control_client import ask
+from poise.runtime._calls import time_left
 from poise.wire.codec import Packed, WireError, pack, unpack
 from poise.wire.records.request_records import PARAMETERS, PortAnswer, TapReading
 
@@ -196,7 +198,7 @@ class RunningComponent:
         except WireError as error:
             raise UsageError(str(error)) from error
         command = ParametersCommand(component=self.name, changes=packed, limit=limit)
-        answer = self._checked(ask(self._robot, command, PortAnswer), PARAMETERS)
+        answer = self._sent(command, PARAMETERS)
         return dict(unpack(answer.value))
 
     def _ask(self, port: str, method: str, value: object, limit: float) -> PortAnswer:
@@ -207,6 +209,14 @@ class RunningComponent:
         command = PortCommand(
             component=self.name, port=port, method=method, value=packed, limit=limit
         )
+        return self._sent(command, port)
+
+    def _sent(self, command: PortCommand | ParametersCommand, port: str) -> PortAnswer:
+        """Send a command, within what `poise.within` leaves of its limit."""
+        limit = time_left(command.limit)
+        if command.limit > 0 >= limit:
+            raise Timeout(f"'{self.name}.{port}': no time is left")
+        command = structs.replace(command, limit=limit)
         return self._checked(ask(self._robot, command, PortAnswer), port)
 
     def _checked(self, answer: PortAnswer, port: str) -> PortAnswer:
