@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from poise.clock import Stamp as Stamp
     from poise.errors import CalleeError as CalleeError
     from poise.errors import CallError as CallError
+    from poise.errors import CannotCross as CannotCross
     from poise.errors import FileProblem as FileProblem
     from poise.errors import PoiseError as PoiseError
     from poise.errors import RobotError as RobotError
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
     from poise.runtime.component.ports import every as every
     from poise.runtime.component.ports import oneway as oneway
     from poise.runtime.component.ports import subscribed as subscribed
+    from poise.runtime.component.started_calls import StartedCall as StartedCall
     from poise.session.diagrams.draw import Drawing as Drawing
     from poise.session.diagrams.draw import draw as draw
     from poise.session.launch.computers import emulated as emulated
@@ -58,6 +60,9 @@ if TYPE_CHECKING:
     from poise.session.running_robots.running import RolledBack as RolledBack
     from poise.session.running_robots.running import Running as Running
     from poise.session.running_robots.running import connect as connect
+    from poise.session.running_robots.running_component import (
+        RunningComponent as RunningComponent,
+    )
     from poise.session.running_robots.without_manager import (
         status_without_manager as status_without_manager,
     )
@@ -78,6 +83,7 @@ else:
         "Calibration": "session.profiling.calibrate",
         "CallError": "errors",
         "CalleeError": "errors",
+        "CannotCross": "errors",
         "Component": "runtime.component.component",
         "Drawing": "session.diagrams.draw",
         "FileProblem": "errors",
@@ -100,6 +106,8 @@ else:
         "RolledBack": "session.running_robots.running",
         "RunError": "errors",
         "RunReport": "session.run_report",
+        "RunningComponent": "session.running_robots.running_component",
+        "StartedCall": "runtime.component.started_calls",
         "Running": "session.running_robots.running",
         "Seen": "model.policy.policy",
         "Conditions": "estimate.success_rates",

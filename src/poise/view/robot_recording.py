@@ -19,7 +19,7 @@ from poise.errors import PoiseError, RunError
 from poise.session.callbacks import Check, Say, log, nothing
 from poise.session.running_robots.running import JournalEntry, Status, connect
 from poise.units import counted
-from poise.view.recorded_values import TIME, as_json, pictures
+from poise.view.recorded_values import TIME, as_json, pictures, stamp
 from poise.view.robot_view import (
     ComponentRow,
     ComputerRow,
@@ -316,9 +316,8 @@ class Recorder:
         self._last_entry = last
 
     def _write_entry(self, file: McapFile, entry: JournalEntry) -> None:
-        seconds = int(entry.at)
         log = {
-            "timestamp": {"sec": seconds, "nsec": int((entry.at - seconds) * 1e9)},
+            "timestamp": stamp(entry.at),
             "level": _LEVELS.get(entry.kind, _INFO),
             "message": entry.what,
             "name": entry.kind,

@@ -133,3 +133,12 @@ def test_alone_each_call_is_made_at_once() -> None:
     here.then(lambda call: taken.append(call.result()))
     assert taken == [threading.get_ident()]
     assert calls.num_open == 0
+
+
+def test_answers_to_be_taken_are_no_calls(component: Component) -> None:
+    for _ in range(MOST_OPEN):
+        call = component.calls.start(int)
+        call.then(lambda _: None)
+        call.result()
+    assert component.calls.num_open >= MOST_OPEN  # answers that nobody has taken
+    component.calls.start(int).result()

@@ -51,6 +51,8 @@ def ask_port(run: RunningComponents, command: PortCommand) -> PortAnswer:
             if answer.outcome != "away":
                 return answer
             why = answer.reason
+        if run.is_over.is_set():
+            raise RunError("the robot is being stopped")
         if clock.now() >= until:
             raise RunError(
                 f"'{name}.{command.port}' was not reached within {command.limit:g} s: "

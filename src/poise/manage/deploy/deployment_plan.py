@@ -229,7 +229,7 @@ class DeploymentPlan:
     def component_spec(
         self, incarnation: Incarnation, parameters: Mapping[str, Any] = {}
     ) -> ComponentSpec:
-        """Return what an agent is told of an incarnation.
+        """Return the specification of an incarnation for its agent.
 
         `parameters`: those that were set since the start.
         """

@@ -35,37 +35,41 @@ def as_declared(implementation: type, values: Values) -> Any:  # noqa: ANN401, a
     type_ = parameters_type(implementation)
     if type_ is None:
         return values
-    if wrong := dict(problems(type_, values)):
-        name = implementation.__qualname__
-        raise UsageError("; ".join(f"{name}: {text}" for text in wrong.values()))
+    if wrong := [text for _, text in problems(type_, values)]:
+        raise UsageError(f"{implementation.__qualname__}: {'; '.join(wrong)}")
     return msgspec.convert(_in_si(type_, values), type_)
 
 
 def problems(type_: type[Struct], values: Values) -> Iterator[tuple[str, str]]:
-    """Yield the name of each parameter that does not fit, and why; empty: a missing."""
+    """Yield the name of each parameter that does not fit, and why.
+
+    The name is empty where one is missing, or where several do not fit together.
+    """
+    is_fine = True
     fields = {field.encode_name: field for field in msgspec.structs.fields(type_)}
     for name in values:
         if name not in fields:
             guess = did_you_mean(name, fields)
             known = f"{type_.__qualname__} has {listed(fields)}"
+            is_fine = False
             yield name, f"there is no parameter '{name}'{guess}; {known}"
     given = _in_si(type_, values)
     for name, field in fields.items():
         if name not in values:
             if field.required:
+                is_fine = False
                 yield "", f"parameter '{name}' is missing"
             continue
         try:
             msgspec.convert(given[name], field.type)
         except msgspec.ValidationError as error:
+            is_fine = False
             yield name, f"parameter '{name}' is {values[name]!r}: {error}"
-    if values.keys() <= fields.keys():
-        with suppress(msgspec.ValidationError):  # of a single one, which was said
-            try:
-                msgspec.convert(given, type_)
-            except (ValueError, TypeError) as error:  # what its code checks itself
-                if not isinstance(error, msgspec.ValidationError):
-                    yield "", str(error)
+    if is_fine:
+        try:
+            msgspec.convert(given, type_)
+        except msgspec.ValidationError as error:  # of a check in its `__post_init__`
+            yield "", str(error)
 
 
 def plain(parameters: Any) -> dict[str, Any]:  # noqa: ANN401, any type

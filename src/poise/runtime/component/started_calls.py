@@ -20,7 +20,7 @@ from poise.runtime._calls import new_chain
 _THREADS = 16
 """So many calls of one container are under way at once; others wait."""
 MOST_OPEN = 64
-"""A component may have started so many calls that are not answered."""
+"""The most unanswered calls of one component."""
 P = ParamSpec("P")
 R = TypeVar("R")
 Turn = Callable[[Callable[[], object]], object]
@@ -82,7 +82,7 @@ class StartedCalls:
         self.turn = turn
         self._name = name
         self._changed = threading.Condition()
-        self._num_open = 0
+        self._num_open = self._num_calls = 0
 
     def start(
         self, call: Callable[P, R], *args: P.args, **kwargs: P.kwargs
@@ -91,26 +91,28 @@ class StartedCalls:
 
         Raises RunError: `MOST_OPEN` are open.
         """
-        if self._num_open >= MOST_OPEN:
+        if self._num_calls >= MOST_OPEN:
             raise RunError(f"{MOST_OPEN} calls of '{self._name}' wait for answers")
-        self.expect()
+        self.expect(calls=1)
         answer: Future[R] = Future()
-        answer.add_done_callback(lambda _: self.end())
+        answer.add_done_callback(lambda _: self.end(calls=1))
         self._make(partial(_answer, answer, call, args, kwargs, _calls.deadline()))
         return StartedCall(answer, self)
 
     def _make(self, do: Callable[[], None]) -> None:
         _threads().submit(do)
 
-    def expect(self) -> None:
-        """Count one more that is to be waited for."""
+    def expect(self, *, calls: int = 0) -> None:
+        """Count one more call, or answer to be taken, that is to be waited for."""
         with self._changed:
             self._num_open += 1
+            self._num_calls += calls
 
-    def end(self) -> None:
+    def end(self, *, calls: int = 0) -> None:
         """Count one less."""
         with self._changed:
             self._num_open -= 1
+            self._num_calls -= calls
             self._changed.notify_all()
 
     @property

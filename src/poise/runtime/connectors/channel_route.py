@@ -167,7 +167,7 @@ class ChannelRoute:
 
 
 def _told(error: CallError | WireError, call: str, limit: float) -> CallError:
-    """Return what a caller is told of an error of its call."""
+    """Return the error that a caller gets for a call that failed."""
     if isinstance(error, Timeout):
         return Timeout(f"{call}, limit {limit:.3g} s: {error}")
     if isinstance(error, WireError):

@@ -114,6 +114,8 @@ class OutsideRequests:
 
     def _done(self, request: PortRequest, until: float) -> Any:  # noqa: ANN401, a result
         write_as(request.component)
+        if time.monotonic() > until:
+            raise Timeout("others were carried out for all of its limit; it was not")
         runner = self._runner_of(request.component)
         if runner is None:
             raise Away(f"component '{request.component}' is not here")

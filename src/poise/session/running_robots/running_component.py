@@ -128,7 +128,7 @@ class RunningComponent:
         Raises
         ------
         Timeout
-            There was no room in time; the message was not sent.
+            It was not taken in time, for example as there was no room; it may still be.
         """
         self._ask(port, "", message, limit)
 
