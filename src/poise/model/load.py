@@ -9,6 +9,7 @@ from msgspec import Struct
 
 from poise.errors import FileProblem, RobotError
 from poise.model.check import check
+from poise.model.check.ros2_components import check_ros2, with_ros2
 from poise.model.repository import Repository, with_repository
 from poise.model.robot import Robot
 from poise.model.yaml.include import read_tree
@@ -54,6 +55,9 @@ def load_source(path: str | Path) -> Source:
     own = msgspec.convert(values, Robot)
     robot, repository = with_repository(own, root, problems)
     positions = Positions(root)
+    wrong = [positions.problem(finding) for finding in check_ros2(robot)]
+    robot = robot if wrong else with_ros2(robot)
+    problems += wrong
     problems += [positions.problem(finding) for finding in check(robot, repository)]
     if problems:
         raise RobotError(problems=sorted(problems))

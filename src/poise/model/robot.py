@@ -29,6 +29,7 @@ from poise.model.file_keys import (
 )
 from poise.model.hardware import Computer, Device, Link
 from poise.model.policy.policy import POLICIES, Policy
+from poise.model.ros2_bridge import Ros2Network
 from poise.model.software import (
     Architecture,
     ComponentCode,
@@ -265,6 +266,9 @@ class Robot(Struct, frozen=True, kw_only=True):
             is_nullable=True,
         ),
     ] = ""
+    ros2: Annotated[Ros2Network, says("ROS 2 around it: discovery, and bridges.")] = (
+        Ros2Network()
+    )
     folder: str = ""
     code: Mapping[str, ComponentCode] = {}
 

@@ -26,6 +26,7 @@ from poise.model.file_keys import (
     entries,
     says,
 )
+from poise.model.ros2_node import Ros2Node, RosName
 
 Layer = Literal["deliberative", "sequencing", "reactive"]
 WhenCutOff = Literal["stop", "go on"]
@@ -63,8 +64,8 @@ class DemandKeys(Struct):
 class ComponentEntry(Struct, frozen=True, kw_only=True):
     """A unit that has ports, a demand and, when it runs, state.
 
-    Without `implementation` and `command` it is for planning only. A resource that
-    neither `demand` nor a profile gives counts as 0.
+    Without `implementation`, `command` and `ros2` it is for planning only. A resource
+    that neither `demand` nor a profile gives counts as 0.
     """
 
     name: str
@@ -79,6 +80,13 @@ class ComponentEntry(Struct, frozen=True, kw_only=True):
             "The command line of a component that is any executable.", is_nullable=True
         ),
     ] = ()
+    ros2: Annotated[
+        Ros2Node | None, says("The ROS 2 node that it is: an executable, or a class.")
+    ] = None
+    environment: Annotated[
+        Mapping[str, str],
+        says("Further environment variables of a command or an executable."),
+    ] = {}
     demand: Annotated[Mapping[str, float], entries(DemandKeys)] = {}
     devices: Annotated[
         tuple[Name, ...], says("Devices it needs; it runs where they are.")
@@ -175,6 +183,14 @@ class Connector(Struct, frozen=True, kw_only=True, dict=True):
     ] = 0.0
     rate: Annotated[Rate, says("Messages or calls per second: 10 Hz.")] = 0.0
     limit: Annotated[Seconds, says("Time limit of a call: 100 ms.", gt=0)] = 1.0
+    topic: Annotated[
+        RosName,
+        says(
+            "The topic, service or action by which ROS 2 joins them, without ports: it "
+            "counts for the placement only.",
+            is_nullable=True,
+        ),
+    ] = ""
     record: str = ""
 
     @property
@@ -190,7 +206,7 @@ class Connector(Struct, frozen=True, kw_only=True, dict=True):
     @cached_property
     def name(self) -> str:
         """Its name, at run time, too."""
-        return f"{self.between[0]}-{self.between[1]}"
+        return f"{self.between[0]}-{self.between[1]}{self.topic and f' {self.topic}'}"
 
     def __str__(self) -> str:
         return self.name

@@ -47,7 +47,7 @@ def check_programs(robot: Robot) -> Iterator[Finding]:
                 program(component.command[0], robot.folder)
         except OSError as error:
             text = f"component '{component.name}': '{component.command[0]}': {error}"
-            yield Finding((*path, "command"), text)
+            yield Finding((*path, "ros2" if component.ros2 else "command"), text)
 
 
 def check_parameters(

@@ -244,3 +244,26 @@ spec = ComponentSpec(name="one", goal="active", command=command)
 runner_of(spec, Path()).aim("active")
 signal.pause()
 """
+
+
+def test_finds_the_executable_of_a_package(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "overlay/lib/nav_stack/scan_filter"
+    file.parent.mkdir(parents=True)
+    file.write_text("#!/bin/sh\n")
+    file.chmod(0o755)
+    prefixes = f"{tmp_path}/overlay:{tmp_path}/base"
+    monkeypatch.setenv("AMENT_PREFIX_PATH", prefixes)
+    assert program("ros2:nav_stack/scan_filter", "/") == str(file)
+    assert program("ros2:nav_stack/sh", "/").endswith("/sh")  # a script on the PATH
+    with pytest.raises(FileNotFoundError) as error:
+        program("ros2:nav_stack/scan_filters", "/")
+    assert "did you mean 'scan_filter'?" in str(error.value)
+    assert f"{tmp_path}/base/lib/nav_stack" in str(error.value)
+
+
+def test_says_that_ros_2_was_not_sourced(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("AMENT_PREFIX_PATH", raising=False)
+    with pytest.raises(FileNotFoundError, match=r"source the setup\.bash"):
+        program("ros2:nav_stack/scan_filter", "/")

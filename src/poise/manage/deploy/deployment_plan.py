@@ -77,7 +77,8 @@ class DeploymentPlan:
         self._joinable = [
             connector
             for connector in robot.all_connectors()
-            if commands.isdisjoint(end.component for end in connector.between)
+            if not connector.topic
+            and commands.isdisjoint(end.component for end in connector.between)
         ]
 
         self._ends = _ends(robot)
@@ -251,6 +252,7 @@ class DeploymentPlan:
             instead_of=component.implementation if is_other else "",
             code=self._code[key],
             command=component.command,
+            environment=component.environment,
             adapt=incarnation.adapt,
             fresh=incarnation.fresh,
             parameters=component.parameters,

@@ -132,6 +132,8 @@ def check_ports(robot: Robot, ports: Ports) -> Iterator[Finding]:
     """
     served: dict[str, list[Connector]] = {}
     for path, _, connector in connectors(robot):
+        if connector.topic:
+            continue  # ROS 2 joins them
         between: Path = (*path, "between")
         found = [_find(end, ports) for end in connector.between]
         for index, end in enumerate(connector.between):

@@ -19,7 +19,11 @@ from poise.wire.records.deployment_records import ComponentSpec
 def implementation_of(spec: ComponentSpec, folder: str) -> type[Component]:
     """Return the class to run; Poise's own may have ports by their parameters."""
     if spec.command:
-        own = {"command": spec.command, "folder": folder or "."}
+        own = {
+            "command": spec.command,
+            "folder": folder or ".",
+            "variables": spec.environment,
+        }
         return type("CommandLine", (CommandLine,), own)
     class_ = find(spec.implementation, folder)
     special = getattr(class_, "__poise_specialised__", None)

@@ -14,7 +14,7 @@ import shutil
 import signal
 import subprocess
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
@@ -24,6 +24,7 @@ from poise import threads
 from poise.errors import RobotError
 from poise.runtime.component.component import Component
 from poise.runtime.hosting.output import LONGEST, write_as
+from poise.suggest import did_you_mean, listed
 
 if TYPE_CHECKING:
     from poise.runtime.hosting.runner import Runner
@@ -42,6 +43,8 @@ class CommandLine(Component):
     command: ClassVar[tuple[str, ...]]
     folder: ClassVar[str]
     """Where it is run, and where its program is looked for first."""
+    variables: ClassVar[Mapping[str, str]] = {}
+    """Further environment variables."""
 
     def configure(self) -> None:
         """Look for the program."""
@@ -103,6 +106,7 @@ class CommandLine(Component):
             "POISE_COMPONENT": self.name,
             "POISE_PARAMETERS": msgspec.json.encode(self.parameters).decode(),
             **devices,
+            **self.variables,
         }
 
     def _pass_output_on(self) -> None:
@@ -133,15 +137,39 @@ class CommandLine(Component):
 
 
 def program(name: str, folder: str) -> str:
-    """Return the program's path; ``python`` is the one that Poise runs in."""
+    """Return the program's path; ``python`` is the one that Poise runs in.
+
+    ``ros2:package/executable`` is one of a package of ROS 2.
+    """
     if name in {"python", "python3"}:
         return sys.executable
+    if name.startswith("ros2:"):
+        return _ros2_executable(*name.removeprefix("ros2:").split("/", 1))
     beside = Path(folder, name).resolve()
     path = shutil.which(str(beside)) if "/" in name else shutil.which(name)
     if path is None:
         where = f"as {beside}" if "/" in name else "on the PATH"
         raise FileNotFoundError(f"there is no such program {where}")
     return path
+
+
+def _ros2_executable(package: str, name: str) -> str:
+    """Return where a package has an executable; FileNotFoundError: what is there."""
+    prefixes = [p for p in os.environ.get("AMENT_PREFIX_PATH", "").split(":") if p]
+    folders = [Path(prefix, "lib", package) for prefix in prefixes]
+    found = next((p for f in folders if (p := shutil.which(str(f / name)))), None)
+    if found or (found := shutil.which(name)):
+        return found
+    where = ", ".join(map(str, folders)) or (
+        "no folder, for AMENT_PREFIX_PATH is empty: source the setup.bash of ROS 2 "
+        "where the agent is started"
+    )
+    there = sorted({p.name for f in folders if f.is_dir() for p in f.iterdir()})
+    has = f"; package '{package}' has {listed(there)}" if there else ""
+    raise FileNotFoundError(
+        f"there is no '{name}' of package '{package}', nor on the PATH; looked in "
+        f"{where}{did_you_mean(name, there)}{has}"
+    )
 
 
 def die_with_parent() -> None:

@@ -41,6 +41,7 @@ class ComponentSpec(Struct, frozen=True, kw_only=True):
     code: str = ""  # Tells versions of its implementation's code apart
     # Program and arguments; not empty for a component that is any executable
     command: tuple[str, ...] = ()
+    environment: Mapping[str, str] = {}  # Further variables of the command
     # ``package.module:function`` that maps the state of the incarnation before, when
     # that had another implementation; empty: the state is the same
     adapt: str = ""

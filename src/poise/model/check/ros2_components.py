@@ -1,0 +1,172 @@
+"""ROS 2 in a robot file: its checks, and the components that nodes and bridges become.
+
+An executable becomes a command, a node of rclpy and a bridge become components that
+Poise has (`poise.ros2`). So whatever places, starts, measures and moves components
+knows nothing of ROS 2.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+from msgspec import to_builtins
+from msgspec.structs import replace
+
+from poise.endpoint import Endpoint
+from poise.model.check.names import component_names, components, connectors
+from poise.model.robot import ComponentEntry, Connector, Robot
+from poise.model.ros2_bridge import Ros2Bridge
+from poise.model.yaml.tree import Finding
+from poise.suggest import unknown
+
+NODE = "poise.ros2.node:RosNode"
+BRIDGE = "poise.ros2.bridge:Bridge"
+
+
+def check_ros2(robot: Robot) -> Iterator[Finding]:
+    """Yield what is wrong with nodes, topics and bridges; before `with_ros2`."""
+    for path, _, component in components(robot):
+        for key, message in _wrong_node(component):
+            yield Finding((*path, key), f"component '{component.name}' {message}")
+    for path, _, connector in connectors(robot):
+        for message in _wrong_topic(robot, connector):
+            yield Finding((*path, "between"), f"the connector {connector} {message}")
+    for index, bridge in enumerate(robot.ros2.bridges):
+        for message in _wrong_bridge(robot, bridge):
+            yield Finding(("ros2", "bridges", index, "port"), message)
+
+
+def _wrong_node(component: ComponentEntry) -> Iterator[tuple[str, str]]:
+    node = component.ros2
+    if component.environment and not (component.command or (node and node.executable)):
+        yield "environment", "is no process of its own: it takes no `environment`"
+    if node is None:
+        return
+    for key in ("implementation", "command", "ports"):
+        if getattr(component, key):
+            yield key, f"is a ROS 2 node: leave `{key}` out"
+    if component.parameters:
+        yield "parameters", "is a ROS 2 node: write `params` under `ros2`"
+    if bool(node.executable) == bool(node.node):
+        yield "ros2", "needs either an `executable` or a `node`"
+    elif node.node and (node.package or node.arguments):
+        key = "package" if node.package else "arguments"
+        yield "ros2", f"has a `node`: `{key}` belongs to an `executable`"
+
+
+def _wrong_topic(robot: Robot, connector: Connector) -> Iterator[str]:
+    """Yield what does not fit an end that is a ROS 2 node."""
+    known = {c.name: c for c in robot.components()}
+    bridged = {bridge.port.component for bridge in robot.ros2.bridges}
+    for end in connector.between:
+        entry = known.get(end.component)
+        if entry is None:
+            continue
+        if entry.ros2 and not connector.topic:
+            yield f"ends at the ROS 2 node '{entry.name}': add `topic: /its_topic`"
+        if not connector.topic:
+            continue
+        if end.port:
+            yield f"has a topic of ROS 2, so write '{entry.name}' without a port"
+        elif not (entry.ros2 or entry.command or entry.name in bridged):
+            yield (
+                f"has a topic, but '{entry.name}' is no ROS 2 node: add a bridge to "
+                "`bridges` under `ros2`"
+            )
+
+
+def _wrong_bridge(robot: Robot, bridge: Ros2Bridge) -> Iterator[str]:
+    end, names = bridge.port, component_names(robot)
+    name = bridge_of(end.component)
+    if end.component not in names:
+        yield unknown("component", end.component, names)
+        return
+    if not robot.component(end.component).implementation:
+        yield f"component '{end.component}' has no Python class, so no port to bridge"
+    if not end.port:
+        yield f"name the port of component '{end.component}' too"
+    if name in names:
+        yield f"its bridge is called '{name}', as another component is: rename that"
+
+
+def bridge_of(component: str) -> str:
+    """Return the name of the component that bridges another's ports."""
+    return f"{component}-ros2"
+
+
+def with_ros2(robot: Robot) -> Robot:
+    """Return the robot with components for its ROS 2 nodes and bridges."""
+    environment = ros2_environment(robot)
+    bridges: dict[str, list[Ros2Bridge]] = {}
+    for bridge in robot.ros2.bridges:
+        bridges.setdefault(bridge.port.component, []).append(bridge)
+    architectures = tuple(
+        replace(
+            architecture,
+            components=(
+                *(_with_node(entry, environment) for entry in architecture.components),
+                *(
+                    _bridge(entry, bridges[entry.name], environment)
+                    for entry in architecture.components
+                    if entry.name in bridges
+                ),
+            ),
+        )
+        for architecture in robot.architectures
+    )
+    pairs = ((name, bridge_of(name)) for name in bridges)
+    return replace(
+        robot, architectures=architectures, together=(*robot.together, *pairs)
+    )
+
+
+def _with_node(entry: ComponentEntry, environment: Mapping[str, str]) -> ComponentEntry:
+    node = entry.ros2
+    if node is None:
+        return entry
+    if node.executable:
+        merged = {**environment, **entry.environment}
+        return replace(entry, command=node.command(), environment=merged)
+    parameters = {
+        "node": node.node,
+        "arguments": list(node.ros_arguments()),
+        "environment": dict(environment),
+    }
+    return replace(entry, implementation=NODE, parameters=parameters)
+
+
+def _bridge(
+    entry: ComponentEntry, bridges: list[Ros2Bridge], environment: Mapping[str, str]
+) -> ComponentEntry:
+    return ComponentEntry(
+        name=bridge_of(entry.name),
+        implementation=BRIDGE,
+        only=entry.only,
+        movable=entry.movable,
+        when_cut_off=entry.when_cut_off,
+        parameters={
+            "of": entry.implementation,
+            "bridges": [
+                {**to_builtins(bridge), "port": bridge.port.port} for bridge in bridges
+            ],
+            "environment": dict(environment),
+        },
+    )
+
+
+def ros2_environment(robot: Robot) -> dict[str, str]:
+    """Return the environment variables with which its nodes find each other."""
+    network, found = robot.ros2, {}
+    if network.domain is not None:
+        found["ROS_DOMAIN_ID"] = str(network.domain)
+    discovery = network.discovery
+    if discovery == "computers" and not robot.is_emulated:
+        addresses = [c.address for c in robot.computers if c.address is not None]
+        peers = (Endpoint.parse(address).host for address in addresses)
+        found["ROS_STATIC_PEERS"] = ";".join(peers)
+    if discovery is not None:
+        # an emulated network has no others in it, and no addresses yet
+        is_wide = discovery == "subnet" or robot.is_emulated
+        is_local = discovery == "localhost" or not is_wide
+        found["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST" if is_local else "SUBNET"
+    return found

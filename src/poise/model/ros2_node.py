@@ -1,0 +1,100 @@
+"""A ROS 2 node that is a component, as the robot file describes it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from typing import Annotated, Any
+
+from msgspec import Struct
+
+from poise.model.file_keys import Reference, note, says
+
+_NAME = r"[/~]?[A-Za-z_~{][\w/{}~]*"
+RosName = Annotated[
+    str,
+    note(
+        pattern=rf"^({_NAME}|/)$",
+        expected="a name of ROS 2: letters, digits, '_' and '/', as /front/scan",
+        examples=("/scan", "cmd_vel"),
+    ),
+]
+
+
+class Ros2Node(Struct, frozen=True, kw_only=True):
+    """A ROS 2 node that is a component: an executable of any language, or a class."""
+
+    executable: Annotated[
+        str,
+        says(
+            "A program: in lib/<package> of a prefix in AMENT_PREFIX_PATH, on the "
+            "PATH, or a path with '/', relative to the robot file.",
+            is_nullable=True,
+            min_length=1,
+        ),
+    ] = ""
+    package: Annotated[
+        str,
+        says("The ROS 2 package of the executable.", is_nullable=True),
+    ] = ""
+    node: Annotated[
+        Reference,
+        says(
+            "Instead: package.module:Class of an rclpy node, or a function that makes "
+            "one; nodes of one container share a process.",
+            is_nullable=True,
+        ),
+    ] = ""
+    name: Annotated[
+        str,
+        note(pattern=r"^\w*$", expected="letters, digits and '_'"),
+        says("The node's name. Default: as its code says.", is_nullable=True),
+    ] = ""
+    namespace: Annotated[
+        RosName, says("The node's namespace: /front.", is_nullable=True)
+    ] = ""
+    remap: Annotated[
+        Mapping[str, str], says("Names of its code, and those to use instead.")
+    ] = {}
+    params: Annotated[
+        Mapping[str, Any],
+        says("Its ROS 2 parameters; {a: {b: 1}} is a.b."),
+    ] = {}
+    params_files: Annotated[
+        tuple[str, ...],
+        says("Files of ROS 2 parameters, relative to the robot file."),
+    ] = ()
+    arguments: Annotated[
+        tuple[str, ...], says("Further arguments of the executable.")
+    ] = ()
+
+    def ros_arguments(self) -> tuple[str, ...]:
+        """Return name, namespace, remappings and parameters as ROS 2 takes them."""
+        remaps = {
+            **({"__node": self.name} if self.name else {}),
+            **({"__ns": self.namespace} if self.namespace else {}),
+            **self.remap,
+        }
+        words = [w for one, new in remaps.items() for w in ("-r", f"{one}:={new}")]
+        for file in self.params_files:
+            words += ["--params-file", file]
+        for key, value in _flat(self.params):
+            words += ["-p", f"{key}:={json.dumps(value)}"]
+        return ("--ros-args", *words) if words else ()
+
+    def command(self) -> tuple[str, ...]:
+        """Return its command line; the program may be ``ros2:package/executable``."""
+        program = [self.executable]
+        if self.package:
+            program = [f"ros2:{self.package}/{self.executable}"]
+        elif self.executable.endswith(".py"):
+            program = ["python", self.executable]
+        return (*program, *self.arguments, *self.ros_arguments())
+
+
+def _flat(params: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    for key, value in params.items():
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{prefix}{key}.")
+        else:
+            yield f"{prefix}{key}", value
