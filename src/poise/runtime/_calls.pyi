@@ -180,6 +180,7 @@ def call_remote(
 class DirectCall:
     """What a function that `direct_call` returned holds."""
 
+def native_api() -> object: ...
 def direct_call(
     method: Callable[..., Any],
     exclusion: Exclusion,

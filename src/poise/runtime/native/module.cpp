@@ -1,5 +1,6 @@
-// What Python sees; `make stubs` writes src/poise/runtime/_calls.pyi from it. All of it relies on
-// the GIL as its only lock: every method is atomic, and those that wait give it up meanwhile.
+// What Python sees; `make stubs` writes src/poise/runtime/_calls.pyi from it. Most of it relies on
+// the GIL as its lock: every method is atomic, and those that wait give it up meanwhile. What calls
+// of components in C++ use without the GIL is under `calls_mutex`.
 #include <nanobind/nanobind.h>
 #include <nanobind/stl/pair.h>
 #include <nanobind/stl/shared_ptr.h>
@@ -33,6 +34,30 @@ static void check(const Exclusion& exclusion, Entry entry, double limit, const c
   throw nb::python_error();
 }
 
+template <typename Function>
+static auto under_lock(Function function) {
+  const CallsLock lock(calls_mutex);
+  return function();
+}
+
+// The method of a class, under `calls_mutex`.
+template <auto Method, typename Class, typename Result, typename... Values>
+static auto locked_method(Result (Class::*)(Values...)) {
+  return [](Class& object, Values... values) {
+    return under_lock([&] { return (object.*Method)(values...); });
+  };
+}
+template <auto Method, typename Class, typename Result, typename... Values>
+static auto locked_method(Result (Class::*)(Values...) const) {
+  return [](const Class& object, Values... values) {
+    return under_lock([&] { return (object.*Method)(values...); });
+  };
+}
+template <auto Method>
+static auto locked() {
+  return locked_method<Method>(Method);
+}
+
 static void require(bool was_held) {
   if (!was_held) throw std::runtime_error("nobody is inside");
 }
@@ -40,8 +65,10 @@ static void require(bool was_held) {
 template <auto Member>
 static void def_number(nb::class_<Counts>& counts, const char* name) {
   counts.def_prop_rw(
-      name, [](Counts& counts) { return (counts.totals().*Member).get(); },
-      [](Counts& counts, std::uint64_t value) { (counts.totals().*Member).set(value); });
+      name, [](Counts& counts) { return under_lock([&] { return (counts.totals().*Member).get(); }); },
+      [](Counts& counts, std::uint64_t value) {
+        under_lock([&] { (counts.totals().*Member).set(value); });
+      });
 }
 
 NB_MODULE(_calls, module) {
@@ -59,38 +86,51 @@ NB_MODULE(_calls, module) {
 
   nb::class_<Exclusion>(module, "Exclusion", "Mutual exclusion of call chains in a component (exclusion.h).")
       .def(nb::init<std::string>(), nb::arg("what"))
-      .def_prop_ro("is_redirected", &Exclusion::is_redirected)
+      .def_prop_ro("is_redirected", locked<&Exclusion::is_redirected>())
       .def(
           "enter",
           [](Exclusion& exclusion, Chain chain, double limit) {
-            check(exclusion, exclusion.enter(chain, limit), limit, "was busy for");
+            CallsLock lock(calls_mutex);
+            const Entry entry = exclusion.enter(lock, chain, limit);
+            lock.unlock();
+            check(exclusion, entry, limit, "was busy for");
           },
           nb::arg("chain"), nb::arg("limit"))
-      .def("leave", [](Exclusion& exclusion) { require(exclusion.leave()); })
-      .def("step_out", &Exclusion::step_out, nb::arg("chain"))
+      .def("leave", [](Exclusion& exclusion) { require(under_lock([&] { return exclusion.leave(); })); })
+      .def("step_out", locked<&Exclusion::step_out>(), nb::arg("chain"))
       .def(
           "step_in",
           [](Exclusion& exclusion, Chain chain, int depth, double limit) {
-            check(exclusion, exclusion.step_in(chain, depth, limit), limit, "was busy for");
+            CallsLock lock(calls_mutex);
+            const Entry entry = exclusion.step_in(lock, chain, depth, limit);
+            lock.unlock();
+            check(exclusion, entry, limit, "was busy for");
           },
           nb::arg("chain"), nb::arg("depth"), nb::arg("limit"))
-      .def("lend", &Exclusion::lend, nb::arg("chain"))
-      .def("resume", [](Exclusion& exclusion) { require(exclusion.resume()); })
+      .def("lend", locked<&Exclusion::lend>(), nb::arg("chain"))
+      .def("resume", [](Exclusion& exclusion) { require(under_lock([&] { return exclusion.resume(); })); })
       .def(
           "pause",
           [](Exclusion& exclusion, double limit) {
-            check(exclusion, exclusion.pause(limit), limit, "did not pause within");
+            CallsLock lock(calls_mutex);
+            const Entry entry = exclusion.pause(lock, limit);
+            lock.unlock();
+            check(exclusion, entry, limit, "did not pause within");
           },
           nb::arg("limit"))
-      .def("redirect", &Exclusion::redirect);
+      .def("redirect", locked<&Exclusion::redirect>());
 
   nb::class_<Histogram>(module, "Histogram", "Counts values, with quantiles right within 5 % (histogram.h).")
       .def(nb::init<>())
-      .def("add", &Histogram::add, nb::arg("value"))
+      .def("add", locked<&Histogram::add>(), nb::arg("value"))
       .def("summary", [](const Histogram& histogram) {
+        CallsLock lock(calls_mutex);
+        const auto count = histogram.count();
+        const auto mean = histogram.mean(), median = histogram.quantile(0.5),
+                   p99 = histogram.quantile(0.99), maximum = histogram.maximum();
+        lock.unlock();
         return nb::module_::import_("poise.wire.records.status_records")
-            .attr("Summary")(histogram.count(), histogram.mean(), histogram.quantile(0.5),
-                             histogram.quantile(0.99), histogram.maximum());
+            .attr("Summary")(count, mean, median, p99, maximum);
       }, nb::sig("def summary(self) -> poise.wire.records.status_records.Summary"));
 
   nb::class_<StatsPage>(module, "StatsPage", "The container's end of its stats page (stats_page.h).")
@@ -133,21 +173,25 @@ NB_MODULE(_calls, module) {
       .def_ro("wait", &Counts::wait)
       .def_ro("size", &Counts::size)
       .def_ro("latency", &Counts::latency)
-      .def("add_call", &Counts::add_call, nb::arg("seconds"), nb::arg("bytes_out") = 0,
+      .def("add_call", locked<&Counts::add_call>(), nb::arg("seconds"), nb::arg("bytes_out") = 0,
            nb::arg("bytes_in") = 0, nb::arg("latency") = unknown, nb::arg("error") = 0.0,
            nb::arg("failed") = false)
-      .def("add_message", &Counts::add_message, nb::arg("bytes_out") = 0,
+      .def("add_message", locked<&Counts::add_message>(), nb::arg("bytes_out") = 0,
            nb::arg("bytes_in") = 0, nb::arg("latency") = unknown, nb::arg("error") = 0.0)
       .def_prop_ro("latency_error",
                    [](Counts& counts) {
+                     const CallsLock lock(calls_mutex);
                      const auto num = static_cast<double>(counts.totals().arrivals.get());
                      const auto sum = static_cast<double>(counts.totals().latency_error.get());
                      return num > 0.0 ? 1e-9 * sum / num : 0.0;
                    })
-      .def_prop_ro("cpu", [](Counts& counts) { return counts.totals().cpu.seconds(); })
+      .def_prop_ro("cpu", [](Counts& counts) {
+        return under_lock([&] { return counts.totals().cpu.seconds(); });
+      })
       .def(
           "add_cpu",
           [](Counts& counts, double seconds) {
+            const CallsLock lock(calls_mutex);
             const auto time = static_cast<std::int64_t>(1e9 * seconds);
             counts.totals().cpu.add_measured(wall_now(), time, time);
           },
@@ -155,17 +199,19 @@ NB_MODULE(_calls, module) {
       .def(
           "enter",
           [](Counts& counts, std::shared_ptr<StatsPage> page, const std::string& name) {
+            const CallsLock lock(calls_mutex);
             return counts.entered.enter(std::move(page), Kind::connector, name, 0);
           },
           nb::arg("page"), nb::arg("name"))
       .def(
           "attribute",
           [](Counts& counts, const ComponentCounters* source, const ComponentCounters* target) {
+            const CallsLock lock(calls_mutex);
             counts.entered->source.set(source ? source->id() : 0);
             counts.entered->target.set(target ? target->id() : 0);
           },
           nb::arg("source").none(), nb::arg("target").none())
-      .def("leave", [](Counts& counts) { counts.entered.leave(); });
+      .def("leave", [](Counts& counts) { under_lock([&] { counts.entered.leave(); }); });
 
   nb::class_<LeaseEnd>(module, "LeaseEnd", "Until when leased components may act (lease_end.h).")
       .def(nb::init<int>(), nb::arg("memory"))

@@ -1,5 +1,7 @@
 #include "chain.h"
 
+#include <atomic>
+
 #include "counters/running_call.h"
 #include "deadline.h"
 
@@ -8,7 +10,7 @@ namespace poise {
 thread_local Chain thread_chain = no_chain;
 thread_local Moment thread_deadline = never;
 
-static Chain next = 1;  // under the GIL
+static std::atomic<Chain> next = 1;
 
 void begin_chains(Chain first) {
   next = first;

@@ -39,7 +39,10 @@ std::shared_ptr<ChainLock> begin(Chain chain) {
 
 }  // namespace
 
-ChainLock::ChainLock(Chain chain) : chain_(chain), exclusion_("") { exclusion_.resume(); }
+ChainLock::ChainLock(Chain chain) : chain_(chain), exclusion_("") {
+  const CallsLock lock(calls_mutex);
+  exclusion_.resume();
+}
 
 ChainLock::~ChainLock() {
   const std::lock_guard<std::mutex> guard(chain_locks().changing);
@@ -50,12 +53,14 @@ ChainLock::~ChainLock() {
 }
 
 Entry ChainLock::take(double limit) {
-  const Entry entry = exclusion_.enter(no_chain, limit);
+  CallsLock lock(calls_mutex);
+  const Entry entry = exclusion_.enter(lock, no_chain, limit);
   if (entry <= Entry::late) holder_ = PyThread_get_thread_ident();
   return entry;
 }
 
 void ChainLock::give() {
+  const CallsLock lock(calls_mutex);
   holder_ = 0;
   exclusion_.leave();
 }

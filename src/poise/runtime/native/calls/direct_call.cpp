@@ -1,8 +1,10 @@
 #include "direct_call.h"
 
+#include <cstdio>
 #include <utility>
 
 #include "deadline.h"
+#include "poise/calls_api.h"
 
 namespace nb = nanobind;
 
@@ -15,76 +17,102 @@ struct DirectCall {
   Exclusion& exclusion_of;
   Counts& counts_of;
   double limit;  // [s]
+  std::string name;
 };
 
-void set_too_late(const DirectCall& call, double elapsed, double limit) {
-  nb::object name = nb::getattr(call.method, "__qualname__", nb::str("the callee"));
-  nb::object error = nb::module_::import_("poise.errors").attr("Timeout");
-  nb::str text = nb::str("{} took {:.3f} s, limit {:.3g} s").format(name, elapsed, limit);
-  PyErr_SetObject(error.ptr(), text.ptr());
+template <typename... Values>
+Begin refuse(RunningDirectCall& run, const char* format, Values... values) {
+  std::snprintf(run.refusal, sizeof run.refusal, format, values...);
+  return Begin::refused;
 }
 
+// Under `calls_mutex`.
 void count_failed(Counts& counts, double elapsed) {
   counts.totals().calls.add(1);
   counts.totals().errors.add(1);
   counts.delay.add(elapsed);
 }
 
-PyObject* refuse(const DirectCall& call, Entry entry, Moment began, double limit,
-                 PyObject* const* args, std::size_t num, PyObject* names) {
-  if (entry == Entry::redirected && !call.resend.is_none())
-    return PyObject_Vectorcall(call.resend.ptr(), args, num, names);
-  if (entry == Entry::timeout)
-    count_failed(call.counts_of, 1e-9 * static_cast<double>(wall_now() - began));
-  set_entry_error(call.exclusion_of.what(), entry, limit, "was busy for");
-  return nullptr;
+// `Entry::interrupted` leaves a Python error, and only then the GIL is held.
+Begin refuse_entry(DirectCall& call, RunningDirectCall& run, Entry entry) {
+  if (entry == Entry::redirected) return Begin::redirected;
+  if (entry == Entry::interrupted) return Begin::refused;
+  count_failed(call.counts_of, 1e-9 * static_cast<double>(wall_now() - run.began));
+  return refuse(run, "component '%.100s' was busy for %.3g s", call.exclusion_of.what().c_str(),
+                run.limit);
+}
+
+Begin begin_call(void* self, RunningDirectCall& run) {
+  DirectCall& call = *static_cast<DirectCall*>(self);
+  Counts& counts = call.counts_of;
+  run.began = wall_now();
+  run.limit = time_left(call.limit, run.began);
+  CallsLock lock(calls_mutex);
+  if (run.limit <= 0.0) {
+    count_failed(counts, 0.0);
+    return refuse(run, "component '%.100s' was not called: no time is left",
+                  call.exclusion_of.what().c_str());
+  }
+  const Entry entry = call.exclusion_of.enter(lock, current_chain(), run.limit);
+  if (entry > Entry::late) return refuse_entry(call, run, entry);
+  run.inside = entry == Entry::late ? wall_now() : run.began;
+  run.measured = counts.totals().cpu.should_measure(run.inside);
+  run.is_outermost = counts.totals().running.begin();
+  lock.unlock();
+  run.cpu_began = run.measured ? cpu_now() : 0;
+  run.deadline_before = thread_deadline;
+  thread_deadline = std::min(thread_deadline, moment_after(run.began, run.limit));
+  return Begin::entered;
+}
+
+bool end_call(void* self, RunningDirectCall& run, bool failed) {
+  DirectCall& call = *static_cast<DirectCall*>(self);
+  thread_deadline = run.deadline_before;
+  const std::int64_t cpu = run.measured ? cpu_now() - run.cpu_began : 0;
+  const CallsLock lock(calls_mutex);
+  call.exclusion_of.leave();
+  const Moment ended = wall_now();
+  ConnectorTotals& totals = call.counts_of.totals();  // by now it may be elsewhere than before
+  if (run.is_outermost) totals.running.end();
+  if (run.measured)
+    totals.cpu.add_measured(run.inside, ended - run.inside, cpu);
+  else
+    totals.cpu.add(ended - run.inside);
+  const double elapsed = 1e-9 * static_cast<double>(ended - run.began);
+  const bool late = elapsed > run.limit;
+  totals.calls.add(1);
+  totals.errors.add(failed || late);
+  call.counts_of.delay.add(elapsed);
+  if (late) refuse(run, "%.100s took %.3f s, limit %.3g s", call.name.c_str(), elapsed, run.limit);
+  return !late;
+}
+
+void set_timeout(const char* text) {
+  PyErr_SetString(nb::module_::import_("poise.errors").attr("Timeout").ptr(), text);
 }
 
 PyObject* invoke(PyObject* self, PyObject* const* args, Py_ssize_t count, PyObject* names) {
-  const DirectCall& call = *nb::inst_ptr<DirectCall>(self);
+  DirectCall& call = *nb::inst_ptr<DirectCall>(self);
   const auto num = static_cast<std::size_t>(count);
-  Counts& counts = call.counts_of;
-  const Moment began = wall_now();
-  const double limit = time_left(call.limit, began);
-  if (limit <= 0.0) {
-    count_failed(counts, 0.0);
-    set_over(call.exclusion_of.what());
-    return nullptr;
+  RunningDirectCall run;
+  const Begin begun = begin_call(&call, run);
+  if (begun == Begin::redirected) {
+    if (!call.resend.is_none()) return PyObject_Vectorcall(call.resend.ptr(), args, num, names);
+    set_entry_error(call.exclusion_of.what(), Entry::redirected, run.limit, "");
+  } else if (begun == Begin::refused && !PyErr_Occurred()) {
+    set_timeout(run.refusal);
   }
-  const Entry entry = call.exclusion_of.enter(current_chain(), limit);
-  if (entry > Entry::late) return refuse(call, entry, began, limit, args, num, names);
-  const Moment inside = entry == Entry::late ? wall_now() : began;
+  if (begun != Begin::entered) return nullptr;
 
   // the proxy may let go of this object while the callee runs
   const nb::object held = nb::borrow(self);
-  const bool measured = counts.totals().cpu.should_measure(inside);
-  const std::int64_t cpu_began = measured ? cpu_now() : 0;
-  const bool is_outermost = counts.totals().running.begin();
-  PyObject* result;
-  {
-    const Deadline deadline(moment_after(began, limit));
-    result = PyObject_Vectorcall(call.method.ptr(), args, num, names);
-  }
-  const std::int64_t cpu = measured ? cpu_now() - cpu_began : 0;
-  call.exclusion_of.leave();
-
-  const Moment ended = wall_now();
-  ConnectorTotals& totals = counts.totals();  // by now it may be elsewhere than before
-  if (is_outermost) totals.running.end();
-  if (measured)
-    totals.cpu.add_measured(inside, ended - inside, cpu);
-  else
-    totals.cpu.add(ended - inside);
-  const double elapsed = 1e-9 * static_cast<double>(ended - began);
-  totals.calls.add(1);
-  counts.delay.add(elapsed);
+  PyObject* result = PyObject_Vectorcall(call.method.ptr(), args, num, names);
+  const bool in_time = end_call(&call, run, !result);
   if (!result) {
-    totals.errors.add(1);
     translate_error(call.translate);
-  } else if (elapsed > limit) {
-    totals.errors.add(1);
+  } else if (!in_time) {
     Py_CLEAR(result);
-    set_too_late(call, elapsed, limit);
+    set_timeout(run.refusal);
   }
   return result;
 }
@@ -131,17 +159,31 @@ nb::object direct_call(nb::object method, nb::handle_t<Exclusion> exclusion, dou
   static PyMethodDef definition{
       "direct_call", reinterpret_cast<PyCFunction>(reinterpret_cast<void (*)()>(invoke)),
       METH_FASTCALL | METH_KEYWORDS, nullptr};
+  const auto name = nb::str(nb::getattr(method, "__qualname__", nb::str("the callee")));
   const nb::object call = nb::cast(
       new DirectCall{std::move(method), nb::borrow(exclusion), nb::borrow(counts),
                      std::move(translate), std::move(resend), *nb::inst_ptr<Exclusion>(exclusion),
-                     *nb::inst_ptr<Counts>(counts), limit},
+                     *nb::inst_ptr<Counts>(counts), limit, name.c_str()},
       nb::rv_policy::take_ownership);
   return nb::steal(PyCFunction_New(&definition, call.ptr()));
 }
 
+static void* find_call(PyObject* function) {
+  if (!PyCFunction_Check(function)) return nullptr;
+  const nb::handle call = PyCFunction_GetSelf(function);
+  return call.is_valid() && nb::isinstance<DirectCall>(call) ? nb::inst_ptr<DirectCall>(call)
+                                                             : nullptr;
+}
+
+static PyObject* method_of(void* call) { return static_cast<DirectCall*>(call)->method.ptr(); }
+
 void bind_direct_call(nb::module_& module) {
   nb::class_<DirectCall>(module, "DirectCall", nb::type_slots(slots),
                          "What a function that `direct_call` returned holds.");
+  module.def("native_api", [] {
+    static CallsApi api{calls_api_version, find_call, method_of, begin_call, end_call};
+    return nb::capsule(&api, calls_api_name);
+  }, nb::sig("def native_api() -> object"));
 }
 
 void set_entry_error(const std::string& what, Entry entry, double limit, const char* action) {
@@ -153,12 +195,6 @@ void set_entry_error(const std::string& what, Entry entry, double limit, const c
   }
   nb::object error = nb::module_::import_("poise.errors").attr("Timeout");
   nb::str text = nb::str("component '{}' {} {:.3g} s").format(what.c_str(), action, limit);
-  PyErr_SetObject(error.ptr(), text.ptr());
-}
-
-void set_over(const std::string& what) {
-  nb::object error = nb::module_::import_("poise.errors").attr("Timeout");
-  nb::str text = nb::str("component '{}' was not called: no time is left").format(what.c_str());
   PyErr_SetObject(error.ptr(), text.ptr());
 }
 

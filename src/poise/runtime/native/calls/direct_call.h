@@ -72,7 +72,4 @@ void translate_error(nanobind::handle translate);
 // limit, what was waited for.
 void set_entry_error(const std::string& what, Entry entry, double limit, const char* action);
 
-// Set the Python error of a call for which no time was left.
-void set_over(const std::string& what);
-
 }  // namespace poise

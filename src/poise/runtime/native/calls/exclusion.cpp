@@ -71,10 +71,10 @@ void Exclusion::redirect() {
   waiting_.swap(staying);
 }
 
-Entry Exclusion::step_in(Chain chain, int depth, double limit) {
+Entry Exclusion::step_in(CallsLock& lock, Chain chain, int depth, double limit) {
   Entry entry = Entry::entered;
   if (held_) {
-    entry = wait(chain, limit, true);
+    entry = wait(lock, chain, limit, true);
     if (entry != Entry::late) return entry;
   }
   held_ = true;
@@ -84,17 +84,20 @@ Entry Exclusion::step_in(Chain chain, int depth, double limit) {
   return entry;
 }
 
-Entry Exclusion::wait(Chain chain, double limit, bool steps_in) {
+Entry Exclusion::wait(CallsLock& lock, Chain chain, double limit, bool steps_in) {
   const timespec until = moment_in(limit);
   Waiter waiter(chain, steps_in);
   waiting_.push_back(&waiter);
+  lock.unlock();
+  const bool has_gil = PyGILState_Check();
   int error = 0;
   do {
-    Py_BEGIN_ALLOW_THREADS
+    PyThreadState* const state = has_gil ? PyEval_SaveThread() : nullptr;
     error = sem_clockwait(&waiter.woken, CLOCK_MONOTONIC, &until) ? errno : 0;
-    Py_END_ALLOW_THREADS
-  } while (error == EINTR && PyErr_CheckSignals() == 0);
-  // Under the GIL again: if nobody took it off the list, it gives up.
+    if (state) PyEval_RestoreThread(state);
+  } while (error == EINTR && (!has_gil || PyErr_CheckSignals() == 0));
+  lock.lock();
+  // If nobody took it off the list, it gives up.
   const auto place = std::find(waiting_.begin(), waiting_.end(), &waiter);
   if (place != waiting_.end()) waiting_.erase(place);
   if (error != EINTR) return waiter.entry;

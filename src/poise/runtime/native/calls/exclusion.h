@@ -1,17 +1,22 @@
 // Mutual exclusion of call chains in a component: ROS 2's mutually exclusive callback group,
 // with re-entrance. tests/runtime/reference.py is the same in Python, and tests compare both.
 //
-// Everything here happens under Python's GIL, which is therefore the only lock. A thread that
-// waits releases the GIL and sleeps on a semaphore of its own; a thread that leaves hands the
-// exclusion to the one that has waited longest.
+// One lock of the process, `calls_mutex`, guards all exclusions and what is counted of calls, for
+// components in C++ enter without Python's GIL. Whoever holds it waits for nothing. A thread that
+// waits releases it, and the GIL if it has that, and sleeps on a semaphore of its own; a thread
+// that leaves hands the exclusion to the one that has waited longest.
 #pragma once
 
 #include <deque>
+#include <mutex>
 #include <string>
 
 #include "chain.h"
 
 namespace poise {
+
+inline std::mutex calls_mutex;
+using CallsLock = std::unique_lock<std::mutex>;
 
 enum class Entry {
   entered,
@@ -21,6 +26,7 @@ enum class Entry {
   interrupted,  // a Python signal handler raised
 };
 
+// Hold `calls_mutex` for every method; one that may wait takes the lock, to release it meanwhile.
 class Exclusion {
  public:
   explicit Exclusion(std::string what) : what_(std::move(what)) {}
@@ -31,12 +37,12 @@ class Exclusion {
   bool is_redirected() const { return redirected_; }
 
   // Wait up to `limit` [s] until no other chain is inside.
-  Entry enter(Chain chain, double limit) {
+  Entry enter(CallsLock& lock, Chain chain, double limit) {
     if (chain == owner_ && chain != no_chain) {
       ++depth_;
       return Entry::entered;
     }
-    return acquire(chain, limit);
+    return acquire(lock, chain, limit);
   }
 
   // Undo one `enter`; false when nobody is inside.
@@ -60,10 +66,10 @@ class Exclusion {
   }
 
   // Wait up to `limit` [s] to be inside again, redirected or not.
-  Entry step_in(Chain chain, int depth, double limit);
+  Entry step_in(CallsLock& lock, Chain chain, int depth, double limit);
 
   // Wait up to `limit` [s] until no chain is inside or has stepped out, and let none in.
-  Entry pause(double limit) { return acquire(no_chain, limit); }
+  Entry pause(CallsLock& lock, double limit) { return acquire(lock, no_chain, limit); }
 
   // Let chains enter; false when it is not paused.
   bool resume() { return release(); }
@@ -80,9 +86,9 @@ class Exclusion {
  private:
   struct Waiter;
 
-  Entry acquire(Chain chain, double limit) {
+  Entry acquire(CallsLock& lock, Chain chain, double limit) {
     if (redirected_) return Entry::redirected;
-    if (held_ || !may_have(chain)) return wait(chain, limit, false);
+    if (held_ || !may_have(chain)) return wait(lock, chain, limit, false);
     held_ = true;
     owner_ = chain;
     return Entry::entered;
@@ -92,7 +98,7 @@ class Exclusion {
   bool may_have(Chain chain) const { return chain != no_chain || outside_ == 0; }
 
   bool release();
-  Entry wait(Chain chain, double limit, bool steps_in);
+  Entry wait(CallsLock& lock, Chain chain, double limit, bool steps_in);
 
   std::string what_;
   std::deque<Waiter*> waiting_;

@@ -46,13 +46,18 @@ class Inside {
  public:
   Inside(Exclusion& exclusion, Chain chain, Moment until) : exclusion_(exclusion) {
     const double limit = seconds_until(until);
-    const Entry entry = exclusion.enter(chain, limit);
+    CallsLock lock(calls_mutex);
+    const Entry entry = exclusion.enter(lock, chain, limit);
+    lock.unlock();
     waited_ = entry == Entry::late;
     if (entry <= Entry::late) return;
     set_entry_error(exclusion.what(), entry, limit, "was busy for");
     throw nb::python_error();
   }
-  ~Inside() { exclusion_.leave(); }
+  ~Inside() {
+    const CallsLock lock(calls_mutex);
+    exclusion_.leave();
+  }
   bool waited() const { return waited_; }
   Inside(const Inside&) = delete;
   Inside& operator=(const Inside&) = delete;
