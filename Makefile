@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 # else each process that a test starts would compile all that it imports
 export PYTHONDONTWRITEBYTECODE :=
-NATIVE := $(shell find src CMakeLists.txt -name '*.cpp' -o -name '*.h' -o -name CMakeLists.txt)
+NATIVE := $(shell find src CMakeLists.txt -name '*.cpp' -o -name '*.h' -o -name '*.hpp' -o -name CMakeLists.txt)
 
 .PHONY: setup demo quick test exhaustive simulate soak coverage lint stubs sanitize docs clean
 setup: .venv/.ready

@@ -29,6 +29,14 @@ def test_changes_with_the_module_and_what_it_imports(folder: Path, module: str) 
     assert version_of(EYE, str(folder)) != before
 
 
+def test_changes_with_a_module_in_cpp(folder: Path) -> None:
+    (folder / "built.cpython-311-x86_64-linux-gnu.so").write_bytes(b"\x7fELF\0one")
+    component = ComponentEntry(name="a", implementation="built:Class")
+    before = version_of(component, str(folder))
+    (folder / "built.cpython-311-x86_64-linux-gnu.so").write_bytes(b"\x7fELF\0other")
+    assert version_of(component, str(folder)) != before
+
+
 def test_does_not_change_with_other_modules(folder: Path) -> None:
     before = version_of(EYE, str(folder))
     (folder / "pkg" / "other.py").write_text("y = 2\n")

@@ -23,8 +23,9 @@ def version_of(component: ComponentEntry, *folders: str) -> str:
     """Return a fingerprint that changes when the component's code does.
 
     It covers the parameters, the implementation's module and all modules that it
-    imports from these folders, the robot's and the repository's; of a command, the
-    program and its arguments that are files. Installed packages are not covered.
+    imports from these folders, the robot's and the repository's, also one in C++; of a
+    command, the program and its arguments that are files. Installed packages are not
+    covered.
     """
     digest = hashlib.sha256()
     digest.update(component.implementation.encode())
@@ -54,7 +55,8 @@ def _sources(module: str, folder: Path) -> Iterator[Path]:
     parts = module.split(".")
     for end in range(1, len(parts) + 1):
         base = folder.joinpath(*parts[:end])
-        for file in (base / "__init__.py", base.with_suffix(".py")):
+        native = base.parent.glob(f"{parts[end - 1]}.*.so")
+        for file in (base / "__init__.py", base.with_suffix(".py"), *native):
             if file.is_file():
                 yield file
 

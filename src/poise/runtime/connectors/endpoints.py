@@ -145,7 +145,8 @@ class Endpoints:
             self._rewire(port)
         elif port.kind == "requires":
             what = f"{self._name}.{port.name}"
-            proxy = Proxy(f"{what} ({port.type.__qualname__})")
+            make = getattr(self.component, "make_proxy", lambda _, what: Proxy(what))
+            proxy = make(port.name, f"{what} ({port.type.__qualname__})")
             for name in methods_of(port.type):
                 setattr(proxy, name, refusing(what))
             setattr(self.component, port.name, proxy)

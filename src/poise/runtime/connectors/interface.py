@@ -11,6 +11,7 @@ from typing import Any, NoReturn, get_type_hints
 from msgspec import Struct
 
 from poise.errors import Unavailable, UsageError
+from poise.runtime.component.implementation import fingerprint
 from poise.runtime.component.ports import Port, is_oneway, methods_of
 from poise.suggest import did_you_mean, listed
 from poise.wire.codec import Codec, codec
@@ -56,9 +57,8 @@ def tag_of(description: str) -> int:
 
 @cache
 def message_tag(type_: type) -> int:
-    """Return the tag of a message type: its name and its fields' names and types."""
-    fields = getattr(type_, "__annotations__", {})
-    return tag_of(f"{type_.__qualname__}{ {k: str(v) for k, v in fields.items()} }")
+    """Return the tag of a message type: equal where the check lets types fit."""
+    return tag_of(repr(fingerprint(type_)))
 
 
 def _method(interface: type, name: str) -> Method:
@@ -82,7 +82,7 @@ def _method(interface: type, name: str) -> Method:
     call = f"{interface.__qualname__}.{name}"
     return Method(
         name=name,
-        tag=tag_of(f"{name}{types}{result}"),
+        tag=tag_of(f"{name}{fingerprint(arguments)}{fingerprint(result)}"),
         oneway=is_oneway(interface, name),
         bind=_binder(signature.replace(parameters=own)),
         arguments=codec(arguments, f"arguments of {call}"),

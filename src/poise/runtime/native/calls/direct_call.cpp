@@ -4,7 +4,7 @@
 #include <utility>
 
 #include "deadline.h"
-#include "poise/calls_api.h"
+#include "poise/calls_api.hpp"
 
 namespace nb = nanobind;
 

@@ -1,0 +1,386 @@
+// A component in C++ (docs/cpp-components.md).
+//
+//   class Controller : public poise::Component {
+//    public:
+//     poise::Required<Heating> heating;
+//     void reading(const Reading& message) { heating.heat(0.4); }
+//   };
+//   POISE_COMPONENT(Controller) {
+//     component.required("heating", &Controller::heating);
+//     component.subscribed("reading", &Controller::reading, poise::keep(1));
+//   }
+//
+// Its code runs without the interpreter's lock; what leads to Python takes it by itself.
+#pragma once
+
+#include <functional>
+#include <utility>
+
+#include "ports.hpp"
+
+namespace poise {
+
+// How a subscribed port queues: the last `size` messages, or publishers wait at `size`.
+struct Queue {
+  const char* policy;
+  int size;
+};
+inline Queue keep(int size) { return {"keep", size}; }
+inline Queue block(int size) { return {"block", size}; }
+
+// The base of all components; each hook is as in Python. One thread at a time runs its code.
+class Component {
+ public:
+  virtual ~Component() = default;
+  virtual void configure() {}
+  virtual void activate() {}
+  virtual void begin(const std::string& /*action*/) {}
+  virtual void deactivate() {}
+  virtual void cleanup() {}
+
+  std::string name() const { return get<std::string>("name"); }
+  // The path of a device that the robot file gives it.
+  std::string device(const std::string& name) const { return call<std::string>("device", name); }
+  // Count a value under a name.
+  void measure(const std::string& name, double value) const { call<void>("measure", name, value); }
+
+  void info(const std::string& text) const { log("info", text); }
+  void warning(const std::string& text) const { log("warning", text); }
+  void error(const std::string& text) const { log("error", text); }
+
+  double now() const { return with_clock<double>("now"); }  // [s]
+  Stamp stamp() const { return with_clock<Stamp>("stamp"); }
+  Stamp stamp(double at) const { return with_clock<Stamp>("stamp", at); }
+  // How long ago a stamp was, on whatever computer; none: its clock is not known yet.
+  std::optional<Elapsed> since(const Stamp& stamp) const {
+    return with_clock<std::optional<Elapsed>>("since", stamp);
+  }
+
+  // The component in Python; use it under `nanobind::gil_scoped_acquire`.
+  nb::handle python() const { return python_; }
+  void attach(nb::handle python) { python_ = python; }
+
+ private:
+  template <typename Result>
+  Result get(const char* name) const {
+    const nb::gil_scoped_acquire gil;
+    return nb::cast<Result>(python_.attr(name));
+  }
+  template <typename Result, typename... Args>
+  Result call(const char* name, const Args&... args) const {
+    const nb::gil_scoped_acquire gil;
+    return nb::cast<Result>(python_.attr(name)(args...));
+  }
+  template <typename Result, typename... Args>
+  Result with_clock(const char* name, const Args&... args) const {
+    const nb::gil_scoped_acquire gil;
+    return nb::cast<Result>(python_.attr("clock").attr(name)(args...));
+  }
+  void log(const char* level, const std::string& text) const {
+    const nb::gil_scoped_acquire gil;
+    python_.attr("log").attr(level)("%s", text);
+  }
+
+  nb::handle python_;
+};
+
+// How much time the caller of the call on this thread still waits [s].
+inline double time_left() {
+  const nb::gil_scoped_acquire gil;
+  return nb::cast<double>(detail::from_python("poise", "time_left")());
+}
+
+namespace detail {
+
+// The type of a state, whether `snapshot` returns it or an optional of it.
+template <typename T>
+struct StateOf {
+  using type = T;
+};
+template <typename T>
+struct StateOf<std::optional<T>> {
+  using type = T;
+};
+
+// What a class in C++ tells Python of itself, and how an instance is made.
+struct Made {
+  nb::dict functions;  // name -> what Python calls, with the component first
+  Targets* targets;
+};
+
+}  // namespace detail
+
+// What POISE_COMPONENT fills: the ports and timers of a class.
+template <typename C>
+class Declaration {
+ public:
+  // Call a method every `period` [s]; a run that has not ended `deadline` [s] after its release
+  // is late.
+  void every(double period, const char* name, void (C::*method)(),
+             std::optional<double> deadline = std::nullopt) {
+    timers_.append(nb::make_tuple(name, period, deadline));
+    add_function(name, method);
+  }
+
+  template <typename M>
+  void subscribed(const char* port, void (C::*method)(M), Queue queue = keep(1)) {
+    subscribed_.append(nb::make_tuple(port, queue.policy, queue.size, detail::python_type<M>()));
+    add_function(port, method);
+  }
+
+  template <typename M>
+  void published(const char* port, Published<M> C::*member) {
+    published_[port] = detail::python_type<M>();
+    on_instance([=](C& object, const detail::Place& place) { (object.*member).attach(at(place, port)); });
+  }
+
+  template <typename Interface>
+  void required(const char* port, Required<Interface> C::*member) {
+    required_[port] = interface_class<Interface>();
+    on_instance([=](C& object, const detail::Place& place) {
+      poise_visit(static_cast<Interface&>(object.*member), [&](const char* name, auto& method) {
+        method.attach(at(place, port, name));
+      });
+    });
+    links_[port] = [=](C& object, const std::string& name, nb::handle function) {
+      poise_visit(static_cast<Interface&>(object.*member), [&](const char* known, auto& method) {
+        if (name == known) method.note(function);
+      });
+    };
+  }
+
+  // The class has the interface's methods.
+  template <typename Interface>
+  void provided(const char* port) {
+    provided_[port] = interface_class<Interface>();
+    const Interface interface;
+    poise_bind(static_cast<const Interface*>(nullptr), static_cast<const C*>(nullptr),
+               [&](const char* name, auto declared, auto method) {
+                 check_fits(declared, method);
+                 add_function(name, method, (interface.*declared).names, true);
+               });
+  }
+
+  nb::object make_class(const char* name) {
+    add_hooks();
+    nb::dict types;
+    types["published"] = published_;
+    types["required"] = required_;
+    types["provided"] = provided_;
+    types["subscribed"] = subscribed_;
+    types["timers"] = timers_;
+    types["hooks"] = hooks_;
+    if constexpr (requires { C::reentrant; }) types["reentrant"] = C::reentrant;
+    if constexpr (requires { &C::parameters; })
+      types["parameters"] = detail::python_type<decltype(C::parameters)>();
+    auto self = std::make_shared<Declaration>(std::move(*this));
+    nb::object make = nb::cpp_function([self](nb::handle component) { return self->make(component); });
+    return detail::made_class("component", name, types, make);
+  }
+
+ private:
+  using Instance = std::shared_ptr<C>;
+
+  static detail::Place at(detail::Place place, const char* port, const char* method = "") {
+    place.port = port;
+    place.method = method;
+    return place;
+  }
+
+  template <typename Interface>
+  static nb::object interface_class() {
+    static const auto* made = [] {
+      nb::list methods;
+      const Interface interface;
+      poise_visit(interface, [&](const char* name, const auto& method) {
+        methods.append(nb::make_tuple(name, described(method), method.is_oneway));
+      });
+      const char* name = poise_info(static_cast<const Interface*>(nullptr)).name;
+      return new nb::object(detail::made_class("interface", name, methods));
+    }();
+    return *made;
+  }
+
+  // The annotations of an interface's method: its parameters, and `return`.
+  template <typename M>
+  static nb::dict described(const M& method) {
+    return [&]<typename Result, typename... Args>(std::type_identity<Result(Args...)>) {
+      nb::dict types;
+      std::size_t place = 0;
+      ((types[method.names[place++]] = detail::python_type<Args>()), ...);
+      types["return"] = detail::python_type<Result>();
+      return types;
+    }(std::type_identity<typename M::Signature>());
+  }
+
+  template <typename Interface, typename M, typename Result, typename... Args>
+  static void check_fits(M Interface::*, Result (C::*)(Args...)) {
+    static_assert(
+        std::is_same_v<typename M::Signature,
+                       std::remove_cvref_t<Result>(std::remove_cvref_t<Args>...)>,
+        "a provided method takes or returns other types than its interface declares");
+  }
+
+  void on_instance(std::function<void(C&, const detail::Place&)> do_) {
+    on_instance_.push_back(std::move(do_));
+  }
+
+  // Let Python call a method; `names` are of its parameters.
+  template <typename Result, typename... Args>
+  void add_function(const char* name, Result (C::*method)(Args...),
+                    std::array<const char*, sizeof...(Args)> names = {}, bool is_target = false) {
+    functions_.push_back([=](const Instance& object, detail::Made& made) {
+      auto function = [object, method](nb::handle, const std::remove_cvref_t<Args>&... args) {
+        return detail::run_released([&] { return (object.get()->*method)(args...); });
+      };
+      nb::object callable = named(std::move(function), name, names,
+                                  std::make_index_sequence<sizeof...(Args)>());
+      if (is_target)
+        made.targets->by_function[callable.ptr()] = detail::target_of(object.get(), method);
+      made.functions[name] = callable;
+    });
+  }
+
+  template <typename Function, std::size_t Size, std::size_t... Places>
+  static nb::object named(Function function, const char* name,
+                          const std::array<const char*, Size>& names,
+                          std::index_sequence<Places...>) {
+    if (Size == 0 || !names[0]) return nb::cpp_function(std::move(function), nb::name(name));
+    return nb::cpp_function(std::move(function), nb::name(name), nb::arg("self"),
+                            nb::arg(names[Places])...);
+  }
+
+  // Let Python call a function with the component; `parameter` is the type that a hook takes.
+  template <typename Function>
+  void add_hook(const char* name, Function function, nb::object parameter = nb::none()) {
+    hooks_[name] = parameter;
+    functions_.push_back([=](const Instance& object, detail::Made& made) {
+      made.functions[name] = function(object);
+    });
+  }
+
+  void add_hooks() {
+    for (const auto& [name, hook] : {std::pair{"configure", &Component::configure},
+                                     {"activate", &Component::activate},
+                                     {"deactivate", &Component::deactivate},
+                                     {"cleanup", &Component::cleanup}})
+      add_hook(name, [hook = hook](const Instance& object) {
+        return nb::cpp_function([object, hook](nb::handle) {
+          detail::run_released([&] { (object.get()->*hook)(); });
+        });
+      });
+    add_hook("begin", [](const Instance& object) {
+      return nb::cpp_function([object](nb::handle, const std::string& action) {
+        detail::run_released([&] { object->begin(action); });
+      });
+    }, detail::builtin("str"));
+    if constexpr (requires(C& c) { c.snapshot(); }) add_giver("snapshot", &C::snapshot);
+    if constexpr (requires(C& c) { c.snapshot_delta(); })
+      add_giver("snapshot_delta", &C::snapshot_delta);
+    if constexpr (requires { &C::restore; }) add_taker("restore", &C::restore);
+    if constexpr (requires { &C::restore_delta; }) add_taker("restore_delta", &C::restore_delta);
+    if constexpr (requires { &C::reconfigure; }) add_reconfigure(&C::reconfigure);
+  }
+
+  template <typename State>
+  void add_giver(const char* name, State (C::*method)()) {
+    static_assert(Message<typename detail::StateOf<State>::type>,
+                  "list the fields of the state by POISE_MESSAGE");
+    add_hook(name, [method](const Instance& object) {
+      return nb::cpp_function([object, method](nb::handle) {
+        return detail::run_released([&] { return (object.get()->*method)(); });
+      });
+    });
+  }
+
+  template <typename State>
+  void add_taker(const char* name, void (C::*method)(State)) {
+    add_hook(name, [method](const Instance& object) {
+      return nb::cpp_function([object, method](nb::handle, const std::remove_cvref_t<State>& state) {
+        detail::run_released([&] { (object.get()->*method)(state); });
+      });
+    }, detail::python_type<State>());
+  }
+
+  template <typename Parameters>
+  void add_reconfigure(void (C::*method)(Parameters)) {
+    add_hook("reconfigure", [method](const Instance& object) {
+      return nb::cpp_function(
+          [object, method](nb::handle, const std::remove_cvref_t<Parameters>& parameters) {
+            detail::run_released([&] {
+              (object.get()->*method)(parameters);
+              object->parameters = parameters;
+            });
+          });
+    }, detail::python_type<Parameters>());
+  }
+
+  // Return what an instance of the class in Python needs: its functions, what tells it of other
+  // routes, and its targets.
+  nb::tuple make(nb::handle component) {
+    const auto object = std::make_shared<C>();
+    object->attach(component);
+    if constexpr (requires { &C::parameters; })
+      object->parameters = nb::cast<decltype(C::parameters)>(component.attr("parameters"));
+    for (const auto& do_ : on_instance_) do_(*object, detail::Place{component.ptr(), "", ""});
+    auto targets = std::make_unique<detail::Targets>();
+    detail::Made made{nb::dict(), targets.get()};
+    for (const auto& add : functions_) add(object, made);
+    const auto links = links_;
+    nb::object note = nb::cpp_function(
+        [object, links](const std::string& port, const std::string& name, nb::handle function) {
+          const auto found = links.find(port);
+          if (found != links.end()) found->second(*object, name, function);
+        });
+    nb::capsule capsule(targets.release(), detail::targets_name, [](void* pointer) noexcept {
+      delete static_cast<detail::Targets*>(pointer);
+    });
+    return nb::make_tuple(made.functions, note, capsule);
+  }
+
+  nb::dict published_, required_, provided_, hooks_;
+  nb::list subscribed_, timers_;
+  std::vector<std::function<void(C&, const detail::Place&)>> on_instance_;
+  std::vector<std::function<void(const Instance&, detail::Made&)>> functions_;
+  std::map<std::string, std::function<void(C&, const std::string&, nb::handle)>> links_;
+};
+
+namespace detail {
+
+using Definition = std::function<void()>;
+
+// The components of this library.
+inline std::vector<Definition>& definitions() {
+  static std::vector<Definition> all;
+  return all;
+}
+
+template <typename C>
+bool define(const char* name, void (*declare)(Declaration<C>&)) {
+  static_assert(std::is_base_of_v<Component, C>, "a component inherits from poise::Component");
+  definitions().push_back([=] {
+    Declaration<C> declaration;
+    declare(declaration);
+    declaration.make_class(name);
+  });
+  return true;
+}
+
+}  // namespace detail
+
+#define POISE_COMPONENT(Type)                                                               \
+  static void poise_declare(::poise::Declaration<Type>& component);                         \
+  [[maybe_unused]] static const bool poise_defined_##Type = ::poise::detail::define<Type>( \
+      #Type, static_cast<void (*)(::poise::Declaration<Type>&)>(&poise_declare));           \
+  static void poise_declare([[maybe_unused]] ::poise::Declaration<Type>& component)
+
+// Once in each module; `poise_add_component` writes it.
+#define POISE_MODULE(name)                                                       \
+  NB_MODULE(name, module) {                                                      \
+    nanobind::set_leak_warnings(false);                                          \
+    for (const auto& define : poise::detail::definitions()) define();            \
+    for (const auto [class_name, made] : poise::detail::made_classes())          \
+      nanobind::setattr(module, class_name, made);                               \
+  }
+
+}  // namespace poise

@@ -1,0 +1,133 @@
+// What a call through a required port throws, and what C++ exceptions become in Python.
+#pragma once
+
+#include <cxxabi.h>
+#include <nanobind/nanobind.h>
+
+#include <cstdlib>
+#include <memory>
+#include <stdexcept>
+#include <string>
+#include <typeinfo>
+
+namespace poise {
+
+namespace nb = nanobind;
+
+// A call did not bring back a result.
+struct CallError : std::runtime_error {
+  using std::runtime_error::runtime_error;
+};
+
+// Nobody is at the other end.
+struct Unavailable : CallError {
+  using CallError::CallError;
+};
+
+// The answer did not come within the connector's limit; the callee may still have run.
+struct Timeout : CallError {
+  using CallError::CallError;
+};
+
+// An argument or the result is not of the type that the interface declares, or too large.
+struct CannotCross : CallError {
+  using CallError::CallError;
+};
+
+// The callee raised, in whatever language.
+struct CalleeError : CallError {
+  CalleeError(std::string type, std::string text, std::string trace = "")
+      : CallError(type + ": " + text),
+        type_name(std::move(type)),
+        message(std::move(text)),
+        traceback(std::move(trace)) {}
+  std::string type_name, message, traceback;
+};
+
+namespace detail {
+
+inline nb::object from_python(const char* module, const char* name) {
+  return nb::module_::import_(module).attr(name);
+}
+
+inline std::string demangled(const char* mangled) {
+  int status = 0;
+  const std::unique_ptr<char, void (*)(void*)> name(
+      abi::__cxa_demangle(mangled, nullptr, nullptr, &status), std::free);
+  return name ? name.get() : mangled;
+}
+
+// What code threw: the name of its type, and what it says.
+struct Thrown {
+  std::string type_name, message;
+};
+
+// Of the exception that is being handled.
+inline Thrown thrown() {
+  try {
+    throw;
+  } catch (nb::python_error& error) {
+    const nb::gil_scoped_acquire gil;
+    return {nb::cast<std::string>(error.type().attr("__qualname__")),
+            nb::str(error.value()).c_str()};
+  } catch (const std::exception& error) {
+    std::string name = demangled(typeid(error).name());
+    if (name.rfind("poise::", 0) == 0) name.erase(0, 7);
+    return {name, error.what()};
+  } catch (...) {
+    const std::type_info* type = abi::__cxa_current_exception_type();
+    return {type ? demangled(type->name()) : "unknown", "not a std::exception"};
+  }
+}
+
+// Let what is being handled go on as an error of Python's.
+[[noreturn]] inline void raise_in_python() {
+  nb::object error;
+  try {
+    throw;
+  } catch (nb::python_error&) {
+    throw;
+  } catch (nb::builtin_exception&) {
+    throw;
+  } catch (const CalleeError& e) {
+    error = from_python("poise.errors", "CalleeError")(e.type_name, e.message, e.traceback);
+  } catch (const CallError& e) {
+    error = from_python("poise.errors", thrown().type_name.c_str())(e.what());
+  } catch (...) {
+    const Thrown what = thrown();
+    error = from_python("poise.runtime.hosting.cpp_component", "error")(what.type_name, what.message);
+  }
+  PyErr_SetObject(error.type().ptr(), error.ptr());
+  throw nb::python_error();
+}
+
+// Throw what an error of a call stands for; others go on as they are.
+[[noreturn]] inline void throw_call_error(nb::python_error& error) {
+  const auto is = [&](const char* name) {
+    return error.matches(from_python("poise.errors", name));
+  };
+  const auto text = [&](const char* name) {
+    return nb::cast<std::string>(error.value().attr(name));
+  };
+  if (is("CalleeError")) throw CalleeError(text("type_name"), text("message"), text("traceback"));
+  const std::string message = nb::str(error.value()).c_str();
+  if (is("Unavailable")) throw Unavailable(message);
+  if (is("Timeout")) throw Timeout(message);
+  if (is("CannotCross")) throw CannotCross(message);
+  if (is("CallError")) throw CallError(message);
+  throw error;
+}
+
+// Run code of a component's without the interpreter's lock, which the caller holds.
+template <typename Function>
+auto run_released(Function&& function) {
+  try {
+    const nb::gil_scoped_release released;
+    return function();
+  } catch (...) {
+    raise_in_python();
+  }
+}
+
+}  // namespace detail
+}  // namespace poise

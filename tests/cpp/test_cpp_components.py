@@ -1,0 +1,387 @@
+"""Components in C++ do what components in Python do, and with them."""
+
+from __future__ import annotations
+
+import ctypes
+import importlib
+import shutil
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType
+from typing import Any, Protocol
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from poise import (
+    CalleeError,
+    CannotCross,
+    Component,
+    Message,
+    Provided,
+    Published,
+    Required,
+    Stamp,
+    Timeout,
+    cmake,
+    oneway,
+    subscribed,
+)
+from poise.runtime.component.implementation import fingerprint
+from poise.runtime.component.ports import ports_of
+from poise.runtime.execution.exclusion import new_chain
+from poise.testing import Bench
+from tests.runtime.conftest import Pair, every_kind, pair
+from tests.waiting import LIMIT, LONG, wait_until
+
+__all__ = ["pair"]
+pytestmark = pytest.mark.slow
+ROOT = Path(__file__).parents[2]
+EXAMPLE = ROOT / "examples/cpp"
+ROBOT = (EXAMPLE / "robot.yaml").read_text()
+
+
+class Point(Message):
+    x: float
+    y: float
+
+
+class Everything(Message):
+    number: int
+    real: float
+    flag: bool
+    text: str
+    points: list[Point]
+    maybe: str | None
+    named: dict[str, float]
+    two: tuple[float, float]
+    raw: bytes
+    array: NDArray[np.float32]
+    at: Stamp
+
+
+class Number(Message):
+    value: int
+
+
+class Sums(Protocol):
+    def add(self, one: int, two: int) -> int: ...
+
+    def echo(self, everything: Everything) -> Everything: ...
+
+    def fail(self, why: str) -> None: ...
+
+    def wait(self, seconds: float) -> None: ...
+
+    def back(self, depth: int) -> int: ...
+
+    @oneway
+    def note(self, text: str) -> None: ...
+
+
+class Backs(Protocol):
+    def further(self, depth: int) -> int: ...
+
+
+class Target(Component):
+    sums: Provided[Sums]
+    backs: Required[Backs]
+    heard: Published[Number]
+
+    def add(self, one: int, two: int) -> int:
+        return one + two
+
+    def echo(self, everything: Everything) -> Everything:
+        fields = {n: getattr(everything, n) for n in everything.__struct_fields__}
+        return Everything(**{**fields, "number": everything.number + 1})
+
+    def fail(self, why: str) -> None:
+        raise LookupError(why)
+
+    def wait(self, seconds: float) -> None:
+        threading.Event().wait(seconds)
+
+    def back(self, depth: int) -> int:
+        return 1 + self.backs.further(depth - 1) if depth else 0
+
+    def note(self, text: str) -> None:
+        self.heard.publish(Number(len(text)))
+
+    @subscribed(block=4)
+    def number(self, message: Number) -> None:
+        self.heard.publish(Number(message.value + 1))
+
+    @subscribed(block=4)
+    def picture(self, message: Everything) -> None:
+        self.heard.publish(Number(int(message.array.sum())))
+
+
+class Source(Component):
+    """What calls from Python; of C++ the test calls `asks`."""
+
+    sums: Required[Sums]
+    backs: Provided[Backs]
+    number: Published[Number]
+    picture: Published[Everything]
+
+    def add(self, one: int, two: int) -> int:
+        return self.sums.add(one, two=two)
+
+    def echo(self, everything: Everything) -> Everything:
+        return self.sums.echo(everything)
+
+    def fail(self, why: str) -> list[str]:
+        with pytest.raises(CalleeError) as caught:
+            self.sums.fail(why)
+        return [caught.value.type_name, caught.value.message]
+
+    def wait(self, seconds: float) -> str:
+        with pytest.raises(Timeout) as caught:
+            self.sums.wait(seconds)
+        return str(caught.value)
+
+    def back(self, depth: int) -> int:
+        return self.sums.back(depth)
+
+    def further(self, depth: int) -> int:
+        return 1 + self.sums.back(depth - 1) if depth else 0
+
+    def note(self, text: str) -> None:
+        self.sums.note(text)
+
+    def publish(self, value: int) -> None:
+        self.number.publish(Number(value))
+
+    def show(self) -> None:
+        array = np.full((200, 200), 0.5, np.float32)
+        self.picture.publish(everything(array))
+
+
+class Ear(Source):
+    """Also hears what the target says."""
+
+    heard: list[int]
+
+    @subscribed("heard", block=4)
+    def on_heard(self, message: Number) -> None:
+        self.heard.append(message.value)
+
+
+def everything(array: NDArray[np.float32]) -> Everything:
+    return Everything(
+        number=1,
+        real=2.5,
+        flag=True,
+        text="é",
+        points=[Point(1.0, 2.0)],
+        maybe=None,
+        named={"a": 1.0},
+        two=(3.0, 4.0),
+        raw=b"\0b",
+        array=array,
+        at=Stamp(5.0, "here"),
+    )
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """Build the example and the components beside this file, in a fresh folder."""
+    missing = [tool for tool in ("c++", "cmake") if not shutil.which(tool)]
+    if missing:
+        pytest.skip(f"components in C++ cannot be built: no {' and no '.join(missing)}")
+    folder = tmp_path_factory.mktemp("cpp")
+    shutil.copytree(EXAMPLE, folder, dirs_exist_ok=True)
+    shutil.copy(Path(__file__).with_name("mixed.cpp"), folder)
+    with (folder / "CMakeLists.txt").open("a") as file:
+        file.write("poise_add_component(mixed SOURCES mixed.cpp)\n")
+    options = {
+        "poise_DIR": cmake.folder(),
+        "Python_EXECUTABLE": sys.executable,
+        "CMAKE_BUILD_TYPE": "Debug",
+        "CMAKE_CXX_FLAGS_DEBUG": "-O0",
+    }
+    defined = [f"-D{name}={value}" for name, value in options.items()]
+    for words in (["-S", ".", "-B", "build", *defined], ["--build", "build", "-j2"]):
+        run = subprocess.run(
+            ["cmake", *words],
+            cwd=folder,
+            capture_output=True,
+            text=True,
+            timeout=LONG,
+            check=False,
+        )
+        assert run.returncode == 0, run.stdout + run.stderr
+    sys.path.insert(0, str(folder))
+    yield folder
+    sys.path.remove(str(folder))
+
+
+@pytest.fixture(scope="module")
+def mixed(built: Path) -> ModuleType:
+    del built
+    return importlib.import_module("mixed")
+
+
+@pytest.fixture(params=["cpp-cpp", "cpp-py", "py-cpp"])
+def classes(request: pytest.FixtureRequest, mixed: ModuleType) -> tuple[Any, Any]:
+    """Return a source and a target, of which one at least is in C++."""
+    source, target = request.param.split("-")
+    return (
+        mixed.Source if source == "cpp" else Source,
+        mixed.Target if target == "cpp" else Target,
+    )
+
+
+def start(pair: Pair, classes: tuple[Any, Any], limit: float = LIMIT) -> Any:
+    """Join a source and a target in all ways; return the source."""
+    source = pair.run("source", classes[0])
+    pair.run("target", classes[1])
+    for port in ("sums", "number", "picture"):
+        pair.join(port, limit=limit)
+    pair.join_back("backs", "backs")
+    if "heard" in ports_of(classes[0]):
+        pair.join_back("heard", "heard")
+    pair.activate()
+    return source
+
+
+@every_kind
+def test_calls_go_both_ways_between_languages(
+    pair: Pair, classes: tuple[Any, Any]
+) -> None:
+    source = start(pair, classes)
+    assert source.add(2, 3) == 5
+    array = np.arange(30_000, dtype=np.float32).reshape(100, 300)
+    # as a chain that the source's own code begins
+    new_chain()
+    answer = source.echo(everything(array))
+    assert answer.number == 2
+    assert (answer.text, answer.raw, answer.two) == ("é", b"\0b", (3.0, 4.0))
+    assert (answer.points[0].y, answer.maybe, answer.named) == (2.0, None, {"a": 1.0})
+    assert (answer.at.at, answer.at.computer) == (5.0, "here")
+    assert (answer.array == array).all()
+
+
+@every_kind
+def test_an_error_of_the_callee_has_its_type_and_what_it_says(
+    pair: Pair, classes: tuple[Any, Any]
+) -> None:
+    source = start(pair, classes)
+    types = {Target: "LookupError"}
+    expected = types.get(classes[1], "trouble::Empty")
+    assert source.fail("no eggs") == [expected, "no eggs"]
+    assert source.add(1, 1) == 2
+
+
+@every_kind
+def test_a_late_result_is_a_timeout(pair: Pair, classes: tuple[Any, Any]) -> None:
+    source = start(pair, classes, limit=0.1)
+    assert "limit 0.1 s" in source.wait(0.3)
+
+
+@every_kind
+def test_a_chain_of_calls_comes_back(pair: Pair, classes: tuple[Any, Any]) -> None:
+    source = start(pair, classes)
+    runner = pair.runners["source", 0]
+    runner.exclusion.enter(new_chain(), LIMIT)
+    try:
+        assert source.back(4) == 4
+    finally:
+        runner.exclusion.leave()
+
+
+@every_kind
+def test_messages_and_one_way_calls_reach_cpp(pair: Pair, mixed: ModuleType) -> None:
+    heard: list[int] = []
+    Ear.heard = heard
+    source = start(pair, (Ear, mixed.Target))
+    source.publish(6)
+    wait_until(lambda: heard == [7])
+    source.note("four")
+    wait_until(lambda: heard == [7, 4])
+    source.show()  # 40000 times 0.5
+    wait_until(lambda: heard == [7, 4, 20_000])
+
+
+@every_kind
+def test_cpp_publishes_to_python(pair: Pair, mixed: ModuleType) -> None:
+    source = start(pair, (mixed.Source, Target))
+    target = pair.runners["target", 0].component
+    heard: list[Any] = []
+    target.heard = Published(heard.append)  # type: ignore[attr-defined]
+    source.publish(6)
+    source.note("four")
+    source.show()
+    wait_until(lambda: [m.value for m in heard] == [7, 4, 20_000])
+
+
+@pytest.mark.parametrize("pair", ["direct"], indirect=True)
+def test_a_direct_call_between_components_in_cpp_needs_no_interpreter(
+    pair: Pair, mixed: ModuleType
+) -> None:
+    source = start(pair, (mixed.Source, mixed.Target))
+    sender = pair.runners["source", 0].endpoints.senders["source.sums-target.sums"]
+    counted: list[int] = []
+    asking = threading.Thread(target=lambda: counted.append(source.keep_adding(1.0)))
+    asking.start()
+    wait_until(lambda: sender.counts.calls > 0)
+    before = sender.counts.calls
+    ctypes.PyDLL(None).usleep(300_000)  # keeps the interpreter's lock
+    # one that needs the lock would make none meanwhile, and a few afterwards
+    assert sender.counts.calls - before > 1000
+    asking.join()
+    assert counted == [sender.counts.calls]
+
+
+@pytest.mark.parametrize("pair", ["direct"], indirect=True)
+def test_an_array_reaches_cpp_and_comes_back_without_a_copy(
+    pair: Pair, mixed: ModuleType
+) -> None:
+    source = start(pair, (Source, mixed.Target))
+    array = np.zeros(100_000, np.float32)
+    assert source.echo(everything(array)).array is array
+
+
+def test_handlers_of_one_container_run_at_the_same_time(mixed: ModuleType) -> None:
+    with Bench(mixed.Meeting) as one, Bench(mixed.Meeting) as other:
+        threads = [
+            threading.Thread(target=bench.advance, args=(0.03,))
+            for bench in (one, other)
+        ]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+    assert one.measured["met"] == other.measured["met"] == [1.0]
+
+
+def test_types_are_compared_with_pythons_by_their_fields(mixed: ModuleType) -> None:
+    for mine, theirs in ((Sums, mixed.Sums), (Everything, mixed.Everything)):
+        assert fingerprint(mine) == fingerprint(theirs)
+
+
+@every_kind
+def test_an_argument_of_another_type_is_refused(pair: Pair, mixed: ModuleType) -> None:
+    start(pair, (Source, mixed.Target))
+    source = pair.runners["source", 0].component
+    with pytest.raises((CalleeError, CannotCross), match="str"):
+        source.sums.add("1", 2)  # type: ignore[attr-defined]
+
+
+def test_a_bench_runs_the_examples_controller(built: Path) -> None:
+    del built
+    pilot = importlib.import_module("pilot")
+
+    class Recorder:
+        def heat(self, power: float) -> float:
+            return power * 2000
+
+    with Bench(pilot.Controller, {"gain": 0.05}, heating=Recorder()) as bench:
+        for celsius in (170.0, 180.0):
+            bench.send("reading", pilot.Reading(celsius, Stamp(0.0)))
+    assert bench.measured["watts"] == [1000.0, 0.0]
+    assert bench.component.snapshot() == pilot.Learned(gain=0.05, readings=2)
