@@ -52,6 +52,8 @@ COMMANDS = {
     "param list": ("param", "List the parameters of all components."),
     "param get": ("param", "Print a component's parameters."),
     "param set": ("param", "Set parameters of a component that runs."),
+    "ros2": ("ros2", "Take ROS 2 nodes in."),
+    "ros2 import": ("ros2", "Write a running ROS 2 graph as a robot file."),
     "record": ("recording", "Record a running robot for Foxglove."),
     "log": ("look", "Show what components wrote."),
     "task": ("running_robot", "Start, pause, resume and cancel tasks."),

@@ -349,13 +349,13 @@ def changed_problem(
     if without:
         problem = plan.without(problem, without)
     for text in add:
-        problem = plan.add(problem, _computer(text))
+        problem = plan.add(problem, computer_of(text))
     if scale:
         problem = plan.scale(problem, dict(_factor(text) for text in scale))
     return problem
 
 
-def _computer(text: str) -> Computer:
+def computer_of(text: str) -> Computer:
     """Return the computer that ``NAME:cpu=2,memory=4GiB`` describes."""
     name, colon, rest = text.partition(":")
     if not name or not colon:

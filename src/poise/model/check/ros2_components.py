@@ -68,7 +68,7 @@ def _wrong_topic(robot: Robot, connector: Connector) -> Iterator[str]:
             continue
         if end.port:
             yield f"has a topic of ROS 2, so write '{entry.name}' without a port"
-        elif not (entry.ros2 or entry.command or entry.name in bridged):
+        elif entry.implementation and entry.name not in bridged:
             yield (
                 f"has a topic, but '{entry.name}' is no ROS 2 node: add a bridge to "
                 "`bridges` under `ros2`"

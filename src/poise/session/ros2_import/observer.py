@@ -1,0 +1,292 @@
+"""Observes a running ROS 2 graph; changes nothing in it."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections import defaultdict
+from collections.abc import Iterator, Mapping
+
+import rclpy
+from msgspec import Struct
+from rclpy.action import (
+    get_action_client_names_and_types_by_node,
+    get_action_server_names_and_types_by_node,
+)
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.topic_endpoint_info import TopicEndpointInfo
+
+from poise.errors import RunError
+from poise.kernel_counters import process_cpu
+from poise.session.ros2_import.graph_records import Call, CallKind, Flow, Graph, Topic
+from poise.session.ros2_import.node_processes import ProcessUsage, describe, find_pid
+from poise.session.ros2_import.topic_probe import TopicProbe, message_type
+
+_NAME = "poise_import"
+_SETTLED = 1.0
+"""[s] No node was found for so long: discovery is over."""
+_DISCOVERY = 6.0
+_POLL = 1.0
+"""[s] New topics are looked for so often."""
+_EVERY_NODES = {"/rosout", "/parameter_events"}
+_PARAMETER_SERVICES = {
+    "describe_parameters",
+    "get_parameter_types",
+    "get_parameters",
+    "get_type_description",
+    "list_parameters",
+    "set_parameters",
+    "set_parameters_atomically",
+}
+_TOOLS = ("launch_ros_", "rviz", "rqt", "transform_listener_impl_")
+
+
+class _Ends(Struct):
+    """The publishers and subscribers of a topic, and its type."""
+
+    type: str
+    publishers: list[TopicEndpointInfo]
+    subscribers: list[TopicEndpointInfo]
+
+
+def observe(seconds: float) -> Graph:
+    """Return what is seen of the graph that this process's environment leads to.
+
+    Raises
+    ------
+    RunError
+        No node was found.
+    """
+    rclpy.init(args=[])
+    try:
+        node = Node(_NAME, enable_rosout=False, start_parameter_services=False)
+        try:
+            return _Observer(node).observe(seconds)
+        finally:
+            node.destroy_node()
+    finally:
+        rclpy.shutdown()
+
+
+class _Observer:
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self._probes: dict[str, TopicProbe] = {}
+        self._unmeasured: dict[str, str] = {}
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(node)
+
+    def observe(self, seconds: float) -> Graph:
+        names = self._discover()
+        pids, elsewhere = self._processes(names)
+        usage = ProcessUsage(set(pids.values()))
+        began, own = time.monotonic(), process_cpu(os.getpid())
+        self._measure(began + seconds)
+        elapsed = time.monotonic() - began
+        own_cpu = (process_cpu(os.getpid()) - own) / elapsed
+        nodes: dict[int, list[str]] = defaultdict(list)
+        for name, pid in pids.items():
+            nodes[pid].append(name)
+        processes = [describe(p, tuple(n), usage) for p, n in nodes.items()]
+        topics = tuple(self._topics(elapsed))
+        for probe in self._probes.values():
+            probe.close()
+        return Graph(
+            computer=usage.hardware(processes, own_cpu),
+            seconds=elapsed,
+            processes=tuple(sorted(processes, key=lambda each: each.nodes)),
+            topics=topics,
+            calls=tuple(self._calls(names)),
+            elsewhere=elsewhere,
+            remarks=tuple(self._changes(names)),
+            own_cpu=own_cpu,
+        )
+
+    def _discover(self) -> list[str]:
+        """Wait until no more nodes are found; return their names."""
+        end = time.monotonic() + _DISCOVERY
+        found: list[str] = []
+        changed = time.monotonic()
+        while time.monotonic() < min(end, changed + _SETTLED) or not found:
+            self._executor.spin_once(timeout_sec=0.05)
+            if (names := self._names()) != found:
+                found, changed = names, time.monotonic()
+            if time.monotonic() > end and not found:
+                domain = os.environ.get("ROS_DOMAIN_ID", "0")
+                raise RunError(
+                    f"no ROS 2 node was found within {_DISCOVERY:g} s in domain "
+                    f"{domain}: set ROS_DOMAIN_ID and the other variables of ROS 2 as "
+                    "where the nodes were started"
+                )
+        return found
+
+    def _names(self) -> list[str]:
+        found = {
+            f"{namespace.rstrip('/')}/{name}"
+            for name, namespace in self._node.get_node_names_and_namespaces()
+            if name != _NAME and not name.startswith(("_", *_TOOLS))
+        }
+        return sorted(found)
+
+    def _measure(self, end: float) -> None:
+        """Look at all topics until `end`."""
+        looked = -_POLL
+        while (now := time.monotonic()) < end:
+            if now >= looked + _POLL:
+                looked = now
+                self._find_topics()
+            for probe in self._probes.values():
+                probe.adjust()
+            self._executor.spin_once(timeout_sec=min(0.1, end - now))
+
+    def _find_topics(self) -> None:
+        for topic, types in self._node.get_topic_names_and_types():
+            if topic in self._probes or topic in self._unmeasured:
+                continue
+            if topic in _EVERY_NODES or "/_" in topic:
+                continue
+            try:
+                message = message_type(types[0])
+            except (ImportError, AttributeError):
+                self._unmeasured[topic] = f"{types[0]} is not installed here"
+                continue
+            self._probes[topic] = TopicProbe(self._node, topic, message)
+
+    def _topics(self, seconds: float) -> Iterator[Topic]:
+        for name, ends in self._ends().items():
+            probe = self._probes.get(name)
+            counts = probe.publishers if probe else {}
+            flows = []
+            for info in ends.publishers:
+                count = counts.get(bytes(info.endpoint_gid))
+                node = _full_name(info)
+                flows.append(count.flow(node, seconds) if count else Flow(node=node))
+            yield Topic(
+                name=name,
+                type=ends.type,
+                flows=tuple(flows),
+                subscribers=tuple(dict.fromkeys(map(_full_name, ends.subscribers))),
+                quality=_quality(ends.publishers),
+                unmeasured=self._unmeasured.get(name, ""),
+            )
+
+    def _ends(self) -> Mapping[str, _Ends]:
+        found = {}
+        for topic, types in sorted(self._node.get_topic_names_and_types()):
+            if topic in _EVERY_NODES or "/_" in topic:
+                continue
+            publishers = self._node.get_publishers_info_by_topic(topic)
+            subscribers = [
+                info
+                for info in self._node.get_subscriptions_info_by_topic(topic)
+                if info.node_name != _NAME
+            ]
+            if publishers or subscribers:
+                found[topic] = _Ends(types[0], publishers, subscribers)
+        return found
+
+    def _processes(self, names: list[str]) -> tuple[dict[str, int], dict[str, str]]:
+        """Return node -> its process, and node -> why that is not known."""
+        endpoints = self._endpoints()
+        own = endpoints.get(f"/{_NAME}")
+        pids: dict[str, int] = {}
+        elsewhere: dict[str, str] = {}
+        for name in names:
+            info = endpoints.get(name)
+            if info is None or own is None:
+                elsewhere[name] = "it has no publisher that tells its process"
+            elif _host(info) != _host(own):
+                elsewhere[name] = "it runs on another computer"
+            elif (pid := find_pid(_low_id(info))) is None:
+                elsewhere[name] = "its process is not visible here"
+            else:
+                pids[name] = pid
+        return pids, elsewhere
+
+    def _endpoints(self) -> dict[str, TopicEndpointInfo]:
+        """Return node -> one of its publishers; nearly every node has one of these."""
+        found: dict[str, TopicEndpointInfo] = {}
+        topics = [
+            *_EVERY_NODES,
+            *(t for t, _ in self._node.get_topic_names_and_types()),
+        ]
+        for topic in topics:
+            for info in self._node.get_publishers_info_by_topic(topic):
+                found.setdefault(_full_name(info), info)
+        return found
+
+    def _calls(self, names: list[str]) -> Iterator[Call]:
+        node = self._node
+        servers: dict[tuple[CallKind, str, str], set[str]] = defaultdict(set)
+        clients: dict[tuple[CallKind, str, str], set[str]] = defaultdict(set)
+        for full in names:
+            space, _, name = full.rpartition("/")
+            space = space or "/"
+            for found, services, actions in (
+                (
+                    servers,
+                    node.get_service_names_and_types_by_node(name, space),
+                    get_action_server_names_and_types_by_node(node, name, space),
+                ),
+                (
+                    clients,
+                    node.get_client_names_and_types_by_node(name, space),
+                    get_action_client_names_and_types_by_node(node, name, space),
+                ),
+            ):
+                for service, types in services:
+                    if not _is_every_nodes(service):
+                        found["service", service, types[0]].add(full)
+                for action, types in actions:
+                    found["action", action, types[0]].add(full)
+        for key in sorted({*servers, *clients}):
+            kind, name, type_ = key
+            yield Call(
+                name=name,
+                type=type_,
+                kind=kind,
+                clients=tuple(sorted(clients[key])),
+                servers=tuple(sorted(servers[key])),
+            )
+
+    def _changes(self, before: list[str]) -> Iterator[str]:
+        after = self._names()
+        for name in before:
+            if name not in after:
+                yield f"{name} ended meanwhile"
+        for name in after:
+            if name not in before:
+                yield f"{name} began meanwhile, and is missing: import again"
+
+
+def _full_name(info: TopicEndpointInfo) -> str:
+    return f"{info.node_namespace.rstrip('/')}/{info.node_name}"
+
+
+def _host(info: TopicEndpointInfo) -> bytes:
+    """Return what Fast DDS writes of the computer into the id of an endpoint."""
+    return bytes(info.endpoint_gid)[2:4]
+
+
+def _low_id(info: TopicEndpointInfo) -> int:
+    """Return the last 16 bits of the process's id, as Fast DDS writes them."""
+    return int.from_bytes(bytes(info.endpoint_gid)[4:6], "little")
+
+
+def _is_every_nodes(service: str) -> bool:
+    return "/_action/" in service or service.rpartition("/")[2] in _PARAMETER_SERVICES
+
+
+def _quality(publishers: list[TopicEndpointInfo]) -> str:
+    """Return how reliably publishers send, and whether late subscribers get it."""
+    words = dict.fromkeys(
+        word
+        for info in publishers
+        for word in (
+            info.qos_profile.reliability.name.lower().replace("_", " "),
+            info.qos_profile.durability.name.lower().replace("_", " "),
+        )
+        if word != "volatile"
+    )
+    return ", ".join(words)
