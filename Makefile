@@ -12,7 +12,7 @@ setup: .venv/.ready
 	@.ci/needs $(PYTHON)
 	@echo "setting up .venv (takes a minute or two; only after changes of native code)"
 	@test -x $(BIN)/python || $(PYTHON) -m venv .venv
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev,docs,trot]'
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev,docs,ros2,trot]'
 	@$(BIN)/python -m compileall -q src examples
 	@touch $@
 

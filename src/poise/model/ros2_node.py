@@ -68,8 +68,8 @@ class Ros2Node(Struct, frozen=True, kw_only=True):
         tuple[str, ...], says("Further arguments of the executable.")
     ] = ()
 
-    def ros_arguments(self) -> tuple[str, ...]:
-        """Return name, namespace, remappings and parameters as ROS 2 takes them."""
+    def names(self) -> tuple[str, ...]:
+        """Return name, namespace and remappings as ROS 2 takes them."""
         remaps = {
             **({"__node": self.name} if self.name else {}),
             **({"__ns": self.namespace} if self.namespace else {}),
@@ -78,8 +78,6 @@ class Ros2Node(Struct, frozen=True, kw_only=True):
         words = [w for one, new in remaps.items() for w in ("-r", f"{one}:={new}")]
         for file in self.params_files:
             words += ["--params-file", file]
-        for key, value in _flat(self.params):
-            words += ["-p", f"{key}:={json.dumps(value)}"]
         return ("--ros-args", *words) if words else ()
 
     def command(self) -> tuple[str, ...]:
@@ -89,12 +87,23 @@ class Ros2Node(Struct, frozen=True, kw_only=True):
             program = [f"ros2:{self.package}/{self.executable}"]
         elif self.executable.endswith(".py"):
             program = ["python", self.executable]
-        return (*program, *self.arguments, *self.ros_arguments())
+        return (*program, *self.arguments, *self.names(), *as_arguments(self.params))
 
 
-def _flat(params: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+def as_arguments(params: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return parameters as ROS 2 takes them on a command line."""
+    words = [
+        word
+        for name, value in flat(params)
+        for word in ("-p", f"{name}:={json.dumps(value)}")
+    ]
+    return ("--ros-args", *words) if words else ()
+
+
+def flat(params: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield parameters by their full names: {a: {b: 1}} is ``a.b``."""
     for key, value in params.items():
         if isinstance(value, Mapping):
-            yield from _flat(value, f"{prefix}{key}.")
+            yield from flat(value, f"{prefix}{key}.")
         else:
             yield f"{prefix}{key}", value

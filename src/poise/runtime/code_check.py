@@ -39,6 +39,7 @@ from poise.runtime.code_references import check_origin, check_parameters, check_
 from poise.runtime.component.component import Component
 from poise.runtime.component.implementation import (
     find,
+    find_for,
     find_type,
     fingerprint,
     load_module,
@@ -117,7 +118,7 @@ def check_code(
 
 def code_of(entry: ComponentEntry, folder: str) -> ComponentCode:
     """Return what the class of a component declares."""
-    code = find(entry.implementation, folder)
+    code = find_for(entry.implementation, entry.parameters, folder)
     ports, timers = ports_of(code), timers_of(code)
     handlers = {name: [name] for name in timers} | {
         name: methods_of(port.type) if port.kind == "provides" else [port.handler]
@@ -222,7 +223,7 @@ def _coded_ports(
     path: Path, component: ComponentEntry, folder: str
 ) -> Iterator[tuple[str, KnownPort]]:
     try:
-        code = find(component.implementation, folder)
+        code = find_for(component.implementation, component.parameters, folder)
         ports = ports_of(code)
         timers_of(code)
         known = [(n, _known_of(port)) for n, port in ports.items()]

@@ -100,7 +100,7 @@ def test_an_executable_becomes_a_command(tmp_path: Path) -> None:
     scan = robot.component("scan")
     assert scan.command == (
         *("ros2:nav/scan", "--fast", "--ros-args", "-r", "__node:=front"),
-        *("-r", "__ns:=/a", "-r", "scan:=/b", "-p", "rate:=10"),
+        *("-r", "__ns:=/a", "-r", "scan:=/b", "--ros-args", "-p", "rate:=10"),
         *("-p", 'filter.name:="low pass"'),
     )
     assert scan.environment == {
@@ -123,7 +123,6 @@ def test_a_bridge_becomes_a_component_beside_the_one_with_the_port(
     )
     (bridge,) = robot.component("drive-ros2").parameters["bridges"]
     assert (bridge["ros2"], bridge["port"]) == ("/a", "a")
-    assert robot.together == (("drive", "drive-ros2"),)
 
 
 def test_computers_find_each_other_by_their_addresses(tmp_path: Path) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from queue import SimpleQueue
 
 import pytest
 
@@ -11,13 +10,13 @@ from poise.runtime._calls import ComponentCounters
 from poise.runtime.component.ports import Queue
 from poise.runtime.execution import mailbox as module
 from poise.runtime.execution.counters import Counts
-from poise.runtime.execution.mailbox import Feed, Inbox, Mailbox
+from poise.runtime.execution.mailbox import Feed, Filled, Inbox, Mailbox
 
 LIMIT = 20.0
 
 
 def inbox_of(queue: Queue) -> Inbox:
-    return Inbox("scan", queue, SimpleQueue(), ComponentCounters())
+    return Inbox("scan", queue, Filled(), ComponentCounters())
 
 
 def feed(inbox: Inbox) -> Feed:

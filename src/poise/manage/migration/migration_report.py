@@ -26,6 +26,8 @@ class MigrationReport(Struct, frozen=True, tag=True, kw_only=True):
     committed: bool = False
     reason: str = ""  # why not
     cold: bool = False
+    # whether it is a node of ROS 2 that begins anew: it has no `snapshot` and `restore`
+    stateless: bool = False
     # how long the components were paused, or a cold one was away [s]
     downtime: float = 0.0
     phases: Mapping[str, float] = {}  # how long each phase took [s]
@@ -56,12 +58,20 @@ class MigrationReport(Struct, frozen=True, tag=True, kw_only=True):
         if self.committed:
             how = " by a cold move" if self.cold else ""
             verb = "replaced" if self.by else "moved"
-            text = f"{verb} {self.way}{how}; {self._times()}{self._losses()}"
+            times = f"{self._times()}{self.without_state}"
+            text = f"{verb} {self.way}{how}; {times}{self._losses()}"
             journal.note("done", text, migration=self)
         else:
             verb = "replace" if self.by else "move"
             text = f"did not {verb} {self.way}: {self.reason}"
             journal.note("failed", text, migration=self)
+
+    @property
+    def without_state(self) -> str:
+        """Say that it begins anew, when it does."""
+        if not self.stateless:
+            return ""
+        return "; it begins anew, for the node has no `snapshot` and `restore`"
 
     def _losses(self) -> str:
         return "".join(

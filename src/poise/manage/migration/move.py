@@ -89,12 +89,16 @@ def replace(
 def _preparation(
     run: RunningComponents, old: Incarnation, new: Incarnation, by: str = ""
 ) -> Preparation:
+    entry = run.robot.component(old.component)
+    found = components_of(run.agents.statuses())
+    has_state = any(c.name == entry.name and c.has_state for c in found)
     report = MigrationReport(
         what=old.component,
         by=by,
         before={old.component: old.computer},
         after={old.component: new.computer},
-        cold=bool(run.robot.component(old.component).command),
+        cold=bool(entry.command),
+        stateless=entry.ros2 is not None and not (entry.command or has_state),
     )
     if report.cold:
         return Preparation(

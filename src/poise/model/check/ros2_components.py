@@ -114,10 +114,7 @@ def with_ros2(robot: Robot) -> Robot:
         )
         for architecture in robot.architectures
     )
-    pairs = ((name, bridge_of(name)) for name in bridges)
-    return replace(
-        robot, architectures=architectures, together=(*robot.together, *pairs)
-    )
+    return replace(robot, architectures=architectures)
 
 
 def _with_node(entry: ComponentEntry, environment: Mapping[str, str]) -> ComponentEntry:
@@ -127,11 +124,12 @@ def _with_node(entry: ComponentEntry, environment: Mapping[str, str]) -> Compone
     if node.executable:
         merged = {**environment, **entry.environment}
         return replace(entry, command=node.command(), environment=merged)
-    parameters = {
+    start = {
         "node": node.node,
-        "arguments": list(node.ros_arguments()),
+        "arguments": list(node.names()),
         "environment": dict(environment),
     }
+    parameters = {"ros2": start, **node.params}
     return replace(entry, implementation=NODE, parameters=parameters)
 
 

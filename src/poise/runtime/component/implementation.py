@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 import inspect
 import sys
-from collections.abc import Callable, Hashable, Iterable
+from collections.abc import Callable, Hashable, Iterable, Mapping
 from types import ModuleType
 from typing import Any, get_args, get_origin, get_type_hints
 
@@ -27,6 +27,15 @@ def find(implementation: str, folder: str) -> type[Component]:
             "inherit from poise.Component"
         )
     return class_
+
+
+def find_for(
+    implementation: str, parameters: Mapping[str, Any], folder: str
+) -> type[Component]:
+    """Return the class to run; Poise's own may have ports by their parameters."""
+    class_ = find(implementation, folder)
+    special = getattr(class_, "__poise_specialised__", None)
+    return special(parameters, folder) if special else class_
 
 
 def find_type(reference: str, folder: str) -> type[Any]:

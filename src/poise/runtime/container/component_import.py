@@ -9,7 +9,7 @@ from poise import threads
 from poise.clock import ComponentClock
 from poise.priority import give_way
 from poise.runtime.component.component import Component
-from poise.runtime.component.implementation import find
+from poise.runtime.component.implementation import find_for
 from poise.runtime.hosting.command_line import CommandLine
 from poise.runtime.hosting.output import write_as
 from poise.runtime.hosting.runner import Runner
@@ -17,7 +17,7 @@ from poise.wire.records.deployment_records import ComponentSpec
 
 
 def implementation_of(spec: ComponentSpec, folder: str) -> type[Component]:
-    """Return the class to run; Poise's own may have ports by their parameters."""
+    """Return the class to run."""
     if spec.command:
         own = {
             "command": spec.command,
@@ -25,9 +25,7 @@ def implementation_of(spec: ComponentSpec, folder: str) -> type[Component]:
             "variables": spec.environment,
         }
         return type("CommandLine", (CommandLine,), own)
-    class_ = find(spec.implementation, folder)
-    special = getattr(class_, "__poise_specialised__", None)
-    return special(spec.parameters, folder) if special else class_
+    return find_for(spec.implementation, spec.parameters, folder)
 
 
 def prepare(

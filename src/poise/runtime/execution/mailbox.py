@@ -9,7 +9,7 @@ from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from queue import Empty, SimpleQueue
-from typing import Any
+from typing import Any, Protocol
 
 from poise.runtime._calls import ComponentCounters
 from poise.runtime.component.ports import Queue
@@ -22,6 +22,36 @@ Entry = tuple[int, Any]
 MOST_AHEAD = 5_000
 """Messages that one connector may bring without room: a source may buffer as many while
 the component moves, and then send them at once."""
+
+
+Work = tuple[str, Callable[[], object]]
+"""What there is to do, and the code of the component that does it."""
+
+
+class Source(Protocol):
+    """Where a component's thread gets work from besides its ports."""
+
+    def wait(self, limit: float | None) -> Work | None:
+        """Wait up to `limit` [s] for work, or until `wake`; on its own thread."""
+
+    def wake(self) -> None:
+        """Let `wait` return, now or when it is called next; from any thread."""
+
+
+class Filled:
+    """Which queues have a message; whoever fills one wakes the source, too."""
+
+    source: Source | None = None
+
+    def __init__(self) -> None:
+        self._queue: SimpleQueue[Inbox | None] = SimpleQueue()
+        self.get, self.is_empty = self._queue.get, self._queue.empty
+
+    def put(self, inbox: Inbox | None) -> None:
+        """Let the component's thread look into a queue; None: at its goal."""
+        self._queue.put(inbox)
+        if self.source is not None:
+            self.source.wake()
 
 
 class Feed:
@@ -54,7 +84,7 @@ class Inbox:
         self,
         port: str,
         queue: Queue,
-        filled: SimpleQueue[Inbox | None],
+        filled: Filled,
         counters: ComponentCounters,
     ) -> None:
         self.port = port
@@ -139,7 +169,7 @@ class Mailbox:
     def __init__(
         self, queues: Mapping[str, Queue], counters: ComponentCounters
     ) -> None:
-        self._filled: SimpleQueue[Inbox | None] = SimpleQueue()
+        self._filled = Filled()
         self._inboxes = {
             port: Inbox(port, queue, self._filled, counters)
             for port, queue in queues.items()
@@ -184,8 +214,19 @@ class Mailbox:
                 self._set_unbounded(unbounded=self._is_unbounded)
 
     def wake(self) -> None:
-        """Let `next` return."""
+        """Let `next` and `work` return."""
         self._filled.put(None)
+
+    def listen(self, source: Source | None) -> None:
+        """Let `work` come from a source, too; None: no more."""
+        self._filled.source = source
+
+    def work(self, limit: float | None) -> Inbox | Work | None:
+        """Wait up to `limit` [s] for a queue with a message, or for the source."""
+        source = self._filled.source
+        if source is not None and self._filled.is_empty():
+            return source.wait(limit)
+        return self.next(limit)
 
     def next(self, limit: float | None) -> Inbox | None:
         """Wait up to `limit` [s] for a queue with a message; None when none came."""

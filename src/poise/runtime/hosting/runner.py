@@ -30,7 +30,7 @@ from poise.runtime.connectors.interface import methods
 from poise.runtime.execution.container_lease import LeaseEnd, LeaseEnded
 from poise.runtime.execution.data_age import DataAges, Stamped
 from poise.runtime.execution.exclusion import Exclusion, Redirected, new_chain
-from poise.runtime.execution.mailbox import Inbox
+from poise.runtime.execution.mailbox import Inbox, Work
 from poise.runtime.execution.timers import Releases, Timers, release_offset
 from poise.runtime.hosting.checkpoints import Checkpoints
 from poise.runtime.hosting.life_cycle import ENDED, ExecutionGate, LifeCycle, TaskNews
@@ -61,7 +61,7 @@ class Runner:
         self.exclusion = Exclusion(spec.name)
         self.ports = ports_of(implementation)
         self._news = TaskNews(on_change)
-        self._turns: deque[Callable[[], object]] = deque()
+        self._turns: deque[Work] = deque()
         calls = StartedCalls(spec.name, self._later)
         self.component = create(
             implementation,
@@ -75,6 +75,8 @@ class Runner:
                 give_up=self._give_up,
                 request=self._news.request,
                 calls=calls,
+                listen=lambda source: self.endpoints.mailbox.listen(source),  # noqa: PLW0108, which come below
+                takes_over=lambda: self.life_cycle.goal == "ready",
             ),
         )
         self.counters = ComponentCounters()
@@ -310,7 +312,8 @@ class Runner:
             self._action_begun = spec.action_number
             self._run(self.component.begin, "begin", spec.action)
         while self._turns and self._enter():
-            self._run(self._turns.popleft(), "answer")
+            what, method = self._turns.popleft()
+            self._run(method, what)
         for releases in self.timers:
             if releases.due <= self.clock.now():
                 self._run_timer(releases)
@@ -319,14 +322,16 @@ class Runner:
             due = self._take_checkpoint(self.checkpoints, due)
         limit = None if due is None else max(0.0, due - self.clock.now())
         self.counters.note_idle()
-        inbox = self.endpoints.mailbox.next(limit)
+        work = self.endpoints.mailbox.work(limit)
         self.counters.note_busy()
-        if inbox is not None and self._enter():
-            self._deliver(inbox)
+        if isinstance(work, tuple):
+            self._turns.append(work)
+        elif work is not None and self._enter():
+            self._deliver(work)
 
     def _later(self, turn: Callable[[], object]) -> None:
         """Run something on its thread, as soon as nothing else of it runs."""
-        self._turns.append(turn)
+        self._turns.append(("answer", turn))
         self.endpoints.mailbox.wake()
 
     def _take_parameters(self, changes: Mapping[str, Any]) -> None:

@@ -265,7 +265,8 @@ def outcome_sentence(report: MigrationReport) -> str:
     if report.cold:
         return f"{runs} now; it was stopped and started, downtime {downtime}"
     prepared = format_seconds(report.prepared)
-    return f"{runs} now; prepared in {prepared}, downtime {downtime}"
+    times = f"prepared in {prepared}, downtime {downtime}"
+    return f"{runs} now; {times}{report.without_state}"
 
 
 def _places(placement: Mapping[str, str], verb: str) -> str:

@@ -1,0 +1,161 @@
+"""A node of rclpy that is a component, without a line of it changed.
+
+What Poise calls configure, activate, deactivate and cleanup, a lifecycle node does,
+too. Another node is made, spins, and is destroyed.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Mapping
+from typing import Any, get_type_hints
+
+from poise.errors import RobotError, UsageError
+from poise.model.ros2_node import as_arguments, flat
+from poise.ros2 import ros_context
+from poise.ros2.executor_source import ExecutorSource
+from poise.runtime.component.component import Component
+from poise.runtime.component.implementation import find_function
+from poise.suggest import did_you_mean, listed
+
+
+class RosNode(Component):
+    """Runs the node that its parameters name, and no other parameter is its own."""
+
+    make: Callable[[], Any]
+
+    @classmethod
+    def __poise_specialised__(
+        cls, parameters: Mapping[str, Any], folder: str
+    ) -> type[Component]:
+        """Return a class that hands the node's state over, if it has any."""
+        ros_context.rclpy()
+        make = find_function(parameters["ros2"]["node"], folder)
+        code = make if inspect.isclass(make) else get_type_hints(make).get("return")
+        own: dict[str, Any] = {"make": staticmethod(make)}
+        if hasattr(code, "snapshot") and hasattr(code, "restore"):
+            own |= {"snapshot": _snapshot, "restore": _restore_of(code)}
+        return type(cls.__name__, (cls,), own)
+
+    def configure(self) -> None:
+        """Make the node; a lifecycle node is configured."""
+        ros2 = self.parameters["ros2"]
+        ros_context.join(ros2["environment"])
+        self._is_joined = True
+        values = {k: v for k, v in self.parameters.items() if k != "ros2"}
+        with ros_context.arguments_given([*ros2["arguments"], *as_arguments(values)]):
+            self.node = _made(type(self).make, ros2["node"])
+        self._transit("configure")
+        for name, _ in flat(values):
+            self._check_declared(name)
+        self._source = ExecutorSource(self.node, self._context.give_up)
+
+    def activate(self) -> None:
+        """Begin to run its callbacks; what its predecessor had is not taken again."""
+        if self._context.takes_over():
+            self._drop_what_came()
+        self._transit("activate")
+        self._context.listen(self._source)
+
+    def deactivate(self) -> None:
+        """Run no callback any more."""
+        self._context.listen(None)
+        self._transit("deactivate")
+
+    def cleanup(self) -> None:
+        """Destroy the node."""
+        node, source = getattr(self, "node", None), getattr(self, "_source", None)
+        if source is not None:
+            self._context.listen(None)
+            source.close()
+        if node is not None:
+            try:
+                self._transit("cleanup")
+            finally:
+                node.destroy_node()
+        if getattr(self, "_is_joined", False):
+            self._is_joined = False
+            ros_context.leave()
+
+    def reconfigure(self, parameters: Mapping[str, Any]) -> None:
+        """Let the node take other parameters, or refuse them."""
+        from rclpy.parameter import Parameter  # noqa: PLC0415, only where a node runs
+
+        before = dict(flat(self.parameters))
+        changes = {k: v for k, v in flat(parameters) if before.get(k) != v}
+        if any(name.startswith("ros2.") for name in changes):
+            raise UsageError("how the node is started is not a parameter of it")
+        for name, value in changes.items():
+            is_real = isinstance(before.get(name), float)
+            changes[name] = float(value) if is_real else value
+        new = [Parameter(name, value=value) for name, value in changes.items()]
+        result = self.node.set_parameters_atomically(new)
+        if not result.successful:
+            raise UsageError(f"the node refused: {result.reason or 'without a reason'}")
+
+    def _check_declared(self, name: str) -> None:
+        node = self.node
+        known = [*node._parameters]  # noqa: SLF001, rclpy lists those with prefixes only
+        if name not in known and not node._allow_undeclared_parameters:  # noqa: SLF001
+            self.log.warning(
+                "the node declares no parameter '%s'%s; it declares %s",
+                name,
+                did_you_mean(name, known),
+                listed(known),
+            )
+
+    def _transit(self, name: str) -> None:
+        """Let a lifecycle node make a transition."""
+        trigger = getattr(self.node, f"trigger_{name}", None)
+        if trigger is None:
+            return
+        result = trigger()
+        if result.name != "SUCCESS":
+            raise RobotError(f"the lifecycle node's on_{name} returned {result.name}")
+
+    def _drop_what_came(self) -> None:
+        """Drop what its predecessor took, too, while this one was made ready."""
+        for subscription in self.node.subscriptions:
+            if subscription.qos_profile.durability.name != "TRANSIENT_LOCAL":
+                with subscription.handle:
+                    while subscription.handle.take_message(subscription.msg_type, True):
+                        pass
+        for service in self.node.services:
+            with service.handle:
+                kind = service.srv_type.Request
+                while service.handle.service_take_request(kind) != (None, None):
+                    pass
+
+
+def _made(make: Callable[[], Any], reference: str) -> Any:  # noqa: ANN401, a node
+    from rclpy.node import Node  # noqa: PLC0415, only where a node runs
+
+    try:
+        inspect.signature(make).bind()
+    except TypeError as error:
+        raise RobotError(
+            f"'{reference}' is not made without arguments ({error}): name a function "
+            "that makes the node and takes none"
+        ) from None
+    node = make()
+    if not isinstance(node, Node):
+        raise RobotError(
+            f"'{reference}' made a {type(node).__qualname__}, which is no node of rclpy"
+        )
+    return node
+
+
+def _snapshot(self: RosNode) -> Any:  # noqa: ANN401, what the node returns
+    return self.node.snapshot()
+
+
+def _restore_of(code: Any) -> Callable[[RosNode, Any], None]:  # noqa: ANN401, a class
+    """Return a method that restores a node, and says the type of its state."""
+
+    def restore(self: RosNode, state: Any) -> None:  # noqa: ANN401, what it is
+        self.node.restore(state)
+
+    hints = get_type_hints(code.restore)
+    hints.pop("return", None)
+    restore.__annotations__["state"] = next(iter(hints.values()), Any)
+    return restore

@@ -1,0 +1,83 @@
+"""The ROS 2 context that all nodes of a container share."""
+
+from __future__ import annotations
+
+import functools
+import importlib
+import os
+import threading
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
+from types import ModuleType
+from typing import Any
+
+from poise.errors import RobotError
+
+_arguments: ContextVar[Sequence[str] | None] = ContextVar("arguments", default=None)
+_changing = threading.Lock()
+_users = 0
+
+
+def rclpy() -> ModuleType:
+    """Return rclpy; RobotError where there is none."""
+    try:
+        return importlib.import_module("rclpy")
+    except ImportError as error:
+        raise RobotError(
+            f"there is no ROS 2 here ({error}): source its setup.bash where `poise` is "
+            "started, or `pip install 'poise[ros2]'`"
+        ) from None
+
+
+def join(environment: Mapping[str, str]) -> None:
+    """Take part in the context, which begins with the first node; then `leave`."""
+    global _users  # noqa: PLW0603, one context a process
+    ros = rclpy()
+    with _changing:
+        if not _users:
+            os.environ.update(environment)
+            # Poise has signals; and arguments are those of each node
+            no_signals = ros.signals.SignalHandlerOptions.NO
+            ros.init(args=[], signal_handler_options=no_signals)
+            _let_arguments_be_given()
+        _users += 1
+
+
+def leave() -> None:
+    """Take part no more; with the last node the context ends, and its memory goes."""
+    global _users  # noqa: PLW0603, one context a process
+    with _changing:
+        _users -= 1
+        if not _users:
+            rclpy().try_shutdown()
+
+
+@contextmanager
+def arguments_given(arguments: Sequence[str]) -> Iterator[None]:
+    """Give the nodes that are constructed in a block arguments of the command line.
+
+    A class need not know of them, as a `main` needs not: so no line of it is changed.
+    """
+    token = _arguments.set(arguments)
+    try:
+        yield
+    finally:
+        _arguments.reset(token)
+
+
+def _let_arguments_be_given() -> None:
+    from rclpy.node import Node  # noqa: PLC0415, only where a node runs
+
+    plain = Node.__init__
+    if hasattr(plain, "__wrapped__"):
+        return
+
+    @functools.wraps(plain)
+    def init(self: Any, *args: Any, **kwargs: Any) -> None:  # noqa: ANN401, as it is
+        given = _arguments.get()
+        if given is not None and kwargs.get("cli_args") is None:
+            kwargs["cli_args"] = list(given)
+        plain(self, *args, **kwargs)
+
+    Node.__init__ = init
