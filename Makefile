@@ -44,6 +44,7 @@ soak: setup
 # a robot in virtual time, broken by 200 seeds: make simulate, make simulate FOR=2h
 simulate: setup
 	@$(BIN)/python -m tests.simulation $(if $(filter command line,$(origin FOR)),$(FOR),200)
+	@$(BIN)/python -m tests.simulation $(if $(filter command line,$(origin FOR)),$(FOR),100) --elects
 
 # lines and branches of src/poise that no test reaches, in all processes; fails below the floor in pyproject.toml
 coverage: setup

@@ -53,6 +53,7 @@ BUSY = {"benchmarks.experiment": '"invalid":1'}
 """Module -> what it prints when the tests beside it leave it too little CPU; it then
 exits with 1."""
 EXEMPT = {
+    "tests.leader_kills": "needs network namespaces; tests/session/test_standbys.py",
     "tests.simulation.mutations": "takes an hour; tests/simulation/test_mutations.py",
     "trot.world": "runs until the robot ends it; the demo's tests start it",
     "trot.world.record": "needs a program that makes speech, and rewrites a file",

@@ -89,6 +89,7 @@ class FakeAgents:
 
     def __init__(self, *computers: str, generation: int = 0) -> None:
         self.manager = ManagerId(key="k", user="ann", host="desk", pid=7, since=0.0)
+        self.election = None
         self.checkpoints = CheckpointCopies()
         self.gone: set[str] = set()
         self.lasting: set[str] = set()
@@ -119,6 +120,14 @@ class FakeAgents:
             )
             for name in computers
         }
+
+    def has_stored(self, _generation: int) -> bool:
+        """Need no votes."""
+        return True
+
+    def why_not_leading(self) -> str:
+        """Need no votes."""
+        return ""
 
     def note_faults(self, *faults: Fault) -> None:
         """Let all agents have reported these before."""

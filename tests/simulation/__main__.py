@@ -3,6 +3,7 @@
     python -m tests.simulation 200         # 200 seeds
     python -m tests.simulation 2h          # for so long
     python -m tests.simulation --seed 71   # one, with its trace
+    python -m tests.simulation 200 --elects   # standbys follow a manager that is gone
 
 Two processes work at a time. The first failures are shrunk and printed with their
 traces; the exit code is 1 when there are any.
@@ -38,12 +39,15 @@ def main() -> int:
     parser.add_argument("extent", nargs="?", default="200", help="seeds, or a time")
     parser.add_argument("--seed", type=int, help="only this one, with its trace")
     parser.add_argument("--first", type=int, default=0, help="the first seed")
+    parser.add_argument(
+        "--elects", action="store_true", help="standbys follow a manager that is gone"
+    )
     asked = parser.parse_args()
     if asked.seed is not None:
-        return replay(asked.seed)
+        return replay(asked.seed, elects=asked.elects)
     failures: list[int] = []
     virtual, runs, began = 0.0, 0, time.monotonic()
-    for outcome in in_parallel(asked.extent, asked.first):
+    for outcome in in_parallel(asked.extent, asked.first, elects=asked.elects):
         runs, virtual = runs + 1, virtual + outcome.virtual
         if outcome.failure:
             failures.append(outcome.seed)
@@ -55,11 +59,11 @@ def main() -> int:
         f"{virtual / took:.0f} times real time; {len(failures)} failed"
     )
     for seed in failures[:SHRUNK]:
-        replay(seed)
+        replay(seed, elects=asked.elects)
     return bool(failures)
 
 
-def in_parallel(extent: str, first: int) -> Iterator[RunOutcome]:
+def in_parallel(extent: str, first: int, *, elects: bool) -> Iterator[RunOutcome]:
     """Yield outcomes as they come, until so many seeds or so much time are over."""
     most = int(extent) if extent.isdigit() else None
     until = time.monotonic() + (0.0 if most is not None else parse(extent, UNIT))
@@ -71,7 +75,7 @@ def in_parallel(extent: str, first: int) -> Iterator[RunOutcome]:
             while is_due and len(waiting) < 2 * WORKERS:
                 if not (part := list(islice(seeds, CHUNK))):
                     break
-                waiting.add(pool.submit(chunk, part))
+                waiting.add(pool.submit(chunk, part, elects=elects))
             if not waiting:
                 return
             done, waiting = wait(waiting, return_when=FIRST_COMPLETED)
@@ -79,11 +83,11 @@ def in_parallel(extent: str, first: int) -> Iterator[RunOutcome]:
                 yield from each.result()
 
 
-def replay(seed: int) -> int:
+def replay(seed: int, *, elects: bool) -> int:
     """Run a seed again, and print the shortest way to its failure."""
-    outcome = run(seed)
+    outcome = run(seed, elects=elects)
     if outcome.failure:
-        shrunk = Shrunk(small_scenario(SECONDS), outcome)
+        shrunk = Shrunk(small_scenario(SECONDS, elects=elects), outcome)
         shrunk.shrink()
         outcome = shrunk.outcome
     print(f"--- seed {seed}: {outcome.failure or 'all held'} {outcome.message}")

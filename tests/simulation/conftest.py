@@ -18,6 +18,7 @@ from poise.model.robot import (
 from poise.simulation.schedule.choices import Choices
 from poise.simulation.schedule.scheduler import Scheduler
 from poise.simulation.simulated_run import Scenario
+from poise.wire.records.request_records import Election
 
 
 @pytest.fixture
@@ -32,7 +33,7 @@ def scenario() -> Scenario:
     return small_scenario()
 
 
-def small_scenario(seconds: float = 10.0) -> Scenario:
+def small_scenario(seconds: float = 10.0, *, elects: bool = False) -> Scenario:
     """Return the robot of the fixture `scenario`, for other interpreters, too."""
     computers = tuple(
         Computer(name=name, capacity={"cpu": 2.0, "memory": 1e9}) for name in "abc"
@@ -68,7 +69,14 @@ def small_scenario(seconds: float = 10.0) -> Scenario:
         ),
     )
     placement = {"camera": "a", "filter": "b", "mind": "b", "arm": "c"}
-    return Scenario(robot=robot, placement=placement, tasks=("work",), seconds=seconds)
+    election = Election(votes=dict.fromkeys("abc", 1), managers=("a", "b", "c"))
+    return Scenario(
+        robot=robot,
+        placement=placement,
+        tasks=("work",),
+        seconds=seconds,
+        election=election if elects else None,
+    )
 
 
 def _component(name: str) -> ComponentEntry:

@@ -12,12 +12,12 @@ SECONDS = 120.0
 """Of faults in each run [virtual s]."""
 
 
-def chunk(seeds: Iterable[int]) -> list[RunOutcome]:
+def chunk(seeds: Iterable[int], *, elects: bool = False) -> list[RunOutcome]:
     """Run some seeds; what a replay needs is left out of what went well."""
-    return [run(seed) for seed in seeds]
+    return [run(seed, elects=elects) for seed in seeds]
 
 
-def run(seed: int) -> RunOutcome:
+def run(seed: int, *, elects: bool = False) -> RunOutcome:
     """Run one seed; what agents log about their containers is in the trace."""
     logging.disable(logging.CRITICAL)
-    return simulate(small_scenario(SECONDS), seed)
+    return simulate(small_scenario(SECONDS, elects=elects), seed)

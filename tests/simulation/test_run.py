@@ -15,6 +15,7 @@ from poise.simulation.faults import SimulatedFault
 from poise.simulation.shrink import Shrunk
 from poise.simulation.simulated_run import Scenario, simulate
 from tests.simulation.conftest import small_scenario
+from tests.simulation.seeds import run
 
 _LEASE = "poise.runtime.agent.fence.LEASE"
 _ROOT = Path(__file__).parents[2]
@@ -193,3 +194,10 @@ def test_switches_of_tasks_grow_with_the_computers_not_with_their_pairs() -> Non
     few, many = (simulate(idle_robot(number), 1) for number in (5, 15))
     assert (few.message, many.message) == ("", "")
     assert many.steps < 3.3 * few.steps  # with the pairs: 9 times
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [0, 17, 37])
+def test_standbys_follow_each_other_and_nothing_is_active_twice(seed: int) -> None:
+    """These failed while a lease outlasted a suspend, or a manager went on unheard."""
+    assert run(seed, elects=True).message == ""

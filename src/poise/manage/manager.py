@@ -59,6 +59,8 @@ from poise.wire.records.request_records import PortAnswer
 
 MOST_COMMANDS = 64
 """At most this many commands queue; further ones are refused."""
+_STORED_LIMIT = 5.0
+"""A majority of agents stores a commit within this time [s]."""
 TICK = 0.2
 """A manager looks at its robot so often [s]."""
 Results = Future[Result | Refusal]
@@ -93,9 +95,10 @@ class Manager:
             MOST_COMMANDS
         )
         self._preparations: list[tuple[Command, Preparation, Results]] = []
+        self._unstored: list[tuple[int, float, Results, Result | Refusal]] = []
         self._stops: list[Results] = []
         self._stopping = threading.Event()
-        self._has_successor = False
+        self._why_over = ""
         self._watch = Watch(run)
         self._troubles = ManagerTroubles(
             run.journal, others=(samples, *([recording] if recording else []))
@@ -187,6 +190,7 @@ class Manager:
             if not self.is_stopping and future.set_running_or_notify_cancel():
                 self._begin(command, future)
         self._tick.run("migrate", self._migrate)
+        self._tick.run("answer what is stored", self._answer_stored)
         self._tick.run("take samples", self._take_samples)
         self._observe()
         if not self.is_stopping:
@@ -211,16 +215,19 @@ class Manager:
         self._stopping.set()
         self._adaptation.close()
         text = f"robot '{self._run.robot.name}' has stopped"
-        if self._has_successor:
+        if self._why_over:
             text = "another manager has taken the robot over: ask that one"
         for future in self._stops:
-            refusal = Refusal(text, "RunError") if self._has_successor else None
+            refusal = Refusal(text, "RunError") if self._why_over else None
             _answer(future, refusal or StopReport(remaining))
         for _, _, future in self._preparations:
             future.set_result(Refusal(text, "RunError"))
         self._preparations.clear()
         while not self._commands.empty():
             _answer(self._commands.get_nowait()[1], Refusal(text, "RunError"))
+        for _, _, future, _ in self._unstored:
+            future.set_result(Refusal(f"{text}; it may have been done", "RunError"))
+        self._unstored.clear()
 
     def end_estimates(self) -> None:
         """Take no more samples: without a simulated world sensors are silent."""
@@ -276,6 +283,7 @@ class Manager:
             or not self._commands.empty()
             or self._has_news_of_tasks()
             or any(preparation.is_over() for _, preparation, _ in self._preparations)
+            or any(self._run.agents.has_stored(each[0]) for each in self._unstored)
         )
 
     def _begin(self, command: Command, future: Results) -> None:
@@ -287,6 +295,23 @@ class Manager:
         if isinstance(result, Preparation):
             self._preparations.append((command, result, future))
         else:
+            self._answer_when_stored(future, result)
+
+    def _answer_when_stored(self, future: Results, result: Result | Refusal) -> None:
+        """Answer once what it changed outlives this manager."""
+        generation, now = self._run.desired.generation, self._run.clock.now()
+        self._unstored.append((generation, now + _STORED_LIMIT, future, result))
+        self._answer_stored()
+
+    def _answer_stored(self) -> None:
+        for waiting in list(self._unstored):
+            generation, until, future, result = waiting
+            if not self._run.agents.has_stored(generation):
+                if self._run.clock.now() < until:
+                    continue
+                why = "no majority of agents has stored it: it may not last"
+                result = Refusal(f"{why} ({result})", "RunError")
+            self._unstored.remove(waiting)
             future.set_result(result)
 
     def _migrate(self) -> None:
@@ -295,7 +320,8 @@ class Manager:
             command, preparation, future = waiting
             if not self.is_stopping and preparation.is_over():
                 self._preparations.remove(waiting)
-                future.set_result(self._carry_out(command, preparation.run))
+                result = self._carry_out(command, preparation.run)
+                self._answer_when_stored(future, result)
 
     def _carry_out(self, command: Command, do: Callable[[], T]) -> T | Refusal:
         try:
@@ -343,12 +369,16 @@ class Manager:
 
     def _raise_on_successor(self) -> None:
         successor = self._run.agents.successor()
+        why = self._run.agents.why_not_leading()
+        text = f"{why}: this manager leaves the robot to another one" if why else ""
         if successor is not None:
             text = f"{successor} has taken over the robot, which keeps running"
+        if text and not self._why_over:
             self._run.journal.note("seen", text)
             self._run.leave()
-            self._has_successor = True
-            raise TakenOver(text)
+            self._why_over = text
+        if self._why_over:  # again, when something that waited has caught it
+            raise TakenOver(self._why_over)
 
     def _observe(self) -> None:
         self._tick.run("see who manages the robot", self._raise_on_successor)

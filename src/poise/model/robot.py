@@ -251,6 +251,13 @@ class Robot(Struct, frozen=True, kw_only=True):
             "they may run elsewhere by then, or go on."
         ),
     ] = "stop"
+    manager: Annotated[
+        tuple[Name, ...],
+        says(
+            "Computers where a standby waits to lead the robot when its manager is "
+            "gone, the first one first. Without it, a person starts the next manager."
+        ),
+    ] = ()
     simulator: Annotated[
         Simulator | None, says("The simulated world of an emulated robot.")
     ] = None

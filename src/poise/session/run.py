@@ -21,7 +21,7 @@ from poise.manage.observe.chains import chain_reports
 from poise.model.robot import Robot
 from poise.session.callbacks import Check, Say, log, nothing
 from poise.session.last_seen import LastSeen
-from poise.session.launch.managed import journal_of, managed
+from poise.session.launch.managed import journal_of, managed, planned
 from poise.session.launch.start import Started
 from poise.session.placing.first_phase import first_phase
 from poise.session.placing.placement import Placement
@@ -101,8 +101,7 @@ def run(  # noqa: PLR0913 - each is a choice of the user
         answering = stack.enter_context(contextlib.ExitStack())
         up, manager = stack.enter_context(
             managed(
-                runs,
-                first,
+                planned(runs, first),
                 book,
                 say,
                 check,

@@ -20,7 +20,8 @@ from poise.manage.manager import TICK, Manager
 from poise.manage.observe.sample_recording import RecordingFile
 from poise.model.robot import Robot
 from poise.session.callbacks import Check, Say, log, nothing
-from poise.session.launch.managed import journal_of, managed
+from poise.session.launch.managed import journal_of, managed, planned
+from poise.session.launch.standby_setup import election_of
 from poise.session.launch.start import Started
 from poise.session.placing.first_phase import first_phase
 from poise.session.placing.placement import Placement
@@ -179,8 +180,7 @@ def up(  # noqa: PLR0913 - each is a choice of the user
         )
         it, manager = stack.enter_context(
             managed(
-                robot,
-                first,
+                planned(robot, first, election_of(robot, adapts=adapt)),
                 book,
                 say,
                 check,

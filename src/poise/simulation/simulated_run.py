@@ -34,7 +34,7 @@ from poise.simulation.robot.simulated_robot import SimulatedRobot
 from poise.simulation.schedule.choices import Choices
 from poise.simulation.schedule.scheduler import ENGINE, SimulationError
 from poise.simulation.workload import SimulatedWork
-from poise.wire.records.request_records import Claim, ManagerId
+from poise.wire.records.request_records import Claim, Election, ManagerId
 
 INVARIANTS: Mapping[str, str] = {
     "nothing-active-twice": "No two incarnations of a component work at one time.",
@@ -96,6 +96,7 @@ class Scenario(Struct, frozen=True, kw_only=True):
     `kinds`: what of it may break.
     `moves`: whether clients move components meanwhile.
     `converges`: how long it may take after the last fault [s].
+    `election`: how managers follow each other; None: somebody starts the next one.
     """
 
     robot: Robot
@@ -107,6 +108,7 @@ class Scenario(Struct, frozen=True, kw_only=True):
     kinds: tuple[Kind, ...] = KINDS
     moves: bool = True
     converges: float = CONVERGE_LIMIT
+    election: Election | None = None
 
 
 class RunOutcome(Struct, frozen=True, kw_only=True):
@@ -160,7 +162,10 @@ def simulate(
 
     robot = SimulatedRobot(
         ManagedRobot(
-            robot=scenario.robot, placement=scenario.placement, tasks=scenario.tasks
+            robot=scenario.robot,
+            placement=scenario.placement,
+            tasks=scenario.tasks,
+            election=scenario.election,
         ),
         choices,
         scenario.workload,

@@ -59,6 +59,8 @@ class Contact:
         self.last = beat
         self.began = self.heard_at = now  # when the first and the last came [s]
         self.acked: float | None = None  # of the last own one that the other heard [s]
+        # the same, or when that one had been confirmed itself, if that was before
+        self.granted: float | None = None
         self._lost: deque[int] = deque(maxlen=_WINDOW)
         self._delays: deque[float] = deque(maxlen=_DELAYS)
 
@@ -70,6 +72,9 @@ class Contact:
         if echo is not None and (self.acked is None or echo.sent > self.acked):
             self.acked = echo.sent
             self._delays.append(max(0.0, now - echo.sent - echo.held) / 2)
+        if echo is not None and beat.managed is not None:
+            granted = echo.sent - max(0.0, beat.managed - echo.held)
+            self.granted = max(granted, self.granted or granted)
 
     def quality(self, now: float) -> LinkQuality:
         """Return how the way from and to the other is."""
@@ -93,16 +98,16 @@ class Contacts:
     """Whom one participant hears: a computer, or `MANAGER`; `key` is of this start."""
 
     def __init__(self, robot: str, name: str, key: str) -> None:
+        self.name = name
         self._robot = robot
-        self._name = name
-        self._key = key
+        self.key = key
         self._number = 0
         self._sent: deque[float] = deque(maxlen=_WINDOW)
         self._contacts: dict[str, Contact] = {}
 
     def note(self, beat: Heartbeat, now: float) -> bool:
         """Take in a heartbeat at `now` [s]; return whether it was news."""
-        if beat.robot != self._robot or beat.sender == self._name:
+        if beat.robot != self._robot or beat.sender == self.name:
             return False
         contact = self._contacts.get(beat.sender)
         is_same = contact is not None and contact.last.key == beat.key
@@ -110,7 +115,7 @@ class Contacts:
             contact = self._contacts[beat.sender] = Contact(beat, now)
         elif beat.number <= contact.last.number:
             return False  # it was overtaken
-        contact.note(beat, beat.heard.get(self._name), now)
+        contact.note(beat, beat.heard.get(self.name), now)
         return True
 
     def forget(self, name: str) -> None:
@@ -132,8 +137,8 @@ class Contacts:
         self._sent.append(now)
         return Heartbeat(
             robot=self._robot,
-            sender=self._name,
-            key=self._key,
+            sender=self.name,
+            key=self.key,
             number=self._number,
             sent=now,
             heard={

@@ -6,20 +6,22 @@ from typing import cast
 
 import pytest
 from msgspec import structs
+from msgspec.msgpack import encode
 
 from poise.errors import TakenOver
 from poise.estimate.code_version import version_of
 from poise.manage.agent_connections.agents import Agents
 from poise.manage.deploy.deployment_plan import DeploymentPlan
-from poise.manage.deploy.desired import Incarnation
+from poise.manage.deploy.desired import Desired, Incarnation
 from poise.manage.deploy.running_components import RunningComponents
-from poise.manage.deploy.takeover import start_or_take_over
+from poise.manage.deploy.takeover import newest_record, start_or_take_over
 from poise.manage.journal import Journal
 from poise.manage.manager import Manager
 from poise.manage.observe.estimates import Estimates
 from poise.manage.observe.sample_recording import Recording
 from poise.manage.tasks.task_progress import Saved
 from poise.model.robot import Robot
+from poise.wire.records.deployment_records import Deployment
 from poise.wire.records.request_records import ManagerId
 from tests.manage.conftest import FakeAgents
 
@@ -91,7 +93,9 @@ def serving_tasks(robot: Robot) -> RunningComponents:
     run, agents, _ = run_of(robot)
     layout = DeploymentPlan(robot, "/run", code_version=version_of)
     for computer, told in layout.specs(LEFT[:1], 5, {}).items():
-        agents.begin_deploy(computer, structs.replace(told, tasks=b"some"))
+        agents.begin_deploy(
+            computer, structs.replace(told, desired=encode(Desired(tasks=b"some")))
+        )
     start_or_take_over(run, by_force=False)
     return run
 
@@ -150,3 +154,17 @@ def test_a_manager_that_has_a_successor_leaves_the_robot_as_it_is(
     manager.stop()
     assert all(status.containers for status in agents.statuses().values())
     assert "has taken over the robot" in sentences(journal)[-1]
+
+
+def test_the_newest_record_is_that_of_the_latest_term() -> None:
+    """A leader of before may have told a few agents more, which nobody was answered."""
+
+    def stored(term: int, generation: int, held: str) -> Deployment:
+        record = encode(Desired(held=frozenset({held})))
+        return Deployment(
+            generation=generation, containers=(), term=term, desired=record
+        )
+
+    found = [stored(1, 9, "old"), stored(2, 3, "new"), stored(2, 2, "before")]
+    assert newest_record(found).held == {"new"}
+    assert newest_record([]) == Desired()

@@ -15,6 +15,7 @@ from poise.errors import UsageError
 from poise.estimate.success_rates import beliefs_about
 from poise.manage.adaptation.situation import Situation
 from poise.manage.agent_connections.agents import Agents
+from poise.manage.deploy.desired import Desired
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.journal import Journal
 from poise.manage.tasks.concurrent_tasks import Tasks
@@ -331,8 +332,9 @@ def test_the_next_manager_goes_on_where_this_one_was() -> None:
     )
     rig = Rig(robot, "t")
     rig.end("seeer")
-    assert {told.tasks for _, told in rig.agents.deployed[-2:]} == {
-        rig.run.desired.tasks
+    kept = Desired(tasks=rig.run.desired.tasks)
+    assert {told.desired for _, told in rig.agents.deployed[-2:]} == {
+        msgspec.msgpack.encode(kept)
     }
     asked = Tasks(robot)
     asked.start("t", 0.0)

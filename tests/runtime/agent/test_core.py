@@ -169,6 +169,16 @@ class Disk:
         return ""
 
 
+class Waiting:
+    """A standby that does nothing."""
+
+    def keep(self, claim: Claim | None) -> None:
+        pass
+
+    def lead(self) -> None:
+        pass
+
+
 class World:
     """An agent and what it is in."""
 
@@ -195,6 +205,7 @@ class World:
             host=self.host,
             adoption=self.adoption,
             disk=self.disk,
+            standby=Waiting(),
             heartbeats=partial(self._open, transport),
             usage=dict,
             cpu=lambda: 0.0,
@@ -430,7 +441,7 @@ def test_the_end_asks_first_and_kills_what_does_not_end() -> None:
 
 def test_what_an_earlier_agent_wanted_is_started_without_a_manager() -> None:
     wanted = Deployment(generation=4, containers=specs("see"))
-    world = World(AgentState(manager=MANAGER, token=2, wanted=wanted))
+    world = World(AgentState(claim=Claim(MANAGER), token=2, wanted=wanted))
     world.run(0.1)
     assert world.host.started == ["see"]
     assert not world.appeared_at  # before its containers are known, up to 5 s
@@ -452,7 +463,7 @@ def leased_by(world: World, *, lapsed: bool) -> Process:
 def other_agents() -> AgentState:
     agents = {"main": "tcp/10.0.0.1:7", "far": "tcp/10.0.0.2:7"}
     wanted = Deployment(generation=4, containers=specs("see"))
-    return AgentState(manager=MANAGER, token=2, wanted=wanted, agents=agents)
+    return AgentState(claim=Claim(MANAGER, agents=agents), token=2, wanted=wanted)
 
 
 class Transport:

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from math import inf
 
 import pytest
+from msgspec import structs
 
 from poise.runtime.agent.fence import Fence
 from poise.runtime.agent.heartbeat_exchange import HeartbeatExchange
@@ -21,10 +22,18 @@ from poise.wire.heartbeats import (
 )
 from poise.wire.records.heartbeat_records import MANAGER as THE_MANAGER
 from poise.wire.records.heartbeat_records import Echo, Heartbeat
-from poise.wire.records.request_records import Claim, ManagerId
+from poise.wire.records.request_records import Claim, Election, ManagerId, majority_at
 
 AGENTS = {"left": "tcp/127.0.0.1:1", "right": "tcp/127.0.0.1:2"}
 MANAGER = ManagerId(key="k", user="ann", host="desk", pid=7, since=0.0)
+
+
+def claim_of(
+    key: str, agents: Mapping[str, str] = AGENTS, *, is_leased: bool = True
+) -> Claim:
+    """Return the claim of a manager, which an agent has kept."""
+    manager = structs.replace(MANAGER, key=key)
+    return Claim(manager, agents=agents, is_leased=is_leased)
 
 
 class Transport:
@@ -89,7 +98,7 @@ def test_where_nothing_is_cut_it_is_enough_that_the_agent_runs(rig: Rig) -> None
 
 
 def test_the_next_agent_extends_nothing_before_it_is_heard(rig: Rig) -> None:
-    rig.exchange.resume(AGENTS, is_leased=True)
+    rig.exchange.resume(claim_of("k"))
     assert rig.ends == [-inf]
     assert rig.beat(0.1) == -inf
     assert not rig.fence.is_cut_off
@@ -103,7 +112,7 @@ def test_what_ended_while_no_agent_was_there_is_not_extended_by_the_next_one_alo
     rig: Rig,
     is_leased: bool,  # noqa: FBT001, a parameter
 ) -> None:
-    rig.exchange.resume(AGENTS, is_leased=is_leased)
+    rig.exchange.resume(claim_of("k", is_leased=is_leased))
     assert not rig.fence.is_cut_off
     rig.exchange.note_lapsed()
     assert rig.ends[-1] == rig.beat(0.1) == -inf
@@ -112,7 +121,7 @@ def test_what_ended_while_no_agent_was_there_is_not_extended_by_the_next_one_alo
 def test_an_agent_goes_on_by_itself_only_while_it_runs_and_no_manager_may_be_there(
     rig: Rig,
 ) -> None:
-    rig.exchange.resume(AGENTS, is_leased=True)
+    rig.exchange.resume(claim_of("k"))
     rig.fence._ended.add("k")
     rig.beat(0.1)
     assert rig.beat(LEASE) == -inf  # it stood still for so long: first it listens
@@ -135,7 +144,7 @@ def test_a_computer_that_was_suspended_has_lost_its_lease(rig: Rig) -> None:
 def test_the_next_agent_of_a_robot_without_others_lets_components_go_on(
     rig: Rig,
 ) -> None:
-    rig.exchange.resume({}, is_leased=False)
+    rig.exchange.resume(claim_of("k", {}, is_leased=False))
     assert rig.ends == [inf]
 
 
@@ -197,7 +206,7 @@ def test_a_claim_after_the_lease_ended_lets_nothing_run_until_it_is_said_what(
     rig: Rig,
 ) -> None:
     """What the agent was told before may run elsewhere by now."""
-    rig.exchange.resume(AGENTS, is_leased=True)
+    rig.exchange.resume(claim_of("k"))
     assert rig.beat(0.1) == -inf
     assert not rig.exchange.is_held()
     rig.fence.lapse()  # as the agent does then, when it is claimed
@@ -260,9 +269,70 @@ def test_what_ran_here_without_an_agent_waits_for_what_the_manager_says(
     rig: Rig,
 ) -> None:
     """It may run elsewhere by now, and heartbeats do not say so."""
-    rig.exchange.resume(AGENTS, is_leased=True)
+    rig.exchange.resume(claim_of("k"))
     rig.exchange.note_lapsed()
     heard(rig, 1)
     assert rig.beat(0.1) == -inf
     rig.fence.note_told()
     assert rig.beat(0.01) > 0
+
+
+VOTES = {"left": 1, "right": 1, "far": 1}
+THREE = {**AGENTS, "far": "tcp/127.0.0.1:4"}
+
+
+def test_where_managers_are_voted_for_a_claim_begins_no_lease(rig: Rig) -> None:
+    """The manager that claims may never get a majority."""
+    rig.exchange.begin("k", THREE, is_leased=True, votes=VOTES)
+    assert rig.beat(0.1) == -inf
+    assert not rig.fence.is_cut_off
+    heard(rig, 1)
+    assert rig.beat(0.01) > 0
+
+
+def test_a_majority_extends_the_lease_while_it_obeys_the_same_manager(
+    rig: Rig,
+) -> None:
+    rig.exchange.begin("k", THREE, is_leased=True, votes=VOTES)
+    heard(rig, 1)
+    rig.clock.sleep(0.2)
+    for number in range(20):
+        assert rig.beat(0.1) > 0
+        heard(rig, number, "right")
+    rig.exchange.begin("later", THREE, is_leased=True, votes=VOTES)
+    assert rig.beat(0.1) > 0  # the claim ends nothing
+    for number in range(20, 30):
+        heard(rig, number, "right")  # which obeys the one before
+        rig.beat(0.1)
+    assert rig.fence.is_cut_off
+
+
+def test_a_vote_is_for_a_later_term_when_the_leader_is_not_heard() -> None:
+    fence = Fence("robot", "left", lambda: None, lambda _: None)
+    election = Election(votes=VOTES)
+
+    def claimed(
+        key: str,
+        term: int,
+        token: int,
+        *,
+        is_unheard: bool = False,
+        is_poll: bool = False,
+    ) -> bool:
+        manager = structs.replace(MANAGER, key=key, term=term)
+        claim = Claim(manager, election=election, is_poll=is_poll)
+        return fence.claim(claim, token, is_unheard=is_unheard) is None
+
+    assert claimed("first", 1, 1)
+    assert not claimed("second", 2, 2)
+    assert not claimed("second", 1, 2, is_unheard=True)
+    assert claimed("second", 2, 2, is_unheard=True, is_poll=True)
+    assert fence.token == 1
+    assert claimed("second", 2, 2, is_unheard=True)
+    assert not claimed("first", 1, 3, is_unheard=True)
+
+
+def test_a_majority_has_reached_what_most_votes_have() -> None:
+    assert majority_at(VOTES, {"left": 3.0, "right": 2.0, "far": 1.0}) == 2.0
+    assert majority_at(VOTES, {"left": 3.0}) == -inf
+    assert majority_at({"left": 2, "right": 1}, {"left": 3.0}) == 3.0

@@ -10,7 +10,7 @@ import time
 import uuid
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Self
+from typing import Self, TypeGuard
 
 from msgspec import structs
 from msgspec.structs import replace
@@ -32,6 +32,7 @@ from poise.priority import ahead
 from poise.wire.control_session import LEASE, open_session
 from poise.wire.heartbeats import SURELY_ENDED, UNCUT_SURELY_ENDED, Datagrams
 from poise.wire.records.deployment_records import Deployment
+from poise.wire.records.heartbeat_records import MANAGER
 from poise.wire.records.migration_records import (
     MigrationSteps,
     StepsDone,
@@ -44,9 +45,11 @@ from poise.wire.records.request_records import (
     CheckpointCopy,
     Claim,
     Claimed,
+    Election,
     ManagerId,
     Refused,
     Request,
+    majority_at,
 )
 from poise.wire.records.status_records import AgentSample, AgentStatus
 
@@ -88,6 +91,13 @@ _LATE = LEASE + 1.0
 """An agent that was cut off knows within this time that its manager ended [s]."""
 MARGIN = 0.1
 """An agent's answer to migration steps may come this much after their limit [s]."""
+_VOTE_LIMIT = 1.0
+"""Agents vote within this time [s]."""
+_LOOK_AT_VOTES = 0.01
+_OTHERS = 0.1
+"""When a majority of agents is there, the others have this time [s]."""
+_UNCONFIRMED = 2.0
+"""A manager that no majority has heard for so long ends [s]."""
 _REVOKED = 2
 """A token that was revoked counts as one so much higher, which no agent has."""
 _LEAST_BANDWIDTH = 1e6
@@ -110,9 +120,11 @@ class Agents(AgentReports):
         on_sample: Callable[[AgentSample], object] | None = None,
         lease: float = LEASE,
         datagrams: Datagrams | None = None,
+        election: Election | None = None,
     ) -> None:
         super().__init__(robot, endpoints, clock)
         self.manager = manager_id()
+        self.election = election
         self._is_leased = lease <= LEASE
         heard = endpoints if self._is_leased else {}
         self._heartbeats = AgentHeartbeats(
@@ -123,6 +135,7 @@ class Agents(AgentReports):
             self.on_silent,
             SURELY_ENDED if self._is_leased else UNCUT_SURELY_ENDED,
             datagrams,
+            votes=election.votes if election is not None else {},
         )
         self._tokens: dict[str, int] = {}
         self._claimed: dict[str, int] = {}
@@ -218,6 +231,33 @@ class Agents(AgentReports):
                 + "".join(f"\n{refusal}" for refusal in self.take_refused())
             )
 
+    def wait_at_work(self, limit: float, check: Callable[[], object] = nothing) -> bool:
+        """Return whether components run; computers that are missing are lost then.
+
+        Where managers are voted for, a majority is waited for, and the others a moment.
+
+        `limit`: all are there within this time, or missing [s].
+        """
+        everyone = set(self._endpoints)
+        votes = self.election.votes if self.election is not None else {}
+
+        def is_there() -> bool:
+            check()
+            return self.reached() >= everyone
+
+        def is_majority() -> bool:
+            there = dict.fromkeys(self.reached(), 0.0)
+            return is_there() or majority_at(votes, there) == 0.0
+
+        until = self._clock.now() + limit
+        if votes and self.wait_news(is_majority, limit):
+            until = min(until, self._clock.now() + _OTHERS)
+        self.wait_news(is_there, max(0.0, until - self._clock.now()))
+        if not any(status.containers for status in self.statuses().values()):
+            return False
+        self.go_on_without_missing()
+        return True
+
     def claim(
         self, computers: Collection[str], *, take_over: bool = False
     ) -> dict[str, Deployment]:
@@ -227,12 +267,7 @@ class Agents(AgentReports):
         the same time, one gets the first agent, and the other none.
         """
         deployments = {}
-        if not self._claimed:
-            seen = [
-                status.manager for status in self.statuses().values() if status.manager
-            ]
-            last = max((manager.term for manager in seen), default=0)
-            self.manager = replace(self.manager, term=last + 1)
+        self._begin_term()
         for computer in sorted(computers):
             answer = self._claim(computer, take_over=take_over)
             if self._is_leased:
@@ -244,6 +279,86 @@ class Agents(AgentReports):
                 ANSWER_LIMIT,
             )
         return deployments
+
+    def elect(self, *, take_over: bool = False) -> dict[str, Claimed]:
+        """Become the leader by a majority of votes; return the answers of agents.
+
+        They are only asked first: nothing changes while a majority obeys another one.
+        Raises RunError: not enough agents accept this manager.
+        """
+        self._begin_term()
+        votes = self.election.votes if self.election is not None else {}
+
+        def claimed(computers: Collection[str], *, is_poll: bool) -> dict[str, Claimed]:
+            claims: dict[str, Request] = {
+                name: replace(
+                    self._new_claim(name, take_over=take_over), is_poll=is_poll
+                )
+                for name in sorted(computers)
+            }
+            answers = self.ask_all(claims, _VOTE_LIMIT)
+            accepted = {n: a for n, a in answers.items() if isinstance(a, Claimed)}
+            if majority_at(votes, dict.fromkeys(accepted, 0.0)) < 0.0:
+                said = sorted({a.reason for a in answers.values() if is_refused(a)})
+                away = sorted(votes.keys() - computers)
+                said += [f"not reached: {', '.join(away)}"] if away else []
+                raise RunError(f"no majority of votes: {'; '.join(said)}")
+            return accepted
+
+        reached = self.reached() & votes.keys()
+        agreed = claimed(reached, is_poll=True)
+        answers = claimed(agreed.keys(), is_poll=False)
+        for name in answers:
+            self._claimed[name] = self._tokens[name]
+        self._heartbeats.start()
+        for name in votes.keys() - answers.keys():
+            heard = [
+                min(a.silent.get(n, 0.0) for n in (name, MANAGER))
+                for a in answers.values()
+            ]
+            self._heartbeats.forget(name)
+            self._heartbeats.note_ended(name, min(heard))
+        until = self._clock.now() + _VOTE_LIMIT
+        while not self._heartbeats.leads():
+            if self._clock.now() >= until:
+                raise RunError("a majority of agents voted, and does not confirm that")
+            self._clock.sleep(_LOOK_AT_VOTES)
+        self.wait_news(lambda: all(map(self.obey, answers)), ANSWER_LIMIT)
+        return answers
+
+    def leads(self) -> bool:
+        """Return whether a majority obeys this manager, where that matters."""
+        return self._heartbeats.leads()
+
+    def have_leases_ended(self, computers: Collection[str]) -> bool:
+        """Return whether the leases of lost computers have surely ended."""
+        return self._heartbeats.have_leases_ended(computers)
+
+    def has_stored(self, generation: int) -> bool:
+        """Return whether a majority has stored a commit; so it does without votes."""
+        if self.election is None:
+            return True
+        stored = {
+            name: 0.0
+            for name, status in self.statuses().items()
+            if self.obey(name) and status.generation >= generation
+        }
+        return majority_at(self.election.votes, stored) == 0.0
+
+    def why_not_leading(self) -> str:
+        """Return why this manager has to end, as it does not lead; empty: it does."""
+        if not self._claimed or self._heartbeats.unconfirmed() < _UNCONFIRMED:
+            return ""
+        return f"no majority of agents has heard it for {_UNCONFIRMED:g} s"
+
+    def _begin_term(self) -> None:
+        """Take a term that is higher than those of all managers that agents obey."""
+        if not self._claimed:
+            seen = [
+                status.manager for status in self.statuses().values() if status.manager
+            ]
+            last = max((manager.term for manager in seen), default=0)
+            self.manager = replace(self.manager, term=last + 1)
 
     def _claim(self, computer: str, *, take_over: bool) -> Answer:
         """Claim an agent; one that was cut off learns late that its manager ended."""
@@ -285,7 +400,9 @@ class Agents(AgentReports):
         status = self.statuses().get(computer)
         known = status.token if status is not None else 0
         self._tokens[computer] = max(known, self._tokens.get(computer, 0)) + 1
-        return Claim(self.manager, take_over, self._endpoints, self._is_leased)
+        return Claim(
+            self.manager, take_over, self._endpoints, self._is_leased, self.election
+        )
 
     def heard_by(self, computer: str) -> str:
         """Return a computer that still hears one out of reach; empty when none does."""
@@ -366,6 +483,11 @@ class Agents(AgentReports):
 
     def _on_ended_agent(self, computer: str) -> None:
         self._heartbeats.note_ended(computer)
+
+
+def is_refused(answer: Answer | None) -> TypeGuard[Refused]:
+    """Return whether an agent refused what it was asked."""
+    return isinstance(answer, Refused)
 
 
 def manager_id() -> ManagerId:

@@ -8,15 +8,17 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Collection, Mapping, Sequence
+from math import inf
 from typing import NamedTuple
 
-from poise.clock import Clock
+from poise.clock import Clock, time_asleep
 from poise.wire.control_session import endpoint_of
 from poise.wire.heartbeats import (
     ASK_AFTER,
     ASK_EVERY,
     DETECTED,
     EVERY,
+    LEASE,
     Contacts,
     Datagrams,
     Heartbeats,
@@ -24,9 +26,12 @@ from poise.wire.heartbeats import (
     UdpDatagrams,
 )
 from poise.wire.records.heartbeat_records import MANAGER, Heartbeat
+from poise.wire.records.request_records import majority_at
 
 _STALLED = 1.5 * EVERY
 """Between two looks no more than this counts [s]."""
+_NAP = 0.05
+"""A computer that was suspended for so long [s] confirms nothing from before."""
 _LATER = 0.15
 """Another agent hears one that the manager does not when its last sign came so much
 later [s]: of one that is gone, last signs come within a heartbeat of each other."""
@@ -68,8 +73,18 @@ class Reachability:
     time [s].
     """
 
-    def __init__(self, contacts: Contacts, surely_ended: float) -> None:
+    def __init__(
+        self,
+        contacts: Contacts,
+        surely_ended: float,
+        votes: Mapping[str, int] = {},
+    ) -> None:
         self._contacts = contacts
+        self._votes = votes
+        self._slept = time_asleep()
+        self._woke_at = -inf
+        self.unconfirmed = 0.0
+        """For how long it has not led, of the time that counts [s]."""
         self._surely_ended = surely_ended
         self._ended_at: dict[str, float] = {}
         self._agents: dict[str, _Agent] = {}
@@ -85,10 +100,32 @@ class Reachability:
         """Note that an agent is gone since `now` [s], as another connection says."""
         self._ended_at[computer] = now
 
+    def confirmed_at(self, now: float) -> float:
+        """Return when this manager led for sure, at the latest [s]; else -inf.
+
+        Agents with a majority of the votes have heard what it sent then, and obey it.
+        """
+        if not self._votes:
+            return now
+        acked = {
+            name: contact.acked
+            for name in self._votes
+            if (contact := self._contacts.get(name)) is not None
+            and contact.acked is not None
+            and contact.acked >= self._woke_at
+            and contact.last.manager == self._contacts.key
+        }
+        return majority_at(self._votes, acked)
+
     def measure(self, computers: Collection[str], now: float) -> None:
         """Judge all agents at `now` [s], when all that came was taken in."""
         last = now if self._looked_at is None else self._looked_at
         counted, self._looked_at = min(now - last, _STALLED), now
+        slept = time_asleep()
+        if slept > self._slept + _NAP:  # another may lead since, and no clock ran
+            self._slept, self._woke_at = slept, now
+        leads = now - self.confirmed_at(now) < LEASE
+        self.unconfirmed = 0.0 if leads else self.unconfirmed + counted
         for name in computers:
             contact = self._contacts.get(name)
             if contact is None or contact.acked is None:
@@ -132,8 +169,12 @@ class Reachability:
 
     def have_leases_ended(self, computers: Collection[str], now: float) -> bool:
         """Return whether the leases of lost agents have surely ended at `now` [s]."""
+        # what other agents hear of it later is not known
+        known_until = self.confirmed_at(now)
+        if known_until <= now - LEASE:
+            return False
         return all(
-            self._agents[name].any.seconds >= self._surely_ended
+            self._agents[name].any.seconds - (now - known_until) >= self._surely_ended
             if name in self._agents
             else now - self._ended_at.get(name, now) >= self._surely_ended
             for name in computers
@@ -147,7 +188,7 @@ class AgentHeartbeats:
     [s]; `datagrams`: what carries them; None: a UDP socket.
     """
 
-    def __init__(
+    def __init__(  # noqa: PLR0913, each is a choice of the caller
         self,
         robot: str,
         key: str,
@@ -156,6 +197,8 @@ class AgentHeartbeats:
         on_silent: Callable[[list[str]], object],
         surely_ended: float,
         datagrams: Datagrams | None = None,
+        *,
+        votes: Mapping[str, int] = {},
     ) -> None:
         self._clock = clock
         self._on_silent = on_silent
@@ -163,7 +206,7 @@ class AgentHeartbeats:
         self._revoked: dict[str, int] = {}
         self._lock = threading.Lock()
         self._contacts = Contacts(robot, MANAGER, key)
-        self._reachability = Reachability(self._contacts, surely_ended)
+        self._reachability = Reachability(self._contacts, surely_ended, votes)
         where = {name: endpoint_of(text) for name, text in endpoints.items()}
         self._computers = tuple(where)
         is_ipv6 = any(":" in endpoint.host for endpoint in where.values())
@@ -192,10 +235,21 @@ class AgentHeartbeats:
             self._reachability.forget(computer)
             self._silent.discard(computer)
 
-    def note_ended(self, computer: str) -> None:
-        """Note that an agent has ended now, or is found missing."""
+    def note_ended(self, computer: str, ago: float = 0.0) -> None:
+        """Note that an agent has ended now or some time ago [s], or is missing."""
         with self._lock:
-            self._reachability.note_ended(computer, self._clock.now())
+            self._reachability.note_ended(computer, self._clock.now() - ago)
+
+    def leads(self) -> bool:
+        """Return whether a majority obeyed this manager a moment before."""
+        with self._lock:
+            now = self._clock.now()
+            return now - self._reachability.confirmed_at(now) < LEASE
+
+    def unconfirmed(self) -> float:
+        """Return for how long it has not led [s]."""
+        with self._lock:
+            return self._reachability.unconfirmed
 
     def have_leases_ended(self, computers: Collection[str]) -> bool:
         """Return whether the leases of lost computers have surely ended."""
@@ -240,7 +294,13 @@ class AgentHeartbeats:
             self._reachability.measure(self._computers, now)
             silent, asks = self._reachability.silent(), self._reachability.asks()
             has_changed, self._silent = silent != self._silent, silent
-            beat = self._contacts.next_beat(now, asks=asks, revoked=dict(self._revoked))
+            ago = now - self._reachability.confirmed_at(now)
+            beat = self._contacts.next_beat(
+                now,
+                managed=ago if ago < inf else None,
+                asks=asks,
+                revoked=dict(self._revoked),
+            )
         if has_changed:
             self._on_silent(sorted(silent))
         return beat, ASK_EVERY if asks else EVERY

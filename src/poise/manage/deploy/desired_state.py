@@ -12,6 +12,7 @@ from functools import partial
 from typing import Any
 
 from msgspec import structs
+from msgspec.msgpack import encode
 
 from poise.clock import Clock, SystemClock
 from poise.estimate.code_version import version_of
@@ -159,7 +160,9 @@ class DesiredState:
     def next_epoch(self, component: str) -> int:
         """Return an epoch that no incarnation of the component has had."""
         last = self._epochs.get(component, self._last_epoch)
-        self._epochs[component] = last + 1
+        # a leader before may have started some that no record knows
+        least = self.agents.manager.term << 16 if self.agents.election else 0
+        self._epochs[component] = max(last + 1, least)
         return self._epochs[component]
 
     def why_held(self, component: str) -> str:
@@ -175,8 +178,15 @@ class DesiredState:
     def _reconcile(self) -> None:
         now = self.desired, dict(self.gateways())
         if now != self._deployed_for:
+            desired = self.desired
+            if self.agents.election is None:  # what else runs, agents say themselves
+                desired = Desired(tasks=desired.tasks)
+            encoded, term = encode(desired), self.agents.manager.term
+            is_last = self.desired.is_stopped
             self._deployments = {
-                computer: structs.replace(spec, tasks=self.desired.tasks)
+                computer: structs.replace(
+                    spec, desired=encoded, term=term, is_last=is_last
+                )
                 for computer, spec in self.layout.specs(
                     self.desired.incarnations(),
                     self.desired.generation,

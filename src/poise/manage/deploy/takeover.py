@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 
+import msgspec
 from msgspec import structs
 
 from poise.errors import PoiseError, RobotError, RunError
@@ -22,7 +23,7 @@ from poise.manage.deploy.adoption import (
     is_half_done,
     where_held,
 )
-from poise.manage.deploy.desired import Incarnation
+from poise.manage.deploy.desired import Desired, Incarnation
 from poise.manage.deploy.running_components import (
     ACTIVE_LIMIT,
     READY_LIMIT,
@@ -44,6 +45,9 @@ from poise.wire.records.migration_records import (
 
 WITNESS_LIMIT = 5.0
 """Containers that do not say so are asked again for this time [s], and then ended."""
+_LEASE_LIMIT = 3.0
+"""Leases of computers that are gone end within this time [s]."""
+_LOOK_EVERY = 0.02
 HALT_LIMIT = 1.0
 """Containers say within this time how far a half-done migration came [s]."""
 
@@ -58,8 +62,13 @@ def start_or_take_over(
     """
     statuses = run.agents.statuses()
     before = [status.manager for status in statuses.values()]
-    deployments, unclaimed = _claim(run, by_force=by_force)
-    reported = as_committed(found_in(deployments), run.agents.statuses())
+    if run.agents.election is None:
+        deployments, unclaimed = _claim(run, by_force=by_force)
+    else:
+        deployments, unclaimed = _elected(run, by_force=by_force), {}
+    record = newest_record(deployments.values())
+    found = [*found_in(deployments), *_recorded(run, record)]
+    reported = as_committed(found, run.agents.statuses())
     if not reported:
         away = {computer.name for computer in run.robot.computers} - run.claimed
         if away:
@@ -67,19 +76,23 @@ def start_or_take_over(
             names = ", ".join(f"'{name}'" for name in sorted(away - unclaimed.keys()))
             lost = f"nothing runs yet, and no agent answers on {names}: start it there"
             raise RunError("; ".join([*unclaimed.values(), *([lost] if names else [])]))
+        if not run.placed:
+            run.leave()
+            raise RunError("nothing runs that a standby could go on with")
         run.start_all()
         return
     said = next((f" of {manager}" for manager in before if manager), "")
     run.journal.note("seen", f"the robot{said} is running: taking it over")
-    if by_force:  # a person says that nobody else runs anything on the others
-        run.claimed |= {computer.name for computer in run.robot.computers}
     held = frozenset[str]()
-    if not by_force:
+    if by_force or run.agents.election is not None:
+        # a person says that nobody else runs anything on the others, or a majority does
+        run.claimed |= {computer.name for computer in run.robot.computers}
+    else:
         statuses = run.agents.statuses()  # a lease may have ended meanwhile
         fenced = {name for name, status in statuses.items() if status.cut_off}
         held = components_to_hold(run.robot, reported, run.claimed, fenced)
     try:
-        _take_over(run, deployments, unclaimed, reported, held, is_rule=is_rule)
+        _take_over(run, deployments, unclaimed, reported, held, record, is_rule=is_rule)
     except Exception:
         run.leave()  # no error of a new manager ends a robot that is at work
         raise
@@ -91,17 +104,18 @@ def _take_over(
     unclaimed: Mapping[str, str],
     reported: Sequence[ReportedIncarnation],
     held: frozenset[str],
+    record: Desired,
     *,
     is_rule: bool,
 ) -> None:
     began = time.monotonic()
-    last = max(deployments.values(), key=lambda d: d.generation, default=None)
-    tasks = last.tasks if last else b""
     # what comes back from now on is claimed and told then
     run.has_taken_over = True
     run.goes_on_without_lost = True
     wanted = run.placement()
-    if tasks and not is_rule:
+    if not wanted:  # a standby has no plan of its own
+        wanted = record.placement()
+    elif record.tasks and not is_rule:
         # the tasks go on where they are, and say themselves what they need
         wanted = _at_work(run, reported)
     is_committed = is_half_done(reported, run.robot) and _is_committed(
@@ -120,7 +134,7 @@ def _take_over(
     run.adopt(
         adoption.kept,
         _last_epochs(reported),
-        tasks,
+        record.tasks,
         held,
         changed_parameters(reported),
     )
@@ -131,6 +145,77 @@ def _take_over(
     _start(run, adoption, reported, starts)
     if is_rule:
         _move(run, wanted)
+
+
+def newest_record(deployments: Iterable[Deployment]) -> Desired:
+    """Return the record of the last commit that agents have stored; else an empty one.
+
+    With a majority of them it is at least that of the last commit that was answered.
+    """
+    written = [each for each in deployments if each.desired]
+    if not written:
+        return Desired()
+    last = max(written, key=lambda each: (each.term, each.generation))
+    return msgspec.msgpack.decode(last.desired, type=Desired)
+
+
+def _elected(run: RunningComponents, *, by_force: bool) -> dict[str, Deployment]:
+    """Become the leader; return what the agents that voted for it work towards.
+
+    What others run has surely stopped then. Of what agents work towards, only that
+    counts which is in the newest record.
+    """
+    try:
+        answers = run.agents.elect(take_over=by_force)
+    except RunError:
+        run.leave()
+        raise
+    run.claimed |= answers.keys()
+    away = {computer.name for computer in run.robot.computers} - answers.keys()
+    found = {n: answer.deployment for n, answer in answers.items() if answer.deployment}
+    record = newest_record(found.values())
+    if away and record.incarnations():
+        until = run.clock.now() + _LEASE_LIMIT
+        while not run.agents.have_leases_ended(away):
+            if run.clock.now() >= until:
+                run.leave()
+                names = ", ".join(f"'{name}'" for name in sorted(away))
+                raise RunError(f"the leases of {names} may not have ended")
+            run.clock.sleep(_LOOK_EVERY)
+    known = {(each.component, each.epoch) for each in record.incarnations()}
+    return {name: _with_only(known, each) for name, each in found.items()}
+
+
+def _with_only(known: Collection[tuple[str, int]], found: Deployment) -> Deployment:
+    """Return a deployment without incarnations that the newest record does not know."""
+    containers = (
+        structs.replace(
+            container,
+            components=tuple(
+                c for c in container.components if (c.name, c.epoch) in known
+            ),
+        )
+        for container in found.containers
+    )
+    return structs.replace(
+        found, containers=tuple(c for c in containers if c.components)
+    )
+
+
+def _recorded(run: RunningComponents, record: Desired) -> list[ReportedIncarnation]:
+    """Return what the record places on computers whose agents do not say so."""
+    return [
+        ReportedIncarnation(
+            spec=run.layout.component_spec(
+                incarnation, record.parameters.get(incarnation.component, {})
+            ),
+            computer=incarnation.computer,
+            container=run.layout.container_of(incarnation.component),
+            folder=run.robot.folder,
+        )
+        for incarnation in record.incarnations()
+        if incarnation.computer not in run.claimed
+    ]
 
 
 def _at_work(
@@ -179,8 +264,11 @@ def _is_committed(
 
     A container that began a step after the commit knows. When none did, the migration
     can be rolled back. A target that does not answer may have begun it: it is asked
-    again, and ended when it still does not. Unknown is never taken for "no".
+    again, and ended when it still does not. Unknown is never taken for "no": a target
+    on a computer that is gone counts as committed.
     """
+    if any(at not in deployments for at, _ in _targets(reported)):
+        return True
     asked = {
         (computer, container.name)
         for computer, deployment in deployments.items()

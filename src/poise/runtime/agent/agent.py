@@ -31,6 +31,7 @@ from poise.priority import ahead, go_first, goes_first
 from poise.runtime.agent.agent_files import AgentFolder, CheckpointFiles, DiskThread
 from poise.runtime.agent.core import AgentCore
 from poise.runtime.agent.inbox import AgentInbox
+from poise.runtime.agent.standby_process import StandbyProcess
 from poise.runtime.agent.surroundings import (
     AgentSetup,
     HeartbeatTransport,
@@ -179,6 +180,7 @@ class Agent:
             host=self._host,
             adoption=self._adoption,
             disk=disk,
+            standby=StandbyProcess(self._setup.computer, self._path),
             heartbeats=self._heartbeats,
             usage=sampler.usage,
             cpu=time.process_time,

@@ -16,6 +16,7 @@ from poise.clock import Clock
 from poise.runtime.agent.fence import Fence
 from poise.runtime.agent.heartbeat_exchange import HeartbeatExchange
 from poise.runtime.agent.inbox import SupervisedParts
+from poise.runtime.agent.standby_watch import StandbyWatch
 from poise.runtime.agent.surroundings import (
     AgentSetup,
     AgentState,
@@ -97,7 +98,7 @@ class AgentCore:
             setup.computer,
             self.wake,
             world.say,
-            left.manager,
+            left.claim.manager if left.claim else None,
             left.token,
             world.wall,
         )
@@ -110,9 +111,10 @@ class AgentCore:
             self.supervisor.extend_lease,
             world.asleep,
         )
-        self.heartbeats.resume(left.agents, left.is_leased)
+        self.heartbeats.resume(left.claim)
         if world.adoption.is_settled():  # nothing has run here meanwhile
             self.heartbeats.note_lapsed()
+        self.standby = StandbyWatch(setup.computer, self.heartbeats, self.fence, world)
         self._last = self._status()
         self._reports = StatusReports(world.publish, world.clock, self._last)
         self._parts = self._table()
@@ -209,6 +211,7 @@ class AgentCore:
         )
         self.supervised.attempt("adoption", self._world.adoption.close)
         self.supervised.attempt("state", self._world.disk.forget)
+        self.supervised.attempt("leader", self.standby.close)
         self.supervisor.end()
 
     def has_ended(self) -> bool:
@@ -227,6 +230,7 @@ class AgentCore:
         return (
             _Part("state", self._keep_state),
             _Part("lease", self._note_lease),
+            _Part("leader", self._watch_leader, self.standby.moment),
             _Part("steps", self._give_up_steps, self._relay.moment),
             _Part("adoption", adoption.give_up, adoption.moment),
             _Part("containers", self.supervisor.reconcile, self.supervisor.moment),
@@ -247,17 +251,7 @@ class AgentCore:
         request, refusal = asked.request, self.fence.refusal(asked.token)
         wanted = self.supervisor.wanted
         if isinstance(request, Claim):
-            is_held = self.heartbeats.is_held()
-            is_held = is_held and self.fence.succeeds(request.manager.key)
-            refused = self.fence.claim(request, asked.token)
-            if refused is None:
-                if not is_held:  # what ran here may run elsewhere by now
-                    self.fence.lapse()
-                self.heartbeats.begin(
-                    request.manager.key, request.agents, is_leased=request.is_leased
-                )
-                self._world.disk.resend()
-            reply(refused or Claimed(wanted, self.fence.is_cut_off))
+            reply(self._claimed(request, asked.token))
         elif isinstance(request, ContainerRequest):
             if refusal:
                 reply(StepsFailed(request.number, refusal))
@@ -273,21 +267,36 @@ class AgentCore:
             reply(Refused(f"{older}{wanted.generation}"))
         else:
             self.supervisor.deploy(request)
-            self.fence.note_told()
+            self.heartbeats.note_told()
             self._world.disk.keep_only(request)
             reply(Accepted())
+
+    def _claimed(self, claim: Claim, token: int) -> Claimed | Refused:
+        """Obey a manager from now on, or say why not."""
+        beats, fence, silent = self.heartbeats, self.fence, self.heartbeats.silent()
+        is_next = claim.election is not None or fence.succeeds(claim.manager.key)
+        is_held = beats.is_held() and is_next
+        refused = fence.claim(claim, token, is_unheard=not beats.hears_leader())
+        if refused is None and not claim.is_poll:
+            if not is_held:  # what ran here may run elsewhere by now
+                fence.lapse()
+            beats.obey(claim)
+            self._world.disk.resend()
+        return refused or Claimed(self.supervisor.wanted, fence.is_cut_off, silent)
 
     def _keep_state(self) -> None:
         self._world.disk.keep(
             AgentState(
                 gateway=self._world.gateway,
-                manager=self.fence.manager,
+                claim=self.heartbeats.claim,
                 token=self.fence.token,
                 wanted=self.supervisor.wanted,
-                agents=self.heartbeats.agents,
-                is_leased=self.heartbeats.is_leased,
             )
         )
+
+    def _watch_leader(self) -> None:
+        wanted = self.supervisor.wanted
+        self.standby.look(is_over=wanted is None or wanted.is_last)
 
     def _note_lease(self) -> None:
         self.fence.update()

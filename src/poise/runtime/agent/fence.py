@@ -3,8 +3,9 @@
 While an agent is cut off, its manager may start its components elsewhere. So it holds a
 lease, which heartbeats extend: of its manager, or of an agent that hears the manager.
 Without either it goes on only while all other agents hear it: then the manager reaches
-none of them, and can have started nothing there. The lease counts from when a heartbeat
-was *sent*, so an agent that was stalled extends nothing by old ones.
+none of them, and can have started nothing there; where managers are voted for, while a
+majority does that obeys the same one (docs/design/leader.md). The lease counts from
+when a heartbeat was *sent*, so an agent that was stalled extends nothing by old ones.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from math import inf
 from poise.clock import wall_time
 from poise.wire.heartbeats import ASK_AFTER, LEASE, Contacts
 from poise.wire.records.heartbeat_records import MANAGER
-from poise.wire.records.request_records import Claim, ManagerId, Refused
+from poise.wire.records.request_records import Claim, ManagerId, Refused, majority_at
 
 
 class Fence:
@@ -109,21 +110,33 @@ class Fence:
             self._gone.add(key)
             if has_ended:
                 self._ended.add(key)
+                self._wake()
 
     def note_alive(self, key: str) -> None:
         """Note that a manager is at work though its liveliness token went."""
         self._ended.discard(key)
 
-    def claim(self, claim: Claim, token: int) -> Refused | None:
-        """Obey a manager from now on, and return ''; else return why not."""
-        before = self.manager
-        is_same = before is not None and before.key == claim.manager.key
-        is_free = before is None or is_same or before.key in self._gone
-        is_free = is_free or claim.take_over
+    def claim(
+        self, claim: Claim, token: int, *, is_unheard: bool = False
+    ) -> Refused | None:
+        """Obey a manager from now on, and return None; else return why not.
+
+        `is_unheard`: whether the manager before is not heard any more. Where managers
+        are voted for that is enough, and the next one has a higher term.
+        """
+        before, manager = self.manager, claim.manager
+        is_same = before is not None and before.key == manager.key
         is_later = token > self.token or (is_same and token == self.token)
+        is_free = before is None or is_same or claim.take_over
+        if claim.election is None:
+            is_free = is_free or (before is not None and before.key in self._gone)
+        elif before is not None and not is_same:
+            is_free = is_free or is_unheard or before.key in self._ended
+            is_later = is_later and manager.term > before.term
         if not is_free or not is_later:
             return Refused(self._manages())
-        self.manager, self.token, self._is_expired = claim.manager, token, False
+        if not claim.is_poll:
+            self.manager, self.token, self._is_expired = manager, token, False
         return None
 
     def refusal(self, token: int) -> str:
@@ -150,12 +163,21 @@ class Lease:
         self._manager = ""
         self._began: float | None = None
         self._stalled = -inf
+        self._votes: Mapping[str, int] = {}
+        self._not_before = -inf
 
     def begin(
-        self, others: Collection[str], manager: str, began: float | None = None
+        self,
+        others: Collection[str],
+        manager: str,
+        began: float | None = None,
+        votes: Mapping[str, int] = {},
     ) -> None:
-        """Be claimed by a manager that knows these other agents, at a moment [s]."""
-        self._others, self._manager = others, manager
+        """Be claimed by a manager that knows these other agents, at a moment [s].
+
+        Where managers are voted for, a claim extends nothing.
+        """
+        self._others, self._manager, self._votes = others, manager, votes
         self._began = began
 
     def note_stall(self, now: float) -> None:
@@ -166,19 +188,35 @@ class Lease:
         """
         self._stalled = now
 
+    def end(self, now: float) -> None:
+        """Note that it has ended: what was heard of earlier moments counts no more.
+
+        While its computer was suspended no time went by on its clock.
+        """
+        self._not_before = now
+
     def managed(self, now: float) -> float | None:
         """Return how long ago it sent what its manager has heard [s]; None: unknown."""
         manager = self._contacts.get(MANAGER)
-        if manager is not None and manager.acked is not None:
-            return now - manager.acked
+        if manager is not None and manager.granted is not None:
+            return now - manager.granted
+        if self._votes:
+            return None
         if self._began is not None:
             return now - self._began
         return None if manager is None else now - manager.began
 
     def age(self, now: float) -> float:
         """Return how long ago the lease was extended [s]; 0 before it begins."""
+        age = self._age(now)
+        return inf if self._votes and now - age < self._not_before else age
+
+    def _age(self, now: float) -> float:
         direct = self.managed(now)
-        if direct is None:
+        if self._votes:
+            began = -inf if self._began is None else self._began
+            direct = now - began if direct is None else min(direct, now - began)
+        elif direct is None:
             return 0.0
         # no other agent is needed, or may extend it
         if direct <= ASK_AFTER or now - direct < self._stalled:
@@ -212,7 +250,19 @@ class Lease:
         return False
 
     def _unheard(self, now: float) -> float:
-        """Return how long ago it sent what all other agents have heard [s]."""
+        """Return how long ago it sent what all other agents have heard [s].
+
+        Where managers are voted for, a majority is enough that obeys the same one.
+        """
+        if self._votes:
+            acked = {
+                name: contact.acked
+                for name in self._others
+                if (contact := self._contacts.get(name)) is not None
+                and contact.acked is not None
+                and contact.last.manager == self._manager
+            }
+            return now - majority_at(self._votes, {**acked, self._contacts.name: now})
         contacts = map(self._contacts.get, self._others)
         mine = {"", self._manager}
         heard = [

@@ -39,6 +39,7 @@ from poise.wire.records.heartbeat_records import (
     Heartbeat,
     LinkQuality,
 )
+from poise.wire.records.request_records import Claim
 
 _KEPT = 64
 
@@ -100,6 +101,8 @@ class ClockOffset:
 _STALLED = 0.3
 """An agent that did not run for so long [s] asks before it judges who is silent."""
 _GRACE = 0.15
+_TO_LEAD = 2.0
+"""A manager that claims an agent for the first time leads within this time [s]."""
 _NAP = 0.05
 """A computer that was suspended for so long [s] has lost its lease."""
 _CLOCKS_EVERY = 1.0
@@ -130,6 +133,7 @@ class HeartbeatExchange:
         # with whom it exchanges heartbeats, as in `Claim`
         self.agents: Mapping[str, str] = {}
         self.is_leased = False
+        self.claim: Claim | None = None
         # what was known last of the clocks of other computers, by name
         self.clocks: Mapping[str, ClockStatus] = {}
         self._computer = computer
@@ -144,7 +148,9 @@ class HeartbeatExchange:
         self._clocks_due = 0.0
         self._began: float | None = None
         self._targets: dict[str, Address] = {}
+        self._votes: Mapping[str, int] = {}
         self._claimed_by = ""
+        self._claimed_at = clock.now()
         self._token_gone = inf
         self._lock = threading.Lock()
         self._looked_at = clock.now()
@@ -156,17 +162,28 @@ class HeartbeatExchange:
         if self._heartbeats is not None:
             self._heartbeats.close()
 
-    def resume(self, agents: Mapping[str, str], is_leased: bool) -> None:  # noqa: FBT001, as kept
+    def resume(self, claim: Claim | None) -> None:
         """Go on in the place of an agent that was killed.
 
         What it kept may run elsewhere by now: see `note_lapsed`.
         """
-        manager = self._fence.manager
-        if manager is not None:
+        if claim is not None:
             # nobody has heard this one yet, and there is a lease's time for that
             self._grace_until = self._clock.now() + LEASE
-            began = -inf if is_leased else None
-            self.begin(manager.key, agents, began, is_leased=is_leased)
+            began = -inf if claim.is_leased else None
+            self.obey(claim, began)
+
+    def obey(self, claim: Claim, began: float | None = None) -> None:
+        """Send heartbeats from now on to those whom a manager names that claims."""
+        self.claim = claim
+        votes = claim.election.votes if claim.election is not None else {}
+        self.begin(
+            claim.manager.key,
+            claim.agents,
+            began,
+            is_leased=claim.is_leased,
+            votes=votes,
+        )
 
     def begin(
         self,
@@ -175,11 +192,13 @@ class HeartbeatExchange:
         began: float | None = None,
         *,
         is_leased: bool,
+        votes: Mapping[str, int] = {},
     ) -> None:
         """Send heartbeats from now on to those whom the manager with `key` names.
 
         The lease begins at once where datagrams are known to get through, for the
-        manager may stand still before its first heartbeat; else with that.
+        manager may stand still before its first heartbeat; else with that. Where
+        managers are voted for, it only goes on: a vote is no election.
         """
         others = {
             name: endpoint_of(where)
@@ -188,11 +207,18 @@ class HeartbeatExchange:
         }
         with self._lock:
             self.agents, self.is_leased = agents, is_leased
-            is_new = key != self._claimed_by
-            self._claimed_by = key
-            if began is None and self._lease.managed(self._clock.now()) is not None:
-                began = self._clock.now()
-            self._lease.begin(others.keys(), key, began)
+            is_new, now = key != self._claimed_by, self._clock.now()
+            is_first = not self._claimed_by
+            self._claimed_by, self._claimed_at, self._votes = key, now, votes
+            if began is None and votes:
+                began = -inf if is_first else now - self._lease.age(now)
+                if is_first:  # nothing is active that could be so twice
+                    self._grace_until = now + _TO_LEAD
+            elif began is None and self._lease.managed(now) is not None:
+                began = now
+            self._lease.begin(others.keys(), key, began, votes)
+            if self._fence.is_cut_off:
+                self._lease.end(now)
             if is_new:
                 self._contacts.forget(MANAGER)
                 self._targets.clear()
@@ -204,11 +230,35 @@ class HeartbeatExchange:
             self._heartbeats.send_to(self._targets)
             self._heartbeats.start()
 
+    def hears_leader(self) -> bool:
+        """Return whether its manager was heard a moment before, or may have been."""
+        return self._clock.now() < self.leader_silent_from()
+
+    def leader_silent_from(self) -> float:
+        """Return from when on its manager counts as silent, so far as is known [s]."""
+        with self._lock:
+            manager = self._contacts.get(MANAGER)
+            heard_at = manager.heard_at if manager else self._claimed_at
+            return max(heard_at + DETECTED, self._grace_until)
+
+    def silent(self) -> dict[str, float]:
+        """Return who was heard, and for how long it was not [s]."""
+        with self._lock:
+            now, names = self._clock.now(), (MANAGER, *self._targets)
+            contacts = {name: self._contacts.get(name) for name in names}
+            return {n: now - c.heard_at for n, c in contacts.items() if c is not None}
+
     def is_held(self) -> bool:
         """Return whether leased components may act now."""
         with self._lock:
             now = self._clock.now()
             return self._until(now) > now
+
+    def note_told(self) -> None:
+        """Note that a deployment came: a lease that had ended may begin again."""
+        if self._fence.is_cut_off and self._votes:
+            self._grace_until = self._clock.now() + LEASE
+        self._fence.note_told()
 
     def note_lapsed(self) -> None:
         """Note that the lease ended while there was no agent here.
@@ -287,7 +337,7 @@ class HeartbeatExchange:
         beat = self._contacts.next_beat(
             now,
             managed=self._lease.managed(now) if is_managed else None,
-            manager=self._claimed_by if is_managed else "",
+            manager=self._claimed_by if is_managed or self._votes else "",
             is_cut_off=self._fence.is_cut_off,
             asks=(MANAGER,) if is_late else (),
             revoked=self._lease.revoked(),
@@ -316,6 +366,7 @@ class HeartbeatExchange:
             has_slept or self._has_ended(now, age, stalled)
         ):
             self._fence.cut()
+            self._lease.end(now)
         self._extend(self._until(now, age) + self._slept)
 
     def _has_ended(self, now: float, age: float, stalled: float) -> bool:
@@ -337,6 +388,6 @@ class HeartbeatExchange:
             return -inf
         if not self.is_leased:
             return now + UNCUT_LEASE
-        if self._fence.is_managed() or now < self._grace_until:
+        if self._votes or self._fence.is_managed() or now < self._grace_until:
             return self._lease.until(now, age)
         return now + LEASE

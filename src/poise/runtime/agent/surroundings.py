@@ -23,7 +23,7 @@ from poise.wire.records.request_records import (
     PROTOCOL,
     Answer,
     CheckpointCopy,
-    ManagerId,
+    Claim,
     ReadOutput,
 )
 from poise.wire.records.status_records import SAMPLE_EVERY, AgentStatus, ToContainer
@@ -54,12 +54,9 @@ class AgentState(Struct, frozen=True, kw_only=True):
     """What an agent must know after it was killed."""
 
     gateway: str = ""  # Its IP address and TCP port
-    manager: ManagerId | None = None
+    claim: Claim | None = None  # Of the manager that it obeys
     token: int = 0
     wanted: Deployment | None = None
-    # With whom it exchanges heartbeats, as in `Claim`
-    agents: Mapping[str, str] = {}
-    is_leased: bool = False
     boot: str = ""  # When the computer has started since, nothing of it holds
     protocol: int = PROTOCOL
 
@@ -165,6 +162,16 @@ class AgentDisk(Protocol):
         """Return what is wrong with it, in words; empty: nothing is."""
 
 
+class StandbyControl(Protocol):
+    """The process on this computer that leads when nobody else does."""
+
+    def keep(self, claim: Claim | None) -> None:
+        """Let one wait that would lead as this claim says; None: none waits."""
+
+    def lead(self) -> None:
+        """Let it become the leader, if it can; harmless while it does."""
+
+
 class HeartbeatTransport(Protocol):
     """Sends and takes heartbeats, from `start` on."""
 
@@ -197,6 +204,7 @@ class Surroundings(Struct, frozen=True, kw_only=True):
     host: ContainerHost
     adoption: LeftContainers
     disk: AgentDisk
+    standby: StandbyControl
     # Opens the transport of heartbeats; None: there is none
     heartbeats: Callable[[Hear, NextBeat], HeartbeatTransport | None]
     # What the agent and the containers use, and the agent's CPU time so far [s]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -13,13 +13,16 @@ from poise.manage.journal import Journal, JournalEntry, check_journal
 from poise.manage.manager import Manager
 from poise.manage.observe.estimates import Estimates
 from poise.manage.observe.sample_recording import Recording, RecordingFile
+from poise.manage.tasks.concurrent_tasks import Tasks
 from poise.manage.tasks.saved_tasks import goes_on_with
 from poise.model.robot import Robot
 from poise.session.callbacks import Check, Say
 from poise.session.folders import make_journal
+from poise.session.launch.computers import Computers
 from poise.session.launch.start import Sampling, Started, started
 from poise.session.placing.first_phase import FirstPhase, note_architectures
 from poise.session.profiling.stored_profiles import read_profile
+from poise.wire.records.request_records import Election
 
 
 @contextlib.contextmanager
@@ -49,10 +52,34 @@ class Managed(NamedTuple):
     manager: Manager
 
 
+class ToManage(NamedTuple):
+    """A robot that is to be managed, and what its manager begins with.
+
+    `where`: component -> computer, of what it starts; empty: it goes on with what runs.
+    `election`, `computers`: as for `started`.
+    """
+
+    robot: Robot
+    where: Mapping[str, str]
+    tasks: Tasks
+    why_suspended: str = ""
+    election: Election | None = None
+    computers: Computers | None = None
+
+
+def planned(
+    robot: Robot, first: FirstPhase, election: Election | None = None
+) -> ToManage:
+    """Return a robot that begins with a plan."""
+    placed = first.placed
+    return ToManage(
+        robot, placed.where, first.tasks, placed.why_suspended, election=election
+    )
+
+
 @contextlib.contextmanager
-def managed(  # noqa: PLR0913, all that starts
-    robot: Robot,
-    first: FirstPhase,
+def managed(
+    what: ToManage,
     journal: Journal,
     say: Say,
     check: Check,
@@ -62,18 +89,27 @@ def managed(  # noqa: PLR0913, all that starts
     begin: Callable[[RunningComponents], object] | None = None,
 ) -> Iterator[Managed]:
     """Start a robot with a manager, and stop it afterwards."""
-    samples, where = Recording(), first.placed.where
+    samples, robot = Recording(), what.robot
     sampling = Sampling(samples.add)
     with started(
-        robot, where, journal, say, sampling, check, use_kept=True, begin=begin
+        robot,
+        what.where,
+        journal,
+        say,
+        sampling,
+        check,
+        use_kept=True,
+        begin=begin,
+        election=what.election,
+        found=what.computers,
     ) as up:
         manager = Manager(
             up.run,
-            goes_on_with(up.run, first.tasks, journal),
+            goes_on_with(up.run, what.tasks, journal),
             Estimates(robot, read_profile(robot), emulated=robot.is_emulated),
             samples,
             adapts=adapts,
-            suspended=first.placed.why_suspended,
+            suspended=what.why_suspended,
             recording=recorder,
         )
         with threads.failures_heard(manager.failures.note):

@@ -9,7 +9,7 @@ import signal
 import subprocess
 import threading
 import time
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +31,7 @@ from poise.session.callbacks import Check, Say, log, nothing
 from poise.session.folders import scratch_folder
 from poise.session.launch.computers import Computers, computers_of
 from poise.units import counted
+from poise.wire.records.request_records import Election
 from poise.wire.records.status_records import SAMPLE_EVERY, AgentSample
 
 READY_LIMIT = 20.0
@@ -227,8 +228,14 @@ def started(  # noqa: PLR0913 - each is a choice of the caller
     *,
     use_kept: bool = False,
     begin: Callable[[RunningComponents], object] | None = None,
+    election: Election | None = None,
+    found: Computers | None = None,
 ) -> Iterator[Started]:
-    """Start a robot's components on its computers; stop and remove all afterwards."""
+    """Start a robot's components on its computers; stop and remove all afterwards.
+
+    `election`: how its managers follow each other; None: they do not.
+    `found`: its computers, which are up already; None: they are found or emulated.
+    """
     _check_runnable(robot, placement)
     with contextlib.ExitStack() as stack:
         folder = stack.enter_context(scratch_folder("poise-run-"))
@@ -239,7 +246,7 @@ def started(  # noqa: PLR0913 - each is a choice of the caller
             if look.take is not None and at_work.is_set():
                 look.take(sample)
 
-        computers = stack.enter_context(
+        computers = found or stack.enter_context(
             computers_of(
                 robot, folder / "computers", say, look.every, use_kept=use_kept
             )
@@ -252,6 +259,7 @@ def started(  # noqa: PLR0913 - each is a choice of the caller
                 SystemClock(),
                 take if look.take else None,
                 lease=computers.lease,
+                election=election,
             )
         )
 
@@ -259,7 +267,7 @@ def started(  # noqa: PLR0913 - each is a choice of the caller
             check()
             computers.raise_if_ended()
 
-        if begin is None or not _is_at_work(agents, computers.endpoints, look_around):
+        if begin is None or not agents.wait_at_work(MISSING_LIMIT, look_around):
             agents.wait_alive(computers.endpoints, AGENT_LIMIT, look_around)
         run = RunningComponents(
             robot, placement, agents, journal, str(folder), weigh=look.weigh
@@ -279,22 +287,6 @@ def _forget_if_ended(robot: str, agents: Agents, computers: Iterable[str]) -> No
     """Forget where the agents are, unless something may still run there."""
     if not containers_left(agents.statuses(), computers):
         forget(robot)
-
-
-def _is_at_work(
-    agents: Agents, computers: Collection[str], look_around: Callable[[], object]
-) -> bool:
-    """Return whether components run; computers that are missing are lost then."""
-
-    def is_there() -> bool:
-        look_around()
-        return agents.reached() >= set(computers)
-
-    agents.wait_news(is_there, MISSING_LIMIT)
-    if not any(status.containers for status in agents.statuses().values()):
-        return False
-    agents.go_on_without_missing()
-    return True
 
 
 def _check_runnable(robot: Robot, placed: Iterable[str]) -> None:

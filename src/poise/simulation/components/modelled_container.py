@@ -81,6 +81,10 @@ class World(Protocol):
         """Return what carries heartbeats to and from a port of a process."""
         ...
 
+    def start_standby(self, computer: str) -> Callable[[], bool]:
+        """Let a standby try to lead; return what says whether it still runs."""
+        ...
+
     def containers(self) -> list[SimulatedContainer]:
         """Return all containers that run."""
         ...

@@ -14,6 +14,7 @@ from poise.runtime.agent.core import AgentCore
 from poise.runtime.agent.inbox import AgentInbox
 from poise.runtime.agent.surroundings import AgentSetup, Reply, Surroundings
 from poise.simulation.components.modelled_container import World
+from poise.simulation.components.models import drawn
 from poise.simulation.robot.container_host import (
     SimulatedAdoption,
     SimulatedHost,
@@ -39,6 +40,34 @@ from poise.wire.records.status_records import AgentStatus
 PORT = 7447
 LEASE = 2.0
 _NEWS = "news"
+
+
+_WAKE = 0.02, 0.15
+"""A standby that is woken connects to agents within this time [s]."""
+
+
+class SimulatedStandby:
+    """The `StandbyControl` of a simulated computer."""
+
+    def __init__(self, world: World, process: Process) -> None:
+        self._world = world
+        self._process = process
+        self._claim: Claim | None = None
+        self._is_leading: Callable[[], bool] = lambda: False
+
+    def keep(self, claim: Claim | None) -> None:
+        """Let one wait, which needs no process before it leads."""
+        self._claim = claim
+
+    def lead(self) -> None:
+        """Start a manager, unless it runs."""
+        if self._claim is not None and not self._is_leading():
+            self._is_leading = lambda: True
+            pause = drawn(self._world.choices, _WAKE)
+            self._process.after(pause, self._start)
+
+    def _start(self) -> None:
+        self._is_leading = self._world.start_standby(self._process.computer.name)
 
 
 class SimulatedAgent:
@@ -162,6 +191,7 @@ class SimulatedAgent:
             host=SimulatedHost(self._world, self),
             adoption=adoption,
             disk=self._disk,
+            standby=SimulatedStandby(self._world, process),
             heartbeats=heartbeats,
             usage=lambda: self._sampler.usage,
             cpu=lambda: self._sampler.cpu,
@@ -183,12 +213,14 @@ class SimulatedAgent:
                     f"{self.process.name}, claimed with token {claimed}, did "
                     f"{type(asked.request).__name__} for token {asked.token}",
                 )
-            if isinstance(answer, Claimed) and isinstance(asked.request, Claim):
+            request = asked.request
+            is_claimed = isinstance(answer, Claimed)
+            if is_claimed and isinstance(request, Claim) and not request.is_poll:
                 self._claimed, before = asked.token, self._obeyed
-                self._obeyed = asked.request.manager
+                self._obeyed = request.manager
                 if before is not None:
                     computer = self.process.computer.name
-                    self._world.on_claim(computer, asked.request, before)
+                    self._world.on_claim(computer, request, before)
             reply(answer)
 
         self.core.on_request(asked, check)

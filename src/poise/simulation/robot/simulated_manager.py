@@ -23,6 +23,7 @@ from poise.manage.tasks.saved_tasks import goes_on_with
 from poise.model.robot import Robot
 from poise.simulation.robot.simulated_process import Process
 from poise.wire.heartbeats import Datagrams
+from poise.wire.records.request_records import Election
 
 SOLVE_STEPS = 20_000
 """The planner searches so much, whatever the machine: a seed gives one run."""
@@ -38,6 +39,7 @@ class ManagedRobot(Struct, frozen=True, kw_only=True):
     `tasks`: names of tasks.
     `adapts`: whether they change the placement by themselves.
     `profile`: what demands are compared with; None: with what was needed at first.
+    `election`: how they follow each other; None: they do not by themselves.
     """
 
     robot: Robot
@@ -45,6 +47,7 @@ class ManagedRobot(Struct, frozen=True, kw_only=True):
     tasks: Sequence[str]
     adapts: bool = True
     profile: Profile | None = None
+    election: Election | None = None
 
 
 class SimulatedManager:
@@ -67,6 +70,7 @@ class SimulatedManager:
         note: Callable[[JournalEntry], object],
         *,
         take_over: bool = False,
+        is_standby: bool = False,
     ) -> None:
         self._setup = setup
         self._endpoints = endpoints
@@ -79,6 +83,7 @@ class SimulatedManager:
         self._datagrams = datagrams
         self._note = note
         self._takes_over = take_over
+        self._is_standby = is_standby
         process.spawn("manager", self._main)
 
     def ask_status(self, take: Callable[[RobotStatus], object]) -> None:
@@ -120,16 +125,18 @@ class SimulatedManager:
             samples.add,
             _LEASE,
             self._datagrams,
+            setup.election,
         ) as agents:
-            if not self._is_at_work(agents):
+            if not agents.wait_at_work(_MISSING_LIMIT):
                 agents.wait_alive(self._endpoints, _AGENT_LIMIT)
+            placement = {} if self._is_standby else setup.placement
             run = self.run = RunningComponents(
-                robot, setup.placement, agents, journal, "/robot"
+                robot, placement, agents, journal, "/robot"
             )
             run.solve_steps = SOLVE_STEPS
             start_or_take_over(run, by_force=self._takes_over)
             asked = Tasks(robot, lambda text: journal.note("decided", text))
-            for name in setup.tasks:
+            for name in () if self._is_standby else setup.tasks:
                 asked.start(name, self.process.computer.wall())
             asked.arbitrate(self.process.computer.wall())
             self.manager = Manager(
@@ -149,13 +156,3 @@ class SimulatedManager:
                 self.manager.end()
             else:
                 self.manager.stop()
-
-    def _is_at_work(self, agents: Agents) -> bool:
-        """Return whether components run; computers that are missing are lost then."""
-        agents.wait_news(
-            lambda: agents.reached() >= set(self._endpoints), _MISSING_LIMIT
-        )
-        if not any(status.containers for status in agents.statuses().values()):
-            return False
-        agents.go_on_without_missing()
-        return True

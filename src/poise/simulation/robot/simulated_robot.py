@@ -124,8 +124,13 @@ class SimulatedRobot:
         )
         process.on_end.append(lambda: self.agents.pop(computer, None))
 
+    def start_standby(self, computer: str) -> Callable[[], bool]:
+        """Let a standby try to lead; return what says whether it still runs."""
+        manager = self.start_manager(computer, is_standby=True)
+        return lambda: not manager.process.is_dead
+
     def start_manager(
-        self, computer: str, *, take_over: bool = False
+        self, computer: str, *, take_over: bool = False, is_standby: bool = False
     ) -> SimulatedManager:
         """Start a manager on a computer, or outside of all."""
         number = len(self.managers)
@@ -148,6 +153,7 @@ class SimulatedRobot:
             self.datagrams_of(process, None),
             note,
             take_over=take_over,
+            is_standby=is_standby,
         )
         manager.on_up = lambda: self.on_moment("up", computer)
         self.managers.append(manager)

@@ -148,5 +148,10 @@ class Deployment(Struct, frozen=True, kw_only=True, tag=True):
 
     generation: int
     containers: tuple[ContainerSpec, ...]
-    # What the next manager needs to go on with the robot's tasks; only managers read it
-    tasks: bytes = b""
+    # What the next manager needs to go on with: the encoded `Desired`, which only
+    # managers read
+    desired: bytes = b""
+    # The term of the manager that wrote it: of two, the one with the higher term counts
+    term: int = 0
+    # Whether the robot is being stopped: no standby follows its leader
+    is_last: bool = False

@@ -6,6 +6,7 @@ import os
 import time
 from collections.abc import Mapping
 from hashlib import blake2s
+from math import inf
 from pathlib import Path
 from typing import Any, Literal
 
@@ -16,7 +17,7 @@ from poise.wire.codec import Packed
 from poise.wire.records.deployment_records import Deployment
 from poise.wire.records.migration_records import MigrationSteps, StepsDone, StepsFailed
 
-PROTOCOL = 11
+PROTOCOL = 12
 """Manager, agents and containers of different protocol versions refuse each other."""
 
 
@@ -44,6 +45,28 @@ class ManagerId(Struct, frozen=True, kw_only=True):
         return f"user {self.user} on {self.host} (process {self.pid}) since {began}"
 
 
+class Election(Struct, frozen=True, kw_only=True):
+    """How the managers of a robot follow each other (docs/design/leader.md)."""
+
+    votes: Mapping[str, int]  # Computer -> how many votes its agent has
+    # The computers where a standby waits, the first one to lead first
+    managers: tuple[str, ...] = ()
+    setup: bytes = b""  # What a standby has to know; only managers read it
+
+
+def majority_at(votes: Mapping[str, int], moments: Mapping[str, float]) -> float:
+    """Return the last moment that agents with a majority have reached; else -inf.
+
+    `moments`: computer -> what its agent has reached.
+    """
+    most, got = sum(votes.values()), 0
+    for name in sorted(votes, key=lambda name: -moments.get(name, -inf)):
+        got += votes[name]
+        if 2 * got > most:
+            return moments.get(name, -inf)
+    return -inf
+
+
 class Claim(Struct, frozen=True, tag=True):
     """Obey this manager from now on."""
 
@@ -53,6 +76,9 @@ class Claim(Struct, frozen=True, tag=True):
     agents: Mapping[str, str] = {}
     # Whether the manager exchanges heartbeats with them, too; else nothing is leased
     is_leased: bool = False
+    # How managers follow each other; None: they do not, and need no votes
+    election: Election | None = None
+    is_poll: bool = False  # Whether it is only asked, and nothing changes
 
 
 class Claimed(Struct, frozen=True, tag=True):
@@ -63,6 +89,9 @@ class Claimed(Struct, frozen=True, tag=True):
     # Whether its lease had ended: what may move is inactive there, and may have been
     # started elsewhere
     is_cut_off: bool = False
+    # Whom else it has heard of its robot, and for how long it has not [s]; the manager
+    # before is `MANAGER`
+    silent: Mapping[str, float] = {}
 
 
 class ReadOutput(Struct, frozen=True, tag=True, kw_only=True):

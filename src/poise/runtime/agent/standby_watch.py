@@ -1,0 +1,73 @@
+"""Wakes the standby of an agent's computer when the agent hears no leader any more."""
+
+from __future__ import annotations
+
+from math import inf
+
+from poise.runtime.agent.fence import Fence
+from poise.runtime.agent.heartbeat_exchange import HeartbeatExchange
+from poise.runtime.agent.surroundings import Surroundings
+from poise.wire.records.request_records import Election
+
+_RANK, _SPREAD = 0.06, 0.04
+"""Each next computer of the list waits so much longer, and a part of this [s]."""
+_AGAIN = 1.0
+"""When there is still no leader, it tries again after this time, or twice that [s]."""
+
+
+class StandbyWatch:
+    """For the agent's thread; does nothing where managers are not voted for."""
+
+    def __init__(
+        self,
+        computer: str,
+        heartbeats: HeartbeatExchange,
+        fence: Fence,
+        world: Surroundings,
+    ) -> None:
+        self._computer = computer
+        self._heartbeats = heartbeats
+        self._fence = fence
+        self._world = world
+        self._due = inf
+        self._has_standby = False
+
+    def look(self, *, is_over: bool) -> None:
+        """Keep a standby, and wake it when nobody leads; `is_over`: nothing runs."""
+        claim = self._heartbeats.claim
+        election = claim.election if claim is not None else None
+        is_wanted = election is not None and self._computer in election.managers
+        if election is None or not is_wanted or is_over:
+            self.close()
+            return
+        self._has_standby = True
+        self._world.standby.keep(claim)
+        now = self._world.clock.now()
+        if self._fence.is_managed() and now < self._heartbeats.leader_silent_from():
+            self._due = inf
+        elif self._due == inf:
+            self._due = now + self._pause(election)
+        elif now >= self._due:
+            self._world.say("nobody leads the robot: the standby here tries to")
+            self._world.standby.lead()
+            self._due = now + _AGAIN * (1 + self._world.random.random())
+
+    def moment(self) -> float:
+        """Return when `look` has something to do [s]."""
+        if not self._has_standby:
+            return inf
+        return min(self._due, self._silent_from())
+
+    def close(self) -> None:
+        """Let no standby wait."""
+        if self._has_standby:
+            self._world.standby.keep(None)
+        self._has_standby, self._due = False, inf
+
+    def _silent_from(self) -> float:
+        """Return when the leader would be silent; never when it is known to be."""
+        return self._heartbeats.leader_silent_from() if self._due == inf else inf
+
+    def _pause(self, election: Election) -> float:
+        rank = election.managers.index(self._computer)
+        return _RANK * rank + _SPREAD * self._world.random.random()

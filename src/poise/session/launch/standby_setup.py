@@ -1,0 +1,32 @@
+"""What the standbys of a robot have to know, which agents keep for them."""
+
+from __future__ import annotations
+
+import msgspec
+from msgspec import Struct
+
+from poise.emulate import set_for
+from poise.model.robot import Robot
+from poise.wire.records.request_records import Election
+
+
+class StandbySetup(Struct, frozen=True, kw_only=True):
+    """What a standby has to know of the robot that it may lead."""
+
+    robot: Robot
+    adapts: bool = True
+
+
+def election_of(robot: Robot, *, adapts: bool) -> Election | None:
+    """Return how managers of a robot follow each other; None: they do not.
+
+    Its computers have to outlive each of them.
+    """
+    is_real = any(computer.address for computer in robot.computers)
+    if not robot.manager or not (is_real or set_for(robot) is not None):
+        return None
+    return Election(
+        votes={computer.name: 1 for computer in robot.computers},
+        managers=robot.manager,
+        setup=msgspec.msgpack.encode(StandbySetup(robot=robot, adapts=adapts)),
+    )

@@ -1,0 +1,75 @@
+"""Waits on a robot's computer, and leads the robot when nobody else does."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterable
+from pathlib import Path
+
+import msgspec
+from msgspec.structs import replace
+
+from poise.errors import RunError, TakenOver
+from poise.manage.control_socket.control_server import ControlServer
+from poise.manage.deploy.takeover import start_or_take_over
+from poise.manage.journal import Journal
+from poise.manage.tasks.concurrent_tasks import Tasks
+from poise.session.callbacks import Say, nothing
+from poise.session.folders import make_journal
+from poise.session.launch.computers import Computers
+from poise.session.launch.managed import ToManage, managed
+from poise.session.launch.standby_setup import StandbySetup
+from poise.session.up import Up
+from poise.wire.records.request_records import Claim
+
+
+def stand_by(path: Path, words: Iterable[str], say: Say) -> None:
+    """Lead as the claim in a file says, at each word ``lead``; else until the end.
+
+    `words`: an agent's, one a line; its end is the agent's.
+    """
+    for word in words:
+        if word.strip() == "end":
+            return
+        if word.strip() == "lead":
+            claim = msgspec.msgpack.decode(path.read_bytes(), type=Claim)
+            try:
+                _lead(claim, say)
+            except RunError as error:
+                say(str(error))
+                if isinstance(error, TakenOver):
+                    return  # with all that it knew
+            else:
+                return
+
+
+def _lead(claim: Claim, say: Say) -> None:
+    """Become the leader of a robot that runs, and lead it to its end."""
+    assert claim.election is not None  # noqa: S101, or there would be no standby
+    setup = msgspec.msgpack.decode(claim.election.setup, type=StandbySetup)
+    robot = replace(setup.robot, simulator=None)  # it ended with who started it
+    with contextlib.ExitStack() as stack:
+        journal = Journal(make_journal(robot.name), lambda entry: say(str(entry)))
+        stack.callback(journal.close)
+        what = ToManage(
+            robot=robot,
+            where={},
+            tasks=Tasks(robot),
+            election=claim.election,
+            computers=Computers(claim.agents),
+        )
+        it, manager = stack.enter_context(
+            managed(
+                what,
+                journal,
+                say,
+                nothing,
+                adapts=setup.adapts,
+                recorder=None,
+                begin=lambda run: start_or_take_over(run, by_force=False),
+            )
+        )
+        server = stack.enter_context(ControlServer(robot.name, takes_over=True))
+        running = stack.enter_context(Up(it, manager))
+        server.start(manager.submit)
+        running.wait()

@@ -1,0 +1,28 @@
+"""A robot whose managers follow each other: any computer may die."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from poise.emulate import probe_host
+from tests.leader_kills.kills import Kills, Report
+from tests.waiting import LONG
+
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(LONG)]
+
+
+def test_a_standby_leads_when_the_leaders_computer_dies(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if reasons := probe_host().without_network():
+        pytest.skip("; ".join(reasons))
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    with Kills(tmp_path) as kills:
+        outcome = kills.kill(kills.leader())
+        assert outcome.was_leader
+        assert outcome.lost
+        kills.kill(next(name for name in "abc" if name != kills.leader()))
+        assert not Report.of(kills).broken()
