@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import importlib
+import os
 import shutil
 import subprocess
 import sys
@@ -17,6 +18,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+import poise
+from examples.demo.waiting import measures
 from poise import (
     CalleeError,
     CannotCross,
@@ -31,18 +34,20 @@ from poise import (
     oneway,
     subscribed,
 )
+from poise.runtime.component.component import set_parameters
 from poise.runtime.component.implementation import fingerprint
 from poise.runtime.component.ports import ports_of
 from poise.runtime.execution.exclusion import new_chain
+from poise.session.placing.placement import place
 from poise.testing import Bench
+from tests.command import called
 from tests.runtime.conftest import Pair, every_kind, pair
-from tests.waiting import LIMIT, LONG, wait_until
+from tests.waiting import LIMIT, LONG, wait_long, wait_until
 
 __all__ = ["pair"]
 pytestmark = pytest.mark.slow
 ROOT = Path(__file__).parents[2]
 EXAMPLE = ROOT / "examples/cpp"
-ROBOT = (EXAMPLE / "robot.yaml").read_text()
 
 
 class Point(Message):
@@ -385,3 +390,103 @@ def test_a_bench_runs_the_examples_controller(built: Path) -> None:
             bench.send("reading", pilot.Reading(celsius, Stamp(0.0)))
     assert bench.measured["watts"] == [1000.0, 0.0]
     assert bench.component.snapshot() == pilot.Learned(gain=0.05, readings=2)
+
+
+MOVES = (
+    ("passer", "right"),
+    ("source", "right"),
+    ("passer", "left"),
+    ("source", "left"),
+)
+COUNTED = """
+robot: counted-cpp-{number}
+computers:
+  left: {{cpu: 0.8, memory: 1 GiB}}
+  right: {{cpu: 0.8, memory: 1 GiB}}
+links:
+  - {{between: [left, right], bandwidth: 100 Mbit/s}}
+architectures:
+  counted:
+    function: counting
+    home: left
+    components:
+      source: {{implementation: "mixed:CountingSource", cpu: 10%, memory: 30 MiB}}
+      passer: {{implementation: "mixed:CountingPasser", cpu: 10%, memory: 30 MiB}}
+      sink: {{implementation: "counted:Sink", cpu: 10%, memory: 30 MiB}}
+    connectors:
+      - {{between: [source.numbers, passer.numbers], message: 20 B, rate: 200 Hz}}
+      - {{between: [passer.passed, sink.passed], message: 20 B, rate: 200 Hz}}
+      - {{between: [source.doubles, passer.doubles], message: 20 B, rate: 20 Hz}}
+tasks:
+  count: {{actions: [{{name: count, functions: [counting]}}]}}
+"""
+
+
+def test_moves_lose_no_message_no_call_and_no_state(built: Path) -> None:
+    shutil.copy(ROOT / "examples/counted/counted.py", built)
+    (built / "counted.yaml").write_text(COUNTED.format(number=os.getpid()))
+    robot = poise.load(built / "counted.yaml")
+    placement = place(robot, method="static")
+    with (
+        poise.emulated(robot, say=print),
+        poise.up(robot, placement=placement, say=print) as up,
+    ):
+
+        def received(more: int) -> None:
+            goal = measures(up).get("received", 0) + more
+            wait_long(lambda: measures(up).get("received", 0) >= goal)
+
+        received(more=100)
+        for component, computer in MOVES:
+            before = measures(up)["sent"]
+            up.move(component, computer)
+            received(more=100)
+            # with a fresh state it would count from 1 again
+            assert measures(up)["sent"] > before
+        counts = measures(up)
+    assert (counts["lost"], counts["doubled"], counts["reordered"]) == (0, 0, 0)
+    assert counts["failed"] == 0
+    # one of ten numbers is doubled; the last ones may not be measured yet
+    assert counts["answered"] >= counts["sent"] // 10 - 10
+
+
+def test_the_check_compares_types_and_parameters_with_cpp(built: Path) -> None:
+    robot = built / "wrong.yaml"
+    wrong = (
+        ("pilot:Heater", "mixed:Target"),
+        ("heater.heating", "heater.sums"),
+        ("{gain: 0.05}", "{gian: 0.05}"),
+        (
+            "thermometer.reading, controller.reading",
+            "thermometer.reading, heater.number",
+        ),
+    )
+    text = (built / "robot.yaml").read_text()
+    for old, new in wrong:
+        assert old in text
+        text = text.replace(old, new)
+    robot.write_text(text)
+    said = called(["check", str(robot)])
+    assert said.returncode == 1
+    problems = said.stdout + said.stderr
+    assert "there is no parameter 'gian' (did you mean 'gain'?)" in problems
+    assert "Heating" in problems
+    assert "Sums" in problems
+    assert "Reading" in problems
+    assert "Number" in problems
+
+
+def test_parameters_are_set_while_it_runs_or_refused(built: Path) -> None:
+    del built
+    pilot = importlib.import_module("pilot")
+    with Bench(pilot.Controller, {"gain": "5 %"}, heating=None) as bench:
+        controller = bench.component
+        assert controller.parameters == pilot.Gains(gain=0.05, target=180.0)
+        set_parameters(controller, {"gain": 0.5})
+        assert controller.snapshot().gain == 0.5
+        with pytest.raises(
+            Exception, match="such a gain would make it swing"
+        ) as caught:
+            set_parameters(controller, {"gain": 5.0})
+        assert type(caught.value).__qualname__ == "std::invalid_argument"
+        assert controller.parameters.gain == 0.5

@@ -131,7 +131,7 @@ class Declaration {
   template <typename M>
   void published(const char* port, Published<M> C::*member) {
     published_[port] = detail::python_type<M>();
-    on_instance([=](C& object, const detail::Place& place) { (object.*member).attach(at(place, port)); });
+    on_instance([=](C& object, const detail::Place& place) { (object.*member).attach(place.of(port)); });
   }
 
   template <typename Interface>
@@ -139,7 +139,7 @@ class Declaration {
     required_[port] = interface_class<Interface>();
     on_instance([=](C& object, const detail::Place& place) {
       poise_visit(static_cast<Interface&>(object.*member), [&](const char* name, auto& method) {
-        method.attach(at(place, port, name));
+        method.attach(place.of(port, name));
       });
     });
     links_[port] = [=](C& object, const std::string& name, nb::handle function) {
@@ -180,12 +180,6 @@ class Declaration {
 
  private:
   using Instance = std::shared_ptr<C>;
-
-  static detail::Place at(detail::Place place, const char* port, const char* method = "") {
-    place.port = port;
-    place.method = method;
-    return place;
-  }
 
   template <typename Interface>
   static nb::object interface_class() {
@@ -322,7 +316,7 @@ class Declaration {
     object->attach(component);
     if constexpr (requires { &C::parameters; })
       object->parameters = nb::cast<decltype(C::parameters)>(component.attr("parameters"));
-    for (const auto& do_ : on_instance_) do_(*object, detail::Place{component.ptr(), "", ""});
+    for (const auto& do_ : on_instance_) do_(*object, detail::Place{component.ptr(), {}, {}});
     auto targets = std::make_unique<detail::Targets>();
     detail::Made made{nb::dict(), targets.get()};
     for (const auto& add : functions_) add(object, made);

@@ -165,6 +165,20 @@ struct TypeOf;
 template <Message T>
 const nb::object& message_class();
 
+// The names of a message's fields, as Python looks them up.
+template <Message T>
+PyObject* const* field_names() {
+  static const auto* names = [] {
+    auto* all = new std::vector<PyObject*>();
+    T message{};
+    poise_visit(message, [&](const char* name, auto&) {
+      all->push_back(PyUnicode_InternFromString(name));
+    });
+    return all;
+  }();
+  return names->data();
+}
+
 // The messages and interfaces that were made, which the module is to have as attributes.
 inline nb::dict& made_classes() {
   static auto* all = new nb::dict();
@@ -298,9 +312,10 @@ struct type_caster<T, enable_if_t<poise::Message<T>>> {
 
   bool from_python(handle source, std::uint8_t flags, cleanup_list* cleanup) noexcept {
     bool fits = true;
-    poise_visit(value, [&](const char* name, auto& field) {
+    PyObject* const* names = poise::detail::field_names<T>();
+    poise_visit(value, [&](const char*, auto& field) {
       if (!fits) return;
-      PyObject* attribute = PyObject_GetAttrString(source.ptr(), name);
+      PyObject* attribute = PyObject_GetAttr(source.ptr(), *names++);
       if (!attribute) {
         PyErr_Clear();
         fits = false;

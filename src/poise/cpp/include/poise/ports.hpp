@@ -78,12 +78,17 @@ inline std::shared_ptr<Link> link_of(nb::handle function, const std::string& lay
 // Where a port or a method of one is in Python.
 struct Place {
   PyObject* component = nullptr;  // borrowed: it owns the component in C++
-  const char* port = "";
-  const char* method = "";
+  nb::handle port, method;  // their names, interned for good
 
-  nb::object port_object() const {
+  Place of(const char* port_name, const char* method_name = "publish") const {
+    return {component, PyUnicode_InternFromString(port_name),
+            PyUnicode_InternFromString(method_name)};
+  }
+  // Call a method of the port, under the GIL.
+  template <typename... Args>
+  nb::object call(const Args&... args) const {
     if (!component) throw std::logic_error("a port is used that its component does not declare");
-    return nb::handle(component).attr(port);
+    return nb::handle(component).attr(port).attr(method)(args...);
   }
 };
 
@@ -92,14 +97,12 @@ class MethodBase {
  public:
   void attach(const Place& place) { place_ = place; }
   virtual void note(nb::handle) {}
-  const Place& place() const { return place_; }
-
  protected:
   // Call it by way of Python, under the GIL.
   template <typename... Args>
   nb::object call_in_python(const Args&... args) const {
     try {
-      return place_.port_object().attr(place_.method)(args...);
+      return place_.call(args...);
     } catch (nb::python_error& error) {
       throw_call_error(error);
     }
@@ -142,7 +145,7 @@ class Method<Result(Args...)> : public detail::MethodBase {
     if constexpr (!std::is_void_v<Result>) {
       Result value{};
       if (!nb::try_cast(result, value))
-        throw CannotCross(std::string(place_.method) + " returned a " +
+        throw CannotCross(nb::cast<std::string>(place_.method) + " returned a " +
                           nb::cast<std::string>(result.type().attr("__qualname__")));
       return value;
     }
@@ -257,7 +260,7 @@ class Published {
   // Hand a message to every subscriber, in order.
   void publish(const M& message) const {
     const nb::gil_scoped_acquire gil;
-    place_.port_object().attr("publish")(message);
+    place_.call(message);
   }
   void attach(const detail::Place& place) { place_ = place; }
 
