@@ -25,8 +25,12 @@ class Case(Struct, frozen=True):
 CASES = (
     Case("bare Python call", "bare", (64,), "bare_us", alone=True),
     Case("Poise direct call", "poise_direct", ALL, "direct_us", alone=True),
+    Case("C++ calls C++, direct", "cpp_direct", SMALL, "cpp_direct_us", alone=True),
+    Case("Python calls C++, direct", "cpp_callee", SMALL, "cpp_callee_us", alone=True),
+    Case("C++ calls Python, direct", "cpp_caller", SMALL, "cpp_caller_us", alone=True),
     Case("AF_UNIX ping-pong", "unix", key="floor_unix_us"),
     Case("Poise same computer, call", "poise_local_call", key="same_computer_us"),
+    Case("C++ same computer, call", "cpp_local_call", key="cpp_same_computer_us"),
     Case("Poise same computer, loans", "poise_local_loan", LARGE),
     Case("Poise same computer, topic", "poise_local_topic", key="local_topic_us"),
     Case("pyzmq REQ/REP over ipc", "pyzmq", key="pyzmq_us"),

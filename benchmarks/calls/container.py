@@ -138,7 +138,9 @@ def array(size: int) -> NDArray[np.uint8]:
     return np.frombuffer(bytearray(payload(size)), np.uint8)
 
 
-def connectors(kind: ConnectorKind) -> tuple[ConnectorSpec, ...]:
+def connectors(
+    kind: ConnectorKind, *, only_calls: bool = False
+) -> tuple[ConnectorSpec, ...]:
     """Return the calls' connector and the topics', there and back."""
     ports = (
         ("caller", "calls", "callee", "calls"),
@@ -158,7 +160,7 @@ def connectors(kind: ConnectorKind) -> tuple[ConnectorSpec, ...]:
             address=f"{HOST}:{PORT}/{target}" if kind == "remote" else target,
             limit=LIMIT,
         )
-        for source, port, target, target_port in ports
+        for source, port, target, target_port in ports[: 1 if only_calls else None]
     )
 
 
@@ -178,12 +180,18 @@ def activate(runner: Runner) -> None:
         time.sleep(0.005)
 
 
-def serve(kind: ConnectorKind, folder: Path, ready: Callable[[], None]) -> None:
+def serve(
+    kind: ConnectorKind,
+    folder: Path,
+    ready: Callable[[], None],
+    callee: type[Component] = Callee,
+) -> None:
     """Run the callee in a container of its own."""
     gateway = Gateway(folder, HOST, PORT) if kind == "remote" else None
-    runner = start("callee", Callee)
+    runner = start("callee", callee)
     wiring = Wiring(ConnectionServer(folder, "callee"))
-    wiring.apply(connectors(kind), {("callee", 0): runner})
+    specs = connectors(kind, only_calls=callee is not Callee)
+    wiring.apply(specs, {("callee", 0): runner})
     activate(runner)
     ready()
     threading.Event().wait()
@@ -191,13 +199,19 @@ def serve(kind: ConnectorKind, folder: Path, ready: Callable[[], None]) -> None:
 
 
 @contextmanager
-def connect(kind: ConnectorKind, folder: Path) -> Iterator[Runner]:
+def connect(
+    kind: ConnectorKind,
+    folder: Path,
+    caller: type[Component] = Caller,
+    callee: type[Component] = Callee,
+) -> Iterator[Runner]:
     """Run the caller in a container of its own, or in one with the callee."""
-    runners = {("caller", 0): start("caller", Caller)}
+    runners = {("caller", 0): start("caller", caller)}
     if kind == "direct":
-        runners["callee", 0] = start("callee", Callee)
+        runners["callee", 0] = start("callee", callee)
     wiring = Wiring(ConnectionServer(folder, "caller"))
-    wiring.apply(connectors(kind), runners)
+    only_calls = (caller, callee) != (Caller, Callee)
+    wiring.apply(connectors(kind, only_calls=only_calls), runners)
     for runner in runners.values():
         activate(runner)
     end = time.monotonic() + 10

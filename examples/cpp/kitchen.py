@@ -1,14 +1,14 @@
-"""The parts of the oven that are in Python: a thermometer, and another heater."""
+"""The parts of the oven that are in Python."""
 
 from __future__ import annotations
 
-from pilot import Heating, Reading
+from pilot import Learned, Reading
 
-from poise import Component, Provided, Published, every
+from poise import Component, Published, every, subscribed
 
 
 class Thermometer(Component):
-    """Measures the temperature of an oven that the heater warms."""
+    """Measures an oven that becomes warmer."""
 
     reading: Published[Reading]
 
@@ -16,20 +16,14 @@ class Thermometer(Component):
         self.celsius = 20.0
 
     @every(0.1, deadline=0.1)
-    def measure_now(self) -> None:
+    def look(self) -> None:
         self.celsius += 0.5
         self.reading.publish(Reading(self.celsius, self.clock.stamp()))
 
 
-class Heater(Component):
-    """Heats, in Python: swap it for `pilot:Heater`, and the calls stay in C++."""
+class Display(Component):
+    """Shows what the controller learned."""
 
-    heating: Provided[Heating]
-
-    def heat(self, power: float) -> float:
-        if not 0 <= power <= 1:
-            raise ValueError(f"power is {power}, must lie between 0 and 1")
-        return power * 2000
-
-    def note(self, text: str) -> None:
-        self.log.info("%s", text)
+    @subscribed(keep=1)
+    def learned(self, message: Learned) -> None:
+        print(f"{message.readings} readings, gain {message.gain:g}")

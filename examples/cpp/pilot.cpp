@@ -1,4 +1,4 @@
-// Keeps an oven warm: the controller of docs/writing-components.md in C++.
+// The controller of an oven, and its heater.
 #include <algorithm>
 #include <poise/component.hpp>
 
@@ -15,7 +15,7 @@ struct Heating {
 POISE_INTERFACE(Heating, heat, note)
 
 struct Gains {
-  double gain;
+  double gain = 0.05;
   double target = 180.0;  // [degrees]
 };
 POISE_PARAMETERS(Gains, gain, target)
@@ -29,45 +29,48 @@ POISE_MESSAGE(Learned, gain, readings)
 class Controller : public poise::Component {
  public:
   poise::Required<Heating> heating;
+  poise::Published<Learned> learned;
   Gains parameters;
 
-  void configure() override { learned_ = {parameters.gain, 0}; }
+  void configure() override { state_ = {parameters.gain, 0}; }
 
-  void reading(const Reading& message) {
+  void on_reading(const Reading& message) {
     if (const auto age = since(message.taken)) measure("age", age->value);
     const double missing = parameters.target - message.celsius;
     try {
-      measure("watts", heating.heat(std::clamp(learned_.gain * missing, 0.0, 1.0)));
-    } catch (const poise::CalleeError& error) {
+      measure("watts", heating.heat(std::clamp(state_.gain * missing, 0.0, 1.0)));
+    } catch (const poise::CalleeError& error) {  // it threw, or raised
       warning("the heater refused: " + error.message);
-    } catch (const poise::CallError& error) {  // Timeout, Unavailable
+    } catch (const poise::CallError& error) {  // Timeout, Unavailable, CannotCross
       warning(std::string("no heat this time: ") + error.what());
     }
-    ++learned_.readings;
+    ++state_.readings;
   }
-
-  Learned snapshot() { return learned_; }
-  void restore(const Learned& state) { learned_ = state; }
+  void tell() { learned.publish(state_); }
 
   void reconfigure(const Gains& wanted) {
     if (wanted.gain > 1) throw std::invalid_argument("such a gain would make it swing");
-    learned_.gain = wanted.gain;
+    state_.gain = wanted.gain;
   }
 
+  Learned snapshot() { return state_; }
+  void restore(const Learned& state) { state_ = state; }
+
  private:
-  Learned learned_;
+  Learned state_;
 };
 
 POISE_COMPONENT(Controller) {
   component.required("heating", &Controller::heating);
-  component.subscribed("reading", &Controller::reading, poise::keep(1));
+  component.published("learned", &Controller::learned);
+  component.subscribed("reading", &Controller::on_reading, poise::keep(1));
+  component.every(0.5, "tell", &Controller::tell, 0.5);  // period and deadline [s]
 }
 
-// The heater in C++, too: a call between both does not leave C++.
 class Heater : public poise::Component {
  public:
   double heat(double power) {
-    if (!(power >= 0.0 && power <= 1.0)) throw std::invalid_argument("power must lie in [0, 1]");
+    if (!(power >= 0 && power <= 1)) throw std::invalid_argument("power must lie in [0, 1]");
     return power * 2000;  // [W]
   }
   void note(const std::string& text) { info(text); }

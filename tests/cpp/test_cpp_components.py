@@ -455,7 +455,7 @@ def test_the_check_compares_types_and_parameters_with_cpp(built: Path) -> None:
     wrong = (
         ("pilot:Heater", "mixed:Target"),
         ("heater.heating", "heater.sums"),
-        ("{gain: 0.05}", "{gian: 0.05}"),
+        ("{gain: 5%}", "{gian: 5%}"),
         (
             "thermometer.reading, controller.reading",
             "thermometer.reading, heater.number",

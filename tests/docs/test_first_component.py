@@ -24,6 +24,14 @@ def test_the_readme_shows_the_hello_example(write_files: Write, tmp_path: Path) 
         assert (tmp_path / name).read_text() == (HELLO / name).read_text()
 
 
+def test_the_page_on_cpp_shows_its_example(write_files: Write, tmp_path: Path) -> None:
+    names = write_files("docs/cpp-components.md", tmp_path)
+    assert names == ["CMakeLists.txt", "pilot.cpp"]
+    for name in names:
+        shown, used = tmp_path / name, ROOT / "examples/cpp" / name
+        assert shown.read_text() == used.read_text()
+
+
 def test_the_first_component_has_20_lines_at_most() -> None:
     code = (HELLO / "hello.py").read_text().splitlines()
     assert len([line for line in code if line.strip()]) <= 20
