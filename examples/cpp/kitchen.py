@@ -26,4 +26,4 @@ class Display(Component):
 
     @subscribed(keep=1)
     def learned(self, message: Learned) -> None:
-        print(f"{message.readings} readings, gain {message.gain:g}")
+        self.log.info("%d readings, gain %g", message.readings, message.gain)
