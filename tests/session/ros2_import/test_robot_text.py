@@ -53,7 +53,15 @@ GRAPH = Graph(
         Topic(
             name="/scan",
             type="sensor_msgs/msg/LaserScan",
-            flows=(Flow(node="/lidar", rate=10.0, size=1500.4, stamps=STAMPS),),
+            flows=(
+                Flow(
+                    node="/lidar",
+                    rate=10.0,
+                    size=1500.4,
+                    age=Age(0.001, 0.002),
+                    stamps=STAMPS,
+                ),
+            ),
             subscribers=("/nav/localiser", "/nav/mapper", "/far"),
             quality="best effort",
         ),

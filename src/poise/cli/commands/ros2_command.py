@@ -81,11 +81,11 @@ def import_command(
         raise typer.Exit(1)
 
 
-def _keys(computers: Iterable[Computer]) -> dict[str, dict[str, str]]:
+def _keys(computers: Iterable[Computer]) -> dict[str, dict[str, str | float]]:
     """Return computers as a robot file has them."""
     return {
         each.name: {
-            "cpu": f"{each.capacity.get('cpu', 0):g}",
+            "cpu": each.capacity.get("cpu", 0.0),
             "memory": format_bytes(each.capacity.get("memory", 0)),
         }
         for each in computers

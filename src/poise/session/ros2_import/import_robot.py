@@ -6,6 +6,7 @@ import os
 import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 from msgspec import Struct
 
@@ -45,7 +46,7 @@ def import_robot(
     *,
     name: str = "ros2",
     folder: Path = Path(),
-    computers: Mapping[str, Mapping[str, str]] | None = None,
+    computers: Mapping[str, Mapping[str, Any]] | None = None,
 ) -> ImportedRobot:
     """Watch the ROS 2 graph of this environment, and return it as a robot.
 

@@ -75,17 +75,23 @@ class ProcessUsage:
     A child that is one of them counts by itself.
     """
 
-    def __init__(self, pids: Iterable[int]) -> None:
-        self.pids = frozenset(pids)
+    def __init__(self) -> None:
+        self.pids: set[int] = set()
         self._began = time.monotonic()
         self._computer = ComputerCpu()
         self._all_cpu = self._computer.read() or 0.0
-        self._cpu = {pid: self._used(pid) for pid in self.pids}
+        self._first: dict[int, tuple[float, float]] = {}
+
+    def add(self, pid: int) -> None:
+        """Measure one more from now on."""
+        self.pids.add(pid)
+        self._first.setdefault(pid, (time.monotonic(), self._used(pid)))
 
     def cpu(self, pid: int) -> float:
-        """Return the mean use since the beginning [cores]."""
-        used = self._used(pid) - self._cpu[pid]
-        return max(0.0, used) / (time.monotonic() - self._began)
+        """Return the mean use since it was added [cores]."""
+        began, before = self._first[pid]
+        elapsed = time.monotonic() - began
+        return max(0.0, self._used(pid) - before) / elapsed if elapsed > 0 else 0.0
 
     def memory(self, pid: int) -> float:
         """Return its share of the memory that it holds [bytes]."""

@@ -74,19 +74,23 @@ class _Observer:
         self._node = node
         self._probes: dict[str, TopicProbe] = {}
         self._unmeasured: dict[str, str] = {}
+        self._nodes: set[str] = set()
+        self._pids: dict[str, int] = {}
+        self._elsewhere: dict[str, str] = {}
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(node)
 
     def observe(self, seconds: float) -> Graph:
-        names = self._discover()
-        pids, elsewhere = self._processes(names)
-        usage = ProcessUsage(set(pids.values()))
+        self._discover()
+        usage = self._usage = ProcessUsage()
         began, own = time.monotonic(), process_cpu(os.getpid())
         self._measure(began + seconds)
         elapsed = time.monotonic() - began
         own_cpu = (process_cpu(os.getpid()) - own) / elapsed
+        for name in self._names() - self._nodes:
+            self._elsewhere[name] = "it has no publisher that tells its process"
         nodes: dict[int, list[str]] = defaultdict(list)
-        for name, pid in pids.items():
+        for name, pid in self._pids.items():
             nodes[pid].append(name)
         processes = [describe(p, tuple(n), usage) for p, n in nodes.items()]
         topics = tuple(self._topics(elapsed))
@@ -97,16 +101,18 @@ class _Observer:
             seconds=elapsed,
             processes=tuple(sorted(processes, key=lambda each: each.nodes)),
             topics=topics,
-            calls=tuple(self._calls(names)),
-            elsewhere=elsewhere,
-            remarks=tuple(self._changes(names)),
+            calls=tuple(self._calls(sorted(self._nodes & self._names()))),
+            elsewhere=self._elsewhere,
+            remarks=tuple(
+                f"{name} ended meanwhile" for name in self._nodes - self._names()
+            ),
             own_cpu=own_cpu,
         )
 
-    def _discover(self) -> list[str]:
-        """Wait until no more nodes are found; return their names."""
+    def _discover(self) -> None:
+        """Wait until no more nodes are found; later ones are found while measuring."""
         end = time.monotonic() + _DISCOVERY
-        found: list[str] = []
+        found: set[str] = set()
         changed = time.monotonic()
         while time.monotonic() < min(end, changed + _SETTLED) or not found:
             self._executor.spin_once(timeout_sec=0.05)
@@ -119,15 +125,13 @@ class _Observer:
                     f"{domain}: set ROS_DOMAIN_ID and the other variables of ROS 2 as "
                     "where the nodes were started"
                 )
-        return found
 
-    def _names(self) -> list[str]:
-        found = {
+    def _names(self) -> set[str]:
+        return {
             f"{namespace.rstrip('/')}/{name}"
             for name, namespace in self._node.get_node_names_and_namespaces()
             if name != _NAME and not name.startswith(("_", *_TOOLS))
         }
-        return sorted(found)
 
     def _measure(self, end: float) -> None:
         """Look at all topics until `end`."""
@@ -135,6 +139,7 @@ class _Observer:
         while (now := time.monotonic()) < end:
             if now >= looked + _POLL:
                 looked = now
+                self._find_nodes()
                 self._find_topics()
             for probe in self._probes.values():
                 probe.adjust()
@@ -186,23 +191,23 @@ class _Observer:
                 found[topic] = _Ends(types[0], publishers, subscribers)
         return found
 
-    def _processes(self, names: list[str]) -> tuple[dict[str, int], dict[str, str]]:
-        """Return node -> its process, and node -> why that is not known."""
-        endpoints = self._endpoints()
+    def _find_nodes(self) -> None:
+        """Note the processes of nodes that are new, or why they are not known."""
+        new = self._names() - self._pids.keys() - self._elsewhere.keys()
+        endpoints = self._endpoints() if new else {}
         own = endpoints.get(f"/{_NAME}")
-        pids: dict[str, int] = {}
-        elsewhere: dict[str, str] = {}
-        for name in names:
+        for name in sorted(new):
             info = endpoints.get(name)
             if info is None or own is None:
-                elsewhere[name] = "it has no publisher that tells its process"
-            elif _host(info) != _host(own):
-                elsewhere[name] = "it runs on another computer"
+                continue  # it is not known whole yet
+            self._nodes.add(name)
+            if _host(info) != _host(own):
+                self._elsewhere[name] = "it runs on another computer"
             elif (pid := find_pid(_low_id(info))) is None:
-                elsewhere[name] = "its process is not visible here"
+                self._elsewhere[name] = "its process is not visible here"
             else:
-                pids[name] = pid
-        return pids, elsewhere
+                self._pids[name] = pid
+                self._usage.add(pid)
 
     def _endpoints(self) -> dict[str, TopicEndpointInfo]:
         """Return node -> one of its publishers; nearly every node has one of these."""
@@ -249,15 +254,6 @@ class _Observer:
                 clients=tuple(sorted(clients[key])),
                 servers=tuple(sorted(servers[key])),
             )
-
-    def _changes(self, before: list[str]) -> Iterator[str]:
-        after = self._names()
-        for name in before:
-            if name not in after:
-                yield f"{name} ended meanwhile"
-        for name in after:
-            if name not in before:
-                yield f"{name} began meanwhile, and is missing: import again"
 
 
 def _full_name(info: TopicEndpointInfo) -> str:

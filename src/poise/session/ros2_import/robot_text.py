@@ -38,7 +38,7 @@ class RobotText:
         self,
         graph: Graph,
         robot: str,
-        computers: Mapping[str, Mapping[str, str]],
+        computers: Mapping[str, Mapping[str, Any]],
         here: Surroundings,
     ) -> None:
         self._graph, self._robot = graph, robot
@@ -230,7 +230,7 @@ def hardware_keys(graph: Graph) -> dict[str, Any]:
         "memory": computer.other_memory / computer.memory if computer.memory else 0.0,
     }
     return {
-        "cpu": f"{computer.cores:g}",
+        "cpu": computer.cores,
         "memory": format_bytes(computer.memory),
         "reserve": {key: f"{min(share, 0.95):.0%}" for key, share in shares.items()},
     }

@@ -59,10 +59,11 @@ def _next_of(flow: Flow, topic: Topic, topics: Sequence[Topic]) -> bool:
 
 
 def _passes_on(source: Flow, result: Flow) -> bool:
-    """Whether nearly all stamps of `result` are stamps of `source`."""
+    """Whether nearly all stamps of `result` are stamps of `source`, and older then."""
     known = set(source.stamps)
-    if not known:
+    if not (known and source.age and result.age):
         return False
     comparable = [each for each in result.stamps if min(known) <= each <= max(known)]
     equal = sum(stamp in known for stamp in comparable)
-    return len(comparable) >= _FEWEST and equal >= _SHARE * len(comparable)
+    is_same = len(comparable) >= _FEWEST and equal >= _SHARE * len(comparable)
+    return is_same and source.age.median < result.age.median
