@@ -195,7 +195,10 @@ def everything(array: NDArray[np.float32]) -> Everything:
 @pytest.fixture(scope="module")
 def built(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """Build the example and the components beside this file, in a fresh folder."""
-    missing = [tool for tool in ("c++", "cmake") if not shutil.which(tool)]
+    # of the test's own environment first
+    path = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
+    tools = {tool: shutil.which(tool, path=path) for tool in ("c++", "cmake")}
+    missing = [tool for tool, place in tools.items() if not place]
     if missing:
         pytest.skip(f"components in C++ cannot be built: no {' and no '.join(missing)}")
     folder = tmp_path_factory.mktemp("cpp")
@@ -212,7 +215,7 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     defined = [f"-D{name}={value}" for name, value in options.items()]
     for words in (["-S", ".", "-B", "build", *defined], ["--build", "build", "-j2"]):
         run = subprocess.run(
-            ["cmake", *words],
+            [str(tools["cmake"]), *words],
             cwd=folder,
             capture_output=True,
             text=True,
@@ -414,9 +417,9 @@ architectures:
       passer: {{implementation: "mixed:CountingPasser", cpu: 10%, memory: 30 MiB}}
       sink: {{implementation: "counted:Sink", cpu: 10%, memory: 30 MiB}}
     connectors:
-      - {{between: [source.numbers, passer.numbers], message: 20 B, rate: 200 Hz}}
-      - {{between: [passer.passed, sink.passed], message: 20 B, rate: 200 Hz}}
-      - {{between: [source.doubles, passer.doubles], message: 20 B, rate: 20 Hz}}
+      - {{between: [source.numbers, passer.numbers], rate: 200 Hz, limit: 5 s}}
+      - {{between: [passer.passed, sink.passed], rate: 200 Hz, limit: 5 s}}
+      - {{between: [source.doubles, passer.doubles], rate: 20 Hz, limit: 5 s}}
 tasks:
   count: {{actions: [{{name: count, functions: [counting]}}]}}
 """
