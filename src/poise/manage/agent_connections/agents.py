@@ -206,7 +206,16 @@ class Agents(AgentReports):
         with self._changed:
             away = self._lost.keys() | self._silent.keys()
             reached = [s for name, s in self._statuses.items() if name not in away]
+            if self.election is not None and self._claimed:
+                # its agent takes none of this term any more, whoever leads
+                voted = [s.manager for s in reached if s.manager is not None]
+                later = [m for m in voted if self._is_overtaken_by(m)]
+                if later:
+                    return max(later, key=lambda manager: manager.rank)
             return gives_way_to(self.manager, self._claimed, self._told, reached)
+
+    def _is_overtaken_by(self, other: ManagerId) -> bool:
+        return other.key != self.manager.key and other.term >= self.manager.term
 
     def wait_alive(
         self,
