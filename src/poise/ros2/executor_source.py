@@ -14,7 +14,7 @@ from poise.runtime.execution.mailbox import Work
 
 
 class ExecutorSource:
-    """One node's executor as a `Source` of work."""
+    """One node's executor as a `WorkSource` of work."""
 
     def __init__(self, node: Any, give_up: Callable[[str], None]) -> None:  # noqa: ANN401, a node
         from rclpy import executors  # noqa: PLC0415, only where a node runs

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from poise.session.ros2_import.command_entry import (
-    Surroundings,
+    WhereImported,
     component_name,
     name_of,
     parameters_in,
@@ -31,7 +31,7 @@ def read(file: str) -> str:
     raise FileNotFoundError(file)
 
 
-HERE = Surroundings(
+HERE = WhereImported(
     folder="/home/me/robot",
     environment={"ROS_DOMAIN_ID": "3"},
     python="/venv/bin/python",

@@ -11,7 +11,7 @@ from msgspec.structs import replace
 from poise import plan
 from poise.model import load
 from poise.plan import problem_of
-from poise.session.ros2_import.command_entry import Surroundings
+from poise.session.ros2_import.command_entry import WhereImported
 from poise.session.ros2_import.graph_records import (
     Age,
     Call,
@@ -99,7 +99,7 @@ GRAPH = Graph(
     elsewhere={"/far": "it runs on another computer"},
     remarks=("/gone ended meanwhile",),
 )
-HERE = Surroundings(
+HERE = WhereImported(
     folder="/robot", environment={}, python="/usr/bin/python3", read=lambda file: file
 )
 

@@ -26,7 +26,7 @@ from poise.runtime.component.started_calls import (
     StartedCall,
     StartedCalls,
 )
-from poise.runtime.execution.mailbox import Source
+from poise.runtime.execution.mailbox import WorkSource
 from poise.suggest import did_you_mean, listed
 from poise.wire.connections import connection
 
@@ -50,7 +50,7 @@ class Context(Struct, frozen=True, kw_only=True):
     `give_up`: ends the container, for this reason; the agent starts it again.
     `request`: takes what it wants done, and with which task.
     `calls`: those that it starts without waiting.
-    `listen`: lets its thread get work from a `Source`, too; None: no more.
+    `listen`: lets its thread get work from a `WorkSource`, too; None: no more.
     `takes_over`: whether it is about to go on with the work of its predecessor.
     """
 
@@ -63,7 +63,7 @@ class Context(Struct, frozen=True, kw_only=True):
     give_up: Callable[[str], None] = lambda _: None
     request: Callable[[Verb, str], None] = lambda *_: None
     calls: StartedCalls = ImmediateCalls()
-    listen: Callable[[Source | None], None] = lambda _: None
+    listen: Callable[[WorkSource | None], None] = lambda _: None
     takes_over: Callable[[], bool] = lambda: False
 
 

@@ -28,7 +28,7 @@ Work = tuple[str, Callable[[], object]]
 """What there is to do, and the code of the component that does it."""
 
 
-class Source(Protocol):
+class WorkSource(Protocol):
     """Where a component's thread gets work from besides its ports."""
 
     def wait(self, limit: float | None) -> Work | None:
@@ -41,7 +41,7 @@ class Source(Protocol):
 class Filled:
     """Which queues have a message; whoever fills one wakes the source, too."""
 
-    source: Source | None = None
+    source: WorkSource | None = None
 
     def __init__(self) -> None:
         self._queue: SimpleQueue[Inbox | None] = SimpleQueue()
@@ -217,7 +217,7 @@ class Mailbox:
         """Let `next` and `work` return."""
         self._filled.put(None)
 
-    def listen(self, source: Source | None) -> None:
+    def listen(self, source: WorkSource | None) -> None:
         """Let `work` come from a source, too; None: no more."""
         self._filled.source = source
 

@@ -121,7 +121,7 @@ def _sections_of(
     return found
 
 
-class Surroundings(Struct, frozen=True, kw_only=True):
+class WhereImported(Struct, frozen=True, kw_only=True):
     """Where a robot file will be started from.
 
     `folder` is the robot file's, `environment` what matters to ROS 2 there, and
@@ -134,7 +134,7 @@ class Surroundings(Struct, frozen=True, kw_only=True):
     read: ReadFile
 
 
-def start_of(process: NodeProcess, here: Surroundings) -> Start:
+def start_of(process: NodeProcess, here: WhereImported) -> Start:
     """Return the keys of a component that start a process again."""
     if not process.arguments:
         return Start(remarks=("its command line cannot be read",))
@@ -162,7 +162,7 @@ def start_of(process: NodeProcess, here: Surroundings) -> Start:
 
 
 def _program(
-    process: NodeProcess, found: RosArguments, here: Surroundings
+    process: NodeProcess, found: RosArguments, here: WhereImported
 ) -> dict[str, Any]:
     """Return package and executable, or else what starts the same program."""
     path = PurePosixPath(found.program[-1])
@@ -188,7 +188,7 @@ def _relative(file: str, folder: str, to: str) -> str:
 
 
 def _parameters(
-    process: NodeProcess, found: RosArguments, here: Surroundings, remarks: list[str]
+    process: NodeProcess, found: RosArguments, here: WhereImported, remarks: list[str]
 ) -> tuple[dict[str, Any], list[str]]:
     """Return parameters of files that may vanish, and the other files."""
     params: dict[str, Any] = {}

@@ -11,7 +11,7 @@ from typing import Any
 from msgspec import Struct
 
 from poise.errors import RunError
-from poise.session.ros2_import.command_entry import Surroundings
+from poise.session.ros2_import.command_entry import WhereImported
 from poise.session.ros2_import.graph_records import Graph
 from poise.session.ros2_import.node_processes import relevant
 from poise.session.ros2_import.robot_text import RobotText, hardware_keys
@@ -75,7 +75,7 @@ def import_robot(
             "or in an environment with `pip install 'poise[ros2]'`"
         ) from error
     graph = observe(seconds)
-    here = Surroundings(
+    here = WhereImported(
         folder=str(folder.resolve()),
         environment=relevant(os.environ),
         python=sys.executable,

@@ -8,7 +8,7 @@ from typing import Any
 import yaml
 
 from poise.session.ros2_import.command_entry import (
-    Surroundings,
+    WhereImported,
     component_name,
     name_of,
     start_of,
@@ -39,7 +39,7 @@ class RobotText:
         graph: Graph,
         robot: str,
         computers: Mapping[str, Mapping[str, Any]],
-        here: Surroundings,
+        here: WhereImported,
     ) -> None:
         self._graph, self._robot = graph, robot
         self._computers, self._here = computers, here
