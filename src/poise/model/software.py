@@ -145,6 +145,7 @@ class ComponentCode(Struct, frozen=True, kw_only=True):
     # timer, subscribed or provided port -> the ports that its code may publish or call
     # on
     sends: Mapping[str, tuple[str, ...]] = {}
+    ports: Mapping[str, PortKind] = {}
 
 
 class ConnectorEnd(Struct, frozen=True):

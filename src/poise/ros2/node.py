@@ -53,7 +53,7 @@ class RosNode(Component):
     def activate(self) -> None:
         """Begin to run its callbacks; what its predecessor had is not taken again."""
         if self._context.takes_over():
-            self._drop_what_came()
+            ros_context.drop_what_came(self.node)
         self._transit("activate")
         self._context.listen(self._source)
 
@@ -112,19 +112,6 @@ class RosNode(Component):
         result = trigger()
         if result.name != "SUCCESS":
             raise RobotError(f"the lifecycle node's on_{name} returned {result.name}")
-
-    def _drop_what_came(self) -> None:
-        """Drop what its predecessor took, too, while this one was made ready."""
-        for subscription in self.node.subscriptions:
-            if subscription.qos_profile.durability.name != "TRANSIENT_LOCAL":
-                with subscription.handle:
-                    while subscription.handle.take_message(subscription.msg_type, True):
-                        pass
-        for service in self.node.services:
-            with service.handle:
-                kind = service.srv_type.Request
-                while service.handle.service_take_request(kind) != (None, None):
-                    pass
 
 
 def _made(make: Callable[[], Any], reference: str) -> Any:  # noqa: ANN401, a node

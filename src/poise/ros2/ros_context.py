@@ -66,6 +66,32 @@ def arguments_given(arguments: Sequence[str]) -> Iterator[None]:
         _arguments.reset(token)
 
 
+def node_of(name: str) -> Any:  # noqa: ANN401, a node
+    """Return a node for Poise's own use, with nothing but what it is asked for."""
+    from rclpy.node import Node  # noqa: PLC0415, only where a node runs
+
+    return Node(
+        name,
+        enable_rosout=False,
+        start_parameter_services=False,
+        use_global_arguments=False,
+    )
+
+
+def drop_what_came(node: Any) -> None:  # noqa: ANN401, a node
+    """Drop what a node's predecessor took, too, while this one was made ready."""
+    for subscription in node.subscriptions:
+        if subscription.qos_profile.durability.name != "TRANSIENT_LOCAL":
+            with subscription.handle:
+                while subscription.handle.take_message(subscription.msg_type, True):
+                    pass
+    for service in node.services:
+        with service.handle:
+            kind = service.srv_type.Request
+            while service.handle.service_take_request(kind) != (None, None):
+                pass
+
+
 def _let_arguments_be_given() -> None:
     from rclpy.node import Node  # noqa: PLC0415, only where a node runs
 

@@ -140,6 +140,7 @@ def code_of(entry: ComponentEntry, folder: str) -> ComponentCode:
             name: tuple(sorted(out & _names_in(code, methods)))
             for name, methods in handlers.items()
         },
+        ports={name: port.kind for name, port in ports.items()},
     )
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from msgspec.structs import replace
 
 from poise.errors import FileProblem, RobotError
+from poise.model.check.ros2_components import with_code as connected
 from poise.model.load import Source, load_source
 from poise.model.robot import Robot
 from poise.model.yaml.tree import Finding
@@ -83,7 +84,7 @@ def _checked(
     if findings:
         problems = sorted(map(source.positions.problem, findings))
         raise RobotError(problems=problems)
-    return replace(source, robot=replace(source.robot, code=found.code))
+    return replace(source, robot=connected(source.robot, found.code))
 
 
 def check_late_chains(robot: Robot) -> Iterator[Finding]:
@@ -110,7 +111,7 @@ def with_code(robot: Robot) -> Robot:
     """Return the robot with what its classes declare, unless its code is wrong."""
     if robot.code:
         return robot
-    return replace(robot, code=check_code_isolated(robot).code)
+    return connected(robot, check_code_isolated(robot).code)
 
 
 def task_of(robot: Robot, task: str | None) -> str:

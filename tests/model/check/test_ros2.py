@@ -121,8 +121,9 @@ def test_a_bridge_becomes_a_component_beside_the_one_with_the_port(
     robot = of(
         tmp_path, f"{HEAD}{DRIVE}ros2: {{bridges: [{{ros2: /a, port: drive.a}}]}}\n"
     )
-    (bridge,) = robot.component("drive-ros2").parameters["bridges"]
-    assert (bridge["ros2"], bridge["port"]) == ("/a", "a")
+    bridge = robot.component("drive-a-ros2")
+    assert bridge.parameters["port"] == "a"
+    assert [each["ros2"] for each in bridge.parameters["bridges"]] == ["/a"]
 
 
 def test_computers_find_each_other_by_their_addresses(tmp_path: Path) -> None:

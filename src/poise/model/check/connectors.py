@@ -20,6 +20,7 @@ from poise.model.check.names import (
     components,
     connectors,
 )
+from poise.model.check.ros2_components import bridge_of
 from poise.model.robot import Architecture, Connector, ConnectorEnd, PortKind, Robot
 from poise.model.yaml.tree import Finding, Path
 from poise.suggest import did_you_mean, unknown
@@ -165,6 +166,8 @@ def _are_alternatives(robot: Robot, *connectors: Connector) -> bool:
 def check_unconnected(robot: Robot, ports: Ports) -> Iterator[Finding]:
     """Yield the required ports and subscriptions that no connector joins."""
     joined = {str(end) for _, _, each in connectors(robot) for end in each.between}
+    for bridge in robot.ros2.bridges:  # connected when the code is known
+        joined |= {str(bridge.port), f"{bridge_of(bridge.port)}.{bridge.port.port}"}
     if robot.workload is not None:  # these get messages while they are measured
         joined |= {str(each.port) for each in robot.workload.generate}
     for path, _, component in components(robot):

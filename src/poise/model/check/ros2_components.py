@@ -14,13 +14,16 @@ from msgspec.structs import replace
 
 from poise.endpoint import Endpoint
 from poise.model.check.names import component_names, components, connectors
-from poise.model.robot import ComponentEntry, Connector, Robot
+from poise.model.robot import ComponentEntry, Connector, ConnectorEnd, Robot
 from poise.model.ros2_bridge import Ros2Bridge
+from poise.model.software import ComponentCode
 from poise.model.yaml.tree import Finding
 from poise.suggest import unknown
 
 NODE = "poise.ros2.node:RosNode"
 BRIDGE = "poise.ros2.bridge:Bridge"
+_NEAR = 1.0
+"""The overhead of a connector to a bridge, so that it is placed beside the port."""
 
 
 def check_ros2(robot: Robot) -> Iterator[Finding]:
@@ -77,7 +80,7 @@ def _wrong_topic(robot: Robot, connector: Connector) -> Iterator[str]:
 
 def _wrong_bridge(robot: Robot, bridge: Ros2Bridge) -> Iterator[str]:
     end, names = bridge.port, component_names(robot)
-    name = bridge_of(end.component)
+    name = bridge_of(end)
     if end.component not in names:
         yield unknown("component", end.component, names)
         return
@@ -89,9 +92,9 @@ def _wrong_bridge(robot: Robot, bridge: Ros2Bridge) -> Iterator[str]:
         yield f"its bridge is called '{name}', as another component is: rename that"
 
 
-def bridge_of(component: str) -> str:
-    """Return the name of the component that bridges another's ports."""
-    return f"{component}-ros2"
+def bridge_of(port: ConnectorEnd) -> str:
+    """Return the name of the component that bridges a port."""
+    return f"{port.component}-{port.port}-ros2"
 
 
 def with_ros2(robot: Robot) -> Robot:
@@ -99,22 +102,54 @@ def with_ros2(robot: Robot) -> Robot:
     environment = ros2_environment(robot)
     bridges: dict[str, list[Ros2Bridge]] = {}
     for bridge in robot.ros2.bridges:
-        bridges.setdefault(bridge.port.component, []).append(bridge)
-    architectures = tuple(
-        replace(
-            architecture,
-            components=(
-                *(_with_node(entry, environment) for entry in architecture.components),
-                *(
-                    _bridge(entry, bridges[entry.name], environment)
-                    for entry in architecture.components
-                    if entry.name in bridges
+        bridges.setdefault(str(bridge.port), []).append(bridge)
+    return replace(
+        robot,
+        architectures=tuple(
+            replace(
+                architecture,
+                components=(
+                    *(
+                        _with_node(each, environment)
+                        for each in architecture.components
+                    ),
+                    *(
+                        _bridge(entry, lines, environment)
+                        for entry in architecture.components
+                        for lines in bridges.values()
+                        if lines[0].port.component == entry.name
+                    ),
                 ),
-            ),
-        )
-        for architecture in robot.architectures
+            )
+            for architecture in robot.architectures
+        ),
     )
-    return replace(robot, architectures=architectures)
+
+
+def with_code(robot: Robot, code: Mapping[str, ComponentCode]) -> Robot:
+    """Return the robot with what its classes declare, and its bridges connected.
+
+    Only the code says which end of a bridge publishes or calls.
+    """
+    ports = {str(bridge.port): bridge.port for bridge in robot.ros2.bridges}
+    architectures = []
+    for architecture in robot.architectures:
+        names = {component.name for component in architecture.components}
+        joined = tuple(
+            _to_bridge(port, code)
+            for port in ports.values()
+            if port.component in names and port.component in code
+        )
+        connectors = (*architecture.connectors, *joined)
+        architectures.append(replace(architecture, connectors=connectors))
+    return replace(robot, architectures=tuple(architectures), code=code)
+
+
+def _to_bridge(port: ConnectorEnd, code: Mapping[str, ComponentCode]) -> Connector:
+    ends = port, ConnectorEnd(bridge_of(port), port.port)
+    if code[port.component].ports[port.port] in {"subscribes", "provides"}:
+        ends = ends[1], ends[0]
+    return Connector(between=ends, overhead=_NEAR)
 
 
 def _with_node(entry: ComponentEntry, environment: Mapping[str, str]) -> ComponentEntry:
@@ -137,16 +172,15 @@ def _bridge(
     entry: ComponentEntry, bridges: list[Ros2Bridge], environment: Mapping[str, str]
 ) -> ComponentEntry:
     return ComponentEntry(
-        name=bridge_of(entry.name),
+        name=bridge_of(bridges[0].port),
         implementation=BRIDGE,
         only=entry.only,
         movable=entry.movable,
         when_cut_off=entry.when_cut_off,
         parameters={
             "of": entry.implementation,
-            "bridges": [
-                {**to_builtins(bridge), "port": bridge.port.port} for bridge in bridges
-            ],
+            "port": bridges[0].port.port,
+            "bridges": [{**to_builtins(bridge), "port": ""} for bridge in bridges],
             "environment": dict(environment),
         },
     )
