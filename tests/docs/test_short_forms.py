@@ -44,6 +44,7 @@ ROBOTS = {
     "benchmarks.moves": "--quick --json",
     "benchmarks.prefetch": "--seconds 5 --json",
     "benchmarks.priorities": "--rounds 1 --seconds 2",
+    "benchmarks.ros2_bridge": "--quick",
     "benchmarks.simulation": "--seconds 3 --only two --json",
     "benchmarks.starvation": "",
     "benchmarks.takeover": "--moves 5 --json",

@@ -18,7 +18,7 @@ from msgspec import Struct
 from poise.clock import ComponentClock, SystemClock
 from poise.errors import CallError, RobotError, Timeout, Unavailable
 from poise.ros2 import ros_context
-from poise.ros2.conversion import Conversions, Convert, Pair
+from poise.ros2.conversion import Conversion, Conversions, Convert
 from poise.ros2.executor_source import ExecutorSource
 from poise.ros2.interfaces import interface, named
 from poise.runtime.component.component import Component, time_left
@@ -38,7 +38,7 @@ _LONGEST = 3600.0
 """A call without a limit waits this long for ROS 2 [s]."""
 
 
-class Entry(Struct, frozen=True, kw_only=True):
+class BridgeLine(Struct, frozen=True, kw_only=True):
     """One line of `bridges` in the robot file."""
 
     ros2: str
@@ -69,7 +69,7 @@ class Bridge(Component):
     """The other end of the port that its parameters name."""
 
     port: ClassVar[Port]
-    entries: ClassVar[Sequence[Entry]]
+    entries: ClassVar[Sequence[BridgeLine]]
 
     @classmethod
     def __poise_specialised__(
@@ -84,7 +84,10 @@ class Bridge(Component):
                 f"'{parameters['of']}' has no port '{name}'"
                 f"{did_you_mean(name, ports)}; ports: {listed(ports)}"
             )
-        port, entries = ports[name], msgspec.convert(parameters["bridges"], list[Entry])
+        port, entries = (
+            ports[name],
+            msgspec.convert(parameters["bridges"], list[BridgeLine]),
+        )
         base, kind, declaring = _SIDES[port.kind]
         entries = [_full(port, kind, entry) for entry in entries]
         own = {"port": port, "entries": entries, **declaring(port, entries)}
@@ -137,7 +140,7 @@ class ToTopics(Bridge):
     """Subscribes to the port, and publishes in ROS 2."""
 
     @classmethod
-    def conversions(cls, clock: ComponentClock) -> list[Pair]:
+    def conversions(cls, clock: ComponentClock) -> list[Conversion]:
         """Return how the messages of each entry are converted."""
         of = Conversions(clock).of
         return [of(cls.port.type, interface(entry.type)) for entry in cls.entries]
@@ -150,7 +153,7 @@ class ToTopics(Bridge):
     def listen(self) -> None:
         """Do not wait for ROS 2, from where nothing comes."""
 
-    def _publish_of(self, entry: Entry) -> Convert:
+    def _publish_of(self, entry: BridgeLine) -> Convert:
         kind = interface(entry.type)
         publisher = self.node.create_publisher(kind, entry.ros2, entry.qos())
         return publisher.publish  # type: ignore[no-any-return]
@@ -172,7 +175,9 @@ class FromTopics(ToTopics):
         """Let callbacks run on the component's thread."""
         Bridge.listen(self)
 
-    def _subscribe(self, entry: Entry, from_ros: Convert, less: dict[str, str]) -> None:
+    def _subscribe(
+        self, entry: BridgeLine, from_ros: Convert, less: dict[str, str]
+    ) -> None:
         """Subscribe; with `less` when a publisher offers no more, which is said."""
         from rclpy.event_handler import SubscriptionEventCallbacks  # noqa: PLC0415, only where a node runs
 
@@ -214,8 +219,8 @@ class Service(NamedTuple):
     name: str
     kind: Any  # the generated class
     arguments: type[Struct]
-    request: Pair
-    response: Pair
+    request: Conversion
+    response: Conversion
     is_plain: bool  # whether the method returns one value, and no message
     answer: type[Struct] | None  # what it returns; None: nothing
 
@@ -309,7 +314,7 @@ class AsksRos(Services):
 
 
 def _service(
-    port: type, known: Sequence[str], entry: Entry, clock: ComponentClock
+    port: type, known: Sequence[str], entry: BridgeLine, clock: ComponentClock
 ) -> Service:
     """Return a method as a service, or RobotError when it does not fit."""
     if entry.method not in known:
@@ -341,10 +346,10 @@ def _service(
     )
 
 
-_NOTHING = Pair(lambda _: None, lambda _: None)
+_NOTHING = Conversion(lambda _: None, lambda _: None)
 
 
-def _taking(port: Port, entries: Sequence[Entry]) -> dict[str, Any]:
+def _taking(port: Port, entries: Sequence[BridgeLine]) -> dict[str, Any]:
     def take(self: Any, message: Any) -> None:  # noqa: ANN401, as the port says
         self._take(message)
 
@@ -353,7 +358,7 @@ def _taking(port: Port, entries: Sequence[Entry]) -> dict[str, Any]:
     return {f"take_{port.name}": subscribed(port.name, keep=keep)(take)}
 
 
-def _answering(port: Port, entries: Sequence[Entry]) -> dict[str, Any]:
+def _answering(port: Port, entries: Sequence[BridgeLine]) -> dict[str, Any]:
     lacking = sorted(set(methods_of(port.type)) - {e.method for e in entries})
     if lacking:
         raise RobotError(
@@ -384,7 +389,7 @@ _SIDES: Mapping[str, tuple[type[Bridge], str, Callable[..., dict[str, Any]]]] = 
 """The kind of a port -> what bridges it, and how that declares its own port."""
 
 
-def _full(port: Port, kind: str, entry: Entry) -> Entry:
+def _full(port: Port, kind: str, entry: BridgeLine) -> BridgeLine:
     """Return an entry with its type, and its method."""
     full = entry.type or named(port.type.__qualname__, kind)
     if full.split("/")[1] != kind:

@@ -38,7 +38,7 @@ _NANO = 1_000_000_000
 Convert = Callable[[Any], Any]
 
 
-class Pair(NamedTuple):
+class Conversion(NamedTuple):
     """How a value goes to ROS 2, and how it comes from there."""
 
     to_ros: Convert
@@ -52,7 +52,7 @@ class Conversions:
         self._clock = clock
         self._problems: list[str] = []
 
-    def of(self, message: type[Any], ros: Any) -> Pair:  # noqa: ANN401, a generated class
+    def of(self, message: type[Any], ros: Any) -> Conversion:  # noqa: ANN401, a generated class
         """Return the conversion of a message, or RobotError with all that misfits."""
         self._problems = []
         pair = self._message(message, ros, message.__qualname__)
@@ -60,11 +60,11 @@ class Conversions:
             raise RobotError("; ".join(self._problems))
         return pair
 
-    def _wrong(self, where: str, text: str) -> Pair:
+    def _wrong(self, where: str, text: str) -> Conversion:
         self._problems.append(f"{where}: {text}")
         return _SAME
 
-    def _message(self, message: type[Any], ros: Any, where: str) -> Pair:  # noqa: ANN401
+    def _message(self, message: type[Any], ros: Any, where: str) -> Conversion:  # noqa: ANN401
         kinds = ros.get_fields_and_field_types()
         header = _class_of(kinds["header"]) if "header" in kinds else None
         inner = header.get_fields_and_field_types() if header else {}
@@ -97,9 +97,9 @@ class Conversions:
                 }
             )
 
-        return Pair(to_ros, from_ros)
+        return Conversion(to_ros, from_ros)
 
-    def _value(self, hint: Any, kind: str, where: str) -> Pair:  # noqa: ANN401, a type
+    def _value(self, hint: Any, kind: str, where: str) -> Conversion:  # noqa: ANN401, a type
         if hint is Stamp or kind == "builtin_interfaces/Time":
             return self._time(hint, kind, where)
         if kind == "builtin_interfaces/Duration":
@@ -112,23 +112,23 @@ class Conversions:
             return self._wrong(where, f"is {_shown(hint)}, but a {kind} in ROS 2")
         return self._single(hint, kind, where)
 
-    def _single(self, hint: Any, kind: str, where: str) -> Pair:  # noqa: ANN401, a type
+    def _single(self, hint: Any, kind: str, where: str) -> Conversion:  # noqa: ANN401, a type
         kind = kind.partition("<")[0]
         wanted = _PLAIN.get(kind) or (float if kind in {"float", "double"} else int)
         if isinstance(hint, type) and issubclass(hint, enum.Enum):
-            return Pair(lambda value: value.value, hint)
+            return Conversion(lambda value: value.value, hint)
         if get_origin(hint) is Literal and type(get_args(hint)[0]) is wanted:
             return _SAME
         if hint is wanted or (hint is float and wanted is int):
-            return Pair(wanted, hint)
+            return Conversion(wanted, hint)
         return self._wrong(where, f"is {_shown(hint)}, but a {kind} in ROS 2")
 
-    def _several(self, hint: Any, of: str, kind: str, where: str) -> Pair:  # noqa: ANN401
+    def _several(self, hint: Any, of: str, kind: str, where: str) -> Conversion:  # noqa: ANN401
         origin, arguments = get_origin(hint), get_args(hint)
         if of in _CODES and getattr(origin, "__name__", "") == "ndarray":
             return self._numbers(arguments, of, kind, where)
         if of in {"uint8", "char"} and hint is bytes:
-            return Pair(lambda value: array.array("B", value), bytes)
+            return Conversion(lambda value: array.array("B", value), bytes)
         if origin not in {list, tuple} or not arguments:
             return self._wrong(where, f"is {_shown(hint)}, but {kind} in ROS 2")
         each = self._value(arguments[0], of, f"{where}[]")
@@ -136,9 +136,9 @@ class Conversions:
         def from_ros(values: Any) -> Any:  # noqa: ANN401, a sequence
             return origin(map(each.from_ros, values))
 
-        return Pair(lambda values: [*map(each.to_ros, values)], from_ros)
+        return Conversion(lambda values: [*map(each.to_ros, values)], from_ros)
 
-    def _numbers(self, arguments: Any, of: str, kind: str, where: str) -> Pair:  # noqa: ANN401
+    def _numbers(self, arguments: Any, of: str, kind: str, where: str) -> Conversion:  # noqa: ANN401
         """Return the conversion of an array of numbers, which are not looked at."""
         import numpy as np  # noqa: PLC0415, only a robot with arrays needs it
 
@@ -165,9 +165,9 @@ class Conversions:
             made.flags.writeable = False
             return made
 
-        return Pair(to_sequence if kind.startswith("seq") else to_fixed, from_ros)
+        return Conversion(to_sequence if kind.startswith("seq") else to_fixed, from_ros)
 
-    def _time(self, hint: Any, kind: str, where: str) -> Pair:  # noqa: ANN401, a type
+    def _time(self, hint: Any, kind: str, where: str) -> Conversion:  # noqa: ANN401, a type
         if hint is not Stamp or kind != "builtin_interfaces/Time":
             return self._wrong(where, f"is {_shown(hint)}, but {kind} in ROS 2")
         time_of, clock = _class_of(kind), self._clock
@@ -183,9 +183,9 @@ class Conversions:
             age = wall_time() - time.sec - time.nanosec / _NANO
             return clock.stamp(clock.now() - age)
 
-        return Pair(to_ros, from_ros)
+        return Conversion(to_ros, from_ros)
 
-    def _duration(self, hint: Any, where: str) -> Pair:  # noqa: ANN401, a type
+    def _duration(self, hint: Any, where: str) -> Conversion:  # noqa: ANN401, a type
         if hint is not float:
             return self._wrong(where, f"is {_shown(hint)}, but a Duration: float [s]")
         duration_of = _class_of("builtin_interfaces/Duration")
@@ -194,14 +194,14 @@ class Conversions:
             sec, nanosec = divmod(round(seconds * _NANO), _NANO)
             return duration_of(sec=sec, nanosec=nanosec)
 
-        return Pair(to_ros, lambda value: value.sec + value.nanosec / _NANO)
+        return Conversion(to_ros, lambda value: value.sec + value.nanosec / _NANO)
 
 
 def _same(value: Any) -> Any:  # noqa: ANN401, any value
     return value
 
 
-_SAME = Pair(_same, _same)
+_SAME = Conversion(_same, _same)
 
 
 def _hints(message: type[Any]) -> dict[str, Any]:
