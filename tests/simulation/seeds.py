@@ -19,5 +19,9 @@ def chunk(seeds: Iterable[int], *, elects: bool = False) -> list[RunOutcome]:
 
 def run(seed: int, *, elects: bool = False) -> RunOutcome:
     """Run one seed; what agents log about their containers is in the trace."""
+    before = logging.root.manager.disable
     logging.disable(logging.CRITICAL)
-    return simulate(small_scenario(SECONDS, elects=elects), seed)
+    try:
+        return simulate(small_scenario(SECONDS, elects=elects), seed)
+    finally:
+        logging.disable(before)
