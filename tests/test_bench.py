@@ -4,7 +4,16 @@ from __future__ import annotations
 
 import pytest
 
-from poise import Component, Message, Published, Required, every, subscribed
+from poise import (
+    Component,
+    Message,
+    Published,
+    Required,
+    every,
+    found,
+    lost,
+    subscribed,
+)
 from poise.errors import UsageError
 from poise.testing import Bench, VirtualClock
 
@@ -112,3 +121,32 @@ def test_the_clock_goes_on_only_when_told() -> None:
     assert clock.now() == 7.0
     clock.sleep(0.5)
     assert clock.now() == 7.5
+
+
+class Brakes(Component):
+    speed: Published[Level]
+
+    @subscribed("scan", keep=1)
+    def on_scan(self, message: Level) -> None:
+        self.speed.publish(message)
+
+    @lost("scan")
+    def brake(self) -> None:
+        self.measure("age", self.age("scan"))
+        self.speed.publish(Level(0.0))
+
+    @found("scan")
+    def release(self) -> None:
+        self.speed.publish(Level(1.0))
+
+
+def test_loses_and_finds_who_publishes() -> None:
+    with Bench(Brakes) as bench:
+        bench.send("scan", Level(3.0))
+        bench.advance(0.5)
+        bench.lose("scan")
+        bench.find("scan")
+        with pytest.raises(UsageError, match="subscribes no 'speed', but scan"):
+            bench.lose("speed")
+    assert [each.litres for each in bench.published["speed"]] == [3.0, 0.0, 1.0]
+    assert bench.measured["age"] == [0.5]

@@ -35,6 +35,8 @@ if TYPE_CHECKING:
     from poise.runtime.component.ports import Published as Published
     from poise.runtime.component.ports import Required as Required
     from poise.runtime.component.ports import every as every
+    from poise.runtime.component.ports import found as found
+    from poise.runtime.component.ports import lost as lost
     from poise.runtime.component.ports import oneway as oneway
     from poise.runtime.component.ports import subscribed as subscribed
     from poise.runtime.component.started_calls import StartedCall as StartedCall
@@ -126,8 +128,10 @@ else:
         "draw": "session.diagrams.draw",
         "emulated": "session.launch.computers",
         "every": "runtime.component.ports",
+        "found": "runtime.component.ports",
         "load": "session.robot_file",
         "loan": "wire.connections.blocks",
+        "lost": "runtime.component.ports",
         "note_outcome": "estimate.success_rates",
         "oneway": "runtime.component.ports",
         "place": "session.placing.placement",

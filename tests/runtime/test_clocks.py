@@ -88,15 +88,15 @@ def test_a_container_is_told_what_is_new_while_it_responds() -> None:
         process = ContainerProcess(spec, ControlLink("one", agent, -1))
         assert frame.receive_record(container, ToContainer) == spec
         for known in ({}, {"vision": NOON}, {"vision": NOON}):
-            process.send_clocks(known)
+            process.send_clocks(Clocks(known))
         assert frame.receive_record(container, ToContainer) == Clocks({"vision": NOON})
         process.silence = Silence(
             container="one", pid=1, seconds=2.0, reason="it is stopped"
         )
-        process.send_clocks({"arm": NOON})
+        process.send_clocks(Clocks({"arm": NOON}))
         assert not wait_readable([container.fileno()], 0.0)
         process.silence = None
-        process.send_clocks({"arm": NOON})
+        process.send_clocks(Clocks({"arm": NOON}))
         assert frame.receive_record(container, ToContainer) == Clocks({"arm": NOON})
 
 

@@ -10,11 +10,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from math import inf
 from typing import Any, Generic, Self, TypeVar
 
 from poise.errors import UsageError
 from poise.runtime.component.component import Component, Context, create
-from poise.runtime.component.ports import Published, ports_of, timers_of
+from poise.runtime.component.ports import (
+    InputEvent,
+    Published,
+    ports_of,
+    timers_of,
+    watchers_of,
+)
 from poise.runtime.execution.timers import Releases
 from poise.testing.virtual_clock import VirtualClock
 
@@ -61,7 +68,10 @@ class Bench(Generic[C]):
         self.measured: dict[str, list[float]] = {}
         self.published: dict[str, list[Any]] = {}
         self._ports = ports_of(implementation)
+        self._watchers = watchers_of(implementation)
+        self._came: dict[str, float] = {}
         context = Context(
+            age=lambda port: self.clock.now() - self._came.get(port, -inf),
             name=implementation.__name__,
             parameters=parameters or {},
             devices=devices or {},
@@ -91,7 +101,16 @@ class Bench(Generic[C]):
         """
         if port not in self._named("subscribes"):
             raise UsageError(self._no_port(port, "subscribes"))
+        self._came[port] = self.clock.now()
         getattr(self.component, self._ports[port].handler)(message)
+
+    def lose(self, port: str) -> None:
+        """Let nobody publish to a subscribed port any more: ``@lost`` is called."""
+        self._happen("lost", port)
+
+    def find(self, port: str) -> None:
+        """Let somebody publish to a subscribed port again: ``@found`` is called."""
+        self._happen("found", port)
 
     def advance(self, seconds: float) -> None:
         """Let `seconds` [s] pass and run every timer that comes due, in time's order.
@@ -112,6 +131,12 @@ class Bench(Generic[C]):
         """Deactivate the component and clean it up."""
         self.component.deactivate()
         self.component.cleanup()
+
+    def _happen(self, event: InputEvent, port: str) -> None:
+        if port not in self._named("subscribes"):
+            raise UsageError(self._no_port(port, "subscribes"))
+        for name in self._watchers.get((event, port), ()):
+            getattr(self.component, name)()
 
     def _connect(self, required: Mapping[str, object]) -> None:
         for name in self._named("publishes"):

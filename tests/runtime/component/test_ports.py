@@ -13,6 +13,8 @@ from poise import (
     Published,
     Required,
     every,
+    found,
+    lost,
     oneway,
     subscribed,
 )
@@ -188,3 +190,17 @@ def test_a_parameter_needs_a_type_and_a_place() -> None:
     for interface in (Loose, Untyped):
         with pytest.raises(UsageError, match="needs a type and a place of its own"):
             methods(interface)
+
+
+def test_only_a_subscribed_port_can_be_lost() -> None:
+    class Wrong(Component):
+        @subscribed(keep=1)
+        def scan(self, message: Pose) -> None: ...
+
+        @lost("scam")
+        def brake(self) -> None: ...
+
+    with pytest.raises(UsageError, match=r"no subscribed port .did you mean 'scan'"):
+        ports_of(Wrong)
+    with pytest.raises(UsageError, match=r"@found takes a port's name"):
+        found("no port")

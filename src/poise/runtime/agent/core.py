@@ -33,6 +33,7 @@ from poise.runtime.supervision.container_processes import (
 from poise.runtime.supervision.health import HealthRecords, Silence
 from poise.runtime.supervision.supervisor import Supervisor, part_of
 from poise.wire.heartbeats import Contacts
+from poise.wire.records.heartbeat_records import Clocks
 from poise.wire.records.migration_records import StepsFailed
 from poise.wire.records.request_records import (
     Accepted,
@@ -306,7 +307,8 @@ class AgentCore:
         self._relay.give_up(self._clock.now())
 
     def _tell_clocks(self) -> None:
-        self.supervisor.send_clocks(self.heartbeats.clocks)
+        beats = self.heartbeats
+        self.supervisor.send_clocks(Clocks(beats.clocks, beats.silent_computers))
 
     def _report_due(self) -> float:
         return self._reports.due if self.is_ready else self._born + ADOPT_LIMIT

@@ -85,6 +85,10 @@ class Fence:
             self.cut_off, self.is_cut_off = 0.0, False
             self._say("reached by its manager again")
 
+    def wake(self) -> None:
+        """Let the agent look at everything soon; from any thread."""
+        self._wake()
+
     def is_managed(self) -> bool:
         """Return whether a manager may be at work, for all that is known."""
         return self.manager is not None and self.manager.key not in self._ended

@@ -136,6 +136,8 @@ class HeartbeatExchange:
         self.claim: Claim | None = None
         # what was known last of the clocks of other computers, by name
         self.clocks: Mapping[str, ClockStatus] = {}
+        # those that were heard, and are not any more
+        self.silent_computers: frozenset[str] = frozenset()
         self._computer = computer
         self._fence = fence
         self._clock = clock
@@ -332,6 +334,7 @@ class HeartbeatExchange:
         age = self._lease.age(now)
         self._judge(now, age)
         self._note_clocks(now)
+        self._note_silent(now)
         is_managed = self._fence.is_managed()
         is_late = ASK_AFTER < age < 2 * ASK_AFTER
         beat = self._contacts.next_beat(
@@ -352,6 +355,20 @@ class HeartbeatExchange:
                 name: offset.at(now) for name, offset in sorted(self._offsets.items())
             }
             self.clocks = {name: clock for name, clock in clocks.items() if clock}
+
+    def _note_silent(self, now: float) -> None:
+        """Note which computers are lost, so far as can be known from here."""
+        if now < self._grace_until or not self.is_leased:
+            return  # it may not have been heard itself, or wait for CPU as others do
+        contacts = {name: self._contacts.get(name) for name in self._targets}
+        silent = frozenset(
+            name
+            for name, contact in contacts.items()
+            if name != MANAGER and contact and now - contact.heard_at > DETECTED
+        )
+        if silent != self.silent_computers:
+            self.silent_computers = silent
+            self._fence.wake()
 
     def _judge(self, now: float, age: float) -> None:
         """Tell the containers when the lease ends, or that it has ended."""

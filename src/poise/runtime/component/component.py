@@ -52,6 +52,7 @@ class Context(Struct, frozen=True, kw_only=True):
     `calls`: those that it starts without waiting.
     `listen`: lets its thread get work from a `WorkSource`, too; None: no more.
     `takes_over`: whether it is about to go on with the work of its predecessor.
+    `age`: returns how long ago the last message of a subscribed port came [s].
     """
 
     name: str
@@ -65,6 +66,7 @@ class Context(Struct, frozen=True, kw_only=True):
     calls: StartedCalls = ImmediateCalls()
     listen: Callable[[WorkSource | None], None] = lambda _: None
     takes_over: Callable[[], bool] = lambda: False
+    age: Callable[[str], float] = lambda _: math.inf
 
 
 class TaskRequests:
@@ -179,6 +181,20 @@ class Component:
             64 of the component's calls wait for answers.
         """
         return self._context.calls.start(call, *args, **kwargs)
+
+    def age(self, port: str) -> float:
+        """Return how long ago the last message came at a subscribed port [s].
+
+        Infinite when none has come here yet. Messages that wait in the port's queue
+        count, too. How old the data is that they carry is another matter: `clock.since`
+        of a stamp says it.
+
+        Raises
+        ------
+        UsageError
+            It subscribes to no such port.
+        """
+        return self._context.age(port)
 
     def device(self, name: str) -> str:
         """Return the path of a device that the robot file gives this component.

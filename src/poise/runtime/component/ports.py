@@ -10,6 +10,9 @@
         @subscribed("scan", keep=1)      # messages come to me; the port is `scan`
         def on_scan(self, message: Scan) -> None: ...
 
+        @lost("scan")                    # nobody publishes there any more
+        def brake(self) -> None: ...
+
         @every(hz=5, deadline=0.2)       # not a port: a timer
         def cycle(self) -> None: ...
 
@@ -37,6 +40,7 @@ import msgspec
 from msgspec import Struct, StructMeta
 
 from poise.errors import UsageError
+from poise.suggest import did_you_mean, listed
 
 I = TypeVar("I")  # noqa: E741, an interface
 M = TypeVar("M")
@@ -44,6 +48,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 Kind = Literal["provides", "requires", "publishes", "subscribes"]
 Policy = Literal["keep", "block"]
+InputEvent = Literal["lost", "found"]
 
 
 @dataclass_transform(frozen_default=True, field_specifiers=(msgspec.field,))
@@ -178,6 +183,38 @@ def subscribed(
     return mark
 
 
+def lost(port: str, /) -> Callable[[F], F]:
+    """Call a method when nobody is left who publishes to a subscribed port.
+
+    That is a moment after the container at the other end has ended, and 0.4 s after its
+    computer was lost or cut off: before Poise starts it elsewhere. It is called once,
+    in a turn of its own, also when there is nobody 1 s after the component was
+    activated.
+
+    Parameters
+    ----------
+    port
+        The port's name, which `subscribed` declares.
+    """
+    return _watching("lost", port)
+
+
+def found(port: str, /) -> Callable[[F], F]:
+    """Call a method when somebody publishes again to a port that was `lost`."""
+    return _watching("found", port)
+
+
+def _watching(event: InputEvent, port: str) -> Callable[[F], F]:
+    if callable(port) or not port.isidentifier():
+        raise UsageError(f"@{event} takes a port's name, as in @{event}('scan')")
+
+    def mark(method: F) -> F:
+        method.__poise_input__ = (event, port)  # type: ignore[attr-defined]
+        return method
+
+    return mark
+
+
 def every(
     period: float | None = None,
     *,
@@ -253,7 +290,24 @@ def ports_of(component: type) -> Mapping[str, Port]:
     for port in ports.values():
         if port.kind == "provides":
             _check_provided(component, port)
+    for (event, name), methods in watchers_of(component).items():
+        inputs = [port.name for port in ports.values() if port.kind == "subscribes"]
+        if name not in inputs:
+            raise UsageError(
+                f"{component.__qualname__}.{methods[0]}: @{event}('{name}') names no "
+                f"subscribed port{did_you_mean(name, inputs)}; there are: "
+                f"{listed(inputs)}"
+            )
     return ports
+
+
+def watchers_of(component: type) -> Mapping[tuple[InputEvent, str], list[str]]:
+    """Return what happens to which port -> the methods that are called then."""
+    found: dict[tuple[InputEvent, str], list[str]] = {}
+    for name, method in inspect.getmembers(component, inspect.isfunction):
+        if hasattr(method, "__poise_input__"):
+            found.setdefault(method.__poise_input__, []).append(name)
+    return found
 
 
 def timers_of(component: type) -> Mapping[str, Timer]:

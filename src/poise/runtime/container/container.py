@@ -115,7 +115,9 @@ class Container:
         self._stopping = False
         self._thread_failures = threads.Failures(f"container '{name}'")
         self._stop_limit = _STOP_LIMIT
+        self._silent: frozenset[str] = frozenset()
         self._waker = Waker()
+        self._server.on_change = self._waker.wake
         self._stats_page = StatsPage(stats_page)
         self._lease = LeaseEnd(stats_page)
 
@@ -157,7 +159,7 @@ class Container:
             beat_at = self._clock.now() + BEAT_EVERY
             news_at = self._news_waits_until if has_news else report_at
             due = min(report_at, news_at, beat_at, self._link.due)
-            if unjoined:
+            if self._watch_inputs() or unjoined:
                 due = min(due, self._clock.now() + _JOINING_EVERY)
             has_news |= self._listen(max(0.0, due - self._clock.now()))
             has_news |= self._settle()
@@ -173,6 +175,15 @@ class Container:
                 has_news = False
                 report_at = self._clock.now() + REPORT_EVERY
                 orphans.reap()
+
+    def _watch_inputs(self) -> bool:
+        """Tell components who has lost a source; return whether to look again soon."""
+        looks_soon = [
+            runner.note_inputs(self._wiring.joined_inputs(*key, self._silent))
+            for key, runner in self._runners.items()
+            if runner.watches_inputs
+        ]
+        return any(looks_soon)
 
     def _missed(self) -> int:
         """Return how many deadlines of timers were missed."""
@@ -226,7 +237,7 @@ class Container:
 
     def _hear(self, what: ToContainer) -> None:
         if isinstance(what, Clocks):
-            self._clock.others = what.known
+            self._clock.others, self._silent = what.known, what.silent
         elif isinstance(what, Tap):
             reading = self._taps.read(what)
             self._take_steps(lambda: reading)

@@ -8,12 +8,15 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from math import inf
 from queue import Empty, SimpleQueue
 from typing import Any, Protocol
 
+from poise.errors import UsageError
 from poise.runtime._calls import ComponentCounters
 from poise.runtime.component.ports import Queue
 from poise.runtime.execution.counters import Counts
+from poise.suggest import did_you_mean, listed
 
 log = logging.getLogger(__name__)
 
@@ -95,6 +98,7 @@ class Inbox:
         self._changing = threading.Lock()
         self._while_paused = 0
         self._is_unbounded = False
+        self.last_came: float | None = None
 
     def add(self, entry: Entry, feed: Feed) -> None:
         """Queue a message for the component; one without room is counted."""
@@ -111,7 +115,8 @@ class Inbox:
                 self._drop_oldest()
                 grows = False
             feed.waiting += 1
-            self._waiting.append((entry, feed, time.monotonic()))
+            self.last_came = time.monotonic()
+            self._waiting.append((entry, feed, self.last_came))
         if grows:
             self._filled.put(self)
 
@@ -180,6 +185,18 @@ class Mailbox:
     def feed(self, port: str, counts: Counts, /) -> Feed:
         """Return the way into a port's queue for the connector of `counts`."""
         return Feed(self._inboxes[port], counts)
+
+    def age(self, port: str, /) -> float:
+        """Return how long ago a message came at a port last [s]; inf: none has."""
+        inbox = self._inboxes.get(port)
+        if inbox is None:
+            known = listed(self._inboxes)
+            raise UsageError(
+                f"there is no subscribed port '{port}'"
+                f"{did_you_mean(port, self._inboxes)}; there are: {known}"
+            )
+        came = inbox.last_came
+        return inf if came is None else time.monotonic() - came
 
     def preload(self, port: str, entry: Entry) -> None:
         """Queue what waited for the incarnation before; called before `activate`."""

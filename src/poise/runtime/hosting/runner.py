@@ -23,13 +23,14 @@ from poise.runtime._calls import ComponentCounters, Histogram
 from poise.runtime.component.component import Component, Context, create, set_parameters
 from poise.runtime.component.error_report import Errors
 from poise.runtime.component.parameters import plain
-from poise.runtime.component.ports import ports_of, timers_of
+from poise.runtime.component.ports import ports_of, timers_of, watchers_of
 from poise.runtime.component.started_calls import StartedCalls
 from poise.runtime.connectors.endpoints import Endpoints
 from poise.runtime.connectors.interface import methods
 from poise.runtime.execution.container_lease import LeaseEnd, LeaseEnded
 from poise.runtime.execution.data_age import DataAges, Stamped
 from poise.runtime.execution.exclusion import Exclusion, Redirected, new_chain
+from poise.runtime.execution.input_watch import InputWatch
 from poise.runtime.execution.mailbox import Inbox, Work
 from poise.runtime.execution.timers import Releases, Timers, release_offset
 from poise.runtime.hosting.checkpoints import Checkpoints
@@ -77,6 +78,7 @@ class Runner:
                 calls=calls,
                 listen=lambda source: self.endpoints.mailbox.listen(source),  # noqa: PLW0108, which come below
                 takes_over=lambda: self.life_cycle.goal == "ready",
+                age=lambda port: self.endpoints.mailbox.age(port),  # noqa: PLW0108
             ),
         )
         self.counters = ComponentCounters()
@@ -99,6 +101,8 @@ class Runner:
             lambda: self.life_cycle.is_at_work,
         )
         self.timers = Timers(timers_of(implementation))
+        self._watchers = watchers_of(implementation)
+        self._inputs: InputWatch | None = None
         self.clock = clock
         self._on_change = on_change
         self._handler: tuple[str, float] | None = None
@@ -328,6 +332,25 @@ class Runner:
             self._turns.append(work)
         elif work is not None and self._enter():
             self._deliver(work)
+
+    @property
+    def watches_inputs(self) -> bool:
+        """Whether it wants to know who publishes to it, and is at work."""
+        return bool(self._watchers) and self.life_cycle.is_at_work
+
+    def note_inputs(self, joined: Mapping[str, bool]) -> bool:
+        """Take in which subscribed ports have a source; return whether to look soon.
+
+        For the container's thread, while it `watches_inputs`.
+        """
+        now = self.clock.now()
+        if self._inputs is None:
+            self._inputs = InputWatch({port for _, port in self._watchers}, now)
+        for event, port in self._inputs.note(joined, now):
+            for name in self._watchers.get((event, port), ()):
+                self._turns.append((f"{event} {port}", getattr(self.component, name)))
+                self.endpoints.mailbox.wake()
+        return self._inputs.is_pending()
 
     def _later(self, turn: Callable[[], object]) -> None:
         """Run something on its thread, as soon as nothing else of it runs."""

@@ -129,6 +129,23 @@ class Wiring:
             ends.spec.key for ends in self.endpoints() if not ends.is_ready()
         )
 
+    def joined_inputs(
+        self, component: str, epoch: int, silent: AbstractSet[str]
+    ) -> dict[str, bool]:
+        """Return subscribed port -> whether somebody is there who publishes to it.
+
+        `silent`: the computers that are not heard.
+        """
+        joined: dict[str, bool] = {}
+        for ends in self.endpoints():
+            spec = ends.spec
+            if (spec.target, spec.target_epoch) != (component, epoch):
+                continue
+            is_joined = spec.kind == "direct" or self._server.is_joined(spec.key)
+            is_joined = is_joined and spec.source_computer not in silent
+            joined[spec.target_port] = joined.get(spec.target_port, False) or is_joined
+        return joined
+
     def status(self) -> tuple[ConnectorStatus, ...]:
         """Return the status of every open connector."""
         return tuple(ends.status() for ends in self.endpoints())

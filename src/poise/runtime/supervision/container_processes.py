@@ -13,7 +13,7 @@ from poise.runtime.agent.surroundings import ContainerControl, Reply
 from poise.runtime.supervision.health import Silence
 from poise.wire.codec import WireError
 from poise.wire.records.deployment_records import ContainerSpec
-from poise.wire.records.heartbeat_records import Clocks, ClockStatus
+from poise.wire.records.heartbeat_records import Clocks
 from poise.wire.records.migration_records import StepsFailed
 from poise.wire.records.request_records import PortAnswer, PortRequest
 from poise.wire.records.status_records import (
@@ -48,7 +48,7 @@ class ContainerProcess:
         self.is_stopping = False
         self.is_deaf = False
         self._why_ended = ""
-        self._clocks: Mapping[str, ClockStatus] = {}
+        self._clocks = Clocks({})
         if pid:
             self.note_born(pid)
         else:
@@ -94,11 +94,11 @@ class ContainerProcess:
         if is_new:
             self._send(spec)
 
-    def send_clocks(self, known: Mapping[str, ClockStatus]) -> None:
-        """Tell it other computers' clocks, if that is new and it listens."""
-        if known != self._clocks and not self.is_deaf and not self.silence:
-            self._clocks = known
-            self._send(Clocks(known))
+    def send_clocks(self, clocks: Clocks) -> None:
+        """Tell it of other computers, if that is new and it listens."""
+        if clocks != self._clocks and not self.is_deaf and not self.silence:
+            self._clocks = clocks
+            self._send(clocks)
 
     def pass_on(self, steps: ContainerRequest) -> None:
         """Let it take steps of a migration, or read a tap."""

@@ -7,7 +7,7 @@ started again after a delay that grows. An error in handling one stops no other.
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from math import inf
 from random import Random
 
@@ -21,7 +21,7 @@ from poise.runtime.agent.surroundings import ContainerControl, ContainerHost
 from poise.runtime.supervision.container_processes import ContainerProcess, ProcessEnd
 from poise.runtime.supervision.health import HealthRecords, Silence, Usage
 from poise.wire.records.deployment_records import ContainerSpec, Deployment
-from poise.wire.records.heartbeat_records import ClockStatus
+from poise.wire.records.heartbeat_records import Clocks
 from poise.wire.records.status_records import (
     ContainerAnswer,
     ContainerHealth,
@@ -115,8 +115,8 @@ class Supervisor:
         for name in {**self.processes, **wanted}:
             self._supervised.run(part_of(name), self._step, name, wanted.get(name))
 
-    def send_clocks(self, clocks: Mapping[str, ClockStatus]) -> None:
-        """Tell all containers what is known of other computers' clocks."""
+    def send_clocks(self, clocks: Clocks) -> None:
+        """Tell all containers what is known of other computers."""
         for name, process in self.processes.items():
             self._supervised.run(part_of(name), process.send_clocks, clocks)
 

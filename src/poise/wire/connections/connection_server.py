@@ -73,6 +73,8 @@ class ConnectionServer:
         self.folder = folder
         self._container = container
         self._closed = threading.Event()
+        self.on_change: Callable[[], object] = lambda: None
+        """Called when a connection for messages begins or ends; must not block."""
         self.warning = AcceptWarning(f"container '{container}'")
         self._paths = socket_path(folder, container), gateway_path(folder, container)
         kinds = socket.SOCK_STREAM, socket.SOCK_DGRAM
@@ -94,6 +96,10 @@ class ConnectionServer:
         """Receive no more of its frames; harmless when repeated."""
         self._handlers.pop(connector, None)
         self._refused.pop(connector, None)
+
+    def is_joined(self, connector: str) -> bool:
+        """Return whether a connection for the messages of `connector` is there."""
+        return connector in self._messages
 
     def close(self) -> None:
         """Close the sockets and every connection; harmless when repeated."""
@@ -173,6 +179,7 @@ class ConnectionServer:
                 if self._messages.get(served.connector) is served:
                     del self._messages[served.connector]
             served.connection.close()
+            self.on_change()
 
     def _greet(self, served: _ServedConnection) -> None:
         connection, deadline = served.connection, time.monotonic() + ANSWER_LIMIT
@@ -189,6 +196,7 @@ class ConnectionServer:
             with self._lock:  # of two that come at once, each waits for another
                 before = self._messages.get(name)
                 self._messages[name] = served
+            self.on_change()
         connection.send(frame.segments(NAME, name, Kind.HELLO), deadline)
         if before is not None:
             _wait_until_taken(before)

@@ -66,6 +66,7 @@ class ClockStatus(Struct, frozen=True, kw_only=True):
 
 
 class Clocks(Struct, frozen=True, tag=True):
-    """What an agent tells its containers: computer -> its clock."""
+    """What an agent tells its containers of other computers."""
 
-    known: Mapping[str, ClockStatus]
+    known: Mapping[str, ClockStatus]  # Computer -> its clock
+    silent: frozenset[str] = frozenset()  # Those that are not heard
