@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
 import tempfile
 import threading
 from collections.abc import Callable, Iterator
@@ -10,13 +12,14 @@ from pathlib import Path
 
 import pytest
 
+from poise.session.keys import init_keys
 from poise.wire import frame
-from poise.wire.address import Address
+from poise.wire.address import KEYS, Address
 from poise.wire.codec import codec
 from poise.wire.connections.channel import Channel
 from poise.wire.connections.connection_server import ConnectionServer
 from poise.wire.connections.gateway import Gateway
-from poise.wire.connections.opening import CALLS
+from poise.wire.connections.opening import CALLS, own_keys
 from poise.wire.frame import Frame, Kind, Pieces
 from tests.waiting import LIMIT
 
@@ -55,6 +58,17 @@ class Receiver:
             return self.messages
 
 
+@contextlib.contextmanager
+def _environment(name: str, value: str) -> Iterator[None]:
+    os.environ[name] = value
+    own_keys.cache_clear()
+    try:
+        yield
+    finally:
+        del os.environ[name]
+        own_keys.cache_clear()
+
+
 class Wire:
     """Containers of one computer, or of two with a gateway between them."""
 
@@ -62,6 +76,10 @@ class Wire:
         self.kind = kind
         self.folder = folder
         self.closing = closing
+        if kind == "tls":
+            place = Path(closing.enter_context(tempfile.TemporaryDirectory()))
+            keys = init_keys("test", place / "owner").issue("a", "agent", place / "a")
+            closing.enter_context(_environment(KEYS, str(keys.folder)))
         if kind != "local":
             host = "::1" if kind == "ipv6" else "127.0.0.1"
             self.gateway = closing.enter_context(Gateway(folder, host))
@@ -94,5 +112,8 @@ def wire(request: pytest.FixtureRequest) -> Iterator[Wire]:
         yield Wire(request.param, Path(folder), closing)
 
 
-both = pytest.mark.parametrize("wire", ["local", "remote"], indirect=True)
-remote = pytest.mark.parametrize("wire", ["remote"], indirect=True)
+both = pytest.mark.parametrize("wire", ["local", "remote", "tls"], indirect=True)
+remote = pytest.mark.parametrize("wire", ["remote", "tls"], indirect=True)
+plain = pytest.mark.parametrize("wire", ["local", "remote"], indirect=True)
+plain_remote = pytest.mark.parametrize("wire", ["remote"], indirect=True)
+"""For tests that speak with raw sockets."""

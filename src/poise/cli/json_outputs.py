@@ -13,6 +13,7 @@ from typing import Any, TypedDict
 import msgspec
 
 from poise.cli.commands.emulate_command import ListedSet
+from poise.cli.commands.keys_command import KeysListed
 from poise.cli.commands.run_command import demo_module
 from poise.errors import FileProblem
 from poise.estimate.profiles import Profile
@@ -135,6 +136,7 @@ OUTPUTS: Mapping[str, Sequence[Any]] = {
     "run": [RunReport],
     "demo": demo_module().OUTPUTS,
     "emulate list": [list[ListedSet]],
+    "keys list": [list[KeysListed]],
     "list": [Robots],
     "call": [Called],
     "param": [dict[str, dict[str, Any]]],

@@ -219,6 +219,13 @@ class Robot(Struct, frozen=True, kw_only=True):
             "promise, so that more is learned of them."
         ),
     ] = False
+    insecure: Annotated[
+        bool,
+        says(
+            "Whether computers with an `address` go without keys: whoever reaches one "
+            "can then run code there."
+        ),
+    ] = False
     chains: Annotated[
         tuple[Chain, ...], by_name(Chain), says("End-to-end deadlines.")
     ] = ()

@@ -18,6 +18,8 @@ from poise.wire.codec import WireError
 
 LOST_AFTER = 3.0
 """A computer that is silent for this time is lost: its connections end [s]."""
+KEYS = "POISE_KEYS"
+"""Environment variable: the folder of keys (`poise.wire.credentials`); empty: none."""
 _PROBE_EVERY = 1
 _CONTAINER = re.compile(r"[\w.-]+")
 
@@ -67,6 +69,15 @@ def tune(connection: socket.socket) -> None:
         (socket.IPPROTO_TCP, socket.TCP_KEEPCNT, seconds),
     ):
         connection.setsockopt(level, option, value)
+
+
+def peek(connection: socket.socket, count: int) -> bytes | None:
+    """Return what a socket gives next, below any TLS; None: nothing has come yet."""
+    try:
+        flags = socket.MSG_PEEK | socket.MSG_DONTWAIT
+        return socket.socket.recv(connection, count, flags)
+    except BlockingIOError:
+        return None
 
 
 LONGEST = 107

@@ -8,11 +8,15 @@ import socket
 import struct
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import zenoh
 
 from poise.endpoint import Endpoint
 from poise.errors import RunError
+
+if TYPE_CHECKING:
+    from poise.wire.credentials import Credentials
 
 LEASE = 2.0
 """A manager or an agent that is cut off counts as out of reach after this time [s]. TCP
@@ -26,9 +30,15 @@ def open_session(
     listen: Sequence[str] = (),
     connect: Sequence[str] = (),
     lease: float = 10.0,
+    keys: Credentials | None = None,
+    serves: str = "",
 ) -> zenoh.Session:
-    """Open a zenoh session as a peer that connects only to given peers."""
-    settings = {
+    """Open a zenoh session as a peer that connects only to given peers.
+
+    With `keys` only peers with a certificate of the same robot are let in. What they
+    may ask of an agent, which `serves` a robot, depends on their role.
+    """
+    settings: dict[str, object] = {
         "mode": "peer",
         "listen/endpoints": list(listen),
         "connect/endpoints": list(connect),
@@ -48,6 +58,12 @@ def open_session(
         # of one computer Poise has better
         "transport/shared_memory/enabled": False,
     }
+    if keys is not None:
+        settings |= keys.zenoh()
+        # refused handshakes are said on stderr
+        zenoh.init_log_from_env_or("zenoh_link_tls::unicast=warn")
+        if serves:
+            settings["access_control"] = _access(serves)
     config = zenoh.Config()
     for key, value in settings.items():
         config.insert_json5(key, json.dumps(value))
@@ -60,6 +76,56 @@ def open_session(
         raise RunError(f"cannot listen on {', '.join(listen)}: {why}") from None
     session.info.declare_link_events_listener(_close_without_waiting, history=True)
     return session
+
+
+_LOOKS = (
+    "put",
+    "delete",
+    "reply",
+    "declare_subscriber",
+    "declare_queryable",
+    "declare_liveliness_subscriber",
+    "liveliness_query",
+)
+"""Messages of zenoh that pass between an agent and a peer that looks."""
+
+
+def _access(robot: str) -> dict[str, object]:
+    """Return what an agent allows: all to a manager; to a viewer, to see its news.
+
+    Other computers have no business with it.
+    """
+
+    def rule(
+        name: str, flows: Sequence[str], messages: Sequence[str]
+    ) -> dict[str, object]:
+        keys = [f"poise/{robot}/**", IDENTITIES]
+        return {
+            "id": name,
+            "permission": "allow",
+            "flows": flows,
+            "messages": messages,
+            "key_exprs": keys,
+        }
+
+    both, commands = ("ingress", "egress"), ("query", "liveliness_token")
+    rules = {
+        "manager": [rule("command", both, [*_LOOKS, *commands])],
+        "viewer": [
+            rule("look", both, _LOOKS),
+            rule("see who is there", ["egress"], ["liveliness_token"]),
+        ],
+    }
+    return {
+        "enabled": True,
+        "default_permission": "deny",
+        "rules": [each for of_role in rules.values() for each in of_role],
+        "subjects": [{"id": role, "cert_common_names": [role]} for role in rules],
+        "policies": [
+            {"rules": [each["id"] for each in of_role], "subjects": [role]}
+            for role, of_role in rules.items()
+        ],
+    }
 
 
 def _close_without_waiting(event: zenoh.LinkEvent) -> None:
@@ -82,7 +148,7 @@ def _sockets(link: zenoh.Link) -> Iterator[socket.socket]:
             continue
         try:
             ends = link_socket.getsockname(), link_socket.getpeername()
-            if _locators(ends) == (link.src, link.dst):
+            if _locators(ends) == (_address(link.src), _address(link.dst)):
                 yield link_socket
         except OSError:  # not connected
             continue
@@ -91,8 +157,12 @@ def _sockets(link: zenoh.Link) -> Iterator[socket.socket]:
 
 
 def _locators(ends: Sequence[object]) -> tuple[str, ...]:
-    """Return zenoh's names of the ends of a TCP connection."""
-    return tuple(locator(Endpoint(*end[:2])) for end in ends if isinstance(end, tuple))
+    """Return zenoh's names of the ends of a TCP connection, without the protocol."""
+    return tuple(str(Endpoint(*end[:2])) for end in ends if isinstance(end, tuple))
+
+
+def _address(locator: str) -> str:
+    return locator.partition("/")[2]
 
 
 IDENTITIES = "poise-agent/**"
@@ -110,11 +180,11 @@ def parse_identity(key: str) -> tuple[str, str, str]:
     return locator, robot, computer
 
 
-def locator(agent: Endpoint) -> str:
+def locator(agent: Endpoint, keys: Credentials | None = None) -> str:
     """Return zenoh's name of an agent's address."""
-    return f"tcp/{agent}"
+    return f"tls/{agent}" if keys is not None else f"tcp/{agent}"
 
 
 def endpoint_of(locator: str) -> Endpoint:
     """Return an agent's address from zenoh's name of it."""
-    return Endpoint.parse(locator.removeprefix("tcp/"))
+    return Endpoint.parse(_address(locator))

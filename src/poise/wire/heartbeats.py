@@ -11,11 +11,13 @@ lost packet holds back all that come after it.
 from __future__ import annotations
 
 import contextlib
+import logging
+import math
 import socket
 import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import msgspec
 
@@ -24,6 +26,11 @@ from poise.clock import Clock
 from poise.endpoint import Endpoint
 from poise.priority import go_first
 from poise.wire.records.heartbeat_records import MANAGER, Echo, Heartbeat, LinkQuality
+
+if TYPE_CHECKING:
+    from poise.wire.credentials import Credentials
+
+log = logging.getLogger(__name__)
 
 EVERY = 0.1
 """A heartbeat goes out this often [s]."""
@@ -206,6 +213,7 @@ _LARGEST = 16384
 _JOIN_LIMIT = 1.0
 _READING = 0.02
 """What waits is read for this time at most [s]: far more than the kernel holds."""
+_WARN_EVERY = 10.0
 Address = tuple[str, int]
 
 
@@ -240,13 +248,20 @@ class Datagrams(Protocol):
 class UdpDatagrams:
     """A UDP socket.
 
-    `listen`: where; None: anywhere.
+    `listen`: where; None: anywhere; `keys`: what signs, for only what they signed is
+    taken.
     """
 
     def __init__(
-        self, clock: Clock, listen: Endpoint | None = None, *, is_ipv6: bool = False
+        self,
+        clock: Clock,
+        listen: Endpoint | None = None,
+        *,
+        is_ipv6: bool = False,
+        keys: Credentials | None = None,
     ) -> None:
         self._clock = clock
+        self._keys = keys
         family = socket.AF_INET6 if is_ipv6 else socket.AF_INET
         self._socket = socket.socket(family, socket.SOCK_DGRAM)
         if listen is not None:
@@ -256,6 +271,7 @@ class UdpDatagrams:
                 self._socket.close()
                 raise
         self._decode = msgspec.msgpack.Decoder(Heartbeat).decode
+        self._warn_at = -math.inf
 
     def receive(self, until: float) -> Sequence[Received]:
         """Return what has come, as far as it can be read in `_READING`."""
@@ -267,12 +283,12 @@ class UdpDatagrams:
             try:
                 data, source = self._socket.recvfrom(_LARGEST)
                 now = self._clock.now()
-                received.append(Received(self._decode(data), source[:2], now))
-                most = min(most, received[0].at + _READING)
+                beat = self._read(data, source[0])
+                if beat is not None:
+                    received.append(Received(beat, source[:2], now))
+                    most = min(most, received[0].at + _READING)
             except (BlockingIOError, TimeoutError):
                 break
-            except msgspec.DecodeError:  # not of this version
-                continue
             except OSError:  # what an earlier datagram met on its way
                 if until <= now:
                     break
@@ -282,6 +298,8 @@ class UdpDatagrams:
     def send(self, beat: Heartbeat, targets: Iterable[Address]) -> None:
         """Send a heartbeat to all targets; the silence says which link is cut."""
         data = msgspec.msgpack.encode(beat)
+        if self._keys is not None:
+            data = self._keys.sign(data)
         for address in targets:
             with contextlib.suppress(OSError):
                 self._socket.sendto(data, address)
@@ -289,6 +307,21 @@ class UdpDatagrams:
     def close(self) -> None:
         """Close the socket."""
         self._socket.close()
+
+    def _read(self, data: bytes, source: str) -> Heartbeat | None:
+        """Return the heartbeat in a datagram; None: it is not of this robot."""
+        try:
+            known = data if self._keys is None else self._keys.verified(data)
+            if known is not None:
+                return self._decode(known)
+            what = "is not signed with this robot's keys"
+        except msgspec.DecodeError:
+            what = "is not of this version"
+        now = self._clock.now()
+        if now >= self._warn_at:
+            self._warn_at = now + _WARN_EVERY
+            log.warning("a heartbeat from %s %s: ignored", source, what)
+        return None
 
 
 class Heartbeats:

@@ -18,7 +18,7 @@ import pytest
 from poise.endpoint import Endpoint
 from poise.errors import Timeout, Unavailable
 from poise.wire import frame
-from poise.wire.address import Address, socket_path
+from poise.wire.address import Address, peek, socket_path
 from poise.wire.codec import WireError, codec
 from poise.wire.connections import channel as channels
 from poise.wire.connections import connection, connection_server
@@ -27,7 +27,18 @@ from poise.wire.connections.connection import Connection
 from poise.wire.connections.opening import CALLS, MESSAGES
 from poise.wire.frame import LARGEST, LENGTH, Frame, Kind, Pieces
 from tests.waiting import LIMIT, wait_until
-from tests.wire.conftest import SHORT, TEXT, Receiver, Wire, both, call, message, remote
+from tests.wire.conftest import (
+    SHORT,
+    TEXT,
+    Receiver,
+    Wire,
+    both,
+    call,
+    message,
+    plain,
+    plain_remote,
+    remote,
+)
 
 pytestmark = pytest.mark.slow
 
@@ -336,6 +347,7 @@ def test_nobody_there_is_unavailable(wire: Wire) -> None:
     why = {
         "local": "nothing listens at there",
         "remote": "no container 'there' is here",
+        "tls": "no container 'there' is here",
     }
     with pytest.raises(Unavailable, match=f"echo: {why[wire.kind]}"):
         channel.request(call("?"), LIMIT)
@@ -406,7 +418,7 @@ def everything(sock: socket.socket) -> bytes:
     return data
 
 
-@both
+@plain
 def test_it_tells_a_newcomer_of_another_version_why(wire: Wire) -> None:
     wire.server().open("echo", Receiver())
     with newcomer(wire) as sock:
@@ -436,7 +448,7 @@ def test_a_server_of_another_version_is_unavailable(
         channel.request(call("?"), LIMIT)
 
 
-@both
+@plain
 def test_nonsense_ends_its_connection_and_no_other(wire: Wire) -> None:
     wire.server().open("echo", Receiver())
     with newcomer(wire) as sock:
@@ -562,8 +574,7 @@ def test_nothing_is_lost_to_a_peer_that_ended_and_came_back(wire: Wire) -> None:
 
 def _wait_until_gone(channel: Channel) -> None:
     for opened in [*channel._calls, *channel._messages]:
-        opened._connection.setblocking(True)
-        assert opened._connection.recv(1, socket.MSG_PEEK) == b""
+        wait_until(lambda o=opened: peek(o._connection, 1) is not None)  # type: ignore[misc]
 
 
 @both
@@ -659,7 +670,7 @@ def test_whoever_looks_does_not_wait_for_a_computer_that_is_silent(wire: Wire) -
             assert not channel.is_ready()
             assert not channel.is_ready()
             (opening,) = channel._openings.values()
-            assert not opening._is_asked
+            assert not opening._has_asked
             with pytest.raises(Unavailable, match="no answer from"):
                 channel.push(message("a"), SHORT)
             assert channel._is_lost
@@ -668,7 +679,7 @@ def test_whoever_looks_does_not_wait_for_a_computer_that_is_silent(wire: Wire) -
             channel.close()
 
 
-@remote
+@plain_remote
 def test_the_first_call_after_a_short_cut_reaches_the_other_computer(
     wire: Wire,
 ) -> None:

@@ -23,7 +23,15 @@ from poise.wire.connections.gateway import Gateway
 from poise.wire.connections.opening import MESSAGES
 from poise.wire.frame import LENGTH, VERSION, Kind
 from tests.waiting import LIMIT, wait_until
-from tests.wire.conftest import TEXT, Receiver, Wire, call, message, remote
+from tests.wire.conftest import (
+    TEXT,
+    Receiver,
+    Wire,
+    call,
+    message,
+    plain_remote,
+    remote,
+)
 
 pytestmark = pytest.mark.slow
 
@@ -76,7 +84,7 @@ def test_nonsense_is_told_and_logged_and_harms_nobody(
     assert wire.channel().request(call("ab"), LIMIT).value(TEXT) == "ba"
 
 
-@remote
+@plain_remote
 def test_a_name_may_come_in_pieces(wire: Wire) -> None:
     wire.server().open("echo", Receiver())
     name = b"".join(frame.segments(TEXT, "there", Kind.HELLO))

@@ -6,6 +6,7 @@ import contextlib
 import logging
 import sys
 import time
+from ipaddress import ip_address
 from pathlib import Path
 from typing import Annotated
 
@@ -20,6 +21,7 @@ from poise.runtime.agent.surroundings import BROKEN, AgentSetup
 from poise.session.folders import agent_folder
 from poise.units import SECONDS
 from poise.wire.control_session import LEASE
+from poise.wire.credentials import find, folders
 
 log = logging.getLogger(__name__)
 
@@ -51,6 +53,17 @@ def agent_command(
     sample_every: Annotated[
         str, typer.Option(help="How often to sample the CPU use; 0: never.")
     ] = "200 ms",
+    keys: Annotated[
+        Path | None,
+        typer.Option(help="Folder of this computer's keys (`poise keys issue`)."),
+    ] = None,
+    insecure: Annotated[
+        bool,
+        typer.Option(
+            "--insecure", help="Without keys: whoever reaches it runs code here."
+        ),
+    ] = False,
+    plain_connectors: Annotated[bool, typer.Option(hidden=True)] = False,
     lifeline: Annotated[
         int | None, typer.Option(hidden=True, help="End at this descriptor's end.")
     ] = None,
@@ -86,6 +99,8 @@ def agent_command(
                 lifeline=lifeline,
                 lease=lease,
                 sample_every=parse_option("--sample-every", sample_every, SECONDS),
+                keys=_keys_for(robot, address, keys, is_insecure=insecure),
+                encrypts=not plain_connectors,
             ),
             say=_say if lifeline is None else lambda _: None,
         )
@@ -101,6 +116,22 @@ def agent_command(
                 computer,
             )
             raise typer.Exit(BROKEN) from None
+
+
+def _keys_for(robot: str, address: str, keys: Path | None, *, is_insecure: bool) -> str:
+    """Return the folder of the agent's keys; empty: it goes without."""
+    if is_insecure:
+        return ""
+    found = find(robot, "agent", folder=keys)
+    if found is not None:
+        return str(found.folder.resolve())
+    if ip_address(address).is_loopback:
+        return ""
+    raise UsageError(
+        f"there are no keys for robot '{robot}' (looked in "
+        f"{', '.join(map(str, folders(robot)))}): make them by `poise keys issue`, or "
+        "write --insecure, with which whoever reaches the port runs code here"
+    )
 
 
 def _say(sentence: str) -> None:

@@ -10,7 +10,7 @@ import time
 import uuid
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Self, TypeGuard
+from typing import TYPE_CHECKING, Self, TypeGuard
 
 from msgspec import structs
 from msgspec.structs import replace
@@ -29,8 +29,13 @@ from poise.manage.agent_connections.requests import (
     nothing,
 )
 from poise.priority import ahead
-from poise.wire.control_session import LEASE, open_session
-from poise.wire.heartbeats import SURELY_ENDED, UNCUT_SURELY_ENDED, Datagrams
+from poise.wire.control_session import LEASE, endpoint_of, open_session
+from poise.wire.heartbeats import (
+    SURELY_ENDED,
+    UNCUT_SURELY_ENDED,
+    Datagrams,
+    UdpDatagrams,
+)
 from poise.wire.records.deployment_records import Deployment
 from poise.wire.records.heartbeat_records import MANAGER
 from poise.wire.records.migration_records import (
@@ -52,6 +57,9 @@ from poise.wire.records.request_records import (
     majority_at,
 )
 from poise.wire.records.status_records import AgentSample, AgentStatus
+
+if TYPE_CHECKING:
+    from poise.wire.credentials import Credentials
 
 
 class CheckpointCopies:
@@ -109,7 +117,8 @@ class Agents(AgentReports):
 
     `on_sample`: called with every sample, on zenoh's thread; must not block; `lease`:
     an agent that is cut off is out of reach after this time [s]; one that ends, at
-    once; `datagrams`: what carries heartbeats; None: a UDP socket.
+    once; `datagrams`: what carries heartbeats; None: a UDP socket; `keys`: what the
+    agents know this manager by; None: their network is its own.
     """
 
     def __init__(
@@ -121,6 +130,7 @@ class Agents(AgentReports):
         lease: float = LEASE,
         datagrams: Datagrams | None = None,
         election: Election | None = None,
+        keys: Credentials | None = None,
     ) -> None:
         super().__init__(robot, endpoints, clock)
         self.manager = manager_id()
@@ -134,7 +144,7 @@ class Agents(AgentReports):
             clock,
             self.on_silent,
             SURELY_ENDED if self._is_leased else UNCUT_SURELY_ENDED,
-            datagrams,
+            datagrams or _datagrams(heard, clock, keys),
             votes=election.votes if election is not None else {},
         )
         self._tokens: dict[str, int] = {}
@@ -142,7 +152,9 @@ class Agents(AgentReports):
         self._told: dict[str, int] = {}
         self.checkpoints = CheckpointCopies()
         with ahead():  # zenoh's threads do nothing but carry messages
-            self._session = open_session(connect=tuple(endpoints.values()), lease=lease)
+            self._session = open_session(
+                connect=tuple(endpoints.values()), lease=lease, keys=keys
+            )
         prefix = f"poise/{robot}"
         self._requests = AgentRequests(self._session, prefix, self, clock, self._tokens)
         self._declared = [
@@ -497,6 +509,13 @@ class Agents(AgentReports):
 def is_refused(answer: Answer | None) -> TypeGuard[Refused]:
     """Return whether an agent refused what it was asked."""
     return isinstance(answer, Refused)
+
+
+def _datagrams(
+    endpoints: Mapping[str, str], clock: Clock, keys: Credentials | None
+) -> UdpDatagrams:
+    is_ipv6 = any(":" in endpoint_of(text).host for text in endpoints.values())
+    return UdpDatagrams(clock, is_ipv6=is_ipv6, keys=keys)
 
 
 def manager_id() -> ManagerId:

@@ -23,7 +23,6 @@ from poise.wire.heartbeats import (
     Datagrams,
     Heartbeats,
     Received,
-    UdpDatagrams,
 )
 from poise.wire.records.heartbeat_records import MANAGER, Heartbeat
 from poise.wire.records.request_records import majority_at
@@ -185,7 +184,7 @@ class AgentHeartbeats:
     """Exchanges heartbeats with agents; any thread may ask.
 
     `surely_ended`: the lease of an agent that ended has ended, too, after this time
-    [s]; `datagrams`: what carries them; None: a UDP socket.
+    [s]; `datagrams`: what carries them.
     """
 
     def __init__(  # noqa: PLR0913, each is a choice of the caller
@@ -196,7 +195,7 @@ class AgentHeartbeats:
         clock: Clock,
         on_silent: Callable[[list[str]], object],
         surely_ended: float,
-        datagrams: Datagrams | None = None,
+        datagrams: Datagrams,
         *,
         votes: Mapping[str, int] = {},
     ) -> None:
@@ -209,13 +208,7 @@ class AgentHeartbeats:
         self._reachability = Reachability(self._contacts, surely_ended, votes)
         where = {name: endpoint_of(text) for name, text in endpoints.items()}
         self._computers = tuple(where)
-        is_ipv6 = any(":" in endpoint.host for endpoint in where.values())
-        self._heartbeats = Heartbeats(
-            clock,
-            self._hear,
-            self._next_beat,
-            datagrams or UdpDatagrams(clock, is_ipv6=is_ipv6),
-        )
+        self._heartbeats = Heartbeats(clock, self._hear, self._next_beat, datagrams)
         self._heartbeats.send_to({n: (e.host, e.port) for n, e in where.items()})
         self._has_begun = False
 

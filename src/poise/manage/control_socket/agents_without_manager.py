@@ -73,7 +73,9 @@ def ask_agents(addresses: AgentAddresses, why: str = "") -> RobotStatus | None:
             return None
     reports = AgentReports(addresses.robot, addresses.endpoints, SystemClock())
     endpoints = addresses.endpoints
-    session = open_session(connect=tuple(endpoints.values()), lease=LEASE)
+    session = open_session(
+        connect=tuple(endpoints.values()), lease=LEASE, keys=addresses.credentials()
+    )
     try:
         kept = reports.subscribe(session)
         reports.wait_news(lambda: reports.reached() == endpoints.keys(), AGENT_LIMIT)

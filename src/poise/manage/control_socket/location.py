@@ -11,11 +11,15 @@ import socket
 import tempfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import msgspec
 from msgspec import Struct
 
 from poise.errors import RunError
+
+if TYPE_CHECKING:
+    from poise.wire.credentials import Credentials
 
 
 def folder() -> Path:
@@ -61,10 +65,22 @@ def is_alive(path: Path) -> bool:
 
 
 class AgentAddresses(Struct, frozen=True):
-    """The agents of a robot; `endpoints`: computer -> zenoh endpoint."""
+    """The agents of a robot; `endpoints`: computer -> zenoh endpoint.
+
+    `keys`: the folder of the keys that they ask for; empty: none.
+    """
 
     robot: str
     endpoints: Mapping[str, str]
+    keys: str = ""
+
+    def credentials(self) -> Credentials | None:
+        """Return the keys; UsageError when they are not there any more."""
+        if not self.keys:
+            return None
+        from poise.wire.credentials import Credentials  # noqa: PLC0415, `ssl` is slow
+
+        return Credentials(Path(self.keys)).check(self.robot, "manager", "viewer")
 
 
 def note(addresses: AgentAddresses) -> None:

@@ -19,6 +19,7 @@ from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from types import FrameType
+from typing import TYPE_CHECKING
 
 import zenoh
 from msgspec.msgpack import encode
@@ -46,12 +47,15 @@ from poise.runtime.supervision.process_host import ControlLink, ProcessHost
 from poise.runtime.supervision.sampler import Sampler
 from poise.runtime.supervision.supervisor import part_of
 from poise.runtime.waker import Waker, wait_readable
-from poise.wire.address import socket_path
+from poise.wire.address import KEYS, socket_path
 from poise.wire.codec import WireError
 from poise.wire.connections.gateway import Gateway
 from poise.wire.control_session import identity_key, locator, open_session
 from poise.wire.heartbeats import Hear, Heartbeats, NextBeat, UdpDatagrams
 from poise.wire.records.request_records import PROTOCOL
+
+if TYPE_CHECKING:
+    from poise.wire.credentials import Credentials
 
 log = logging.getLogger(__name__)
 
@@ -76,6 +80,7 @@ class Agent:
         self._path.mkdir(mode=0o700, parents=True, exist_ok=True)
         self._folder = AgentFolder(self._path)
         self._left = self._folder.left()
+        self._keys = _keys(setup)
         # before any thread, zenoh session or descriptor of the agent's own exists
         held = () if setup.lifeline is None else (setup.lifeline,)
         self._zygote, self._zygote_pid = zygote.start(closing=held)
@@ -84,7 +89,7 @@ class Agent:
         self._host = ProcessHost(self._zygote, setup.computer, self._path)
         self._waker = Waker()
         self._endpoint = Endpoint(setup.address, setup.port)
-        self._locator = locator(self._endpoint)
+        self._locator = locator(self._endpoint, self._keys)
         self._tokens: list[zenoh.LivelinessToken] = []
         self._core: AgentCore
         self._inbox: AgentInbox
@@ -106,14 +111,21 @@ class Agent:
     def _run_in(self, setup: AgentSetup) -> None:
         with (
             self._open_gateway() as gateway,
-            open_session(listen=[self._locator], lease=setup.lease) as session,
+            open_session(
+                listen=[self._locator],
+                lease=setup.lease,
+                keys=self._keys,
+                serves=setup.robot,
+            ) as session,
             contextlib.ExitStack() as closing,
         ):
             self._say(
                 f"agent of computer '{setup.computer}' of robot '{setup.robot}' at "
-                f"{self._locator.removeprefix('tcp/')}, gateway {gateway}; "
+                f"{self._endpoint}, gateway {gateway}; "
                 f"Poise {version('poise')}, protocol {PROTOCOL}"
             )
+            if notice := self._notice():
+                self._say(notice)
             self._work(session, gateway, closing)
 
     def _work(
@@ -186,9 +198,15 @@ class Agent:
             cpu=time.process_time,
             gateway=str(gateway),
             gateway_trouble=gateway.warning.trouble,
+            notice=self._notice,
             pid=os.getpid(),
             key=uuid.uuid4().hex,
         )
+
+    def _notice(self) -> str:
+        if self._keys is not None:
+            return self._keys.warning()
+        return f"without keys: whoever reaches {self._endpoint} can run code here"
 
     def _open_gateway(self) -> Gateway:
         """Open it where the agent before had it, so that connectors find it again."""
@@ -202,7 +220,10 @@ class Agent:
     def _heartbeats(self, hear: Hear, next_beat: NextBeat) -> HeartbeatTransport | None:
         listen = self._endpoint
         try:
-            datagrams = UdpDatagrams(self._clock, listen, is_ipv6=":" in listen.host)
+            is_ipv6 = ":" in listen.host
+            datagrams = UdpDatagrams(
+                self._clock, listen, is_ipv6=is_ipv6, keys=self._keys
+            )
         except OSError as error:
             log.warning("no heartbeats: UDP port %d: %s", listen.port, error)
             return None
@@ -353,3 +374,15 @@ class Agent:
                 self._take_news(self._clock.now() + _ENDING_EVERY)
         finally:
             core.kill_all()
+
+
+def _keys(setup: AgentSetup) -> Credentials | None:
+    """Return the agent's keys, which its containers find in their environment."""
+    if not setup.keys:
+        os.environ.pop(KEYS, None)
+        return None
+    from poise.wire.credentials import Credentials  # noqa: PLC0415, `ssl` is slow
+
+    keys = Credentials(Path(setup.keys)).check(setup.robot, "agent")
+    os.environ[KEYS] = setup.keys if setup.encrypts else ""
+    return keys

@@ -352,6 +352,7 @@ class AgentCore:
             memory=sum(use.memory for use in usage.values()),
             gateway=world.gateway,
             trouble="; ".join(filter(None, [supervisor.trouble, trouble])),
+            notice=world.notice(),
             errors=self.supervised.errors(),
             cpu_weights=world.host.cpu_weights,
             containers=statuses,

@@ -48,6 +48,9 @@ class AgentSetup(Struct, frozen=True, kw_only=True):
     lease: float = LEASE  # Who is silent for this time [s] is lost
     # How often it tells what its containers count [s]; 0: never
     sample_every: float = SAMPLE_EVERY
+    # The folder of its keys; empty: whoever reaches its port may command it
+    keys: str = ""
+    encrypts: bool = True  # whether its containers speak TLS with other computers
 
 
 class AgentState(Struct, frozen=True, kw_only=True):
@@ -213,6 +216,7 @@ class Surroundings(Struct, frozen=True, kw_only=True):
     # Its address, and why it accepts no connection; empty: it does
     gateway: str
     gateway_trouble: Callable[[], str]
+    notice: Callable[[], str] = str  # What is to be known though nothing is wrong
     # The agent's process, and a text that no other start of an agent has
     pid: int
     key: str

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator, Mapping
+from ipaddress import ip_address
 from pathlib import Path
 from typing import Self
 
@@ -25,18 +26,25 @@ from poise.emulate import (
 from poise.emulate.registry import locked
 from poise.endpoint import AGENT_PORT, Endpoint
 from poise.errors import PoiseError, RunError, UsageError
-from poise.manage.control_socket.location import forget
+from poise.manage.control_socket.location import AgentAddresses, forget
 from poise.model.robot import Robot
 from poise.runtime.agent.surroundings import BROKEN
 from poise.runtime.waker import Waker, wait_readable
 from poise.session.callbacks import Say, log
 from poise.session.folders import scratch_folder
+from poise.session.keys import init_keys
 from poise.session.launch.printer import STDERR, Printer, relay
 from poise.units import counted
 from poise.wire.control_session import LEASE, locator
+from poise.wire.credentials import Credentials, find
 from poise.wire.heartbeats import UNCUT_LEASE
 from poise.wire.records.status_records import SAMPLE_EVERY
 
+_KEYS = "keys"
+"""The folder of keys, below that of an emulated computer, and beside those."""
+ENCRYPT = "POISE_ENCRYPT"
+"""Environment variable: not empty, connectors between emulated computers speak TLS, as
+between real ones. Else the CPU time of encryption would not be that of a robot."""
 _LOOK_EVERY = 0.02
 """While an agent has ended, it is looked whether it may start so often [s]."""
 
@@ -61,6 +69,8 @@ class EmulatedAgents:
         self._output = output
         self._lifeline = lifeline
         self._options = ["--lease", f"{lease}", "--sample-every", f"{sample_every}"]
+        if not os.environ.get(ENCRYPT):
+            self._options.append("--plain-connectors")
         self._say = say
         self._kept = kept
         self._ended = {name: BackOff() for name in emulation.computers}
@@ -69,6 +79,7 @@ class EmulatedAgents:
         self._keeper = threads.daemon(self._keep, "keeper", again=True)
 
     def __enter__(self) -> Self:
+        self._issue_keys()
         for name in self.emulation.computers:
             self._start(name)
         self._keeper.start()
@@ -79,10 +90,18 @@ class EmulatedAgents:
         self._keeper.join()
         self._closing.close()
 
+    def _issue_keys(self) -> None:
+        """Let nobody else on this machine, or in its network, command the agents."""
+        folders = {name: c.folder for name, c in self.emulation.computers.items()}
+        authority = init_keys(self._robot, next(iter(folders.values())).parent / _KEYS)
+        for name, folder in folders.items():
+            authority.issue(name, "agent", folder / _KEYS)
+
     def _start(self, name: str) -> None:
         computer = self.emulation.computers[name]
         argv = [sys.executable, "-m", "poise", "agent", name, "--robot", self._robot]
         argv += ["--address", computer.address, "--folder", str(computer.folder)]
+        argv += ["--keys", str(computer.folder / _KEYS)]
         self.processes[name] = computer.popen(
             [*argv, "--lifeline", str(self._lifeline), *self._options],
             stdin=subprocess.DEVNULL,
@@ -209,16 +228,17 @@ _TOLERATED = 0.1
 
 
 class Computers:
-    """The computers of a run, with the zenoh endpoints of their agents."""
+    """The computers of a run, and where their agents are."""
 
     def __init__(
         self,
-        endpoints: Mapping[str, str],
+        addresses: AgentAddresses,
         without: tuple[str, ...] = (),
         agents: Mapping[str, subprocess.Popen[bytes]] | None = None,
         emulated: Mapping[str, EmulatedComputer] | None = None,
     ) -> None:
-        self.endpoints = endpoints
+        self.addresses = addresses
+        self.endpoints = addresses.endpoints
         self.emulated = emulated or {}
         self._agents = agents or {}
         self.lease = UNCUT_LEASE if agents else LEASE
@@ -279,18 +299,17 @@ def computers_of(
     use_kept: bool = False,
 ) -> Iterator[Computers]:
     """Give the robot's real computers, or emulate all of them on this one."""
-    addresses = {c.name: c.address for c in robot.computers if c.address}
-    if addresses:
-        yield Computers({n: locator(Endpoint.parse(a)) for n, a in addresses.items()})
+    if any(computer.address for computer in robot.computers):
+        yield Computers(real_agents(robot))
         return
     kept = set_for(robot) if use_kept else None
     if kept is not None:
-        with _kept(kept, say) as computers:
+        with _kept(robot, kept, say) as computers:
             yield computers
         return
     with emulated_agents(robot, folder, say, sample_every=sample_every) as agents:
         yield Computers(
-            agent_locators(agents.emulation.computers),
+            emulated_addresses(robot.name, agents.emulation.computers),
             agents.emulation.without,
             agents.processes,
             agents.emulation.computers,
@@ -298,21 +317,52 @@ def computers_of(
 
 
 @contextlib.contextmanager
-def _kept(kept: EmulatedSet, say: Say) -> Iterator[Computers]:
+def _kept(robot: Robot, kept: EmulatedSet, say: Say) -> Iterator[Computers]:
     """Use computers that another process keeps, and leave them up."""
     state, keeper = kept.state(), kept.layout.owner.pid
     say(f"using the emulated computers that process {keeper} keeps")
     for fault in state.faults:
         say(f"  {fault}")
     try:
-        yield Computers(
-            agent_locators(kept.computers), state.without, emulated=kept.computers
-        )
+        addresses = emulated_addresses(robot.name, kept.computers)
+        yield Computers(addresses, state.without, emulated=kept.computers)
     finally:
         for computer in kept.computers.values():
             computer.end_started()
 
 
-def agent_locators(computers: Mapping[str, EmulatedComputer]) -> dict[str, str]:
-    """Return the zenoh endpoints of the agents of emulated computers."""
-    return {name: locator(agent_of(computer)) for name, computer in computers.items()}
+def real_agents(robot: Robot) -> AgentAddresses:
+    """Return where the agents of a robot's own computers are, and the keys for them.
+
+    Raises
+    ------
+    UsageError
+        There are no keys for computers that others can reach, too.
+    """
+    where = {c.name: Endpoint.parse(c.address) for c in robot.computers if c.address}
+    keys = None if robot.insecure else find(robot.name, "manager")
+    if keys is None and not robot.insecure:
+        _raise_if_reachable(robot.name, where)
+    endpoints = {name: locator(at, keys) for name, at in where.items()}
+    return AgentAddresses(robot.name, endpoints, str(keys.folder) if keys else "")
+
+
+def _raise_if_reachable(robot: str, where: Mapping[str, Endpoint]) -> None:
+    for name, endpoint in where.items():
+        if not (endpoint.is_ip and ip_address(endpoint.host).is_loopback):
+            raise UsageError(
+                f"there are no keys for robot '{robot}', and whoever reaches computer "
+                f"'{name}' ({endpoint}) could run code there: `poise keys init` and "
+                "`poise keys issue` make keys; `insecure: true` in the robot file goes "
+                "without"
+            )
+
+
+def emulated_addresses(
+    robot: str, computers: Mapping[str, EmulatedComputer]
+) -> AgentAddresses:
+    """Return where the agents of emulated computers are, and the keys for them."""
+    keys = next(iter(computers.values())).folder.parent / _KEYS
+    found = Credentials(keys) if keys.exists() else None
+    endpoints = {n: locator(agent_of(c), found) for n, c in computers.items()}
+    return AgentAddresses(robot, endpoints, str(keys) if found else "")

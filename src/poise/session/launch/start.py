@@ -20,7 +20,7 @@ from poise.clock import SystemClock
 from poise.errors import RobotError, RunError
 from poise.manage.agent_connections.agents import Agents
 from poise.manage.agent_connections.statuses import containers_left
-from poise.manage.control_socket.location import AgentAddresses, forget, note
+from poise.manage.control_socket.location import forget, note
 from poise.manage.deploy.deactivation import stop
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.journal import Journal
@@ -260,6 +260,7 @@ def started(  # noqa: PLR0913 - each is a choice of the caller
                 take if look.take else None,
                 lease=computers.lease,
                 election=election,
+                keys=computers.addresses.credentials(),
             )
         )
 
@@ -275,7 +276,7 @@ def started(  # noqa: PLR0913 - each is a choice of the caller
         if begin is None:
             say(f"starting {counted(len(placement), 'component')}")
         if computers.outlive_manager:
-            note(AgentAddresses(robot.name, computers.endpoints))
+            note(computers.addresses)
             stack.callback(_forget_if_ended, robot.name, agents, computers.endpoints)
         stack.enter_context(_running(run, check, begin or RunningComponents.start))
         stack.callback(at_work.clear)

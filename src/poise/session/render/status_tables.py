@@ -52,7 +52,8 @@ def status_parts(status: RobotStatus) -> Iterator[RenderableType]:
         yield f"[yellow]{remark}[/]"
     yield from chain_tables(status.chains)
     yield computer_table(status)
-    for line in (*growing_containers(status), *container_lines(status)):
+    growing, containers = growing_containers(status), container_lines(status)
+    for line in (*growing, *containers, *_notices(status)):
         yield Text(line, style="yellow")
 
 
@@ -167,6 +168,12 @@ def container_lines(answer: RobotStatus) -> Iterator[str]:
                 f"{_clock(health.since)}, {restarts}; last fault at "
                 f"{_clock(fault.at)}: {fault.message}"
             )
+
+
+def _notices(answer: RobotStatus) -> Iterator[str]:
+    for name, report in sorted(answer.computers.items()):
+        if report.notice:
+            yield f"{name}: {report.notice}"
 
 
 def _clock(moment: float) -> str:

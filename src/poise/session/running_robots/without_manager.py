@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from poise.clock import SystemClock
 from poise.emulate import set_for
-from poise.endpoint import Endpoint
 from poise.errors import RunError, UsageError
 from poise.manage.agent_connections.agents import Agents
 from poise.manage.agent_connections.statuses import containers_left
@@ -13,8 +12,8 @@ from poise.manage.control_socket.commands import RobotStatus
 from poise.manage.control_socket.location import AgentAddresses, forget
 from poise.manage.deploy.running_components import STOP_LIMIT
 from poise.model.robot import Robot
-from poise.session.launch.computers import agent_locators
-from poise.wire.control_session import locator
+from poise.session.launch.computers import emulated_addresses, real_agents
+from poise.wire.control_session import endpoint_of
 from poise.wire.records.deployment_records import Deployment
 
 REACH_LIMIT = 5.0
@@ -34,7 +33,7 @@ def status_without_manager(robot: Robot) -> RobotStatus:
     addresses = _addresses(robot)
     status = ask_agents(addresses)
     if status is None:
-        places = ", ".join(addresses.endpoints.values()).replace("tcp/", "")
+        places = ", ".join(str(endpoint_of(e)) for e in addresses.endpoints.values())
         raise RunError(
             f"robot '{robot.name}' does not run: no agent at {places} says that it "
             "runs something of it"
@@ -58,7 +57,8 @@ def stop_without_manager(robot: Robot) -> None:
 def stop_agents(addresses: AgentAddresses) -> None:
     """End all containers of a robot's agents, which obey no manager that is there."""
     ends = addresses.endpoints
-    with Agents(addresses.robot, ends, SystemClock()) as agents:
+    keys = addresses.credentials()
+    with Agents(addresses.robot, ends, SystemClock(), keys=keys) as agents:
         agents.wait_news(lambda: agents.reached() == ends.keys(), REACH_LIMIT)
         reached = agents.reached()
         agents.claim(reached)
@@ -89,14 +89,12 @@ def _end_all(agents: Agents, computers: set[str]) -> None:
 
 def _addresses(robot: Robot) -> AgentAddresses:
     """Return where a robot's agents are, by its file or on computers kept for it."""
-    real = {c.name: c.address for c in robot.computers if c.address}
-    if real:
-        ends = {name: locator(Endpoint.parse(at)) for name, at in real.items()}
-        return AgentAddresses(robot.name, ends)
+    if any(computer.address for computer in robot.computers):
+        return real_agents(robot)
     kept = set_for(robot)
     if kept is None:
         raise UsageError(
             f"robot '{robot.name}' has no computer with an address, and `poise "
             "emulate` keeps none for it: components on emulated ones have ended"
         )
-    return AgentAddresses(robot.name, agent_locators(kept.computers))
+    return emulated_addresses(robot.name, kept.computers)

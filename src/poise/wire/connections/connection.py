@@ -23,16 +23,21 @@ import os
 import socket
 import threading
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 from weakref import WeakValueDictionary
 
 from poise import threads
 from poise.errors import Timeout, Unavailable
 from poise.wire import _channel
-from poise.wire.address import LOST_AFTER, keep_private
+from poise.wire.address import LOST_AFTER, keep_private, peek
 from poise.wire.codec import Unreadable, WireError
 from poise.wire.connections.blocks import BLOCKS, THRESHOLD, Block, lender
 from poise.wire.frame import LARGEST, Frame, Pieces
+
+if TYPE_CHECKING:
+    import ssl
+
+    from poise.wire.credentials import Credentials
 
 _NEW = 1 << 31
 _NUMBER, _SLOT = (1 << 8) - 1, (1 << 16) - 1
@@ -83,14 +88,32 @@ class Connection:
     def is_idle(self) -> bool:
         """Return at once whether the other end is there, and said nothing."""
         try:
-            data = self._connection.recv(1, socket.MSG_PEEK | socket.MSG_DONTWAIT)
-            return bool(data) and self._reader is not None
-        except BlockingIOError:
-            self.is_lost = self._channel.is_lost()
-            return not self.is_lost
+            data = peek(self._connection, 1)
         except OSError as error:
             self.is_lost = error.errno in _LOST
-        return False
+            return False
+        if data is not None:
+            return bool(data) and self._reader is not None
+        self.is_lost = self._channel.is_lost()
+        return not self.is_lost
+
+    def accept_tls(self, keys: Credentials, deadline: float) -> None:
+        """Go on over TLS, which the other end begins."""
+        from poise.wire.connections.tls_channel import Handshake  # noqa: PLC0415, slow
+
+        handshake = Handshake(self._connection, keys, accepts=True)
+        self._connection = handshake.socket  # `end` reaches it already
+        handshake.finish(deadline)
+        self.secure(handshake.socket)
+
+    def secure(self, connection: ssl.SSLSocket) -> None:
+        """Go on over a TLS session, which has taken the socket over."""
+        self._connection = connection
+        keep_private(connection)
+        from poise.wire.connections.tls_channel import TlsChannel  # noqa: PLC0415, slow
+
+        # the same, without shared memory
+        self._channel = TlsChannel(connection)  # type: ignore[assignment]
 
     def close(self) -> None:
         """Close the connection; arrays that were received stay as they are."""
@@ -107,7 +130,8 @@ class Connection:
     def end(self, how: int = socket.SHUT_RDWR) -> None:
         """Let its user find it closed; from any thread."""
         with contextlib.suppress(OSError):
-            self._connection.shutdown(how)
+            # not the TLS socket's, which would send plain bytes from then on
+            socket.socket.shutdown(self._connection, how)
 
     def follow(self, handle: Callable[[Frame], bool]) -> None:
         """Let a thread take what comes back, until `handle` returns False."""

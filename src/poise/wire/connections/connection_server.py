@@ -12,6 +12,7 @@ import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from msgspec import Struct
 
@@ -22,8 +23,17 @@ from poise.wire.address import gateway_path, keep_private, socket_path
 from poise.wire.codec import Unreadable, WireError
 from poise.wire.connections import connection
 from poise.wire.connections.connection import LAST_ANSWER, Connection
-from poise.wire.connections.opening import ANSWER_LIMIT, MESSAGES, NAME, AcceptWarning
+from poise.wire.connections.opening import (
+    ANSWER_LIMIT,
+    MESSAGES,
+    NAME,
+    AcceptWarning,
+    own_keys,
+)
 from poise.wire.frame import Frame, Kind, Pieces
+
+if TYPE_CHECKING:
+    from poise.wire.credentials import Credentials
 
 log = logging.getLogger(__name__)
 
@@ -136,16 +146,16 @@ class ConnectionServer:
                 if self._neighbours.fileno() in ready:
                     self._start(self._neighbours.accept()[0])
                 if self._from_gateway.fileno() in ready:
-                    self._start(_handed_over(self._from_gateway))
+                    self._start(_handed_over(self._from_gateway), own_keys())
             except OSError as error:
                 if not self._closed.is_set():
                     self.warning.note(error)
                     self._closed.wait(_PAUSE)
 
-    def _start(self, sock: socket.socket) -> None:
+    def _start(self, sock: socket.socket, keys: Credentials | None = None) -> None:
         connection = Connection(sock)
         served = _ServedConnection(connection, threading.current_thread())
-        served.thread = threads.daemon(self._serve, "connection", served)
+        served.thread = threads.daemon(self._serve, "connection", served, keys)
         with self._lock:
             is_full = len(self._connections) >= _MOST_CONNECTIONS
             if not is_full and not self._closed.is_set():
@@ -163,9 +173,11 @@ class ConnectionServer:
             log.warning(text, self._container, _MOST_CONNECTIONS)
         connection.close()
 
-    def _serve(self, served: _ServedConnection) -> None:
+    def _serve(self, served: _ServedConnection, keys: Credentials | None) -> None:
         connection.serve(served.connection)
         try:
+            if keys is not None:
+                served.connection.accept_tls(keys, time.monotonic() + ANSWER_LIMIT)
             self._greet(served)
             while self._serve_one(served):
                 pass

@@ -10,14 +10,20 @@ import select
 import socket
 import time
 from contextlib import ExitStack
+from functools import cache
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from poise.errors import Unavailable
 from poise.wire import frame
-from poise.wire.address import LOST_AFTER, Address, family_of, socket_path, tune
+from poise.wire.address import KEYS, LOST_AFTER, Address, family_of, socket_path, tune
 from poise.wire.codec import WireError, codec
 from poise.wire.connections.connection import Connection
 from poise.wire.frame import Kind
+
+if TYPE_CHECKING:
+    from poise.wire.connections.tls_channel import Handshake
+    from poise.wire.credentials import Credentials
 
 NAME = codec(str)
 CALLS, MESSAGES = 0, 1
@@ -30,6 +36,16 @@ whose queue is full, and to a computer that is silent. The kernel repeats a lost
 only after 1, 3 and 7 s: too late after a short cut."""
 
 
+@cache
+def own_keys() -> Credentials | None:
+    """Return the keys of this process; None: it meets other computers over TCP."""
+    if not os.environ.get(KEYS):
+        return None
+    from poise.wire.credentials import Credentials  # noqa: PLC0415, `ssl` is slow
+
+    return Credentials(Path(os.environ[KEYS]))
+
+
 class Opening:
     """A connection that is being opened, without a thread that waits for it."""
 
@@ -37,7 +53,9 @@ class Opening:
         self._connector = connector
         self._address = address
         self._folder = folder
-        self._is_asked = False
+        self._keys = own_keys() if address.gateway else None
+        self._handshake: Handshake | None = None
+        self._has_reached = self._has_asked = False
         self._give_up_at = time.monotonic() + ANSWER_LIMIT
         self._patience = _REMOTE_RETRY if address.gateway else _RETRY
         self._closing = ExitStack()
@@ -49,7 +67,11 @@ class Opening:
     def go_on(self, use: int, deadline: float) -> bool:
         """Go on until it is open or `deadline` comes; return whether it is open."""
         try:
-            return self._is_connected(use, deadline) and self._is_accepted(deadline)
+            return (
+                self._is_connected(deadline)
+                and self._is_asked(use, deadline)
+                and self._is_accepted(deadline)
+            )
         except BaseException as error:
             raise self._failed(error) from error
 
@@ -81,17 +103,43 @@ class Opening:
         if not self._is_queue_full:
             _raise_if(error)
 
-    def _is_connected(self, use: int, deadline: float) -> bool:
-        while not self._is_asked:
+    def _is_connected(self, deadline: float) -> bool:
+        while not self._has_reached:
             # of a socket that is not even connecting, `poll` says that it is ready
             event = 0 if self._is_queue_full else select.POLLOUT
             if self._is_ready(event, min(deadline, self._retry_at)):
                 _raise_if(self._socket.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR))
-                self._ask(use)
+                self._has_reached = True
+                if self._address.gateway:
+                    self._say(self._address.container)
             elif time.monotonic() < self._retry_at:
                 return False
             else:
                 self._begin()
+        return True
+
+    def _is_asked(self, use: int, deadline: float) -> bool:
+        if not self._has_asked:
+            if self._keys is not None and not self._is_secured(self._keys, deadline):
+                return False
+            self._say(self._connector, use)
+            self._has_asked = True
+        return True
+
+    def _is_secured(self, keys: Credentials, deadline: float) -> bool:
+        if self._handshake is None:
+            from poise.wire.connections.tls_channel import Handshake  # noqa: PLC0415
+
+            self._handshake = Handshake(self._socket, keys, accepts=False)
+            self._socket = self._handshake.socket
+            self._closing.callback(self._socket.close)
+        try:
+            while not self._handshake.go_on():
+                if not self._is_ready(self._handshake.event, deadline):
+                    return False
+        except Unavailable as error:
+            raise Unavailable(f"{self._connector}: {error}") from error
+        self.connection.secure(self._handshake.socket)
         return True
 
     def _is_accepted(self, deadline: float) -> bool:
@@ -102,14 +150,9 @@ class Opening:
             raise Unavailable(f"{self._connector}: {answer.value(NAME)}")
         return True
 
-    def _ask(self, use: int) -> None:
-        names = [(self._connector, use)]
-        if self._address.gateway:
-            names.insert(0, (self._address.container, 0))
-        for name, number in names:
-            hello = frame.segments(NAME, name, Kind.HELLO, number=number)
-            self.connection.send(hello, time.monotonic() + ANSWER_LIMIT)
-        self._is_asked = True
+    def _say(self, name: str, number: int = 0) -> None:
+        hello = frame.segments(NAME, name, Kind.HELLO, number=number)
+        self.connection.send(hello, time.monotonic() + ANSWER_LIMIT)
 
     def _is_ready(self, event: int, deadline: float) -> bool:
         poll = select.poll()

@@ -253,6 +253,8 @@ class AgentStatus(Struct, frozen=True, kw_only=True, dict=True):
     gateway: str = ""  # IP address and TCP port of its gateway
     # What the agent cannot do now, and what to do; empty: it can do all
     trouble: str = ""
+    # What is to be known though nothing is wrong, as of its keys
+    notice: str = ""
     # Errors of its own code within the last minute: the part that is tried again later,
     # and the traceback. The rest goes on
     errors: tuple[ErrorCount, ...] = ()

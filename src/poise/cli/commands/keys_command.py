@@ -1,0 +1,149 @@
+"""The keys of a robot: who may command its computers, and who may look."""
+
+from __future__ import annotations
+
+import sys
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Annotated, get_args
+
+import typer
+from msgspec import Struct
+
+from poise.cli.options import AsJson, show
+from poise.errors import UsageError
+from poise.session.keys import DAYS, authority_of, init_keys
+from poise.session.render.tables import table
+from poise.suggest import did_you_mean
+from poise.wire.credentials import Credentials, Role, folders
+
+RobotName = Annotated[str, typer.Argument(help="The robot's name.", show_default=False)]
+Folder = Annotated[
+    Path | None,
+    typer.Option(help="The folder of the owner's keys; else his usual one."),
+]
+Out = Annotated[
+    Path, typer.Option("--out", "-o", help="A folder below which each gets its own.")
+]
+
+
+class KeysListed(Struct, frozen=True):
+    """Keys of one participant; `expires`: when they end [s since 1970]."""
+
+    name: str
+    folder: str
+    expires: float
+
+
+def init_command(robot: RobotName, folder: Folder = None) -> None:
+    """Make the authority that signs a robot's keys, once, and keys for you.
+
+    Examples
+    --------
+    poise keys init hello
+    """
+    authority = init_keys(robot, folder)
+    _say(f"the authority of robot '{robot}' and your keys are in {authority.folder}")
+    _say(f"next: `poise keys issue {robot} COMPUTER...` makes those of its computers")
+
+
+def issue_command(
+    robot: RobotName,
+    names: Annotated[
+        list[str], typer.Argument(metavar="NAME...", help="Computers, or people.")
+    ],
+    out: Out = Path("keys"),
+    role: Annotated[
+        str,
+        typer.Option(
+            help="agent: a computer; manager: who may command; viewer: who may look."
+        ),
+    ] = "agent",
+    days: Annotated[float, typer.Option(help="How long they hold.", min=0.001)] = DAYS,
+    folder: Folder = None,
+) -> None:
+    """Make or renew keys of computers or people, a folder each.
+
+    Examples
+    --------
+    poise keys issue hello left right
+
+    poise keys issue hello kim --role viewer --days 7
+    """
+    of_role = _role(role)
+    authority = authority_of(robot, folder)
+    for name in names:
+        issued = authority.issue(name, of_role, out / name, days=days)
+        _say(f"{issued.folder}: {issued.name}, until {_day(issued.expires)}")
+    place = folders(robot)[-1] if of_role == "agent" else folders(robot)[0]
+    _say(
+        f"next: copy each folder to its computer, as {place} or where `--keys` or "
+        "POISE_KEYS says, readable for its user alone, and start its agent again"
+    )
+
+
+def rotate_command(robot: RobotName, folder: Folder = None) -> None:
+    """Take the next step from the robot's authority to another one.
+
+    Two steps, with new keys for all after each: the first makes the next authority
+    known, the second lets it sign. What is not issued again is locked out by the step
+    after.
+
+    Examples
+    --------
+    poise keys rotate hello
+    """
+    authority = authority_of(robot, folder)
+    signs = authority.rotate()
+    authority.issue("owner", "manager", authority.folder)
+    what = "signs now" if signs else "is known; it signs after the next `rotate`"
+    _say(f"robot '{robot}': the next authority {what}")
+    _say(f"next: `poise keys issue {robot} ...` for all, and copy their folders")
+
+
+def list_command(
+    robot: RobotName, folder: Folder = None, as_json: AsJson = False
+) -> None:
+    """Show the keys that this computer has of a robot, and until when they hold.
+
+    Exits with 1 when some have ended or soon end.
+
+    Examples
+    --------
+    poise keys list hello
+    """
+    places = [folder] if folder else folders(robot)
+    found = [Credentials(p) for p in places if p.is_dir()]
+    if not found:
+        where = " or ".join(map(str, places))
+        raise UsageError(f"there are no keys of robot '{robot}' in {where}")
+    shown = table("keys of", "until", "folder")
+    for keys in found:
+        shown.add_row(keys.name, _day(keys.expires), str(keys.folder))
+    listed = [KeysListed(k.name, str(k.folder), k.expires) for k in found]
+    show(listed, [shown], as_json=as_json)
+    warnings = [warning for keys in found if (warning := keys.warning())]
+    for warning in warnings:
+        sys.stderr.write(f"{warning}\n")
+    if warnings:
+        raise typer.Exit(1)
+
+
+def _role(text: str) -> Role:
+    roles: tuple[Role, ...] = get_args(Role)
+    for role in roles:
+        if role == text:
+            return role
+    guess = did_you_mean(text, roles)
+    raise UsageError(f"--role {text}{guess}: it is {' or '.join(roles)}")
+
+
+def _day(moment: float) -> str:
+    return f"{datetime.fromtimestamp(moment, UTC):%Y-%m-%d %H:%M} UTC"
+
+
+def _say(sentence: str) -> None:
+    sys.stdout.write(f"{sentence}\n")
+
+
+keys_command = list_command

@@ -1,0 +1,231 @@
+"""Frames over TLS 1.3, between containers on two computers.
+
+It does what `poise.wire._channel` does over a plain socket, with Python's `ssl`. One
+thread may send while another receives, but OpenSSL lets only one at a time into a
+session: so all waiting happens outside.
+"""
+
+from __future__ import annotations
+
+import select
+import socket
+import ssl
+import struct
+import threading
+import time
+from collections.abc import Callable, Iterator
+from typing import TypeVar
+
+from poise.errors import Timeout, Unavailable
+from poise.wire import _channel
+from poise.wire.address import LOST_AFTER, peek
+from poise.wire.codec import Bytes, Unreadable, WireError, codec
+from poise.wire.credentials import Credentials, role_of
+from poise.wire.frame import Frame, Pieces, receive_frame
+
+_HEAD = struct.Struct("<II")
+_AHEAD = 1 << 14
+"""Bytes to read at once: nearly every frame comes in one step."""
+_JOINED = 1 << 14
+"""Pieces up to this size share a TLS record [bytes]; no record carries more."""
+_LOOK_EVERY = 0.5
+"""Who waits looks this often whether the other computer is lost [s]."""
+_TLS_RECORDS = b"\x15\x03", b"\x16\x03"
+"""How answers to a handshake begin; a frame that begins so would be longer than any
+refusal."""
+_LARGEST_REFUSAL = 1024
+_Result = TypeVar("_Result")
+
+
+class Handshake:
+    """The beginning of a TLS session over a connected socket, which it takes over."""
+
+    def __init__(
+        self, plain: socket.socket, keys: Credentials, *, accepts: bool
+    ) -> None:
+        plain.setblocking(False)
+        context = keys.server if accepts else keys.client
+        self.socket = context.wrap_socket(
+            plain, server_side=accepts, do_handshake_on_connect=False
+        )
+        self._accepts = accepts
+        self.event = select.POLLIN
+
+    def go_on(self) -> bool:
+        """Go on as far as that needs no wait, and return whether it is done.
+
+        Else it waits for `event`. Unavailable: the other end refuses, or must not be
+        here.
+        """
+        try:
+            self._raise_if_refused()
+            self.socket.do_handshake()
+        except ssl.SSLWantReadError:
+            self.event = select.POLLIN
+            return False
+        except ssl.SSLWantWriteError:
+            self.event = select.POLLOUT
+            return False
+        except OSError as error:
+            raise Unavailable(f"no TLS session: {_reason(error)}") from error
+        role = role_of(self.socket.getpeercert())
+        if role != "agent":
+            raise Unavailable(f"the other end has a certificate of the role '{role}'")
+        return True
+
+    def finish(self, deadline: float) -> None:
+        """Go on until it is done."""
+        while not self.go_on():
+            poll = _poll(self.socket, self.event)
+            if not poll.poll(1000 * max(0.0, deadline - time.monotonic())):
+                raise Timeout("the other end does not finish the handshake in time")
+
+    def _raise_if_refused(self) -> None:
+        """Raise what a gateway says, which hands connections on before any TLS."""
+        if self._accepts:
+            return
+        start = peek(self.socket, 2)
+        if start and start not in _TLS_RECORDS:
+            deadline = time.monotonic() + LOST_AFTER
+            refusal = receive_frame(self.socket, deadline, _LARGEST_REFUSAL)
+            raise Unavailable(refusal.value(codec(str)))
+
+
+class TlsChannel:
+    """Frames over a TLS socket whose handshake is done."""
+
+    def __init__(self, connection: ssl.SSLSocket) -> None:
+        self._socket = connection
+        self._inside = threading.Lock()
+        self._ahead = b""
+        self._arriving = _poll(connection, select.POLLIN)
+        # it asks the kernel, and reads nothing
+        self._kernel = _channel.Channel(connection.fileno(), LOST_AFTER)
+
+    def is_lost(self) -> bool:
+        """Return whether the other computer was silent for too long."""
+        return self._kernel.is_lost()
+
+    def send(self, pieces: Pieces, deadline: float, largest: int) -> None:
+        """Send a frame before `deadline`."""
+        size = sum(map(len, pieces))
+        if size > largest:
+            raise WireError(f"a frame of {size} B; {largest} B is the largest")
+        head = _HEAD.pack(size, 0)
+        if size <= _JOINED:
+            self._write(b"".join((head, *pieces)), deadline)
+        else:
+            for part in _joined(head, pieces):
+                self._write(part, deadline)
+
+    def receive(self, deadline: float, largest: int, _: object = None) -> Frame:
+        """Return the next frame, before `deadline`."""
+        while len(self._ahead) < _HEAD.size:
+            self._ahead += self._some(self._socket.read, _AHEAD, deadline)
+        size, block = _HEAD.unpack_from(self._ahead)
+        if size > largest:
+            raise Unreadable(f"a frame of {size} B; {largest} B is the largest")
+        if block:
+            raise Unreadable(f"a shared block {block} was announced over TLS")
+        end = _HEAD.size + size
+        if len(self._ahead) < end:
+            return _channel.parse(self._read_rest(end, deadline))
+        data, self._ahead = self._ahead[_HEAD.size : end], self._ahead[end:]
+        return _channel.parse(data)
+
+    def ask(
+        self, pieces: Pieces, deadline: float, largest: int, _: object = None
+    ) -> Frame | None:
+        """Send a call and return its answer; None: the other end had gone before."""
+        try:
+            self.send(pieces, deadline, largest)
+        except Unavailable:
+            return None
+        try:
+            return self.receive(deadline, largest)
+        except Timeout:
+            raise Timeout("no answer came in time") from None
+
+    def _write(self, data: Bytes, deadline: float) -> None:
+        sent = self._do(self._socket.send, data, deadline)
+        while sent < len(data):
+            rest = memoryview(data)[sent:]
+            sent += self._do(self._socket.send, rest, deadline)
+
+    def _read_rest(self, end: int, deadline: float) -> Bytes:
+        """Return a frame of which only a part is here, without what stands before."""
+        target = memoryview(bytearray(end - _HEAD.size))
+        start = len(self._ahead) - _HEAD.size
+        target[:start], self._ahead = self._ahead[_HEAD.size :], b""
+        while start < len(target):
+            start += self._some(self._socket.recv_into, target[start:], deadline)
+        return target.toreadonly()
+
+    def _some(
+        self, step: Callable[..., _Result], argument: object, deadline: float
+    ) -> _Result:
+        if not self._socket.pending():
+            self._wait(self._arriving, deadline)
+        got = self._do(step, argument, deadline)
+        if not got:
+            raise Unavailable("the other end is gone: it closed the connection")
+        return got
+
+    def _do(
+        self, step: Callable[..., _Result], argument: object, deadline: float
+    ) -> _Result:
+        """Take a step in the session as soon as it needs no wait."""
+        while True:
+            try:
+                with self._inside:
+                    return step(argument)
+            except ssl.SSLWantReadError:
+                poll = _poll(self._socket, select.POLLIN)
+            except ssl.SSLWantWriteError:
+                poll = _poll(self._socket, select.POLLOUT)
+            except OSError as error:
+                raise Unavailable(f"the other end is gone: {_reason(error)}") from error
+            self._wait(poll, deadline)
+
+    def _wait(self, poll: select.poll, deadline: float) -> None:
+        while not poll.poll(_milliseconds(deadline)):
+            if time.monotonic() >= deadline:
+                raise Timeout(
+                    "nothing came from the other end in time"
+                    if poll is self._arriving
+                    else "the other end takes no more bytes"
+                )
+            if self.is_lost():
+                raise Unavailable("the other end is gone: its computer is silent")
+
+
+def _poll(connection: socket.socket, event: int) -> select.poll:
+    poll = select.poll()
+    poll.register(connection, event)
+    return poll
+
+
+def _milliseconds(deadline: float) -> float:
+    return 1000 * min(_LOOK_EVERY, max(0.0, deadline - time.monotonic()))
+
+
+def _joined(head: Bytes, pieces: Pieces) -> Iterator[Bytes]:
+    """Yield the bytes of pieces, small ones together."""
+    small, size = [head], len(head)
+    for piece in pieces:
+        if len(piece) <= _JOINED - size:
+            small.append(piece)
+            size += len(piece)
+            continue
+        yield b"".join(small)
+        yield piece
+        small, size = [], 0
+    if small:
+        yield b"".join(small)
+
+
+def _reason(error: OSError) -> str:
+    """Return what OpenSSL or the kernel says, without the place in their source."""
+    reason = getattr(error, "reason", None) or error.strerror or str(error)
+    message = getattr(error, "verify_message", "")
+    return f"{reason}: {message}" if message else str(reason)

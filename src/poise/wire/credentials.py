@@ -1,0 +1,205 @@
+"""Who takes part in a robot: certificates of the robot's own authority, in one folder.
+
+Each computer and each person has a folder of keys (`poise keys`). With it the manager
+and the agents speak TLS 1.3, both sides with a certificate; so do containers on two
+computers; and heartbeats carry a keyed MAC. What a peer may do follows from its role,
+the common name in its certificate, for zenoh's access control knows that only.
+"""
+
+from __future__ import annotations
+
+import hmac
+import os
+import ssl
+from collections.abc import Iterator, Mapping
+from functools import cached_property
+from hashlib import blake2s
+from pathlib import Path
+from typing import Any, Literal
+
+from poise.clock import wall_time
+from poise.errors import RunError, UsageError
+from poise.wire.address import KEYS
+
+Role = Literal["agent", "manager", "viewer"]
+"""What a certificate is for: a computer, who commands the robot, or who only looks."""
+AUTHORITY, CERTIFICATE, PRIVATE_KEY = "authority.pem", "certificate.pem", "key.pem"
+HEARTBEATS = "heartbeats.key"
+FILES = AUTHORITY, CERTIFICATE, PRIVATE_KEY, HEARTBEATS
+WARN_BEFORE = 14 * 86400.0
+"""The end of a certificate is warned of this time before [s]."""
+TAG_SIZE = 16
+_PRIVATE = 0o077
+
+
+class Credentials:
+    """The keys of one participant, in a folder."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        missing = [name for name in FILES if not (folder / name).is_file()]
+        if missing:
+            raise UsageError(
+                f"{folder} lacks {', '.join(missing)}: `poise keys issue` makes them"
+            )
+        if (folder / PRIVATE_KEY).stat().st_mode & _PRIVATE:
+            raise UsageError(
+                f"{folder / PRIVATE_KEY} can be read by others: chmod 600 it"
+            )
+        self._signing = _hex_keys(folder / HEARTBEATS)
+
+    @cached_property
+    def subject(self) -> Mapping[str, str]:
+        """The words of the certificate's subject: of whom it is, and which robot's."""
+        return _subject(self._decoded)
+
+    @property
+    def name(self) -> str:
+        """Role and name, as in ``agent left``."""
+        return f"{self.role} {self.subject.get('organizationalUnitName', '')}"
+
+    @property
+    def role(self) -> str:
+        """The role."""
+        return self.subject.get("commonName", "")
+
+    @property
+    def robot(self) -> str:
+        """The robot whose authority signed it."""
+        return self.subject.get("organizationName", "")
+
+    @property
+    def expires(self) -> float:
+        """When the certificate ends [s, since the epoch]."""
+        return ssl.cert_time_to_seconds(self._decoded["notAfter"])
+
+    def warning(self) -> str:
+        """Return what is wrong with the certificate, or soon is; empty: nothing."""
+        left = self.expires - wall_time()
+        if left > WARN_BEFORE:
+            return ""
+        ends = "has ended" if left <= 0 else f"ends in {left / 86400:.1f} days"
+        return f"the certificate of {self.name} {ends}: `poise keys issue` renews it"
+
+    def check(self, robot: str, *roles: Role) -> Credentials:
+        """Return these keys; UsageError unless they are this robot's, for a role."""
+        if self.robot != robot:
+            raise UsageError(
+                f"the keys in {self.folder} are robot '{self.robot}'s, not '{robot}'s"
+            )
+        if self.role not in roles:
+            raise UsageError(
+                f"the keys in {self.folder} are of {self.name}: they must be of "
+                f"{' or '.join(roles)}"
+            )
+        if self.expires <= wall_time():
+            raise UsageError(self.warning())
+        return self
+
+    @cached_property
+    def server(self) -> ssl.SSLContext:
+        """For the end that accepts a connection."""
+        context = self._context(ssl.PROTOCOL_TLS_SERVER)
+        # tickets would come behind the handshake, and look like an answer
+        context.num_tickets = 0
+        return context
+
+    @cached_property
+    def client(self) -> ssl.SSLContext:
+        """For the end that connects."""
+        return self._context(ssl.PROTOCOL_TLS_CLIENT)
+
+    def zenoh(self) -> Iterator[tuple[str, Any]]:
+        """Yield the settings of a zenoh session."""
+        path = {name: str(self.folder / name) for name in FILES}
+        for key, value in {
+            "root_ca_certificate": path[AUTHORITY],
+            "listen_certificate": path[CERTIFICATE],
+            "listen_private_key": path[PRIVATE_KEY],
+            "connect_certificate": path[CERTIFICATE],
+            "connect_private_key": path[PRIVATE_KEY],
+            "enable_mtls": True,
+            # addresses change: the authority and the role count
+            "verify_name_on_connect": False,
+            "close_link_on_expiration": True,
+        }.items():
+            yield f"transport/link/tls/{key}", value
+
+    def sign(self, data: bytes) -> bytes:
+        """Return data with the MAC of the robot's heartbeats before it."""
+        return _mac(data, self._signing[0]) + data
+
+    def verified(self, signed: bytes) -> bytes | None:
+        """Return what `sign` was given; None when another key signed it."""
+        tag, data = signed[:TAG_SIZE], signed[TAG_SIZE:]
+        is_ours = any(hmac.compare_digest(tag, _mac(data, k)) for k in self._signing)
+        return data if is_ours else None
+
+    @cached_property
+    def _decoded(self) -> dict[str, Any]:
+        path = self.folder / CERTIFICATE
+        try:
+            return ssl._ssl._test_decode_cert(str(path))  # type: ignore[attr-defined,no-any-return]  # noqa: SLF001
+        except (ssl.SSLError, OSError) as error:
+            raise RunError(f"{path} is no certificate: {error}") from None
+
+    def _context(self, protocol: int) -> ssl.SSLContext:
+        context = ssl.SSLContext(protocol)
+        context.minimum_version = ssl.TLSVersion.TLSv1_3
+        context.check_hostname = False
+        context.verify_mode = ssl.CERT_REQUIRED
+        try:
+            context.load_verify_locations(self.folder / AUTHORITY)
+            context.load_cert_chain(
+                self.folder / CERTIFICATE, self.folder / PRIVATE_KEY
+            )
+        except (ssl.SSLError, OSError) as error:
+            raise RunError(f"the keys in {self.folder} are unusable: {error}") from None
+        return context
+
+
+def role_of(peer: Mapping[str, Any] | None) -> str:
+    """Return the role in a peer's certificate, as `SSLSocket.getpeercert` gives it."""
+    return _subject(peer or {}).get("commonName", "")
+
+
+def _mac(data: bytes, key: bytes) -> bytes:
+    return blake2s(data, digest_size=TAG_SIZE, key=key).digest()
+
+
+def _hex_keys(path: Path) -> list[bytes]:
+    """Return the keys in a file, the one that signs first."""
+    try:
+        keys = [bytes.fromhex(line) for line in path.read_text().split()]
+    except ValueError as error:
+        raise RunError(f"{path} is damaged: {error}") from None
+    if not keys:
+        raise RunError(f"{path} is empty")
+    return keys
+
+
+def _subject(decoded: Mapping[str, Any]) -> dict[str, str]:
+    return {key: value for part in decoded.get("subject", ()) for key, value in part}
+
+
+def folders(robot: str) -> list[Path]:
+    """Return where the keys of a robot are looked for, in order."""
+    data = os.environ.get("XDG_DATA_HOME") or Path.home() / ".local" / "share"
+    return [Path(data) / "poise" / "keys" / robot, Path("/etc/poise/keys") / robot]
+
+
+def find(robot: str, *roles: Role, folder: Path | None = None) -> Credentials | None:
+    """Return a robot's keys for one of these roles; None: there are none here.
+
+    They are in a folder that is given, else that of `KEYS`, else in a usual one.
+    UsageError: those that were given are of another robot or role.
+    """
+    given = folder or (Path(where) if (where := os.environ.get(KEYS)) else None)
+    if given is not None:
+        return Credentials(given).check(robot, *roles)
+    for usual in folders(robot):
+        if (usual / CERTIFICATE).exists():
+            keys = Credentials(usual)
+            if keys.role in roles:
+                return keys.check(robot, *roles)
+    return None
