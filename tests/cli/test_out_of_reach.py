@@ -19,6 +19,8 @@ from poise.manage.control_socket.commands import MoveCommand, RobotStatus, Statu
 from poise.manage.control_socket.control_client import send_command
 from poise.manage.migration.migration_report import MigrationReport
 from poise.model.robot import Computer, Robot
+from poise.session.keys import init_keys
+from poise.wire.address import KEYS
 from poise.wire.records.status_records import ConnectorStatus
 from tests.command import POISE, run_poise
 from tests.waiting import LONG, wait_long
@@ -95,9 +97,12 @@ class Field:
         self.computers = emulation.computers
         (folder / "reach.py").write_text(CODE)
         addresses = {n: c.address for n, c in self.computers.items()}
+        authority = init_keys(self.name, folder / "owner")
+        self.keys = str(authority.folder)
         for name in NAMES:
+            keys = authority.issue(name, "agent", folder / "keys" / name)
             argv = [*POISE, "agent", name, "--robot", self.name]
-            argv += ["--address", addresses[name]]
+            argv += ["--address", addresses[name], "--keys", str(keys.folder)]
             argv += ["--folder", str(self.computers[name].folder)]
             self.computers[name].popen(argv)
         self.file = folder / "robot.yaml"
@@ -161,7 +166,8 @@ class Up:
 
 
 @pytest.fixture
-def runtime(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def runtime(field: Field, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv(KEYS, field.keys)
     folder = tmp_path / "one"
     folder.mkdir()
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(folder))

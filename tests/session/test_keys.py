@@ -1,0 +1,157 @@
+"""A robot's authority, and the keys that it makes."""
+
+from __future__ import annotations
+
+import stat
+from pathlib import Path
+
+import pytest
+
+from poise.clock import wall_time
+from poise.errors import RunError, UsageError
+from poise.session.keys import Authority, authority_of, init_keys
+from poise.wire import credentials
+from poise.wire.credentials import AUTHORITY, HEARTBEATS, Credentials, find
+
+DAY = 86400.0
+
+
+@pytest.fixture
+def authority(tmp_path: Path) -> Authority:
+    return init_keys("hello", tmp_path / "owner")
+
+
+def issue(authority: Authority, name: str = "left", days: float = 90) -> Credentials:
+    folder = authority.folder.parent / name
+    return authority.issue(name, "agent", folder, days=days)
+
+
+def test_keys_say_of_whom_they_are_and_until_when(authority: Authority) -> None:
+    keys = issue(authority, days=3)
+    assert (keys.robot, keys.role, keys.name) == ("hello", "agent", "agent left")
+    assert keys.expires == pytest.approx(wall_time() + 3 * DAY, abs=60)
+    assert "ends in 3.0 days: `poise keys issue` renews it" in keys.warning()
+    assert not issue(authority).warning()
+
+
+def test_the_owner_may_command(authority: Authority) -> None:
+    assert Credentials(authority.folder).check("hello", "manager").name == (
+        "manager owner"
+    )
+
+
+def test_nobody_else_can_read_them(authority: Authority) -> None:
+    folders = [authority.folder, authority.folder / "owner", issue(authority).folder]
+    for folder in folders:
+        assert stat.S_IMODE(folder.stat().st_mode) == 0o700
+        files = [path for path in folder.iterdir() if path.is_file()]
+        assert all(stat.S_IMODE(path.stat().st_mode) == 0o600 for path in files)
+
+
+def test_keys_that_others_can_read_are_refused(authority: Authority) -> None:
+    key = issue(authority).folder / credentials.PRIVATE_KEY
+    key.chmod(0o640)
+    with pytest.raises(UsageError, match=r"key\.pem can be read by others: chmod 600"):
+        Credentials(key.parent)
+
+
+@pytest.mark.parametrize("name", credentials.FILES)
+def test_it_says_what_is_missing(authority: Authority, name: str) -> None:
+    folder = issue(authority).folder
+    (folder / name).unlink()
+    with pytest.raises(UsageError, match=f"lacks {name}: `poise keys issue`"):
+        Credentials(folder)
+
+
+def test_damaged_keys_are_refused(authority: Authority) -> None:
+    keys = issue(authority)
+    (keys.folder / credentials.CERTIFICATE).write_text("nonsense")
+    with pytest.raises(RunError, match=r"certificate\.pem is no certificate"):
+        Credentials(keys.folder).check("hello", "agent")
+    (keys.folder / HEARTBEATS).write_text("nonsense")
+    with pytest.raises(RunError, match=r"heartbeats\.key is damaged"):
+        Credentials(keys.folder)
+
+
+def test_keys_of_another_robot_or_role_are_refused(authority: Authority) -> None:
+    keys = issue(authority)
+    with pytest.raises(UsageError, match="are robot 'hello's, not 'other's"):
+        keys.check("other", "agent")
+    with pytest.raises(UsageError, match="are of agent left: they must be of manager"):
+        keys.check("hello", "manager")
+
+
+def test_keys_that_have_ended_are_refused(authority: Authority) -> None:
+    keys = issue(authority, days=-0.01)
+    with pytest.raises(UsageError, match="of agent left has ended"):
+        keys.check("hello", "agent")
+
+
+def test_there_is_one_authority(authority: Authority) -> None:
+    with pytest.raises(UsageError, match="has an authority in"):
+        init_keys("hello", authority.folder)
+
+
+def test_without_an_authority_nothing_is_issued(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=r"is not here .* `poise keys init`"):
+        authority_of("hello", tmp_path)
+
+
+def test_issuing_again_replaces_all(authority: Authority) -> None:
+    before = issue(authority)
+    (before.folder / AUTHORITY).write_text("nonsense")
+    assert issue(authority).client is not None
+
+
+def test_heartbeats_are_taken_from_who_has_the_key(
+    authority: Authority, tmp_path: Path
+) -> None:
+    left, right = issue(authority), issue(authority, "right")
+    other = issue(init_keys("hello", tmp_path / "forger" / "owner"))
+    signed = left.sign(b"beat")
+    assert right.verified(signed) == b"beat"
+    assert other.verified(signed) is None
+    assert right.verified(signed[:-1]) is None
+    assert right.verified(b"") is None
+    assert right.verified(b"beat") is None
+
+
+def test_an_authority_is_replaced_while_all_know_each_other(
+    authority: Authority,
+) -> None:
+    """Computers get theirs at different times; what got none twice is locked out."""
+    oldest = issue(authority, "oldest")
+    assert not authority.rotate()  # the next one is known
+    old = issue(authority, "old")
+    assert authority.rotate()  # it signs
+    new = issue(authority, "new")
+    assert old.verified(new.sign(b"beat")) == b"beat"
+    assert new.verified(old.sign(b"beat")) == b"beat"
+    assert oldest.verified(new.sign(b"beat")) is None
+    assert not authority.rotate()
+    newest = issue(authority, "newest")
+    assert newest.verified(old.sign(b"beat")) is None
+
+
+def test_keys_are_found_by_role(
+    authority: Authority, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv(credentials.KEYS, raising=False)
+    monkeypatch.setattr(
+        credentials, "folders", lambda _: [authority.folder, issue(authority).folder]
+    )
+    agent, manager = find("hello", "agent"), find("hello", "manager")
+    assert agent is not None
+    assert agent.name == "agent left"
+    assert manager is not None
+    assert manager.name == "manager owner"
+    assert find("hello", "viewer") is None
+
+
+def test_keys_that_the_environment_names_must_fit(
+    authority: Authority, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(credentials.KEYS, str(authority.folder))
+    assert find("hello", "manager") is not None
+    with pytest.raises(UsageError, match="they must be of agent"):
+        find("hello", "agent")
