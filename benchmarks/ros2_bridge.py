@@ -7,6 +7,7 @@ it through two bridges. Both are asked in turns, in one run. Needs `poise[ros2]`
 
 from __future__ import annotations
 
+import argparse
 import os
 import statistics
 import subprocess
@@ -177,7 +178,13 @@ def compare(asker: Asker, size: int, count: int, rounds: int) -> None:
 
 
 if __name__ == "__main__":
-    if sys.argv[1:] == ["echo"]:
+    parser = argparse.ArgumentParser(
+        "python -m benchmarks.ros2_bridge", description=__doc__
+    )
+    parser.add_argument("--quick", action="store_true", help="one round")
+    parser.add_argument("who", nargs="?", choices=["echo"], help=argparse.SUPPRESS)
+    arguments = parser.parse_args()
+    if arguments.who:
         echo()
     else:
-        main(1 if "--quick" in sys.argv else ROUNDS)
+        main(1 if arguments.quick else ROUNDS)

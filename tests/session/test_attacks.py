@@ -128,7 +128,8 @@ def test_who_may_look_sees_its_news_and_may_not_command(guarded: Guarded) -> Non
 
 def test_who_may_look_is_no_manager(guarded: Guarded) -> None:
     """A liveliness token of his would let the agent wait for him."""
-    viewer, there = guarded.issue("eve", "viewer"), []
+    viewer = guarded.issue("eve", "viewer")
+    there: list[zenoh.Sample] = []
     with (
         open_session(connect=[guarded.endpoint], keys=guarded.owner) as owner,
         open_session(connect=[guarded.endpoint], keys=viewer) as session,
@@ -151,11 +152,8 @@ def test_an_older_tls_is_refused(guarded: Guarded) -> None:
     with (
         socket.create_connection(("127.0.0.1", guarded.port), LIMIT) as plain,
         pytest.raises((ssl.SSLError, ConnectionResetError)),
-        context.wrap_socket(plain) as secured,
     ):
-        # zenoh's TLS would speak 1.2: it must not come to that
-        assert secured.version() != "TLSv1.2"
-        raise ConnectionResetError
+        context.wrap_socket(plain)
 
 
 def _beat(sender: str) -> Heartbeat:
@@ -197,19 +195,23 @@ def _connect(guarded: Guarded, silent: list[socket.socket]) -> None:
 
 
 def test_connections_that_say_nothing_hold_up_nobody(guarded: Guarded) -> None:
+    """Those that end so only delay who comes then: zenoh waits 0.1 s after each."""
     silent: list[socket.socket] = []
     threads = [
         threading.Thread(target=_connect, args=(guarded, silent)) for _ in range(100)
     ]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join(LIMIT)
-    try:
-        assert guarded.answers(guarded.owner)
-    finally:
-        for connection in silent:
-            connection.close()
+    with open_session(connect=[guarded.endpoint], keys=guarded.owner) as session:
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join(LIMIT)
+        try:
+            assert guarded.answers(guarded.owner)
+        finally:
+            for connection in silent:
+                connection.close()
+        assert [*session.get(f"poise/{ROBOT}/agent/left", timeout=SOON)]
+    wait_until(lambda: guarded.answers(guarded.owner))
 
 
 def _gateway(guarded: Guarded) -> tuple[str, int]:

@@ -11,6 +11,7 @@ from poise.clock import wall_time
 from poise.errors import RunError, UsageError
 from poise.session.keys import Authority, authority_of, init_keys
 from poise.wire import credentials
+from poise.wire.address import KEYS
 from poise.wire.credentials import AUTHORITY, HEARTBEATS, Credentials, find
 
 DAY = 86400.0
@@ -136,7 +137,7 @@ def test_an_authority_is_replaced_while_all_know_each_other(
 def test_keys_are_found_by_role(
     authority: Authority, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.delenv(credentials.KEYS, raising=False)
+    monkeypatch.delenv(KEYS, raising=False)
     monkeypatch.setattr(
         credentials, "folders", lambda _: [authority.folder, issue(authority).folder]
     )
@@ -151,7 +152,7 @@ def test_keys_are_found_by_role(
 def test_keys_that_the_environment_names_must_fit(
     authority: Authority, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setenv(credentials.KEYS, str(authority.folder))
+    monkeypatch.setenv(KEYS, str(authority.folder))
     assert find("hello", "manager") is not None
     with pytest.raises(UsageError, match="they must be of agent"):
         find("hello", "agent")

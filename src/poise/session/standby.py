@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from msgspec.structs import replace
 
 from poise.errors import RunError, TakenOver
 from poise.manage.control_socket.control_server import ControlServer
+from poise.manage.control_socket.location import AgentAddresses
 from poise.manage.deploy.takeover import start_or_take_over
 from poise.manage.journal import Journal
 from poise.manage.tasks.concurrent_tasks import Tasks
@@ -20,6 +22,7 @@ from poise.session.launch.computers import Computers
 from poise.session.launch.managed import ToManage, managed
 from poise.session.launch.standby_setup import StandbySetup
 from poise.session.up import Up
+from poise.wire.address import KEYS
 from poise.wire.records.request_records import Claim
 
 
@@ -51,12 +54,13 @@ def _lead(claim: Claim, say: Say) -> None:
     with contextlib.ExitStack() as stack:
         journal = Journal(make_journal(robot.name), lambda entry: say(str(entry)))
         stack.callback(journal.close)
+        agents = AgentAddresses(robot.name, claim.agents, os.environ.get(KEYS, ""))
         what = ToManage(
             robot=robot,
             where={},
             tasks=Tasks(robot),
             election=claim.election,
-            computers=Computers(claim.agents),
+            computers=Computers(agents),
         )
         it, manager = stack.enter_context(
             managed(

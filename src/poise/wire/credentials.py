@@ -64,6 +64,11 @@ class Credentials:
         return self.subject.get("commonName", "")
 
     @property
+    def to_lead(self) -> Path:
+        """The folder of a computer's keys to lead its robot with, if it may."""
+        return self.folder / "leads"
+
+    @property
     def robot(self) -> str:
         """The robot whose authority signed it."""
         return self.subject.get("organizationName", "")

@@ -60,6 +60,12 @@ def issue_command(
         ),
     ] = "agent",
     days: Annotated[float, typer.Option(help="How long they hold.", min=0.001)] = DAYS,
+    leads: Annotated[
+        bool,
+        typer.Option(
+            "--leads", help="These computers may lead the robot (`manager:`)."
+        ),
+    ] = False,
     folder: Folder = None,
 ) -> None:
     """Make or renew keys of computers or people, a folder each.
@@ -68,12 +74,16 @@ def issue_command(
     --------
     poise keys issue hello left right
 
+    poise keys issue hello left right --leads
+
     poise keys issue hello kim --role viewer --days 7
     """
     of_role = _role(role)
     authority = authority_of(robot, folder)
     for name in names:
         issued = authority.issue(name, of_role, out / name, days=days)
+        if leads:
+            authority.issue(name, "manager", issued.to_lead, days=days)
         _say(f"{issued.folder}: {issued.name}, until {_day(issued.expires)}")
     place = folders(robot)[-1] if of_role == "agent" else folders(robot)[0]
     _say(

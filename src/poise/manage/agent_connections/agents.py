@@ -121,12 +121,13 @@ class Agents(AgentReports):
     agents know this manager by; None: their network is its own.
     """
 
-    def __init__(
+    def __init__(  # noqa: PLR0913, each is a choice of the caller
         self,
         robot: str,
         endpoints: Mapping[str, str],
         clock: Clock,
         on_sample: Callable[[AgentSample], object] | None = None,
+        *,
         lease: float = LEASE,
         datagrams: Datagrams | None = None,
         election: Election | None = None,

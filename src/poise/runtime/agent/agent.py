@@ -81,6 +81,7 @@ class Agent:
         self._folder = AgentFolder(self._path)
         self._left = self._folder.left()
         self._keys = _keys(setup)
+        self._standby = StandbyProcess(setup.computer, self._path, self._keys)
         # before any thread, zenoh session or descriptor of the agent's own exists
         held = () if setup.lifeline is None else (setup.lifeline,)
         self._zygote, self._zygote_pid = zygote.start(closing=held)
@@ -192,7 +193,7 @@ class Agent:
             host=self._host,
             adoption=self._adoption,
             disk=disk,
-            standby=StandbyProcess(self._setup.computer, self._path),
+            standby=self._standby,
             heartbeats=self._heartbeats,
             usage=sampler.usage,
             cpu=time.process_time,
@@ -205,7 +206,7 @@ class Agent:
 
     def _notice(self) -> str:
         if self._keys is not None:
-            return self._keys.warning()
+            return self._keys.warning() or self._standby.notice()
         return f"without keys: whoever reaches {self._endpoint} can run code here"
 
     def _open_gateway(self) -> Gateway:

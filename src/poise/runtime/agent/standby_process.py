@@ -7,10 +7,15 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from msgspec.msgpack import encode
 
+from poise.wire.address import KEYS
 from poise.wire.records.request_records import Claim
+
+if TYPE_CHECKING:
+    from poise.wire.credentials import Credentials
 
 _COMMAND = sys.executable, "-m", "poise", "standby"
 
@@ -18,11 +23,13 @@ _COMMAND = sys.executable, "-m", "poise", "standby"
 class StandbyProcess:
     """The `StandbyControl` of a real computer.
 
-    The process ends when the agent does, unless it leads.
+    The process ends when the agent does, unless it leads. `keys`: the agent's, below
+    which are those to lead with; None: agents want none.
     """
 
-    def __init__(self, computer: str, folder: Path) -> None:
+    def __init__(self, computer: str, folder: Path, keys: Credentials | None) -> None:
         self._computer = computer
+        self._keys = keys.to_lead if keys is not None else None
         self._path = folder / "claim"
         self._kept: Claim | None = None
         self._process: subprocess.Popen[bytes] | None = None
@@ -33,7 +40,7 @@ class StandbyProcess:
         if claim == self._kept and not has_ended:
             return
         self._kept = claim
-        if claim is None:
+        if claim is None or self.notice():
             self._tell(b"end\n")
             return
         draft = self._path.with_suffix(".new")
@@ -44,7 +51,17 @@ class StandbyProcess:
                 [*_COMMAND, self._computer, "--claim", str(self._path)],
                 stdin=subprocess.PIPE,
                 start_new_session=True,
+                env={**os.environ, KEYS: str(self._keys or "")},
             )
+
+    def notice(self) -> str:
+        """Return why none can lead from here that was asked to; empty: it could."""
+        if self._kept is None or self._keys is None or self._keys.is_dir():
+            return ""
+        return (
+            f"no standby waits here, for it has no keys to lead with in {self._keys}: "
+            "`poise keys issue --leads` makes them"
+        )
 
     def lead(self) -> None:
         """Let it become the leader, if it can; harmless while it does."""

@@ -95,7 +95,8 @@ class EmulatedAgents:
         folders = {name: c.folder for name, c in self.emulation.computers.items()}
         authority = init_keys(self._robot, next(iter(folders.values())).parent / _KEYS)
         for name, folder in folders.items():
-            authority.issue(name, "agent", folder / _KEYS)
+            issued = authority.issue(name, "agent", folder / _KEYS)
+            authority.issue(name, "manager", issued.to_lead)
 
     def _start(self, name: str) -> None:
         computer = self.emulation.computers[name]

@@ -123,9 +123,9 @@ class SimulatedManager:
             self._endpoints,
             SystemClock(),
             samples.add,
-            _LEASE,
-            self._datagrams,
-            setup.election,
+            lease=_LEASE,
+            datagrams=self._datagrams,
+            election=setup.election,
         ) as agents:
             if not agents.wait_at_work(_MISSING_LIMIT):
                 agents.wait_alive(self._endpoints, _AGENT_LIMIT)
