@@ -26,6 +26,7 @@ from poise.wire.control_session import open_session
 from poise.wire.credentials import Credentials
 from poise.wire.heartbeats import UdpDatagrams
 from poise.wire.records.heartbeat_records import Heartbeat
+from poise.wire.refusal import why_refused
 from tests.runtime.conftest import free_port
 from tests.waiting import LIMIT, wait_until
 
@@ -258,3 +259,20 @@ def test_an_agent_off_loopback_wants_keys(tmp_path: Path) -> None:
     assert done.returncode == 2
     assert "there are no keys for robot 'guarded'" in done.stderr
     assert "poise keys issue" in done.stderr
+
+
+def test_who_is_refused_is_told_why(guarded: Guarded, tmp_path: Path) -> None:
+    agent = Endpoint("127.0.0.1", guarded.port)
+    assert not why_refused(agent, guarded.owner)
+    assert "it wants keys of this robot" in why_refused(agent, None)
+    forged = guarded.issue("kim", "manager", init_keys(ROBOT, tmp_path / "forger"))
+    assert "its certificate is not of this robot" in why_refused(agent, forged)
+    late = guarded.authority.issue("kim", "manager", tmp_path / "late", days=-0.01)
+    assert "it refuses the keys in" in why_refused(agent, late)
+
+
+def test_of_a_listener_without_tls_this_is_said(guarded: Guarded) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as plain:
+        agent = Endpoint("127.0.0.1", plain.getsockname()[1])
+        assert "it speaks no TLS" in why_refused(agent, guarded.owner)
+        assert not why_refused(agent, None)

@@ -235,10 +235,12 @@ class Agents(AgentReports):
         computers: Iterable[str],
         limit: float,
         check: Callable[[], None] = nothing,
+        why_silent: Callable[[str], str] = lambda _: "",
     ) -> None:
         """Wait until the agents of all `computers` are there and reported.
 
-        `check`: called now and then; may raise to end the waiting.
+        `check`: called now and then; may raise to end the waiting; `why_silent`: finds
+        out why the agent at an endpoint may let nobody in.
         """
         wanted, deadline = set(computers), self._clock.now() + limit
         while not self.wait_news(lambda: wanted <= self.reached(), LOOK_EVERY):
@@ -246,11 +248,13 @@ class Agents(AgentReports):
             self.raise_on_other_agents(wanted - self.reached())
             if self._clock.now() < deadline:
                 continue
-            missing = ", ".join(sorted(wanted - self.reached()))
+            missing = sorted(wanted - self.reached())
+            reasons = {c: why_silent(self._endpoints[c]) for c in missing}
+            said = [f"{c}: {why}" for c, why in reasons.items() if why]
             raise RunError(
-                f"no agent answered within {limit:g} s on: {missing}. Is `poise agent` "
-                "running there, and can this computer reach it?"
-                + "".join(f"\n{refusal}" for refusal in self.take_refused())
+                f"no agent answered within {limit:g} s on: {', '.join(missing)}. Is "
+                "`poise agent` running there, and can this computer reach it?"
+                + "".join(f"\n{refusal}" for refusal in [*said, *self.take_refused()])
             )
 
     def wait_at_work(self, limit: float, check: Callable[[], object] = nothing) -> bool:

@@ -35,7 +35,7 @@ from poise.session.folders import scratch_folder
 from poise.session.keys import init_keys
 from poise.session.launch.printer import STDERR, Printer, relay
 from poise.units import counted
-from poise.wire.control_session import LEASE, locator
+from poise.wire.control_session import LEASE, endpoint_of, locator
 from poise.wire.credentials import Credentials, find
 from poise.wire.heartbeats import UNCUT_LEASE
 from poise.wire.records.status_records import SAMPLE_EVERY
@@ -263,6 +263,12 @@ class Computers:
         for name, process in self._agents.items():
             if (code := process.poll()) is not None and code >= 0:
                 raise RunError(f"the agent of '{name}' ended with exit code {code}")
+
+    def why_silent(self, endpoint: str) -> str:
+        """Return why the agent at a zenoh endpoint does not answer; empty: unknown."""
+        from poise.wire.refusal import why_refused  # noqa: PLC0415, `ssl` is slow
+
+        return why_refused(endpoint_of(endpoint), self.addresses.credentials())
 
     def begin(self) -> None:
         """Judge from now on whether the host gives what the emulation promised."""

@@ -269,7 +269,9 @@ def started(  # noqa: PLR0913 - each is a choice of the caller
             computers.raise_if_ended()
 
         if begin is None or not agents.wait_at_work(MISSING_LIMIT, look_around):
-            agents.wait_alive(computers.endpoints, AGENT_LIMIT, look_around)
+            agents.wait_alive(
+                computers.endpoints, AGENT_LIMIT, look_around, computers.why_silent
+            )
         run = RunningComponents(
             robot, placement, agents, journal, str(folder), weigh=look.weigh
         )

@@ -1,0 +1,60 @@
+"""Why an agent lets nobody in, which zenoh does not say."""
+
+from __future__ import annotations
+
+import socket
+import ssl
+
+from poise.endpoint import Endpoint
+from poise.wire.credentials import Credentials
+
+_LIMIT = 2.0
+"""An agent that would say something has said it after this time [s]."""
+_ALERT = 0x15
+"""How a TLS record begins that refuses."""
+_STRANGE = b"\x01\x00\x00"
+"""A frame of zenoh with nothing in it, which is no TLS record."""
+
+
+def why_refused(agent: Endpoint, keys: Credentials | None) -> str:
+    """Return why an agent does not let in who has these keys; empty: unknown."""
+    try:
+        with socket.create_connection((agent.host, agent.port), _LIMIT) as plain:
+            return _of_plain(plain) if keys is None else _of_keys(plain, keys)
+    except OSError as error:
+        return f"{agent}: {error}"
+
+
+def _of_plain(plain: socket.socket) -> str:
+    plain.sendall(_STRANGE)
+    try:
+        wants_keys = plain.recv(1) == bytes([_ALERT])
+    except TimeoutError:
+        wants_keys = False
+    if not wants_keys:
+        return ""
+    return (
+        "it wants keys of this robot, and there are none here: `poise keys issue "
+        "ROBOT NAME --role manager` makes them"
+    )
+
+
+def _of_keys(plain: socket.socket, keys: Credentials) -> str:
+    try:
+        secured = keys.client.wrap_socket(plain)
+    except ssl.SSLCertVerificationError as error:
+        return (
+            f"its certificate is not of this robot or has ended ({error.verify_message}"
+            "): `poise keys issue` makes another"
+        )
+    except OSError:
+        return "it speaks no TLS: it runs with --insecure, or something else is there"
+    try:
+        with secured:
+            secured.recv(1)  # it says so only now that it does not trust ours
+    except TimeoutError:
+        return ""
+    except OSError as error:
+        reason = getattr(error, "reason", error)
+        return f"it refuses the keys in {keys.folder} ({reason})"
+    return ""
