@@ -1,4 +1,4 @@
-"""Why an agent lets nobody in, which zenoh does not say."""
+"""Why an agent accepts no connections, which zenoh does not say."""
 
 from __future__ import annotations
 
