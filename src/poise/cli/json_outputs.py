@@ -136,6 +136,7 @@ OUTPUTS: Mapping[str, Sequence[Any]] = {
     "run": [RunReport],
     "demo": demo_module().OUTPUTS,
     "emulate list": [list[ListedSet]],
+    "keys": [list[KeysListed]],
     "keys list": [list[KeysListed]],
     "list": [Robots],
     "call": [Called],

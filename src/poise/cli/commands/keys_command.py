@@ -30,6 +30,7 @@ Out = Annotated[
 class KeysListed(Struct, frozen=True):
     """Keys of one participant; `expires`: when they end [s since 1970]."""
 
+    robot: str
     name: str
     folder: str
     expires: float
@@ -112,9 +113,13 @@ def rotate_command(robot: RobotName, folder: Folder = None) -> None:
 
 
 def list_command(
-    robot: RobotName, folder: Folder = None, as_json: AsJson = False
+    robot: Annotated[
+        str | None, typer.Argument(help="The robot's name; else all robots.")
+    ] = None,
+    folder: Folder = None,
+    as_json: AsJson = False,
 ) -> None:
-    """Show the keys that this computer has of a robot, and until when they hold.
+    """Show the keys that this computer has, and until when they hold.
 
     Exits with 1 when some have ended or soon end.
 
@@ -122,21 +127,29 @@ def list_command(
     --------
     poise keys list hello
     """
-    places = [folder] if folder else folders(robot)
-    found = [Credentials(p) for p in places if p.is_dir()]
-    if not found:
+    places = [folder] if folder else _folders(robot)
+    found = [Credentials(place) for place in places if place.is_dir()]
+    if robot is not None and not found:
         where = " or ".join(map(str, places))
         raise UsageError(f"there are no keys of robot '{robot}' in {where}")
-    shown = table("keys of", "until", "folder")
+    shown = table("robot", "keys of", "until", "folder")
     for keys in found:
-        shown.add_row(keys.name, _day(keys.expires), str(keys.folder))
-    listed = [KeysListed(k.name, str(k.folder), k.expires) for k in found]
+        shown.add_row(keys.robot, keys.name, _day(keys.expires), str(keys.folder))
+    listed = [KeysListed(k.robot, k.name, str(k.folder), k.expires) for k in found]
     show(listed, [shown], as_json=as_json)
     warnings = [warning for keys in found if (warning := keys.warning())]
     for warning in warnings:
         sys.stderr.write(f"{warning}\n")
     if warnings:
         raise typer.Exit(1)
+
+
+def _folders(robot: str | None) -> list[Path]:
+    """Return where keys of a robot, or of all robots, may be."""
+    if robot is not None:
+        return folders(robot)
+    parents = [place for place in folders("") if place.is_dir()]
+    return [place for parent in parents for place in sorted(parent.iterdir())]
 
 
 def _role(text: str) -> Role:
