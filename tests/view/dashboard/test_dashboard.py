@@ -16,6 +16,7 @@ from benchmarks.dashboard import FRAMES
 from benchmarks.synthetic.slow_link import SlowLink
 from benchmarks.synthetic.statuses import told
 from poise.manage.control_socket.commands import StatusCommand
+from poise.session.keys import init_keys
 from tests.command import POISE, robot_up, run_poise
 from tests.waiting import LONG, wait_long
 
@@ -94,6 +95,50 @@ def page() -> Iterator[Any]:
 def on(page: Any, computer: str, component: str) -> Any:
     """Return a component's box on a computer."""
     return page.locator(f'[data-computer="{computer}"] [data-component="{component}"]')
+
+
+def test_other_computers_need_an_address_that_says_what_they_may(
+    robot: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.delenv(_IN_TEST)
+    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path))
+    playwright = pytest.importorskip("playwright.sync_api")
+    name = f"dashboard-{os.getpid()}"
+    words = ("dashboard", name, "--host", "0.0.0.0", "--port", "0")
+    refused = run_poise(*words)
+    assert refused.returncode == 2
+    assert "no keys of robot" in refused.stderr
+    init_keys(name)
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(robot_up(robot))
+        server = stack.enter_context(
+            subprocess.Popen([*POISE, *words], stdout=subprocess.PIPE, text=True)
+        )
+        stack.callback(server.terminate)
+        assert server.stdout is not None
+        acts, looks = (
+            next(word for word in line.split() if "https" in word)
+            .rstrip(";")
+            .replace("0.0.0.0", "127.0.0.1")
+            for line in (server.stdout.readline(), server.stdout.readline())
+        )
+        driver = stack.enter_context(playwright.sync_playwright())
+        browser = driver.chromium.launch(
+            executable_path=_CHROMIUM, args=["--no-sandbox", "--disable-dev-shm-usage"]
+        )
+        stack.callback(browser.close)
+        stops = {}
+        for address in (acts, looks):
+            page = browser.new_context(ignore_https_errors=True).new_page()
+            page.set_default_timeout(_MS)
+            page.goto(address)
+            page.wait_for_selector("[data-component]")
+            stops[address] = page.get_by_text("Stop robot").count()
+        assert stops == {acts: 1, looks: 0}
+        page.locator('[data-component="printer"]').click()
+        page.get_by_role("dialog").get_by_role("button", name="left").click()
+        page.get_by_role("button", name="Do it").click()
+        page.get_by_text("this page may only look").wait_for()
 
 
 _STILL = """() => document.getAnimations().every(

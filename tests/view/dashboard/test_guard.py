@@ -39,7 +39,7 @@ def status(
         "headers": [(k.encode(), v.encode()) for k, v in headers.items()],
     }
     with pytest.raises(StopIteration):  # it waits for nothing, so needs no event loop
-        Guard(inner, token)(scope, receive, send).send(None)
+        Guard(inner, {token: True} if token else {})(scope, receive, send).send(None)
     return sent[0].get("status", sent[0].get("code"))
 
 
@@ -72,6 +72,27 @@ def test_other_addresses_need_the_token_once_and_then_its_cookie() -> None:
     assert status(TOKEN, host="robot:7480", cookie=f"poise_token={TOKEN}") == 200
     assert status(TOKEN, host="robot:7480", cookie="poise_token=wrong") == 403
     assert status(TOKEN, kind="websocket", host="robot:7480") == 1008
+
+
+@pytest.mark.parametrize(("token", "may"), [("acts", True), ("looks", False)])
+def test_a_token_says_whether_one_may_act(token: str, *, may: bool) -> None:
+    seen: list[object] = []
+
+    async def look(scope: Scope, _receive: Receive, _send: Send) -> None:
+        seen.append(scope["poise_may_act"])
+
+    async def receive() -> Message:
+        raise AssertionError
+
+    async def send(_: Message) -> None:
+        raise AssertionError
+
+    cookie = (b"cookie", f"poise_token={token}".encode())
+    scope = {"type": "http", "query_string": b"", "headers": [cookie]}
+    guard = Guard(look, {"acts": True, "looks": False})
+    with pytest.raises(StopIteration):
+        guard(scope, receive, send).send(None)
+    assert seen == [may]
 
 
 def test_knows_the_addresses_of_this_computer_alone() -> None:

@@ -14,6 +14,7 @@ import typer
 
 from poise.errors import UsageError
 from poise.runtime.hosting.command_line import die_with_parent
+from poise.wire.credentials import Credentials, find
 
 _PORT = 7480
 
@@ -29,6 +30,10 @@ def dashboard_command(
     port: Annotated[
         int, typer.Option(min=0, max=65535, help="TCP port; 0: any that is free.")
     ] = _PORT,
+    insecure: Annotated[
+        bool,
+        typer.Option("--insecure", help="Do not encrypt it for other computers."),
+    ] = False,
 ) -> None:
     """Show a running robot as a web page, until Ctrl-C.
 
@@ -36,16 +41,34 @@ def dashboard_command(
     why. Drag a component to another computer to see what a move would change. It waits
     for the robot, and for a new manager when that was killed.
 
+    To other computers it is encrypted by the robot's keys (`poise keys`). It prints an
+    address for people who may act, and one for people who may only look.
+
     Example: poise dashboard
     """
     check_dashboard()
-    from poise.view.dashboard.dashboard_server import serve
+    from poise.view.dashboard.dashboard_server import is_loopback, serve
+
+    keys = None if insecure or is_loopback(host) else _keys(robot)
 
     def say(text: str) -> None:
         sys.stdout.write(f"{text}\n")
         sys.stdout.flush()
 
-    serve(robot, host, _free_port(host, port), say)
+    serve(robot, host, _free_port(host, port), say, keys)
+
+
+def _keys(robot: str | None) -> Credentials:
+    """Return the keys that encrypt the page of a robot."""
+    if robot is None:
+        raise UsageError("name the robot: its keys encrypt the page")
+    keys = find(robot, "manager", "viewer")
+    if keys is None:
+        raise UsageError(
+            f"there are no keys of robot '{robot}' to encrypt the page with: `poise "
+            "keys init` makes them; --insecure goes without; `ssh -L` needs neither"
+        )
+    return keys
 
 
 def check_dashboard() -> None:

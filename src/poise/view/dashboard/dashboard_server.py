@@ -6,7 +6,7 @@ import asyncio
 import contextlib
 import secrets
 import time
-from collections.abc import Awaitable, Callable, MutableMapping
+from collections.abc import Awaitable, Callable, Mapping, MutableMapping
 from http.cookies import SimpleCookie
 from ipaddress import ip_address
 from pathlib import Path
@@ -20,6 +20,7 @@ from poise.clock import wall_time
 from poise.view.dashboard.dialogs import PageActions
 from poise.view.dashboard.state import Page, PageState, Updates
 from poise.view.robot_view import LiveReader, Look
+from poise.wire.credentials import CERTIFICATE, PRIVATE_KEY, Credentials
 
 Scope = MutableMapping[str, Any]
 Message = MutableMapping[str, Any]
@@ -28,6 +29,8 @@ Send = Callable[[Message], Awaitable[None]]
 App = Callable[[Scope, Receive, Send], Awaitable[None]]
 
 _COOKIE = "poise_token"
+_MAY_ACT = "poise_may_act"
+"""In the scope of a request: whether who made it may act on the robot."""
 
 
 def is_loopback(host: str) -> bool:
@@ -42,12 +45,14 @@ class Guard:
     """Refuses requests before anything else sees them (ASGI).
 
     A page of another site that runs in the same browser must not act on the robot:
-    hence the checks of `Origin` and, where there is no token, of `Host`.
+    hence the checks of `Origin` and, where there are no tokens, of `Host`.
+
+    `tokens`: those that open the page -> whether with it one may act.
     """
 
-    def __init__(self, app: App, token: str = "") -> None:
+    def __init__(self, app: App, tokens: Mapping[str, bool] = {}) -> None:
         self._app = app
-        self._token = token
+        self._tokens = tokens
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass a request on, or refuse it."""
@@ -55,40 +60,55 @@ class Guard:
             await self._app(scope, receive, send)
             return
         headers = {k.decode(): v.decode("latin-1") for k, v in scope["headers"]}
-        refusal = self._refusal(scope, headers)
+        refusal = _refusal_of_site(headers, needs_name=not self._tokens)
+        shown = _shown_in_address(scope)
+        token = self._known(shown) or self._known(_shown_in_cookie(headers))
+        if self._tokens and not token:
+            refusal = refusal or _CLOSED
         if refusal and scope["type"] == "websocket":
             await send({"type": "websocket.close", "code": 1008})
         elif refusal:
             await _answer(send, 403, [], refusal)
-        elif self._is_shown_in_address(scope):
-            cookie = f"{_COOKIE}={self._token}; HttpOnly; SameSite=Strict; Path=/"
+        elif token and token == self._known(shown):
+            cookie = f"{_COOKIE}={token}; HttpOnly; SameSite=Strict; Path=/"
             there = [(b"location", b"/"), (b"set-cookie", cookie.encode())]
             await _answer(send, 303, there, "")
         else:
+            scope[_MAY_ACT] = self._tokens.get(token, True)
             await self._app(scope, receive, send)
 
-    def _refusal(self, scope: Scope, headers: dict[str, str]) -> str:
-        host, origin = headers.get("host", ""), headers.get("origin", "")
-        if origin and urlsplit(origin).netloc != host:
-            return f"a page of {origin} may not use this robot"
-        if not self._token:
-            name = urlsplit(f"//{host}").hostname or ""
-            return "" if is_loopback(name) else f"{host} is no name of this computer"
-        cookie = SimpleCookie(headers.get("cookie", "")).get(_COOKIE)
-        shown = cookie.value if cookie else ""
-        if self._is_shown_in_address(scope) or _is_same(shown, self._token):
-            return ""
-        return "open the address with the token that `poise dashboard` printed"
-
-    def _is_shown_in_address(self, scope: Scope) -> bool:
-        if not self._token or scope["type"] != "http":
-            return False
-        shown = parse_qs(scope["query_string"].decode("latin-1")).get("token", [""])
-        return _is_same(shown[0], self._token)
+    def _known(self, shown: str) -> str:
+        """Return the token that is shown; empty: it is none."""
+        given = shown.encode()
+        return next(
+            (t for t in self._tokens if secrets.compare_digest(given, t.encode())), ""
+        )
 
 
-def _is_same(shown: str, token: str) -> bool:
-    return secrets.compare_digest(shown.encode(), token.encode())
+_CLOSED = "open the address with the token that `poise dashboard` printed"
+
+
+def _refusal_of_site(headers: Mapping[str, str], *, needs_name: bool) -> str:
+    """Return why a page that a browser has may not use this one; empty: it may."""
+    host, origin = headers.get("host", ""), headers.get("origin", "")
+    if origin and urlsplit(origin).netloc != host:
+        return f"a page of {origin} may not use this robot"
+    name = urlsplit(f"//{host}").hostname or ""
+    if needs_name and not is_loopback(name):
+        return f"{host} is no name of this computer"
+    return ""
+
+
+def _shown_in_cookie(headers: Mapping[str, str]) -> str:
+    cookie = SimpleCookie(headers.get("cookie", "")).get(_COOKIE)
+    return cookie.value if cookie else ""
+
+
+def _shown_in_address(scope: Scope) -> str:
+    if scope["type"] != "http":
+        return ""
+    query: str = scope["query_string"].decode("latin-1")
+    return parse_qs(query).get("token", [""])[0]
 
 
 async def _answer(
@@ -147,7 +167,9 @@ class Dashboard:
         ui.add_head_html(f"<style>{(_HERE / 'style.css').read_text()}</style>")
         client = ui.context.client
         shown_title = ""
-        actions = PageActions(self._reader.running)
+        request = client.request
+        may_act = request is None or request.scope.get(_MAY_ACT, True)
+        actions = PageActions(self._reader.running, may_act=may_act)
         robot_map = RobotMap()
         robot_map.on("what_if", lambda e: actions.ask(*e.args))
         robot_map.on("task", lambda e: actions.do_task(*e.args))
@@ -214,6 +236,15 @@ def _place_theme() -> None:
     button.props('outline dense no-caps color=""')
 
 
+def _encrypted(keys: Credentials | None) -> dict[str, str]:
+    if keys is None:
+        return {}
+    return {
+        "ssl_certfile": str(keys.folder / CERTIFICATE),
+        "ssl_keyfile": str(keys.folder / PRIVATE_KEY),
+    }
+
+
 async def _listens(host: str, port: int) -> bool:
     try:
         _, writer = await asyncio.open_connection(host, port)
@@ -224,24 +255,33 @@ async def _listens(host: str, port: int) -> bool:
 
 
 def serve(
-    robot: str | None, host: str, port: int, say: Callable[[str], object]
+    robot: str | None,
+    host: str,
+    port: int,
+    say: Callable[[str], object],
+    keys: Credentials | None = None,
 ) -> None:
-    """Serve the page until Ctrl-C."""
-    token = "" if is_loopback(host) else secrets.token_urlsafe(18)
+    """Serve the page until Ctrl-C, encrypted by `keys`, if any."""
+    tokens: dict[str, bool] = {}
+    if not is_loopback(host):
+        tokens = {secrets.token_urlsafe(18): may_act for may_act in (True, False)}
     dashboard = Dashboard(robot)
-    app.add_middleware(Guard, token=token)
+    app.add_middleware(Guard, tokens=tokens)
     app.on_startup(
         lambda: background_tasks.create(dashboard.keep_reading(), name="reader")
     )
     for name in ("routes.js", "charts.js"):
         app.add_static_file(local_file=_HERE / name, url_path=f"/poise/{name}")
     at = f"[{host}]" if ":" in host else host
-    address = f"http://{at}:{port}/" + (f"?token={token}" if token else "")
+    address = f"{'https' if keys else 'http'}://{at}:{port}/"
+    first, *others = [f"{address}?token={token}" for token in tokens] or [address]
 
     async def say_where() -> None:
         while not await _listens(host, port):  # noqa: ASYNC110, uvicorn tells nobody
             await asyncio.sleep(_LOOK_EVERY)
-        say(f"the dashboard is at {address}; Ctrl-C ends it")
+        say(f"the dashboard is at {first}; Ctrl-C ends it")
+        for other in others:
+            say(f"for who may only look: {other}")
 
     app.on_startup(lambda: background_tasks.create(say_where(), name="where"))
     ui.page("/", title=f"Poise: {robot}" if robot else "Poise")(dashboard.build)
@@ -257,4 +297,5 @@ def serve(
         reconnect_timeout=_RECONNECT_LIMIT,
         message_history_length=100,
         show_welcome_message=False,
+        **_encrypted(keys),
     )

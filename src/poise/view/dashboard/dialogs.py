@@ -13,7 +13,7 @@ from typing import Any
 import msgspec
 from nicegui import run, ui
 
-from poise.errors import PoiseError
+from poise.errors import PoiseError, UsageError
 from poise.session.render.report_page import html_table
 from poise.session.render.tables import outcome_sentence, what_if_lines
 from poise.session.running_robots.running import JournalEntry, Running, WhatIf
@@ -29,10 +29,14 @@ _MOST_LINES = 200
 
 
 class PageActions:
-    """What one page does; everything goes through the robot's manager."""
+    """What one page does; everything goes through the robot's manager.
 
-    def __init__(self, running: Running) -> None:
+    A page that may not act refuses to, and shows what it would do.
+    """
+
+    def __init__(self, running: Running, *, may_act: bool = True) -> None:
         self._running = running
+        self._may_act = may_act
         self._undo: list[tuple[str, str]] = []
         self._button: Any = None
         self._place = ui.element()  # a dialog inside another would end with that one
@@ -45,6 +49,8 @@ class PageActions:
 
     def place_stop(self) -> None:
         """Place the button that stops the robot, after a question."""
+        if not self._may_act:
+            return
         button = ui.button("Stop robot", on_click=self._ask_to_stop)
         button.props('outline dense no-caps color=""')
 
@@ -79,6 +85,7 @@ class PageActions:
         if dialog is not None:
             dialog.close()
         try:
+            self._raise_if_looking()
             await run.io_bound(act)
         except PoiseError as error:
             with self._place:
@@ -123,7 +130,7 @@ class PageActions:
                         ui.button(
                             computer, on_click=self._asker(dialog, name, computer)
                         ).props("no-caps outline")
-            ParameterFields(self._running.component(name))
+            ParameterFields(self._running.component(name), may_set=self._may_act)
             self._follow_log(name)
             ui.button("Close", on_click=dialog.close).props("no-caps")
 
@@ -210,6 +217,7 @@ class PageActions:
 
     async def _move(self, component: str, computer: str, *, force: bool) -> bool:
         try:
+            self._raise_if_looking()
             report = await run.io_bound(
                 self._running.move, component, computer, force=force
             )
@@ -218,6 +226,13 @@ class PageActions:
             return False
         ui.notify(outcome_sentence(report), color="green-10")
         return True
+
+    def _raise_if_looking(self) -> None:
+        if not self._may_act:
+            raise UsageError(
+                "this page may only look: `poise dashboard` printed the address of one "
+                "that may act, too"
+            )
 
 
 @contextlib.contextmanager

@@ -14,8 +14,9 @@ from poise.session.running_robots.running_component import RunningComponent
 class ParameterFields:
     """A field for each parameter of a component; nothing where it has none."""
 
-    def __init__(self, component: RunningComponent) -> None:
+    def __init__(self, component: RunningComponent, *, may_set: bool) -> None:
         self._component = component
+        self._may_set = may_set
         self._place = ui.column()
         self._known: dict[str, Any] = {}
         self._fields: dict[str, Any] = {}
@@ -34,8 +35,10 @@ class ParameterFields:
             ui.label("Its parameters")
             for name, value in self._known.items():
                 field = ui.input(name, value=_text(value)).props("dense outlined")
+                field.set_enabled(self._may_set)
                 self._fields[name] = field
-            ui.button("Set", on_click=self._set).props("no-caps outline")
+            if self._may_set:
+                ui.button("Set", on_click=self._set).props("no-caps outline")
 
     async def _set(self) -> None:
         try:
