@@ -64,11 +64,11 @@ def robot_at(folder: Path, **ports: int) -> Path:
 
 
 @contextlib.contextmanager
-def agent(computer: str, robot: str, port: int) -> Iterator[IO[str]]:
+def agent(computer: str, robot: str, port: int, *options: str) -> Iterator[IO[str]]:
     """Run an agent; give what it prints."""
     argv = [*POISE, "agent", computer, "--robot", robot, "--address", "127.0.0.1"]
     process = subprocess.Popen(
-        [*argv, f"--port={port}"], stdout=subprocess.PIPE, text=True
+        [*argv, f"--port={port}", *options], stdout=subprocess.PIPE, text=True
     )
     assert process.stdout is not None
     try:
@@ -92,6 +92,7 @@ def test_agents_say_who_they_are_and_who_manages_them(
         assert "agent of computer 'left' of robot 'hello'" in first
         assert f"at 127.0.0.1:{ports['left']}, gateway 127.0.0.1:" in first
         assert "Poise " in first
+        assert "without keys: whoever reaches 127.0.0.1" in said.readline()
         done = poise("run", robot, "--task", "greet", "--for", "1s")
         assert done.returncode == 0, done.stderr
         assert "managed by user" in said.readline()
@@ -126,3 +127,19 @@ def test_an_address_to_listen_on_is_an_ip_address(poise: Poise, address: str) ->
     assert done.returncode == 2
     assert f"{address}" in done.stderr
     assert "fd00::" in done.stderr
+
+
+@pytest.mark.slow
+def test_an_agent_runs_only_code_that_it_allows(poise: Poise, tmp_path: Path) -> None:
+    ports = {"left": free_port(), "right": free_port()}
+    robot = robot_at(tmp_path, **ports)
+    words = ("run", robot, "--task", "greet", "--for", "0.5s")
+    with agent("left", "hello", ports["left"]):
+        with agent("right", "hello", ports["right"], "--allow", "/opt/robot"):
+            refused = poise(*words)
+        with agent("right", "hello", ports["right"], "--allow", str(tmp_path)):
+            assert poise(*words).returncode == 0
+    assert refused.returncode == 1
+    said = " ".join(refused.stderr.split())
+    assert f"code of container 'greeting' is at {tmp_path}" in said
+    assert "only runs what is in /opt/robot (`poise agent --allow`)" in said

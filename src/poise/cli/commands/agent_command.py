@@ -63,6 +63,10 @@ def agent_command(
             "--insecure", help="Without keys: whoever reaches it runs code here."
         ),
     ] = False,
+    allow: Annotated[
+        list[Path] | None,
+        typer.Option(help="Run only code and programs in this folder; again for more."),
+    ] = None,
     plain_connectors: Annotated[bool, typer.Option(hidden=True)] = False,
     lifeline: Annotated[
         int | None, typer.Option(hidden=True, help="End at this descriptor's end.")
@@ -101,6 +105,7 @@ def agent_command(
                 sample_every=parse_option("--sample-every", sample_every, SECONDS),
                 keys=_keys_for(robot, address, keys, is_insecure=insecure),
                 encrypts=not plain_connectors,
+                allow=tuple(str(path.resolve()) for path in allow or ()),
             ),
             say=_say if lifeline is None else lambda _: None,
         )

@@ -13,6 +13,7 @@ from typing import NamedTuple, TypeVar
 from msgspec import structs
 
 from poise.clock import Clock
+from poise.runtime.agent import allowed_code
 from poise.runtime.agent.fence import Fence
 from poise.runtime.agent.heartbeat_exchange import HeartbeatExchange
 from poise.runtime.agent.inbox import SupervisedParts
@@ -266,6 +267,8 @@ class AgentCore:
         elif wanted and request.generation < wanted.generation:
             older = f"generation {request.generation} is older than "
             reply(Refused(f"{older}{wanted.generation}"))
+        elif why := allowed_code.refusal(request.containers, self._setup.allow):
+            reply(Refused(why))
         else:
             self.supervisor.deploy(request)
             self.heartbeats.note_told()

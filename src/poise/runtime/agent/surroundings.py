@@ -51,6 +51,7 @@ class AgentSetup(Struct, frozen=True, kw_only=True):
     # The folder of its keys; empty: whoever reaches its port may command it
     keys: str = ""
     encrypts: bool = True  # whether its containers speak TLS with other computers
+    allow: tuple[str, ...] = ()  # Folders of the code that it runs; empty: any
 
 
 class AgentState(Struct, frozen=True, kw_only=True):

@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 _PR_SET_CHILD_SUBREAPER = 36
+_PR_SET_NO_NEW_PRIVS = 38
 _LOOK = 0.01
 _LOOK_AT_ENDED = os.WEXITED | os.WNOHANG | os.WNOWAIT
 UNCLAIMED = 10.0
@@ -24,6 +25,11 @@ UNCLAIMED = 10.0
 def adopt_orphans() -> None:
     """Let this process be the parent of descendants whose own parent ends."""
     ctypes.CDLL(None).prctl(_PR_SET_CHILD_SUBREAPER, 1)
+
+
+def gain_no_rights() -> None:
+    """Let this process and its descendants gain no rights by a setuid program."""
+    ctypes.CDLL(None).prctl(_PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0)
 
 
 def children() -> set[int]:

@@ -33,6 +33,7 @@ from poise.runtime.container.descendants import (
     adopt_orphans,
     children,
     end_children,
+    gain_no_rights,
     kill_all,
 )
 from poise.runtime.hosting.output import keep_output
@@ -160,6 +161,7 @@ class _Zygote:
         """Fork what the agent asks for, until it and all containers are gone."""
         signal.signal(signal.SIGINT, signal.SIG_IGN)
         adopt_orphans()
+        gain_no_rights()
         # Blocked, not ignored: only the agent's end ends the zygote, and a container
         # must not lose one that comes before it has its handler.
         signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM})
