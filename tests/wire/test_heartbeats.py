@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import socket
 import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
+import msgspec
 import pytest
 
 from poise import threads
 from poise.clock import SystemClock
 from poise.endpoint import Endpoint
-from poise.wire.heartbeats import Heartbeats, Received, UdpDatagrams
+from poise.wire.heartbeats import Contacts, Heartbeats, Received, UdpDatagrams
 from poise.wire.records.heartbeat_records import Heartbeat
 from tests.runtime.conftest import free_port
 from tests.waiting import wait_until
@@ -100,3 +102,36 @@ def test_an_error_in_what_hears_them_does_not_end_them(
         threading.excepthook = hook
     assert failures == [("heartbeats", "'a bug'")] * 2
     assert "KeyError: 'a bug'" in caplog.text
+
+
+@pytest.mark.parametrize("data", [b"", b"\xff" * 9, bytes(20_000), b"\xd9"])
+def test_what_is_no_heartbeat_is_ignored(data: bytes) -> None:
+    where = Endpoint(HOST, free_port())
+    with contextlib.closing(UdpDatagrams(SystemClock(), where)) as receiver:
+        beat = Heartbeat(robot="r", sender="a", key="k", number=1, sent=0.0, heard={})
+        good = msgspec.msgpack.encode(beat)
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+            for each in (data, good.replace(b"r", b"\x80", 1), good):
+                sender.sendto(each, (where.host, where.port))
+        received: list[Received] = []
+
+        def come() -> bool:
+            received.extend(receiver.receive(0.0))
+            return bool(received)
+
+        wait_until(come)
+        assert [each.beat for each in received] == [beat]
+
+
+def test_heartbeats_of_an_ended_start_are_not_news_again() -> None:
+    """Somebody may have recorded them."""
+    contacts = Contacts("r", "here", "k")
+    first, second = (
+        Heartbeat(robot="r", sender="a", key=key, number=9, sent=0.0, heard={})
+        for key in ("first", "second")
+    )
+    assert contacts.note(first, 1.0)
+    assert contacts.note(second, 2.0)
+    assert not contacts.note(first, 3.0)
+    assert not contacts.note(msgspec.structs.replace(first, number=10), 3.0)
+    assert contacts.get("a").heard_at == 2.0  # type: ignore[union-attr]

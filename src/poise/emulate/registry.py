@@ -52,7 +52,7 @@ def registered() -> Iterator[EmulationLayout]:
             yield msgspec.json.decode(file.read_bytes(), type=EmulationLayout)
         except FileNotFoundError:  # another process removed it
             continue
-        except msgspec.MsgspecError as error:
+        except (msgspec.MsgspecError, UnicodeDecodeError) as error:
             message = f"{file}: {error}: sweep with the Poise that wrote it, or remove"
             raise RunError(message) from error
 

@@ -35,6 +35,8 @@ _DTYPE = re.compile(r"[<>|][biufcSUmM]\d{1,9}(\[\d*\w{1,2}\])?")
 """What arrays may hold, in NumPy's letters: no objects, and no records."""
 _UNFIT = (TypeError, ValueError, OverflowError, RecursionError)
 """What reading or writing a value raises that is too large, too deep or malformed."""
+MALFORMED = (msgspec.DecodeError, *_UNFIT)
+"""What msgspec raises of bytes that are not what is wanted: not only its own errors."""
 
 
 class WireError(PoiseError):
@@ -101,7 +103,7 @@ class Codec(Generic[T]):
                 return self._decode(body)  # type: ignore[no-any-return]
             finally:
                 _here.received = before
-        except (msgspec.DecodeError, *_UNFIT) as error:
+        except MALFORMED as error:
             raise WireError(f"not {self.name}: {error}") from error
 
 

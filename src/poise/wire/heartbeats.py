@@ -25,6 +25,7 @@ from poise import threads
 from poise.clock import Clock
 from poise.endpoint import Endpoint
 from poise.priority import go_first
+from poise.wire.codec import MALFORMED
 from poise.wire.records.heartbeat_records import MANAGER, Echo, Heartbeat, LinkQuality
 
 if TYPE_CHECKING:
@@ -101,6 +102,10 @@ def _median(values: Iterable[float]) -> float:
     return (ordered[(len(ordered) - 1) // 2] + ordered[len(ordered) // 2]) / 2
 
 
+_ENDED_STARTS = 64
+"""So many starts of other computers are remembered that have ended."""
+
+
 class Contacts:
     """Whom one participant hears: a computer, or `MANAGER`; `key` is of this start."""
 
@@ -111,6 +116,7 @@ class Contacts:
         self._number = 0
         self._sent: deque[float] = deque(maxlen=_WINDOW)
         self._contacts: dict[str, Contact] = {}
+        self._ended: deque[tuple[str, str]] = deque(maxlen=_ENDED_STARTS)
 
     def note(self, beat: Heartbeat, now: float) -> bool:
         """Take in a heartbeat at `now` [s]; return whether it was news."""
@@ -118,7 +124,11 @@ class Contacts:
             return False
         contact = self._contacts.get(beat.sender)
         is_same = contact is not None and contact.last.key == beat.key
+        if (beat.sender, beat.key) in self._ended:
+            return False  # of a start before, and recorded by somebody
         if contact is None or not is_same:
+            if contact is not None and beat.sender != MANAGER:  # there may be several
+                self._ended.append((beat.sender, contact.last.key))
             contact = self._contacts[beat.sender] = Contact(beat, now)
         elif beat.number <= contact.last.number:
             return False  # it was overtaken
@@ -315,7 +325,7 @@ class UdpDatagrams:
             if known is not None:
                 return self._decode(known)
             what = "is not signed with this robot's keys"
-        except msgspec.DecodeError:
+        except MALFORMED:
             what = "is not of this version"
         now = self._clock.now()
         if now >= self._warn_at:

@@ -21,6 +21,7 @@ from msgspec import Struct
 
 from poise.errors import RunError, UsageError
 from poise.units import counted, format_bytes
+from poise.wire.codec import MALFORMED
 from poise.wire.records.status_records import AgentSample
 
 if TYPE_CHECKING:
@@ -235,7 +236,7 @@ def said_in(path: Path) -> Iterator[Said]:
             case "Message" if record.channel_id in connectors:
                 try:
                     value = msgspec.json.decode(record.data)
-                except msgspec.DecodeError as error:
+                except MALFORMED as error:
                     raise UsageError(f"{path} is damaged: {error}") from error
                 at = record.log_time / 1e9
                 yield Said(connectors[record.channel_id], at, value)
@@ -278,7 +279,7 @@ def messages_of(path: Path, kind: str, type_: type[_Record]) -> Iterator[_Record
             case "Message" if record.channel_id in wanted:
                 try:
                     yield decoder.decode(record.data)
-                except msgspec.DecodeError as error:
+                except MALFORMED as error:
                     raise UsageError(f"{path} is damaged: {error}") from error
 
 

@@ -15,6 +15,7 @@ import zenoh
 
 from poise.clock import Clock, wall_time
 from poise.errors import RunError
+from poise.wire.codec import MALFORMED
 from poise.wire.control_session import IDENTITIES, parse_identity
 from poise.wire.records.status_records import AgentStatus
 
@@ -206,7 +207,7 @@ def reading(
     def hear(sample: zenoh.Sample) -> None:
         try:
             record = decode(sample.payload.to_bytes())
-        except msgspec.DecodeError as error:
+        except MALFORMED as error:
             refuse(f"a record at {sample.key_expr} was refused: {error}")
         else:
             take(record)

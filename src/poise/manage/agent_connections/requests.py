@@ -14,6 +14,7 @@ from zenoh.handlers import Callback
 
 from poise.clock import Clock
 from poise.manage.agent_connections.reports import AgentReports
+from poise.wire.codec import MALFORMED
 from poise.wire.records.request_records import (
     Accepted,
     Answer,
@@ -199,6 +200,6 @@ def _answer_of(reply: zenoh.Reply | None) -> Answer | None:
         answer: Answer = msgspec.msgpack.decode(
             reply.ok.payload.to_bytes(), type=Answer
         )
-    except msgspec.DecodeError as error:
+    except MALFORMED as error:
         return Refused(f"not an answer: {error}")
     return answer

@@ -17,6 +17,7 @@ import msgspec
 from msgspec import Struct
 
 from poise.errors import RunError
+from poise.wire.codec import MALFORMED
 
 if TYPE_CHECKING:
     from poise.wire.credentials import Credentials
@@ -115,7 +116,7 @@ def noted() -> Iterator[AgentAddresses]:
             yield msgspec.json.decode(path.read_bytes(), type=AgentAddresses)
         except FileNotFoundError:  # the robot has just stopped
             continue
-        except msgspec.MsgspecError as error:
+        except MALFORMED as error:
             raise RunError(f"{path}: {error}: remove it") from error
 
 

@@ -12,6 +12,7 @@ from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.journal import Journal
 from poise.manage.tasks.concurrent_tasks import Tasks
 from poise.manage.tasks.task_progress import OVER, Saved
+from poise.wire.codec import MALFORMED
 
 
 def goes_on_with(run: RunningComponents, asked: Tasks, journal: Journal) -> Saved:
@@ -24,7 +25,7 @@ def goes_on_with(run: RunningComponents, asked: Tasks, journal: Journal) -> Save
     note = journal.note
     try:
         saved = msgspec.msgpack.decode(run.desired.tasks, type=Saved)
-    except msgspec.DecodeError as error:
+    except MALFORMED as error:
         note(
             "failed",
             f"the previous manager's tasks cannot be read, and are dropped: {error}",

@@ -21,6 +21,7 @@ from poise.clock import Clock, boot_id
 from poise.errors import UsageError
 from poise.runtime.agent.surroundings import AgentState, Reply
 from poise.runtime.hosting.output import forget_output, read_output
+from poise.wire.codec import MALFORMED
 from poise.wire.records.deployment_records import Deployment
 from poise.wire.records.request_records import (
     PROTOCOL,
@@ -62,7 +63,7 @@ class AgentFolder:
             state = msgspec.msgpack.decode(self._path.read_bytes(), type=AgentState)
         except FileNotFoundError:
             return AgentState()
-        except (OSError, msgspec.DecodeError) as error:
+        except (OSError, *MALFORMED) as error:
             log.warning(
                 "the state that an earlier agent saved in %s cannot be read: %s",
                 self._path,

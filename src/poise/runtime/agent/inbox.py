@@ -17,6 +17,7 @@ from msgspec import Struct, structs
 from poise.back_off import BackOff
 from poise.clock import Clock
 from poise.runtime.agent.surroundings import Reply
+from poise.wire.codec import MALFORMED
 from poise.wire.records.request_records import PROTOCOL, Answer, ManagerRequest, Refused
 from poise.wire.records.status_records import ErrorCount
 
@@ -123,7 +124,7 @@ class AgentInbox:
                 answer(query, Refused(text))
                 return
             request = msgspec.msgpack.decode(data, type=ManagerRequest)
-        except msgspec.DecodeError as error:
+        except MALFORMED as error:
             answer(query, Refused(f"not a request: {error}"))
             return
         if len(self._waiting) >= _MOST:
