@@ -34,6 +34,7 @@ from poise.errors import PoiseError
 from poise.manage.agent_connections.agents import Agents
 from poise.manage.agent_connections.requests import Reply
 from poise.manage.agent_connections.statuses import components_of
+from poise.manage.control_socket.location import AgentAddresses
 from poise.manage.deploy.deactivation import stop
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.deploy.takeover import start_or_take_over
@@ -130,16 +131,17 @@ def _die() -> None:
 
 @contextlib.contextmanager
 def manager(
-    endpoints: Mapping[str, str], folder: Path, *, doomed_from: int | None = None
+    there: AgentAddresses, folder: Path, *, doomed_from: int | None = None
 ) -> Iterator[tuple[RunningComponents, DoomedAgents, float]]:
     """Take over the robot; yield its run, its agents, and when these were there."""
     robot = load(ROBOTS / "storm.yaml")
     journal = Journal(folder / "journal.jsonl")
+    keys = there.credentials()
     with (
         contextlib.closing(journal),
-        DoomedAgents(robot.name, endpoints, SystemClock()) as agents,
+        DoomedAgents(robot.name, there.endpoints, SystemClock(), keys=keys) as agents,
     ):
-        agents.wait_alive(endpoints, 20)
+        agents.wait_alive(there.endpoints, 20)
         connected = time.monotonic()
         if doomed_from is not None:
             agents.begin(random.Random(doomed_from), 4)
@@ -155,13 +157,13 @@ def active(run: RunningComponents) -> Counter[str]:
 
 
 def live(
-    endpoints: Mapping[str, str], folder: Path, seed: int, began: float, out: Connection
+    computers: AgentAddresses, folder: Path, seed: int, began: float, out: Connection
 ) -> None:
     """Be a manager until it kills itself."""
     chance = random.Random(seed)
     # some die while they take over
     doomed_from = seed if chance.random() < 0.15 else None
-    with manager(endpoints, folder, doomed_from=doomed_from) as (run, agents, there):
+    with manager(computers, folder, doomed_from=doomed_from) as (run, agents, there):
         now = time.monotonic()
         once = Counter(run.placed.keys())
         run.agents.wait_news(lambda: active(run) == once, _CONSISTENT)
@@ -188,7 +190,7 @@ def live(
 
 
 def storm(
-    endpoints: Mapping[str, str], folder: Path, kills: int, seed: int
+    computers: AgentAddresses, folder: Path, kills: int, seed: int
 ) -> Iterator[TakenOver | None]:
     """Let managers live and die; yield how each took over, None when it did not."""
     context = multiprocessing.get_context("forkserver")
@@ -197,7 +199,7 @@ def storm(
         began = time.monotonic()
         process = context.Process(
             target=live,
-            args=(endpoints, folder, seed * 1_000_003 + number, began, writing),
+            args=(computers, folder, seed * 1_000_003 + number, began, writing),
         )
         process.start()
         writing.close()
@@ -228,13 +230,13 @@ def main() -> None:
             computers_of(robot, folder / "computers", lambda _: None)
         )
         found: list[TakenOver | None] = []
-        for each in storm(computers.endpoints, folder, options.moves, options.seed):
+        for each in storm(computers.addresses, folder, options.moves, options.seed):
             found.append(each)
             if each and (each.twice or each.missing or each.restarted):
                 sys.stderr.write(f"manager {len(found) - 1}: {each}\n")
             if sys.stderr.isatty():
                 sys.stderr.write(f"\r{len(found)} managers")
-        with manager(computers.endpoints, folder) as (run, _, _there):
+        with manager(computers.addresses, folder) as (run, _, _there):
             counts = count(run, folder)
             stop(run)
     result = summary([each for each in found if each], counts)

@@ -4,6 +4,7 @@
 # and once with Poise adapting.
 cd "$(dirname "$0")" || exit 1
 . ./environment.sh
+command -v poise >/dev/null || { echo "no poise on PATH: . .venv/bin/activate" >&2; exit 1; }
 sed 's|nodes/detector.py|&, params: {scales: 12}|' robot.yaml >overloaded.yaml
 for adapt in "" --adapt; do
     echo "all on main, ${adapt:-nobody adapts}:"

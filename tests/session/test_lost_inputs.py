@@ -95,7 +95,7 @@ def test_a_component_is_told_before_the_manager_acts(tmp_path: Path) -> None:
 
     file = written(tmp_path, "inputs", "lost_inputs", CODE, TEXT)
     robot = poise.load(file)
-    with poise.emulated(robot, say=print) as kept, poise.up(robot, say=print):
+    with poise.emulated(robot, say=print) as kept, poise.up(robot, say=print) as run:
         wait_long((tmp_path / "pid").exists)
         time.sleep(1.5)  # not lost while it is there
         assert events() == []
@@ -106,3 +106,5 @@ def test_a_component_is_told_before_the_manager_acts(tmp_path: Path) -> None:
         assert 0.3 < age < 2.0
         kept.heal("a")
         wait_event("found", 2)
+        # else its computer might still be out of reach when the robot stops
+        wait_long(lambda: not run.status().deviations)

@@ -285,3 +285,4 @@ class Stepper(Counter):
             "param", "get", "counter", "--robot", f"dashboard-{os.getpid()}"
         )
         assert shown.stdout == "step: 3\n"
+        page.goto("about:blank")  # it would complain that the server has ended
