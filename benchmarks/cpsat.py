@@ -29,7 +29,7 @@ from poise.model.hardware import SLACK, fits
 from poise.plan import _core
 from poise.plan.problem.arrays import Arrays, Placed, arrays_of
 from poise.plan.problem.problem import Problem
-from poise.plan.why.violations import loads, traffic
+from poise.plan.violations import loads, traffic
 
 # OR-Tools has no types.
 IntVar = Any

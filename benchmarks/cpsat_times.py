@@ -14,9 +14,8 @@ from math import floor
 from typing import Any, NamedTuple
 
 from poise.model.hardware import SLACK, fits
-from poise.plan.problem.arrays import Arrays, Placed
-from poise.plan.problem.time_arrays import LimitArray, Times
-from poise.plan.why.violations import loads, longest, seconds
+from poise.plan.problem.arrays import Arrays, LimitArray, Placed, Times
+from poise.plan.violations import loads, longest, seconds
 
 PARTS = 1_000_000
 """In how many parts a limit is divided."""

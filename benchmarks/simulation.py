@@ -49,9 +49,9 @@ from poise.session.profiling.stored_profiles import (
     steady,
 )
 from poise.session.running_robots.running import Running
+from poise.simulation.choices import Choices
 from poise.simulation.faults import SimulatedFault, plan_faults
 from poise.simulation.rehearsal import Rehearsal, RehearsalPlan
-from poise.simulation.schedule.choices import Choices
 from poise.simulation.simulation_report import SimulationReport
 from poise.units import SECONDS, parse
 

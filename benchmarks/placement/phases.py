@@ -28,7 +28,7 @@ from poise.model.robot import (
 )
 from poise.model.steps import Task
 from poise.plan import _core
-from poise.plan.phases.merged_arrays import Unit, merged, weighted
+from poise.plan.phase_search import Unit, merged, weighted
 from poise.plan.problem.arrays import Arrays, Placed, arrays_of
 from poise.plan.problem.problem import Problem
 

@@ -1,7 +1,7 @@
 """The solvers of the C++ core, one by one, as the tests call them."""
 
 from poise.plan._core import Core
-from poise.plan.portfolio import UNLIMITED
+from poise.plan.planner import UNLIMITED
 from poise.plan.problem.arrays import Arrays, Placed
 from poise.plan.result_records import Answer
 

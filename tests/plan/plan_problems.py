@@ -10,7 +10,7 @@ from msgspec.structs import replace
 from poise.model.robot import Computer, Link, Objective
 from poise.plan import Edge, Hop, Item, Problem, Run, TimeLimit
 from poise.plan.problem.arrays import arrays_of
-from poise.plan.why.violations import violations
+from poise.plan.violations import violations
 from tests.plan.reference import objective
 
 AMOUNTS = st.sampled_from([0.0, 0.1, 0.25, 0.5, 1.0, 1.5, 3.0])

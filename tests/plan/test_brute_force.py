@@ -12,7 +12,7 @@ from poise import plan
 from poise.model.robot import Computer, Objective
 from poise.plan import Bundle, Edge, Item, Problem, SoftLimit
 from poise.plan.problem.arrays import arrays_of
-from poise.plan.why.violations import violations
+from poise.plan.violations import violations
 from tests.plan.reference import objective
 
 

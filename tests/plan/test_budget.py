@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import pytest
 
-from poise.plan import portfolio
-from poise.plan.portfolio import BUSY, Budget
+from poise.plan import planner
+from poise.plan.planner import BUSY, Budget
 
 
 def test_counts_cpu_time_and_a_share_of_what_it_waited(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     cpu = clock = 5.0
-    monkeypatch.setattr(portfolio, "thread_time", lambda: cpu)
-    monkeypatch.setattr(portfolio, "perf_counter", lambda: clock)
+    monkeypatch.setattr(planner, "thread_time", lambda: cpu)
+    monkeypatch.setattr(planner, "perf_counter", lambda: clock)
     left = Budget(1.0).left
     assert left() == 1.0
     cpu, clock = 5.4, 5.4

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from poise.model.robot import Computer, Link
 from poise.plan import Edge, Item, Problem
 from poise.plan.problem.arrays import Arrays, Placed, arrays_of
-from poise.plan.why.violations import violations
+from poise.plan.violations import violations
 from tests.plan.native import Native
 from tests.plan.plan_problems import problems
 

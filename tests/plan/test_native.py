@@ -13,7 +13,7 @@ from benchmarks.random_robots import random_robot
 from poise.model.robot import Link, Spread
 from poise.plan import Edge, Problem
 from poise.plan.problem.arrays import Arrays, Placed, arrays_of
-from poise.plan.why.violations import violations
+from poise.plan.violations import violations
 from tests.plan.native import Native
 from tests.plan.plan_problems import problems
 from tests.plan.reference import objective

@@ -12,10 +12,10 @@ from msgspec.structs import replace
 from benchmarks.random_robots import random_robot
 from poise import plan
 from poise.errors import UsageError
-from poise.plan import Problem, portfolio
+from poise.plan import Problem
 from poise.plan._core import Core
-from poise.plan.portfolio import Effort
-from poise.plan.snapshot import Snapshot
+from poise.plan.planner import Effort, run_portfolio
+from poise.plan.result import Snapshot
 from tests.waiting import LONG
 
 
@@ -63,7 +63,7 @@ def test_nothing_is_searched_where_a_proof_is_quick() -> None:
     snapshot = Snapshot(random_robot(2, 20, 2))
     core = Asked(snapshot.core)
     snapshot.core = cast("Core", core)
-    result = portfolio.decide(snapshot, "auto", Effort(60.0, None))
+    result = run_portfolio(snapshot, "auto", Effort(60.0, None))
     assert result.proven
     assert core.names.count("exact") == 1
     assert "search" not in core.names

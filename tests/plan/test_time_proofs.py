@@ -13,9 +13,9 @@ from benchmarks.random_robots import random_robot
 from poise import plan
 from poise.model.robot import Link
 from poise.plan import Hop, Problem, Run, TimeLimit
-from poise.plan.phases.merged_arrays import merged
+from poise.plan.phase_search import merged
 from poise.plan.problem.arrays import arrays_of
-from poise.plan.why.violations import violations
+from poise.plan.violations import violations
 from tests.plan.native import Native
 from tests.plan.reference import objective, time
 from tests.plan.test_brute_force import least, problem, softened

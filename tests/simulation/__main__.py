@@ -19,12 +19,12 @@ from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wai
 from itertools import count, islice
 
 from poise.errors import UsageError
-from poise.simulation.shrink import Shrunk
-from poise.simulation.simulated_run import RunOutcome
 from poise.units import SECONDS as UNIT
 from poise.units import parse
 from tests.simulation.conftest import small_scenario
 from tests.simulation.seeds import SECONDS, chunk, run
+from tests.simulation.shrink import Shrunk
+from tests.simulation.simulated_run import RunOutcome
 
 SHRUNK = 3
 """So many failures are shrunk."""

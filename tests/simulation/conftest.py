@@ -15,10 +15,10 @@ from poise.model.robot import (
     Robot,
     Task,
 )
-from poise.simulation.schedule.choices import Choices
-from poise.simulation.schedule.scheduler import Scheduler
-from poise.simulation.simulated_run import Scenario
+from poise.simulation.choices import Choices
+from poise.simulation.scheduler import Scheduler
 from poise.wire.records.request_records import Election
+from tests.simulation.simulated_run import Scenario
 
 
 @pytest.fixture

@@ -38,9 +38,9 @@ from poise.runtime.agent.fence import Fence, Lease
 from poise.runtime.agent.heartbeat_exchange import HeartbeatExchange
 from poise.runtime.supervision.supervisor import Supervisor
 from poise.simulation.robot.container_host import SimulatedControl
-from poise.simulation.shrink import Shrunk
-from poise.simulation.simulated_run import simulate
 from tests.simulation.conftest import small_scenario
+from tests.simulation.shrink import Shrunk
+from tests.simulation.simulated_run import simulate
 
 SECONDS = 120.0
 MOST_SEEDS = 2000

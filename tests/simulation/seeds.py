@@ -5,8 +5,8 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterable
 
-from poise.simulation.simulated_run import RunOutcome, simulate
 from tests.simulation.conftest import small_scenario
+from tests.simulation.simulated_run import RunOutcome, simulate
 
 SECONDS = 120.0
 """Of faults in each run [virtual s]."""

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from poise.simulation.choices import Choices
 from poise.simulation.faults import KINDS, plan_faults
-from poise.simulation.schedule.choices import Choices
 
 
 def kinds(seed: int) -> set[str]:

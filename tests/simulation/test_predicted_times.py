@@ -18,7 +18,7 @@ from poise.model.robot import (
     Robot,
 )
 from poise.runtime.component.ports import Timer
-from poise.simulation.components.models import (
+from poise.simulation.component_models import (
     ComponentModel,
     HandlerModel,
     Models,

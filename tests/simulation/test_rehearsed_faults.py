@@ -12,7 +12,7 @@ from poise.session.robot_file import load
 from poise.simulation.faults import SimulatedFault
 from poise.simulation.rehearsal import Rehearsal, RehearsalPlan
 from poise.simulation.robot.simulated_robot import SimulatedRobot
-from poise.simulation.schedule.scheduler import SimulationError
+from poise.simulation.scheduler import SimulationError
 
 HELLO = Path(__file__).parents[2] / "examples/hello/robot.yaml"
 

@@ -12,16 +12,16 @@ import pytest
 from msgspec import structs
 
 from poise.simulation.faults import SimulatedFault
-from poise.simulation.shrink import Shrunk
-from poise.simulation.simulated_run import Scenario, simulate
 from tests.simulation.conftest import small_scenario
 from tests.simulation.seeds import run
+from tests.simulation.shrink import Shrunk
+from tests.simulation.simulated_run import Scenario, simulate
 
 _LEASE = "poise.runtime.agent.fence.LEASE"
 _ROOT = Path(__file__).parents[2]
 _DIGEST = """
 import sys
-from poise.simulation.simulated_run import simulate
+from tests.simulation.simulated_run import simulate
 from tests.simulation.conftest import small_scenario
 for seed in map(int, sys.argv[1:]):
     outcome = simulate(small_scenario(30.0), seed)

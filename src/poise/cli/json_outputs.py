@@ -24,8 +24,8 @@ from poise.manage.migration.migration_report import MigrationReport
 from poise.manage.observe.estimates import DemandEstimate
 from poise.manage.tasks.concurrent_tasks import TaskReport
 from poise.model.policy.policy import Policy
-from poise.plan.phases.phase_result import PlainPhases
-from poise.plan.result import PlainResult
+from poise.plan.phase_result import PlainPhases
+from poise.plan.result_records import PlainResult
 from poise.session.placing.first_phase import Described, Listed
 from poise.session.profiling.calibrate import Calibration
 from poise.session.run_report import RunReport

@@ -3,18 +3,21 @@
 from poise.plan.explanation import Explanation, Option, Rejection, explain
 from poise.plan.fewest_computers import Smallest, smallest
 from poise.plan.from_robot import problem_of, static
-from poise.plan.phases.phase_problem import (
-    PhasedProblem,
-    PhaseProblem,
-    phased_problem_of,
-)
-from poise.plan.phases.phase_result import PhasedResult, PhaseMove
-from poise.plan.phases.phase_search import solve_phases
+from poise.plan.phase_problem import PhasedProblem, PhaseProblem, phased_problem_of
+from poise.plan.phase_result import PhasedResult, PhaseMove
+from poise.plan.phase_search import solve_phases
 from poise.plan.planner import Overload, Planner, evaluate, solve
-from poise.plan.problem.changed_problem import add, keep_components, scale, without
+from poise.plan.problem.changed_problem import (
+    PRICE,
+    Margin,
+    add,
+    keep_components,
+    scale,
+    share_cpu,
+    without,
+)
 from poise.plan.problem.items import Bundle, Edge, Hop, Item, Run, SoftLimit, TimeLimit
 from poise.plan.problem.problem import Problem, load, schema
-from poise.plan.problem.share_cpu import PRICE, Margin, share_cpu
 from poise.plan.result import Result
 from poise.plan.result_records import (
     ComputerTried,

@@ -8,17 +8,17 @@ one that is required.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from itertools import combinations, product
 from math import inf, prod
 
 from poise.errors import UsageError
 from poise.model.hardware import fits
-from poise.plan.portfolio import Decide
 from poise.plan.problem.changed_problem import keep_components
 from poise.plan.problem.items import Bundle
 from poise.plan.problem.problem import Problem
-from poise.plan.result import Result, Selection
+from poise.plan.result import Result
+from poise.plan.result_records import Selection
 
 MOST_COMBINATIONS = 64
 """How many combinations of alternatives are tried; more are tried one change a time."""
@@ -26,6 +26,9 @@ MOST_EXPLAINED = 8
 """Of no more combinations the way out is looked for in each, where nothing holds."""
 MOST_DROPS = 256
 """How many sets of architectures are tried, before they are tried one by one."""
+
+Decide = Callable[[frozenset[str], float], Result]
+"""Decides some components with a share, in (0, 1], of the effort."""
 
 Need = tuple[Bundle, ...]
 """What is to be provided: by any one of these, the best first."""

@@ -12,9 +12,9 @@ from poise.plan.planner import evaluate, solve
 from poise.plan.problem.arrays import Placed
 from poise.plan.problem.items import Bundle
 from poise.plan.problem.problem import Problem
+from poise.plan.result import Snapshot
 from poise.plan.result_records import Terms
-from poise.plan.snapshot import Snapshot
-from poise.plan.why.violations import obstacle
+from poise.plan.violations import obstacle
 
 
 class Option(Struct, frozen=True, kw_only=True):

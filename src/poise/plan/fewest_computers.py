@@ -8,12 +8,12 @@ from typing import NamedTuple
 
 from poise.errors import UsageError
 from poise.model.robot import Computer
-from poise.plan.phases.phase_problem import PhasedProblem
-from poise.plan.phases.phase_result import PhasedResult
+from poise.plan.conflict import is_hopeless
+from poise.plan.phase_problem import PhasedProblem
+from poise.plan.phase_result import PhasedResult
 from poise.plan.problem.arrays import arrays_of
 from poise.plan.problem.changed_problem import without
 from poise.plan.problem.problem import Problem
-from poise.plan.why.conflict import is_hopeless
 
 MOST_SETS = 4096
 """Of how many computers all sets are looked at: with more, one is dropped at a time."""

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Literal, NamedTuple
+from collections.abc import Callable, Mapping
+from typing import Literal, NamedTuple, TypedDict
 
 from msgspec import Struct
 from msgspec.structs import replace
 
 from poise.plan.problem.arrays import Placed
+from poise.plan.problem.problem import Problem
 
 
 class Terms(Struct, frozen=True, kw_only=True):
@@ -157,3 +158,43 @@ class Conflict(Struct, frozen=True, kw_only=True):
     irreducible: bool = True
     more: tuple[More, ...] = ()
     price: float | None = None
+
+
+class Selection(NamedTuple):
+    """What was chosen besides the placement."""
+
+    # function -> the architecture chosen for it, where there was a choice
+    architectures: Mapping[str, str] = {}
+    suspended: tuple[str, ...] = ()  # architectures suspended because not all fits
+    lost: float = 0.0  # what F grows by for the quality that was lost
+    # the problem with all architectures; None when nothing was suspended
+    whole: Problem | None = None
+    why: str = ""  # why something was suspended, for people
+    # the problems with other alternatives, where nothing holds with any
+    others: tuple[Problem, ...] = ()
+
+
+class PlainResult(TypedDict):
+    """What is printed of a result with `--json`."""
+
+    placement: Mapping[str, str]
+    feasible: bool
+    reason: str
+    objective: Terms | None
+    method: str
+    proven: bool
+    bound: float | None
+    gap: float | None
+    stopped_by: Stopped
+    seconds: float
+    seed: int
+    tightest: Tightest | None
+    shortages: tuple[Shortage, ...]
+    times: tuple[TimeTaken, ...]
+    trace: tuple[GreedyStep, ...]
+    architectures: Mapping[str, str]
+    suspended: tuple[str, ...]
+    unknown: tuple[str, ...]
+    scale: str
+    spread: str
+    conflict: Conflict | None

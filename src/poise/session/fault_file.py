@@ -18,8 +18,8 @@ from poise.model.yaml.include import read_file
 from poise.model.yaml.tree import Finding, Positions
 from poise.model.yaml.tree import Path as KeyPath
 from poise.model.yaml.validate import validate
+from poise.simulation.choices import Choices
 from poise.simulation.faults import KINDS, LINK_KINDS, Kind, SimulatedFault, plan_faults
-from poise.simulation.schedule.choices import Choices
 from poise.suggest import unknown
 
 

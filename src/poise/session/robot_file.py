@@ -14,7 +14,7 @@ from poise.model.load import Source, load_source
 from poise.model.robot import Robot
 from poise.model.yaml.tree import Finding
 from poise.plan import keep_components, problem_of
-from poise.plan.why.conflict import conflict
+from poise.plan.conflict import conflict
 from poise.runtime.code_check import check_code_isolated
 from poise.session.callbacks import Say, log, nothing
 from poise.session.profiling.stored_profiles import profiled

@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Literal
 from msgspec import Struct
 
 if TYPE_CHECKING:  # they need greenlet, which is an extra; a fault is named without it
+    from poise.simulation.choices import Choices
     from poise.simulation.robot.simulated_process import Process
     from poise.simulation.robot.simulated_robot import SimulatedRobot
-    from poise.simulation.schedule.choices import Choices
 
 Kind = Literal[
     "kill agent",

@@ -23,10 +23,9 @@ from poise.model.robot import Chain, Robot
 from poise.runtime.component.ports import Timer
 from poise.runtime.execution.timers import release_offset
 from poise.simulation._engine import Engine, Executor
-from poise.simulation.components.models import ComponentModel, HandlerModel, TimerModel
-from poise.simulation.network.links import links_of, set_links
-from poise.simulation.schedule.choices import Choices
-from poise.simulation.workload import SimulatedWork
+from poise.simulation.choices import Choices
+from poise.simulation.component_models import ComponentModel, HandlerModel, TimerModel
+from poise.simulation.workload import SimulatedWork, links_of, set_links
 from poise.wire.records.status_records import ChainStatus, Summary, TimerStatus
 
 _CORES = 4.0

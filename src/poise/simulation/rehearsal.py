@@ -20,11 +20,11 @@ from poise.manage.control_socket.commands import (
 )
 from poise.manage.migration.migration_report import MigrationReport
 from poise.model.robot import Robot
+from poise.simulation.choices import Choices
 from poise.simulation.faults import SimulatedFault, inject
 from poise.simulation.robot.simulated_manager import ManagedRobot
 from poise.simulation.robot.simulated_robot import OUTSIDE, SimulatedRobot
-from poise.simulation.schedule.choices import Choices
-from poise.simulation.schedule.scheduler import SimulationError
+from poise.simulation.scheduler import SimulationError
 from poise.simulation.simulation_observer import SimulationObserver
 from poise.simulation.simulation_report import SimulationReport
 from poise.simulation.workload import workload_of

@@ -24,7 +24,8 @@ from poise.manage.deploy.deployment_plan import DeploymentPlan
 from poise.model.robot import ComponentEntry, Connector, Robot
 from poise.model.software import ComponentCode
 from poise.runtime.component.ports import Timer
-from poise.simulation.components.models import (
+from poise.simulation._engine import Engine
+from poise.simulation.component_models import (
     ComponentModel,
     HandlerModel,
     Models,
@@ -368,3 +369,46 @@ def _feeding(handlers: list[_Rated], rate: float) -> _Rated | None:
     if enough:
         return min(enough, key=lambda each: each.rate)
     return max(handlers, key=lambda each: each.rate, default=None)
+
+
+_JITTER = 0.25
+"""Mean of what comes on top of a link's latency, as a share of that."""
+
+
+class LinkModel(Struct, frozen=True, kw_only=True):
+    """How a link behaves while nothing is wrong with it.
+
+    `latency`, `jitter`: one way [s]; jitter is the mean of what comes on top,
+    exponentially.
+    `bandwidth`: [bytes/s]
+    """
+
+    latency: float = 200e-6
+    jitter: float = 50e-6
+    bandwidth: float = 12.5e6
+
+
+def links_of(robot: Robot) -> Mapping[frozenset[str], LinkModel]:
+    """Return pairs of computers -> their links; what a file leaves out is as usual."""
+    usual = LinkModel()
+    return {
+        frozenset(link.between): LinkModel(
+            latency=link.latency or usual.latency,
+            jitter=(link.latency or usual.latency) * _JITTER,
+            bandwidth=link.bandwidth or usual.bandwidth,
+        )
+        for link in robot.links
+    }
+
+
+def set_links(
+    engine: Engine,
+    links: Mapping[frozenset[str], LinkModel],
+    usual: LinkModel = LinkModel(),  # noqa: B008, it is frozen
+) -> None:
+    """Let an engine have links; those that are not named are as usual."""
+    engine.set_usual_link(usual.latency, usual.jitter, usual.bandwidth)
+    for pair, link in links.items():
+        one, other = sorted(pair)
+        for way in ((one, other), (other, one)):
+            engine.set_link(*way, link.latency, link.jitter, link.bandwidth)

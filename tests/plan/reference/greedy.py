@@ -10,7 +10,7 @@ first computer), Poise follows the formula.
 from math import inf
 
 from poise.plan.problem.arrays import Arrays, Placed
-from poise.plan.why.violations import obstacle
+from poise.plan.violations import obstacle
 from tests.plan.reference import objective, time
 
 ROUNDING = 1e-12

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from poise.plan.problem.arrays import Arrays, Placed
 from poise.plan.result_records import Terms
-from poise.plan.why.violations import loads
+from poise.plan.violations import loads
 from tests.plan.reference import time
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from poise.simulation._engine import Engine
-from poise.simulation.schedule.scheduler import SimulationError
+from poise.simulation.scheduler import SimulationError
 from tests.simulation.native.parts import LOCAL, container, joined, model, worker
 
 

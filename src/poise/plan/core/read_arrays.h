@@ -63,7 +63,7 @@ using Limits = std::vector<std::tuple<double, double, double, std::int32_t, Runs
 
 constexpr int kMostPower = 1024;  // more than any computer's
 
-// Read `poise.plan.problem.time_arrays.Times`.
+// Read `poise.plan.problem.arrays.Times`.
 inline TimeLimits read_times(const Fields& in, const Problem& p,
                              const std::vector<std::int32_t>& unit_of) {
   const std::size_t m = p.m;

@@ -23,7 +23,7 @@ from poise.plan import Hop, Run, TimeLimit
 from poise.plan.from_robot import LATE
 from poise.session.profiling.stored_profiles import read_profile
 from poise.session.robot_file import with_code
-from poise.simulation.components.models import ComponentModel, HandlerModel
+from poise.simulation.component_models import ComponentModel, HandlerModel
 from poise.simulation.predicted_times import PredictedTimes, predict_times
 from poise.simulation.workload import SimulatedWork, workload_of
 

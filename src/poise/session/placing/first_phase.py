@@ -18,7 +18,7 @@ from poise.manage.tasks.learned_choice import choose
 from poise.model.load import load_source
 from poise.model.repository import search
 from poise.model.robot import Architecture, Layer, Robot
-from poise.plan.portfolio import METHODS as SOLVERS
+from poise.plan.planner import METHODS as SOLVERS
 from poise.session.callbacks import Say
 from poise.session.placing.placement import Placement, place
 

@@ -16,7 +16,7 @@ from poise import plan
 from poise.errors import UsageError
 from poise.estimate.success_rates import WELL, Conditions, learned
 from poise.model.robot import Robot
-from poise.plan.portfolio import METHODS as SOLVERS
+from poise.plan.planner import METHODS as SOLVERS
 from poise.session.placing.by_time import Decide, DecidedByTime, decide_by_time
 from poise.session.render.picture import planned_picture
 from poise.session.render.plan_tables import plan_parts

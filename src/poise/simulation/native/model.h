@@ -20,7 +20,7 @@ struct Output {
   double credit = 0.5;  // fractions add up over the runs
 };
 
-// What one run of a handler costs and does, as poise.simulation.components.models says.
+// What one run of a handler costs and does, as poise.simulation.component_models says.
 struct Handler {
   double work, spread;
   std::optional<std::vector<Output>> publishes;  // none: one message over each connector

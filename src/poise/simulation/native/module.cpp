@@ -73,7 +73,7 @@ double run(Engine& engine, double limit) {
   try {
     return engine.events.run(limit);
   } catch (const NoTimePasses& error) {
-    const char* name = "poise.simulation.schedule.scheduler";
+    const char* name = "poise.simulation.scheduler";
     PyErr_SetString(nb::module_::import_(name).attr("SimulationError").ptr(), error.what());
     throw nb::python_error();
   }

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 from poise.errors import Unavailable
 from poise.runtime.supervision.container_processes import ProcessEnd
 from poise.runtime.supervision.health import Silence
-from poise.simulation.components.modelled_container import SimulatedContainer, World
-from poise.simulation.components.models import drawn
+from poise.simulation.component_models import drawn
+from poise.simulation.robot.modelled_container import SimulatedContainer, World
 from poise.wire.records.deployment_records import ContainerSpec
 from poise.wire.records.status_records import FromContainer, ToContainer
 

@@ -1,9 +1,10 @@
-"""The agent of a simulated computer: the real core, with modelled surroundings."""
+"""The agent of a simulated computer: the real core, with a modelled sampler and disk."""
 
 from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
+from functools import partial
 
 import msgspec
 import zenoh
@@ -12,30 +13,42 @@ from poise.clock import SystemClock, time_asleep
 from poise.endpoint import Endpoint
 from poise.runtime.agent.core import AgentCore
 from poise.runtime.agent.inbox import AgentInbox
-from poise.runtime.agent.surroundings import AgentSetup, Reply, Surroundings
-from poise.simulation.components.modelled_container import World
-from poise.simulation.components.models import drawn
+from poise.runtime.agent.surroundings import AgentSetup, AgentState, Reply, Surroundings
+from poise.runtime.supervision.health import ContainerUse, Usage
+from poise.simulation._engine import Sender
+from poise.simulation.component_models import drawn
 from poise.simulation.robot.container_host import (
     SimulatedAdoption,
     SimulatedHost,
     SimulatedWatchdog,
 )
-from poise.simulation.robot.simulated_disk import SimulatedDisk
-from poise.simulation.robot.simulated_process import Process
-from poise.simulation.robot.simulated_sampler import SimulatedSampler
-from poise.simulation.schedule.scheduler import SimulatedTask
+from poise.simulation.robot.modelled_container import SimulatedContainer, World
+from poise.simulation.robot.simulated_process import Process, SimulatedComputer
+from poise.simulation.scheduler import SimulatedTask
 from poise.wire.control_session import identity_key, locator, open_session
 from poise.wire.heartbeats import Hear, Heartbeats, NextBeat
+from poise.wire.records.deployment_records import Deployment
 from poise.wire.records.migration_records import StepsDone
 from poise.wire.records.request_records import (
     Accepted,
     Answer,
+    CheckpointCopy,
     Claim,
     Claimed,
     ManagerId,
     ManagerRequest,
+    OutputLines,
+    ReadOutput,
+    Refused,
 )
-from poise.wire.records.status_records import AgentStatus
+from poise.wire.records.status_records import (
+    SAMPLE_EVERY,
+    AgentSample,
+    AgentStatus,
+    ComponentSample,
+    ConnectorSample,
+    ContainerSample,
+)
 
 PORT = 7447
 LEASE = 2.0
@@ -237,3 +250,192 @@ class SimulatedAgent:
             if left > 0:
                 self._world.scheduler.wait(left, _NEWS)
         self._is_woken = False
+
+
+class SimulatedSampler:
+    """Samples the containers of an agent's computer for as long as that lives.
+
+    `usage`: what each container uses [cores, bytes].
+    `cpu`: what the agent itself has used [core-seconds].
+    """
+
+    def __init__(
+        self, world: World, process: Process, put: Callable[[bytes], object]
+    ) -> None:
+        self._world = world
+        self._process = process
+        self._put = put
+        self._group = process.computer.cpu.group()
+        self._encode = msgspec.msgpack.Encoder().encode
+        self._before: dict[int, float] = {}
+        self.usage: Usage = {}
+        process.on_end.append(self._group.end)
+        process.on_pause = lambda is_paused: self._group.pause(is_paused=is_paused)
+        self._again()
+
+    @property
+    def cpu(self) -> float:
+        """What the agent itself has used [core-seconds]."""
+        return self._group.used
+
+    def _again(self) -> None:
+        self._process.after(SAMPLE_EVERY, self._sample)
+
+    def _sample(self) -> None:
+        if work := self._world.agent_cpu * SAMPLE_EVERY:
+            self._group.run(work)
+        computer = self._process.computer
+        busy = computer.cpu.used()
+        here = self._world.containers_on(computer)
+        containers = tuple(map(self._of_container, here))
+        self.usage = {
+            each.name: ContainerUse(
+                (each.cpu - self._before.get(each.pid, each.cpu)) / SAMPLE_EVERY,
+                each.memory,
+            )
+            for each in containers
+        }
+        self._before = {each.pid: each.cpu for each in containers}
+        at = computer.monotonic()
+        sample = AgentSample(computer.name, at, self._group.used, containers, busy)
+        self._put(self._encode(sample))
+        self._again()
+
+    def _of_container(self, container: SimulatedContainer) -> ContainerSample:
+        components = container.components.values()
+        return ContainerSample(
+            name=container.name,
+            pid=container.process.pid,
+            at=container.process.computer.monotonic(),
+            cpu=container.execution.cpu.used,
+            memory=round(sum(each.model.memory for each in components)),
+            components=tuple(
+                ComponentSample(
+                    each.spec.name,
+                    each.spec.epoch,
+                    each.executor.cpu,
+                    0.0,
+                    each.executor.asked,
+                    each.executor.done,
+                )
+                for each in components
+            ),
+            connectors=tuple(map(self._of_sender, container.senders.values())),
+        )
+
+    def _of_sender(self, sender: Sender) -> ConnectorSample:
+        name, calls, messages = sender.connector.name, sender.calls, sender.messages
+        size = round((calls + messages) * self._world.size_of(name))
+        return ConnectorSample(name, calls, messages, size, 0, 0, sender.drops)
+
+
+_SEND_WITHIN = 0.1
+Key = tuple[str, int]
+
+
+class SimulatedDisk:
+    """The `AgentDisk` of a simulated computer; it outlives its agents.
+
+    `left`: what an agent has kept, as far as it was written before it was killed.
+    `is_full`: whether nothing can be written: a fault.
+    `delay`: how long each write takes [s]: a fault makes it long.
+    """
+
+    def __init__(self, computer: SimulatedComputer) -> None:
+        self.left = AgentState()
+        self.is_full = False
+        self.delay = 0.001
+        self._computer = computer
+        self._kept = self.left
+        self._wanted: tuple[Key, ...] = ()
+        self._checkpoints: dict[Key, tuple[float, bytes]] = {}
+        self._sent: dict[Key, float] = {}
+        self._send: Callable[[CheckpointCopy], object] = lambda _: None
+        self._is_sending = False
+
+    def begin(self, process: Process, send: Callable[[CheckpointCopy], object]) -> None:
+        """Serve another agent."""
+        self._process, self._send, self._sent = process, send, {}
+        self._kept = self.left
+        self._is_sending = False
+        self._send_soon()
+
+    def keep(self, state: AgentState) -> None:
+        """Keep what the next agent must know, if it changed."""
+        if state != self._kept:
+            self._kept = state
+            self._process.after(self.delay, lambda: self._keep(state))
+
+    def forget(self) -> None:
+        """Leave nothing to the next agent."""
+        self.keep(AgentState())
+
+    def serve(self, request: ReadOutput | CheckpointCopy, reply: Reply) -> None:
+        """Write a checkpoint, or read output, of which there is none."""
+        if isinstance(request, ReadOutput):
+            reply(OutputLines())
+        elif self.is_full:
+            reply(Refused("it cannot use its folder: no space left on device"))
+        else:
+            self._write(lambda: self._store(request))
+            self._process.after(self.delay, lambda: reply(Accepted()))
+
+    def keep_only(self, wanted: Deployment) -> None:
+        """Remove the checkpoints of all that is not wanted, and send the others."""
+        components = [c for each in wanted.containers for c in each.components]
+        kept = {(c.name, c.epoch) for c in components}
+        self._checkpoints = {k: v for k, v in self._checkpoints.items() if k in kept}
+        self._wanted = tuple((c.name, c.epoch) for c in components if c.checkpoint)
+        self._send_soon()
+
+    def resend(self) -> None:
+        """Send all checkpoints again."""
+        self._sent = {}
+        self._send_soon()
+
+    def checkpoint_age(self, component: str, epoch: int) -> float | None:
+        """Return how old the last checkpoint is [s]; None: there is none."""
+        at, _ = self._checkpoints.get((component, epoch), (None, b""))
+        return None if at is None else self._computer.boottime() - at
+
+    def trouble(self) -> str:
+        """Return what is wrong with it."""
+        return "no space left on device" if self.is_full else ""
+
+    def save(self, component: str, epoch: int, data: bytes) -> None:
+        """Keep a checkpoint that a container took."""
+        if not self.is_full:
+            self._checkpoints[component, epoch] = self._computer.boottime(), data
+            self._send_soon()
+
+    def _keep(self, state: AgentState) -> None:
+        if self.is_full:  # better nothing than what holds no more; it is tried again
+            state = self._kept = AgentState()
+        self.left = state
+
+    def _store(self, copy: CheckpointCopy) -> None:
+        at = self._computer.boottime() - copy.age
+        self._checkpoints[copy.component, copy.epoch] = at, copy.data or b""
+        self._send_soon()
+
+    def _write(self, act: Callable[[], object]) -> None:
+        if not self.is_full:
+            self._process.after(self.delay, act)
+
+    def _send_soon(self) -> None:
+        """Send copies of new checkpoints within a moment; of several one."""
+        if not self._is_sending:
+            self._is_sending = True
+            self._process.after(_SEND_WITHIN, self._send_new)
+
+    def _send_new(self) -> None:
+        self._is_sending = False
+        for key in self._wanted:
+            at, data = self._checkpoints.get(key, (0.0, b""))
+            if data and self._sent.get(key) != at:
+                self._sent[key] = at
+                age = self._computer.boottime() - at
+                copy = CheckpointCopy(
+                    component=key[0], epoch=key[1], data=data, age=age
+                )
+                self._process.spawn("checkpoint", partial(self._send, copy))

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from math import inf
 from random import Random
 
-from poise.simulation.schedule.scheduler import (
+from poise.simulation.scheduler import (
     Scheduler,
     SimulatedTask,
     SimulatedTimer,

@@ -9,21 +9,18 @@ from poise.estimate.demands import kinds_together
 from poise.manage.journal import JournalEntry
 from poise.runtime.execution.timers import release_offset
 from poise.simulation._engine import Connector, Model
-from poise.simulation.components.modelled_component import SimulatedComponent
-from poise.simulation.components.modelled_container import Moment, SimulatedContainer
-from poise.simulation.components.models import ComponentModel
-from poise.simulation.network.datagrams import Addresses, SimulatedDatagrams
-from poise.simulation.network.links import links_of
-from poise.simulation.network.network import Network
-from poise.simulation.network.zenoh_sessions import ZenohNetwork
-from poise.simulation.robot.simulated_agent import PORT, SimulatedAgent
-from poise.simulation.robot.simulated_disk import SimulatedDisk
+from poise.simulation.choices import Choices
+from poise.simulation.component_models import ComponentModel
+from poise.simulation.network import Addresses, Network, SimulatedDatagrams
+from poise.simulation.robot.modelled_component import SimulatedComponent
+from poise.simulation.robot.modelled_container import Moment, SimulatedContainer
+from poise.simulation.robot.simulated_agent import PORT, SimulatedAgent, SimulatedDisk
 from poise.simulation.robot.simulated_manager import ManagedRobot, SimulatedManager
 from poise.simulation.robot.simulated_process import Process, SimulatedComputer
-from poise.simulation.schedule.choices import Choices
-from poise.simulation.schedule.scheduler import Scheduler
-from poise.simulation.schedule.simulated_library import SimulatedLibrary
-from poise.simulation.workload import SimulatedWork
+from poise.simulation.scheduler import Scheduler
+from poise.simulation.simulated_library import SimulatedLibrary
+from poise.simulation.workload import SimulatedWork, links_of
+from poise.simulation.zenoh_sessions import ZenohNetwork
 from poise.wire.records.deployment_records import ConnectorSpec
 from poise.wire.records.request_records import Claim, ManagerId
 

@@ -1,1 +1,0 @@
-"""Placements of a task's phases: what stays, what moves between them."""

@@ -1,0 +1,180 @@
+"""What a simulated component does: its handlers, their work, what they send and ask."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Literal
+
+from msgspec import Struct
+
+from poise.estimate.profiles import ConnectorProfile, KindCosts
+from poise.runtime.component.ports import Timer
+from poise.simulation._engine import Connector, Engine, Handler, Model
+from poise.simulation.choices import Choices
+from poise.wire.records.deployment_records import ConnectorSpec
+
+
+class HandlerModel(Struct, frozen=True, kw_only=True):
+    """What one run of a handler costs and does.
+
+    `work`: mean [core-seconds of the reference].
+    `spread`: standard deviation of its logarithm: it is drawn log-normally. 0: it is
+    always the same.
+    `publishes`: slot of a connector -> messages for each run, on average; None: one
+    over each.
+    `calls`: slot of a connector -> calls in each run, on average.
+    """
+
+    work: float
+    spread: float = 0.0
+    publishes: Mapping[str, float] | None = {}
+    calls: Mapping[str, float] = {}
+
+    def made_in(self, engine: Engine) -> Handler:
+        """Return it as the engine has it."""
+        publishes, calls = self.publishes, list(self.calls.items())
+        sent = None if publishes is None else list(publishes.items())
+        return engine.handler(self.work, self.spread, sent, calls)
+
+
+class TimerModel(Struct, frozen=True, kw_only=True):
+    """A timer, and what it does when it is due."""
+
+    timer: Timer
+    handler: HandlerModel
+
+
+_TICK = TimerModel(
+    timer=Timer("tick", 0.1),
+    handler=HandlerModel(work=0.005, spread=0.5, publishes=None),
+)
+_TAKE = HandlerModel(work=0.005, spread=0.5)
+
+
+class ComponentModel(Struct, frozen=True, kw_only=True):
+    """A component, as far as placement, leases and moves are concerned.
+
+    `takes`, `serves`: slot of a connector -> what a message or a call that comes over
+    it costs; the others cost what `other` says.
+    `factors`: how much dearer handlers are in each second than on average, again and
+    again; empty: always the same.
+    `keep`: slot -> how many messages wait at most, the oldest of them make room; the
+    others have room for `MOST_KEPT`.
+    `start`, `start_later`: shortest and longest time until it is configured [s], in a
+    container that is started for it and in one that runs already.
+    `activate`: longest time that `activate` or `deactivate` takes [s].
+    `state_size`: of its snapshot [bytes].
+    `memory`: that it needs [bytes].
+    """
+
+    timers: tuple[TimerModel, ...] = (_TICK,)
+    takes: Mapping[str, HandlerModel] = {}
+    serves: Mapping[str, HandlerModel] = {}
+    other: HandlerModel = _TAKE
+    factors: tuple[float, ...] = ()
+    keep: Mapping[str, int] = {}
+    start: tuple[float, float] = (0.02, 0.2)
+    start_later: tuple[float, float] = (0.02, 0.1)
+    activate: float = 0.01
+    state_size: float = 10_000
+    memory: float = 10e6
+
+    def made_in(self, engine: Engine, release_offset: float = 0.0) -> Model:
+        """Return it as the engine has it; timers are due at the offset [s]."""
+        return engine.model(
+            timers=[
+                (
+                    each.timer.name,
+                    each.timer.period,
+                    each.timer.deadline,
+                    each.handler.made_in(engine),
+                )
+                for each in self.timers
+            ],
+            takes={slot: each.made_in(engine) for slot, each in self.takes.items()},
+            serves={slot: each.made_in(engine) for slot, each in self.serves.items()},
+            other=self.other.made_in(engine),
+            factors=self.factors,
+            keep=self.keep,
+            keep_other=MOST_KEPT,
+            release_offset=release_offset,
+        )
+
+
+MOST_KEPT = 50
+"""Messages of one connector that wait for a component, unless it says otherwise."""
+Models = Mapping[str, ComponentModel]
+"""Component -> its model; those that are not named have the default one."""
+
+
+def drawn(choices: Choices, limits: tuple[float, float]) -> float:
+    """Return a time from the shortest to the longest [s]."""
+    return choices.between("components", *limits)
+
+
+End = Literal["source", "target"]
+SIZE = 200.0
+"""Of a message whose connector does not say it [bytes]."""
+
+
+class Traffic(Struct, frozen=True, kw_only=True):
+    """What goes over the connectors of a robot.
+
+    `sizes`: connector -> size of a message, or of a call both ways [bytes].
+    `calling`: the connectors over which calls go.
+    `costs`: kind of connector -> what it costs, as `poise calibrate` measures it.
+    """
+
+    sizes: Mapping[str, float] = {}
+    calling: frozenset[str] = frozenset()
+    costs: Mapping[str, KindCosts] = {}
+
+    def cost(self, connector: str, kind: str, together: str, end: End) -> float:
+        """Return the work of one message or call beyond what it costs together.
+
+        `kind`: the connector's: ``direct``, ``local`` or ``remote``.
+        `together`: its kind when both ends are on one computer: so it was profiled.
+        """
+        is_call = connector in self.calling
+        one = ConnectorProfile(
+            calls=float(is_call),
+            messages=float(not is_call),
+            size=self.sizes.get(connector, 0.0),
+        )
+        now, then = (
+            getattr(self.costs.get(each, KindCosts()), end).load(one)
+            for each in (kind, together)
+        )
+        return max(0.0, float(now - then))
+
+    def apart(self, connector: str, together: str) -> float:
+        """Return what both ends work more for a message or call when they are apart."""
+        return self.cost(connector, "remote", together, "source") + self.cost(
+            connector, "remote", together, "target"
+        )
+
+    def size_of(self, connector: str) -> float:
+        """Return the size of a message, or of a call both ways [bytes]."""
+        return self.sizes.get(connector, SIZE)
+
+    def connector_in(
+        self, engine: Engine, spec: ConnectorSpec, together: str
+    ) -> Connector:
+        """Return a connector as the engine has it; `together` as for `cost`."""
+        return engine.connector(
+            name=spec.name,
+            key=spec.key,
+            slot=spec.slot or spec.name,
+            source=(spec.source, spec.source_epoch),
+            target=(spec.target, spec.target_epoch),
+            computer=spec.target_computer,
+            is_direct=spec.kind == "direct",
+            limit=spec.limit,
+            size=self.size_of(spec.name),
+            costs=(
+                self.cost(spec.name, spec.kind, together, "source"),
+                self.cost(spec.name, spec.kind, together, "target"),
+            ),
+            carries=spec.carries,
+            answers=spec.answers,
+        )

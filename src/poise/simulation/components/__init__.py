@@ -1,1 +1,0 @@
-"""Models of containers, their components and what those do."""

@@ -1,1 +1,0 @@
-"""What lies between computers: links, datagrams, and sessions like zenoh's."""

@@ -1,0 +1,342 @@
+"""A modelled component: its life cycle, and the steps of a migration in real phases.
+
+`poise.wire.records.migration_records.STEPS` says what each step is for.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Literal
+
+from poise.errors import PoiseError, RunError
+from poise.simulation._engine import ExecutorState, Sender
+from poise.simulation.component_models import drawn
+from poise.wire.records.deployment_records import ComponentSpec, ContainerSpec
+from poise.wire.records.migration_records import (
+    MigrationPhases,
+    MigrationSteps,
+    Step,
+    StepsDone,
+    StepsFailed,
+    StepTaken,
+)
+from poise.wire.records.status_records import ComponentStatus, State
+
+if TYPE_CHECKING:
+    from poise.simulation.robot.modelled_container import SimulatedContainer
+
+Goal = Literal["inactive", "ready", "active", "finalized"]
+
+
+class SimulatedComponent:
+    """An incarnation in a container.
+
+    `executor`: runs its handlers: its mailbox, its timers, its calls.
+    """
+
+    def __init__(self, container: SimulatedContainer, spec: ComponentSpec) -> None:
+        world, process = container.world, container.process
+        self.spec = spec
+        self.model = world.model_of(spec.name)
+        self.key = spec.name, spec.epoch
+        self.container = container
+        self.state: State = "unconfigured"
+        self.goal: Goal = "inactive"
+        self.executor = container.execution.add(
+            self.key,
+            process.pid,
+            world.engine_model_of(spec.name),
+            [(each.name, each.is_first, each.deadline) for each in spec.chains],
+        )
+        self.executor.set_leased(spec.leased)
+        self._is_changing = False
+        start = self.model.start if container.is_new else self.model.start_later
+        process.after(drawn(world.choices, start), self._configured)
+
+    def deploy(self, spec: ComponentSpec) -> None:
+        """Be as a deployment says."""
+        self.spec = spec
+        self.executor.set_leased(spec.leased)
+        if spec.goal != "stay":
+            self.aim(spec.goal)
+
+    def aim(self, goal: Goal) -> None:
+        """Set the goal, which ends a migration that pauses it."""
+        if self.goal == "finalized":
+            return
+        self.goal = goal
+        self.executor.set_wanted(goal in {"active", "ready"})
+        if goal == "active":
+            self.container.migration.give_back(self)
+            self.executor.resume()
+        self._go_on()
+
+    def resume(self) -> None:
+        """Work again."""
+        self.executor.resume()
+        self._go_on()
+
+    def status(self) -> ComponentStatus:
+        """Return what its container reports of it, or reported last."""
+        now = min(self.container.world.scheduler.now, self.container.process.died_at)
+        return ComponentStatus(
+            name=self.spec.name,
+            epoch=self.spec.epoch,
+            state=self.state,
+            cpu=self.executor.cpu,
+            timers=self.executor.timers(now),
+            chains=self.executor.chains(),
+        )
+
+    def _configured(self) -> None:
+        self._enter("inactive")
+
+    def _enter(self, state: State) -> None:
+        was, self.state, self._is_changing = self.state, state, False
+        if state == "active":
+            self.executor.activate()
+        elif was == "active":
+            self.executor.deactivate()
+        self._go_on()
+        self.container.note_change()
+
+    def _go_on(self) -> None:
+        """Take the next step of the life cycle, or work."""
+        if self.state == "active" and self.goal in {"active", "ready"}:
+            self.executor.work()
+            return
+        steps: dict[tuple[State, Goal], State] = {
+            ("inactive", "ready"): "active",
+            ("inactive", "active"): "active",
+            ("active", "inactive"): "inactive",
+            ("active", "finalized"): "inactive",
+            ("inactive", "finalized"): "finalized",
+        }
+        state = steps.get((self.state, self.goal))
+        if state is None or self._is_changing:
+            return
+        if self.executor.is_busy:
+            self.executor.when_idle(self._go_on)
+            return
+        self._is_changing = True
+        pause = drawn(self.container.world.choices, (0.0, self.model.activate))
+        self.container.process.after(pause, lambda: self._enter(state))
+
+
+_SHARE = 0.75
+"""As in the real container: the rest of the limit is for the answer."""
+_LOOK_EVERY = 0.002
+
+
+class MigrationModel:
+    """The steps of one container.
+
+    `states`: component, epoch and migration -> what sources here have sent.
+    """
+
+    def __init__(self, container: SimulatedContainer) -> None:
+        self._container = container
+        self._num_deployments = 0
+        self._is_committed = False
+        self._deployed: ContainerSpec | None = None
+        self._phases: dict[tuple[str, int], tuple[int, MigrationPhases]] = {}
+        self.states: dict[tuple[str, int, int], ExecutorState] = {}
+
+    def note_deployment(self, spec: ContainerSpec) -> None:
+        """Refuse the steps that were received until now."""
+        self._num_deployments += 1
+        if self._deployed is None or not self._deployed.agrees_with(spec):
+            self._deployed, self._is_committed = spec, False
+
+    def give_back(self, component: SimulatedComponent) -> None:
+        """Let a source go on with all that waited for it: the real one keeps it."""
+        for key in [key for key in self.states if key[:2] == component.key]:
+            component.executor.take_back(self.states.pop(key))
+
+    def receive(self, batch: MigrationSteps) -> None:
+        """Take steps on a task of their own, and answer; `halt` at once."""
+        if batch.steps and batch.steps[0].name == "halt":
+            self._num_deployments += 1
+            done = StepsDone(batch.number, is_committed=self._is_committed)
+            self._container.answer(done)
+            return
+        world, computer = self._container.world, self._container.process.computer
+        world.on_moment("steps", computer.name)
+        received, deployment = self._now, self._num_deployments
+        self._container.process.spawn(
+            f"steps {batch.number % 1000}",
+            lambda: self._take_all(batch, received, deployment),
+        )
+
+    @property
+    def _now(self) -> float:
+        return self._container.world.scheduler.now
+
+    def _take_all(
+        self, batch: MigrationSteps, received: float, deployment: int
+    ) -> None:
+        deadline = received + _SHARE * batch.limit
+        taken: list[StepTaken] = []
+        try:
+            for step in batch.steps:
+                self._begin(step, deployment)
+                began = self._now
+                self._take(step, batch.migration, deadline)
+                who = f"{step.component}/{step.epoch}" if step.component else ""
+                taken.append(
+                    StepTaken(
+                        who or batch.container, step.name, step.phase, began, self._now
+                    )
+                )
+        except PoiseError as error:
+            failed = StepsFailed(batch.number, str(error), tuple(taken))
+            self._container.answer(failed)
+        else:
+            self._container.answer(StepsDone(batch.number, tuple(taken)))
+
+    def _begin(self, step: Step, deployment: int) -> None:
+        if deployment != self._num_deployments:
+            raise RunError(f"'{step.name}' is late: a deployment came before it")
+        if step.phase in {"commit", "resume"}:
+            self._is_committed = True
+
+    def _take(self, step: Step, migration: int, deadline: float) -> None:
+        container = self._container
+        match step.name:
+            case "buffer":
+                for name in step.connectors:
+                    sender = self._sender(name)
+                    sender.buffer()
+                    sender.mark(migration)
+            case "release to targets" | "release to sources":
+                for key in step.connectors:
+                    spec = container.connector(key)
+                    connector = container.world.connector_of(spec)
+                    self._sender(spec.name).redirect(connector)
+            case "drain channels":
+                receiver = self._component(step)
+                container.wait(
+                    lambda: all(
+                        receiver.executor.marker(name) == migration
+                        for name in step.connectors
+                    ),
+                    deadline,
+                    f"markers over {', '.join(step.connectors)}: messages are still "
+                    "under way",
+                )
+        if step.role is None:
+            return
+        component = self._component(step)
+        with self._phases_of(component, step, migration).taking(step.name, step.phase):
+            if step.role == "source":
+                self._take_source(component, step, migration, deadline)
+            else:
+                self._take_target(component, step, migration, deadline)
+
+    def _take_source(
+        self,
+        component: SimulatedComponent,
+        step: Step,
+        migration: int,
+        deadline: float,
+    ) -> None:
+        container, key, executor = self._container, component.key, component.executor
+        match step.name:
+            case "await idle":
+                until = min(deadline, self._now + step.limit)
+                while executor.is_busy and self._now < until:
+                    container.world.scheduler.wait(_LOOK_EVERY, "an idle component")
+            case "pause":
+                executor.pause()
+                container.wait(lambda: not executor.is_busy, deadline, "its handler")
+                for sender in container.execution.senders_of(key):
+                    sender.mark(migration)
+            case "send state":
+                self.states[*key, migration] = executor.hand_over()
+            case "roll back":
+                self.give_back(component)
+                component.resume()
+
+    def _take_target(
+        self,
+        component: SimulatedComponent,
+        step: Step,
+        migration: int,
+        deadline: float,
+    ) -> None:
+        match step.name:
+            case "restore state":
+                self._restore(component, migration, deadline)
+            case "activate":
+                component.executor.pause()
+                component.aim("ready")
+                self._container.wait(
+                    lambda: component.state == "active", deadline, "`activate`"
+                )
+            case "resume":
+                component.aim("active")
+
+    def _restore(
+        self, component: SimulatedComponent, migration: int, deadline: float
+    ) -> None:
+        """Wait until the source has sent its state, and take it."""
+        container, world = self._container, self._container.world
+        name, here = component.spec.name, container.process.computer.name
+        found = self._source_of(component)
+        if found is None:
+            raise RunError(f"no source of '{name}' is reached")
+        source, epoch = found
+        there = source.process.computer.name
+        states = source.migration.states
+        seconds = drawn(world.choices, (0.0, 0.005))
+        seconds += world.network.time_for(there, here, component.model.state_size)
+
+        def is_there() -> bool:
+            if world.network.is_cut(there, here) or source.process.is_paused:
+                return False
+            return (name, epoch, migration) in states
+
+        while not is_there():
+            if self._now >= deadline or source.process.is_dead:
+                raise RunError(f"the state of '{name}' did not come from '{there}'")
+            world.scheduler.wait(_LOOK_EVERY, "a state")
+        state = states[name, epoch, migration]
+        world.scheduler.wait(seconds, "a state's transfer")
+        component.executor.restore(state)
+
+    def _source_of(
+        self, component: SimulatedComponent
+    ) -> tuple[SimulatedContainer, int] | None:
+        name = component.spec.name
+        for container in self._container.world.containers():
+            for (other, epoch), each in container.components.items():
+                is_older = other == name and epoch < component.spec.epoch
+                if is_older and each.state != "finalized":
+                    return container, epoch
+        return None
+
+    def _component(self, step: Step) -> SimulatedComponent:
+        try:
+            return self._container.components[step.component, step.epoch]
+        except KeyError:
+            text = f"component '{step.component}' ({step.epoch}) does not run here"
+            raise RunError(text) from None
+
+    def _sender(self, name: str) -> Sender:
+        for sender in self._container.senders.values():
+            if sender.connector.name == name:
+                return sender
+        container = self._container.name
+        raise RunError(f"no connector '{name}' begins in container '{container}'")
+
+    def _phases_of(
+        self, component: SimulatedComponent, step: Step, migration: int
+    ) -> MigrationPhases:
+        key = component.key
+        number, phases = self._phases.get(key, (-1, None))
+        if phases is None or number < migration:
+            assert step.role is not None  # noqa: S101, asked before
+            phases = MigrationPhases(step.role, f"migration of component '{key[0]}'")
+            self._phases[key] = migration, phases
+        elif number > migration:
+            raise RunError(f"component '{key[0]}': a later migration has begun")
+        return phases

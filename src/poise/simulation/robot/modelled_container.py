@@ -1,0 +1,340 @@
+"""A modelled container: it does what its agent says, as the real one answers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from math import inf
+from typing import Literal, Protocol
+
+from poise.errors import RunError
+from poise.simulation._engine import Connector, Ledger, Model, Sender
+from poise.simulation.choices import Choices
+from poise.simulation.component_models import ComponentModel
+from poise.simulation.network import Network
+from poise.simulation.robot.modelled_component import MigrationModel, SimulatedComponent
+from poise.simulation.robot.simulated_process import Process, SimulatedComputer
+from poise.simulation.scheduler import Scheduler, SimulatedTask
+from poise.wire.heartbeats import Datagrams
+from poise.wire.records.deployment_records import ConnectorSpec, ContainerSpec
+from poise.wire.records.heartbeat_records import Clocks
+from poise.wire.records.migration_records import MigrationSteps
+from poise.wire.records.request_records import (
+    Claim,
+    ManagerId,
+    PortAnswer,
+    PortRequest,
+    TapReading,
+)
+from poise.wire.records.status_records import (
+    ConnectorStatus,
+    ContainerStatus,
+    FromContainer,
+    Side,
+    ToContainer,
+)
+
+_MISSED_WITHIN = 0.1
+"""A missed deadline is reported within this time [s]."""
+REPORT_EVERY = 1.0
+"""As the real container's [s]."""
+_JOINING_EVERY = 0.02
+_WEIGHT = 100.0
+"""Of a container that is given none."""
+ORPHAN_LIMIT, LEASED_ORPHAN_LIMIT = 60.0, 10.0
+"""A container without an agent ends after this time [s]; with leased components, after
+the shorter one."""
+Key = tuple[str, int]
+Moment = Literal["steps", "up", "paused"]
+
+
+class World(Protocol):
+    """What a container needs of the simulated robot."""
+
+    scheduler: Scheduler
+    choices: Choices
+    network: Network
+    ledger: Ledger
+
+    agent_cpu: float
+    components: list[SimulatedComponent]
+    on_moment: Callable[[Moment, str], object]
+    on_claim: Callable[[str, Claim, ManagerId], object]
+
+    def model_of(self, component: str) -> ComponentModel:
+        """Return the model of a component."""
+        ...
+
+    def engine_model_of(self, component: str) -> Model:
+        """Return the model of a component as the engine has it."""
+        ...
+
+    def connector_of(self, spec: ConnectorSpec) -> Connector:
+        """Return a connector as the engine has it."""
+        ...
+
+    def size_of(self, connector: str) -> float:
+        """Return the size of a message, or of a call both ways [bytes]."""
+        ...
+
+    def datagrams_of(self, process: Process, port: int) -> Datagrams:
+        """Return what carries heartbeats to and from a port of a process."""
+        ...
+
+    def start_standby(self, computer: str) -> Callable[[], bool]:
+        """Let a standby try to lead; return what says whether it still runs."""
+        ...
+
+    def containers(self) -> list[SimulatedContainer]:
+        """Return all containers that run."""
+        ...
+
+    def containers_on(self, computer: SimulatedComputer) -> list[SimulatedContainer]:
+        """Return the containers that run on a computer."""
+        ...
+
+    def add_container(self, container: SimulatedContainer) -> None:
+        """Let a container be found until its process ends."""
+        ...
+
+    def container_of(
+        self, computer: str, component: str, epoch: int
+    ) -> SimulatedContainer | None:
+        """Return the container of an incarnation on a computer."""
+        ...
+
+
+class SimulatedContainer:
+    """A container of one computer.
+
+    `tell_agent`: sends its agent a record; None: it has no agent at the moment.
+    `is_new`: whether it has had no component yet.
+    `lease_end`: the end of the lease that its page shows [s, CLOCK_BOOTTIME].
+    `execution`: what runs its components: one interpreter, so one core at most.
+    `senders`: the slots of its components, with their epochs -> their sending ends.
+    """
+
+    def __init__(self, world: World, process: Process, name: str) -> None:
+        self.world = world
+        self.process = process
+        self.name = name
+        self.tell_agent: Callable[[FromContainer], object] | None = None
+        self.lease_end = inf
+        self.components: dict[Key, SimulatedComponent] = {}
+        self.is_new = True
+        self.senders: dict[str, Sender] = {}
+        self._wanted: ContainerSpec | None = None
+        self._connectors: Mapping[str, ConnectorSpec] = {}
+        self.migration = MigrationModel(self)
+        self._waiting: list[SimulatedTask] = []
+        self._is_reporting = False
+        self._reported: tuple[ConnectorStatus, ...] = ()
+        self._orphan_since = inf
+        self.execution = world.scheduler.engine.container(
+            process.computer.cpu,
+            process.computer.name,
+            self.look_again,
+            lambda: process.after(_MISSED_WITHIN, self._report),
+        )
+        process.on_pause = self.execution.pause
+        process.on_end.append(self._close)
+
+    def hear(self, record: ToContainer) -> None:
+        """Take what its agent says; on a task or action of its process."""
+        if isinstance(record, ContainerSpec):
+            self.migration.note_deployment(record)
+            self._wanted = record
+            self.execution.cpu.weight = record.weight or _WEIGHT
+            self._apply(record)
+            self._report()
+            self._report_later()
+        elif isinstance(record, MigrationSteps):
+            self.migration.receive(record)
+        elif isinstance(record, PortRequest):
+            why = "what a component would answer is not simulated"
+            self.answer(PortAnswer(number=record.number, outcome="refused", reason=why))
+        elif not isinstance(record, Clocks):
+            self.answer(
+                TapReading(number=record.number, connector=record.connector, carries="")
+            )
+
+    def answer(self, record: FromContainer) -> None:
+        """Tell the agent something; in vain when there is none."""
+        if self.tell_agent is not None:
+            self.tell_agent(record)
+
+    def extend_lease(self, until: float) -> None:
+        """Let leased components work until a moment [s, CLOCK_BOOTTIME]."""
+        self.lease_end = until
+        self.execution.set_lease_end(self.process.computer.moment_of(until))
+
+    def note_change(self) -> None:
+        """Report soon, and let steps that wait look again."""
+        if not self._is_reporting:
+            self._is_reporting = True
+            self.process.after(0.0, self._report)
+        self.look_again()
+
+    def look_again(self) -> None:
+        """Let steps that wait for something look whether it holds now."""
+        waiting, self._waiting = self._waiting, []
+        for task in waiting:
+            self.world.scheduler.wake(task)
+
+    def wait(self, holds: Callable[[], bool], deadline: float, what: str) -> None:
+        """Let a task wait until something holds.
+
+        Raises RunError: it did not until `deadline` [s].
+        """
+        scheduler = self.world.scheduler
+        while not holds():
+            left = deadline - scheduler.now
+            if left <= 0:
+                raise RunError(f"container '{self.name}': {what} took too long")
+            task = scheduler.current
+            assert task is not None  # noqa: S101, steps are tasks
+            self._waiting.append(task)
+            self.execution.await_progress()
+            scheduler.wait(left, what)
+            if task in self._waiting:
+                self._waiting.remove(task)
+
+    def connector(self, name_or_key: str) -> ConnectorSpec:
+        """Return a connector of the present deployment, by its name or key."""
+        for spec in self._connectors.values():
+            if name_or_key in {spec.key, spec.name}:
+                return spec
+        raise RunError(f"container '{self.name}' has no connector '{name_or_key}'")
+
+    def note_agent_gone(self) -> None:
+        """Go on without an agent, for a limited time."""
+        self.tell_agent = None
+        since = self._orphan_since = self.world.scheduler.now
+        components = self._wanted.components if self._wanted else ()
+        is_leased = any(component.leased for component in components)
+        limit = LEASED_ORPHAN_LIMIT if is_leased else ORPHAN_LIMIT
+
+        def end() -> None:
+            if self.tell_agent is None and self._orphan_since == since:
+                self.process.kill()
+
+        self.process.after(limit, end)
+
+    def _apply(self, spec: ContainerSpec) -> None:
+        wanted = {(c.name, c.epoch): c for c in spec.components}
+        self._connectors = {each.key: each for each in spec.connectors}
+        self.execution.connect(list(map(self.world.connector_of, spec.connectors)))
+        self.is_new = not self.components
+        for key, component in wanted.items():
+            if key not in self.components:
+                self.components[key] = SimulatedComponent(self, component)
+                self.world.components.append(self.components[key])
+        self._join(spec.connectors)
+        for key, running in list(self.components.items()):
+            if key not in wanted:
+                running.aim("finalized")
+                self._remove_later(key)
+                continue
+            running.deploy(wanted[key])
+
+    def _join(self, connectors: tuple[ConnectorSpec, ...]) -> None:
+        """Let each slot lead to one target; during a move it stays where it is."""
+        slots: dict[str, list[ConnectorSpec]] = {}
+        for each in connectors:
+            if (each.source, each.source_epoch) in self.components:
+                key = f"{each.slot or each.name}/{each.source_epoch}"
+                slots.setdefault(key, []).append(each)
+        for key in sorted(self.senders.keys() - slots.keys()):
+            self.execution.remove_sender(self.senders.pop(key))
+        for key, choices in slots.items():
+            sender = self.senders.get(key)
+            connector = self.world.connector_of(choices[0])
+            if sender is None:
+                self.senders[key] = self.execution.add_sender(connector)
+            elif len(choices) == 1 and (
+                sender.is_buffering or sender.connector.key != connector.key
+            ):
+                sender.redirect(connector)
+
+    def _remove_later(self, key: Key) -> None:
+        """Forget a component once it has ended."""
+        component = self.components.get(key)
+        if component is None:
+            return
+        if component.state in {"finalized", "failed"}:
+            self.execution.remove(self.components.pop(key).executor)
+            if self._wanted is not None:
+                self._apply(self._wanted)  # it may be wanted again by now
+            self.note_change()
+        else:
+            self.process.after(0.002, lambda: self._remove_later(key))
+
+    def _report_later(self) -> None:
+        wanted = self._wanted
+
+        def report() -> None:
+            if self._wanted is wanted:
+                self._report()
+                self._report_later()
+
+        self.process.after(REPORT_EVERY, report)
+
+    def _report(self) -> None:
+        self._is_reporting = False
+        self.execution.await_missed()
+        if self._wanted is None:
+            return
+        connectors = self._joined()
+        self._reported = connectors
+        if not all(each.ready for each in connectors):
+            self.process.after(_JOINING_EVERY, lambda: self._report_joined(connectors))
+        self.answer(
+            ContainerStatus(
+                name=self.name,
+                pid=self.process.pid,
+                at=self.process.computer.monotonic(),
+                cpu=self.execution.cpu.used,
+                components=tuple(c.status() for c in self.components.values()),
+                connectors=connectors,
+            )
+        )
+
+    def _joined(self) -> tuple[ConnectorStatus, ...]:
+        return tuple(
+            ConnectorStatus(
+                name=each.name,
+                kind=each.kind,
+                end="both" if each.kind == "direct" else self._end_of(each),
+                ready=self._is_joined(each),
+            )
+            for each in self._connectors.values()
+        )
+
+    def _report_joined(self, before: tuple[ConnectorStatus, ...]) -> None:
+        """Report when a connector is joined that was not; else look again."""
+        if self._joined() != before:
+            self.note_change()
+        elif not self._is_reporting and self._reported == before:
+            self.process.after(_JOINING_EVERY, lambda: self._report_joined(before))
+
+    def _end_of(self, spec: ConnectorSpec) -> Side:
+        is_source = (spec.source, spec.source_epoch) in self.components
+        return "source" if is_source else "target"
+
+    def _is_joined(self, spec: ConnectorSpec) -> bool:
+        here = self.process.computer.name
+        for computer, component, epoch in (
+            (spec.source_computer, spec.source, spec.source_epoch),
+            (spec.target_computer, spec.target, spec.target_epoch),
+        ):
+            at = computer or here
+            other = self.world.container_of(at, component, epoch)
+            is_cut = at != here and (
+                self.world.network.is_cut(at, here)
+                or self.world.network.is_cut(here, at)
+            )
+            if other is None or is_cut:
+                return False
+        return True
+
+    def _close(self) -> None:
+        self.execution.end()

@@ -1,1 +1,0 @@
-"""Virtual time: who runs next, what a process gets of the standard library, replays."""

@@ -1,0 +1,263 @@
+"""The phases of a task are placed so that little moves between them."""
+
+from collections.abc import Mapping
+from itertools import pairwise, product
+from random import Random
+
+import pytest
+from msgspec.structs import replace
+
+from benchmarks.random_robots import random_robot
+from poise import plan
+from poise.errors import UsageError
+from poise.model.robot import Computer, Link, Objective
+from poise.plan import Bundle, Edge, Item, Problem, _core
+from poise.plan.phase_problem import NEVER
+from poise.plan.phase_search import Unit, merged
+from poise.plan.problem.arrays import arrays_of
+from poise.plan.result import Snapshot
+
+HALVES = tuple(Computer(name=name, capacity={"cpu": 0.5}) for name in ("one", "two"))
+
+
+def item(name: str, cpu: float = 0.3, *only: str) -> Item:
+    return Item(name=name, demand={"cpu": cpu}, only=only)
+
+
+def in_turn(
+    *problems: Problem, move: Mapping[str, float] | None = None
+) -> plan.PhasedProblem:
+    """Return phases p0, p1 and so on, of a second each; a move costs 0.01."""
+    names = {c.name for problem in problems for c in problem.components}
+    return plan.PhasedProblem(
+        phases=tuple(
+            plan.PhaseProblem(
+                name=f"p{i}", problem=problem, after={f"p{i - 1}": 1.0} if i else {}
+            )
+            for i, problem in enumerate(problems)
+        ),
+        move={**dict.fromkeys(names, 0.01), **(move or {})},
+    )
+
+
+def alone(*components: Item) -> Problem:
+    return Problem(components=components, computers=HALVES)
+
+
+def test_three_actions_that_do_not_fit_at_once_fit_one_after_the_other() -> None:
+    """0.3 of a core each, on two computers of 0.5: two at once, but not three."""
+    a, b, c = item("a"), item("b"), item("c")
+    assert not plan.solve(alone(a, b, c)).feasible
+    result = plan.solve_phases(in_turn(alone(a), alone(b), alone(c)))
+    assert result.feasible
+    assert result.proven
+    assert result.reason == ""
+    assert result.moves == ()
+
+
+def test_a_component_stays_where_it_is_best_over_all_phases() -> None:
+    """Two phases pin a rival to one: `a` is on two, and in the first phase as well."""
+    a, rival = item("a"), item("r", 0.3, "one")
+    first = alone(replace(a, cost={"two": 0.005}))
+    problem = in_turn(first, alone(a, rival), alone(a, rival))
+    result = plan.solve_phases(problem)
+    assert [r.placement["a"] for r in result.results.values()] == ["two"] * 3
+    assert result.moves == ()
+    # A move that is cheaper than that is made.
+    cheap = plan.solve_phases(replace(problem, move={"a": 0.001}))
+    (move,) = cheap.moves
+    assert (move.component, move.before, move.after) == ("a", "p0", "p1")
+    assert (move.source, move.target) == ("one", "two")
+
+
+def test_one_phase_is_placed_as_without_phases() -> None:
+    problem = random_robot(3, 24, 3)
+    one = plan.solve_phases(plan.PhasedProblem.of_one("all", problem), steps=20_000)
+    same = plan.solve(problem, steps=20_000)
+    assert same.objective is not None
+    assert one.only[1].placement == same.placement
+    assert one.total == same.objective.total
+    assert (one.bound, one.proven) == (same.bound, same.proven)
+
+
+def random_task(seed: int) -> plan.PhasedProblem:
+    """Return three phases of up to four components on two computers."""
+    random = Random(seed)
+    names = [f"c{i}" for i in range(4)]
+    demand = {name: random.uniform(0.05, 0.4) for name in names}
+    pairs = [(a, b) for a in names for b in names if a < b and random.random() < 0.6]
+    computers = tuple(
+        Computer(name=name, capacity={"cpu": random.uniform(0.8, 1.2)})
+        for name in ("one", "two")
+    )
+    whole = Problem(
+        components=tuple(item(name, cpu) for name, cpu in demand.items()),
+        computers=computers,
+        connectors=tuple(
+            Edge(between=pair, overhead=random.uniform(0.1, 1)) for pair in pairs
+        ),
+    )
+    kept = [random.sample(names, random.randint(1, 4)) for _ in range(3)]
+    return in_turn(*(plan.keep_components(whole, some) for some in kept))
+
+
+def least(problem: plan.PhasedProblem) -> float:
+    """Return the least total of all placements, by trying all: F over three seconds."""
+    options = []
+    for phase in problem.phases:
+        snapshot = Snapshot(phase.problem)
+        arrays = snapshot.arrays
+        options.append(
+            [
+                (snapshot.terms([*placed]).total, arrays.placement([*placed]))
+                for placed in product(range(arrays.m), repeat=arrays.n)
+                if snapshot.core.feasible([*placed])
+            ]
+        )
+    return min(
+        sum(f for f, _ in chosen)
+        + sum(
+            problem.move[name]
+            for (_, one), (_, two) in pairwise(chosen)
+            for name in one.keys() & two.keys()
+            if one[name] != two[name]
+        )
+        for chosen in product(*options)
+    ) / len(problem.phases)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_it_is_the_best_of_all_placements_of_small_robots(seed: int) -> None:
+    problem = random_task(seed)
+    result = plan.solve_phases(problem, steps=20_000)
+    assert result.total == pytest.approx(least(problem))
+    assert result.bound is None or result.bound <= least(problem) + 1e-9
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(2))
+def test_phases_as_one_problem_have_the_same_total(seed: int) -> None:
+    """And CP-SAT finds no less there."""
+    cpsat = pytest.importorskip("benchmarks.cpsat")
+    problem = random_task(seed)
+    parts = [arrays_of(phase.problem) for phase in problem.phases]
+    moves: dict[tuple[Unit, Unit], float] = {}
+    for p in range(2):
+        here, there = parts[p].index, parts[p + 1].index
+        for name in here.keys() & there.keys():
+            moves[(p, here[name]), (p + 1, there[name])] = problem.move[name]
+    core = _core.Core(merged(parts, moves))
+    found = cpsat.solve(core, merged(parts, moves), 20.0)
+    assert found.proven
+    assert found.objective == pytest.approx(3 * least(problem), abs=1e-5)
+    greedy, is_complete = core.greedy()
+    assert is_complete
+    placed = core.search(greedy, 9.0, 20_000, 0)[0]
+    result = plan.solve_phases(problem, steps=20_000)
+    assert result.total is not None
+    assert 3 * result.total <= sum(core.terms(placed)) + 1e-9
+
+
+def test_what_may_not_be_moved_is_in_one_place() -> None:
+    """`a` would be on one in the first phase, but a rival takes that in the second."""
+    a, rival = item("a"), item("r", 0.3, "one")
+    first = alone(replace(a, cost={"two": 0.4}))
+    result = plan.solve_phases(in_turn(first, alone(a, rival), move={"a": NEVER}))
+    assert result.feasible
+    assert result.results["p0"].placement["a"] == "two"
+
+
+def test_says_that_a_component_would_have_to_move_that_may_not() -> None:
+    one, two = item("r", 0.3, "one"), item("s", 0.3, "two")
+    result = plan.solve_phases(
+        in_turn(alone(item("a"), one), alone(item("a"), two), move={"a": NEVER})
+    )
+    assert not result.feasible
+    assert "'a' may not be moved while it runs" in result.reason
+    assert "'p0' and 'p1'" in result.reason
+
+
+def test_says_which_phase_does_not_fit_and_places_the_others() -> None:
+    result = plan.solve_phases(in_turn(alone(item("a")), alone(item("b", 0.6))))
+    assert not result.feasible
+    assert result.proven
+    assert result.reason.startswith("phase 'p1': b needs 0.6 cpu")
+    assert result.results["p0"].feasible
+    assert result.total is None
+    with pytest.raises(UsageError, match="phase 'p1' has no placement"):
+        result.explain("p1", "b")
+
+
+def with_alternatives(*components: Item) -> Problem:
+    """Return a phase whose function `f` is served by `good` or by `poor`."""
+    return replace(
+        alone(item("good"), item("poor", 0.1), *components),
+        architectures=(
+            Bundle(name="good", components=("good",), function="f"),
+            Bundle(name="poor", components=("poor",), function="f", quality=0.9),
+            *(Bundle(name=c.name, components=(c.name,)) for c in components),
+        ),
+        objective=Objective(quality=0.01),
+    )
+
+
+def test_a_function_is_served_by_one_architecture_where_a_change_costs_more() -> None:
+    """The second phase has room for `poor` only; `good` first would be a start more."""
+    full = with_alternatives(item("r", 0.3, "one"), item("s", 0.4, "two"))
+    problem = in_turn(with_alternatives(), full, move={"good": 1.0, "poor": 1.0})
+    result = plan.solve_phases(problem)
+    chosen = [r.architectures for r in result.results.values()]
+    assert chosen == [{"f": "poor"}, {"f": "poor"}]
+
+
+def test_links_keep_their_bandwidth_in_every_phase() -> None:
+    """`b` is held to two: `a` joins it, though it is cheaper to stay on one."""
+    a, b, rival = item("a", 0.1), item("b", 0.1, "two"), item("r", 0.1, "one")
+    linked = replace(
+        alone(a, b, rival),
+        connectors=(Edge(between=("a", "b"), overhead=0.0, traffic=10.0),),
+        links=(Link(between=("one", "two"), bandwidth=1.0),),
+    )
+    first = alone(replace(a, cost={"two": 0.5}), rival)
+    result = plan.solve_phases(in_turn(first, linked, first, move={"a": 0.3}))
+    assert [r.placement["a"] for r in result.results.values()] == ["one", "two", "one"]
+    assert all(r.feasible for r in result.results.values())
+
+
+def test_an_explanation_counts_moves() -> None:
+    a, rival = item("a"), item("r", 0.3, "one")
+    result = plan.solve_phases(in_turn(alone(a), alone(a, rival), move={"a": 0.2}))
+    explanation = result.explain("p0", "a")
+    assert isinstance(explanation, plan.Explanation)
+    there = next(o for o in explanation.options if o.computer == "one")
+    assert there.change.move == pytest.approx(0.2)
+    with pytest.raises(UsageError, match="there is no phase 'p2'"):
+        result.explain("p2", "a")
+
+
+def test_stops_when_it_is_told_to() -> None:
+    problem = random_task(1)
+    result = plan.solve_phases(problem, 60.0, "search", stop=lambda: True)
+    assert result.stopped_by == "interrupted"
+
+
+def test_the_cheapest_computers_for_tasks_one_at_a_time() -> None:
+    """Two tasks fit on the cheap computer one at a time; a third needs the dear one."""
+    computers = tuple(
+        Computer(name=name, capacity={"cpu": cpu}, price=price)
+        for name, cpu, price in (("cheap", 0.5, 10), ("dear", 1.0, 30), ("old", 0.2, 1))
+    )
+
+    def task(cpu: float) -> plan.PhasedProblem:
+        return in_turn(Problem(components=(item("a", cpu),), computers=computers))
+
+    few = plan.smallest([task(0.5), task(0.4)], plan.solve_phases)
+    assert few.computers == ("cheap",)
+    assert few.proven
+    assert [r.feasible for r in few.results] == [True, True]
+    assert plan.smallest([task(0.5), task(0.9)], plan.solve_phases).computers == (
+        "dear",
+    )
+    none = plan.smallest([task(0.5), task(2.0)], plan.solve_phases)
+    assert none.computers == ("cheap", "dear", "old")
+    assert [r.feasible for r in none.results] == [True, False]

@@ -1,0 +1,418 @@
+"""One run of a simulated robot: faults by a seed, then it must converge."""
+
+from __future__ import annotations
+
+import re
+import time
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+
+from msgspec import Struct
+
+from poise.errors import TakenOver
+from poise.manage.control_socket.commands import (
+    MoveCommand,
+    Refusal,
+    Result,
+    RobotStatus,
+)
+from poise.manage.migration.migration_report import MigrationReport
+from poise.model.robot import Robot
+from poise.simulation.choices import Choices
+from poise.simulation.faults import (
+    KINDS,
+    LINK_KINDS,
+    Kind,
+    SimulatedFault,
+    inject,
+    plan_faults,
+)
+from poise.simulation.rehearsal import not_well, unsettled
+from poise.simulation.robot.simulated_manager import ManagedRobot, SimulatedManager
+from poise.simulation.robot.simulated_robot import SimulatedRobot
+from poise.simulation.scheduler import ENGINE, SimulationError
+from poise.simulation.workload import SimulatedWork
+from poise.wire.records.request_records import Claim, Election, ManagerId
+from tests.simulation.aimed_faults import AimedFaults
+
+INVARIANTS: Mapping[str, str] = {
+    "nothing-active-twice": "No two incarnations of a component work at one time.",
+    "each-message-once-in-order": "No message is processed twice, or out of order.",
+    "committed-stays": "A committed move is never undone.",
+    "nothing-is-lost": "While nothing is broken, no message is lost.",
+    "moves-succeed": "While nothing is broken, a move that has begun is committed.",
+    "commands-end": "An accepted command ends within its limit.",
+    "desired-is-reached": "What is desired runs soon after the last fault ended.",
+    "failures-are-shown": "A failure is in `status` within a second.",
+    "what-is-lost-runs": "What a lost computer ran runs elsewhere soon.",
+    "one-manager-is-obeyed": "An agent does nothing for a manager that was replaced.",
+    "a-manager-stays": "Without a take-over no agent leaves a manager that is well.",
+    "no-bug-stops-the-robot": "No error ends a manager, an agent or a thread of them.",
+}
+"""Id -> what it says; `docs/design/simulation.md` cites the ids."""
+
+
+class Violation(SimulationError):
+    """An invariant does not hold.
+
+    `invariant`: its id.
+    """
+
+    def __init__(self, invariant: str, what: str) -> None:
+        assert invariant in INVARIANTS, invariant
+        super().__init__(f"{invariant}: {what}")
+        self.invariant = invariant
+
+
+UP_LIMIT = 30.0
+"""A robot without faults is up within this time [s]."""
+CONVERGE_LIMIT = 5.0
+"""What is desired runs this long [s] after the last fault ended, at most."""
+SHOWN_WITHIN = 1.0
+"""A lost computer or agent is in `status` within this time [s]."""
+FAILED_OVER_WITHIN = 4.0
+"""What a computer that is cut off ran works elsewhere within this time [s]."""
+_LOSSES = {"kill agent", "pause agent", "pause computer", "isolate computer"}
+_BAD_LINKS = {*LINK_KINDS, "isolate computer", "lose datagrams"}
+_SILENCING = {*_BAD_LINKS, *(kind for kind in KINDS if "pause" in kind)} | {
+    "suspend computer"
+}
+COMMAND_LIMIT = 60.0
+"""An accepted command ends within this time [s]."""
+_LOOK_EVERY = 0.05
+_QUIET = 0.15
+"""In this share of runs nothing breaks in the first half."""
+_COMMAND_EVERY, _COMMANDED = 1.0, 0.2
+_LINES = 400
+
+
+class Scenario(Struct, frozen=True, kw_only=True):
+    """What is simulated, but for the seed.
+
+    `placement`: component -> computer, at first.
+    `seconds`: of faults; to come up and to converge take their own time.
+    `faults`: what breaks; None: the seed decides.
+    `kinds`: what of it may break.
+    `moves`: whether clients move components meanwhile.
+    `converges`: how long it may take after the last fault [s].
+    `election`: how managers follow each other; None: somebody starts the next one.
+    """
+
+    robot: Robot
+    placement: Mapping[str, str]
+    tasks: Sequence[str]
+    workload: SimulatedWork = SimulatedWork()
+    seconds: float = 60.0
+    faults: tuple[SimulatedFault, ...] | None = None
+    kinds: tuple[Kind, ...] = KINDS
+    moves: bool = True
+    converges: float = CONVERGE_LIMIT
+    election: Election | None = None
+
+
+class RunOutcome(Struct, frozen=True, kw_only=True):
+    """What came of a run.
+
+    `failure`, `message`: the id of the violated invariant, or the type of an error; and
+    what it says. Empty: all held.
+    `virtual`, `took`: virtual and real time [s]; `took` is the CPU time of this
+    process.
+    `digest`: equal for equal runs.
+    `choices`: stream -> all draws, for a replay.
+    `trace`: the last lines: who did what when.
+    """
+
+    seed: int
+    failure: str
+    message: str
+    virtual: float
+    took: float
+    steps: int
+    digest: str
+    faults: tuple[SimulatedFault, ...]
+    choices: Mapping[str, Sequence[float]]
+    trace: tuple[str, ...]
+    handled: int
+    processed: int
+
+    @property
+    def signature(self) -> tuple[str, str]:
+        """What makes two failures the same: type and message, but for what is named."""
+        return self.failure, re.sub(r"'[^']*'|\d[\d.]*", "#", self.message)
+
+
+def simulate(
+    scenario: Scenario,
+    seed: int,
+    recorded: Mapping[str, Sequence[float]] | None = None,
+) -> RunOutcome:
+    """Run a robot once; never raises for what goes wrong with it.
+
+    Parameters
+    ----------
+    recorded
+        Draws to begin with, instead of the seed's.
+    """
+    began = time.process_time()
+    choices, trace = Choices(seed, recorded), deque[str](maxlen=_LINES)
+
+    def note(at: float, who: str, what: str) -> None:
+        trace.append(f"{at:9.4f} {who:12} {what}")
+
+    robot = SimulatedRobot(
+        ManagedRobot(
+            robot=scenario.robot,
+            placement=scenario.placement,
+            tasks=scenario.tasks,
+            election=scenario.election,
+        ),
+        choices,
+        scenario.workload,
+        note=note,
+    )
+    run = _Run(robot, scenario)
+    failure = message = ""
+    with robot.library():
+        try:
+            run.go()
+        except SimulationError as error:
+            failure = getattr(error, "invariant", type(error).__name__)
+            message = str(error)
+            note(robot.scheduler.now, "FAILURE", message)
+        virtual = robot.scheduler.now
+        robot.end()
+    return RunOutcome(
+        seed=seed,
+        failure=failure,
+        message=message,
+        virtual=virtual,
+        took=time.process_time() - began,
+        steps=robot.scheduler.steps,
+        digest=robot.scheduler.digest(),
+        faults=run.all_faults(),
+        choices={**choices.made, ENGINE: robot.scheduler.engine.draws()},
+        trace=tuple(trace),
+        handled=robot.ledger.handled,
+        processed=robot.ledger.processed,
+    )
+
+
+class _Run:
+    """The phases of one run."""
+
+    def __init__(self, robot: SimulatedRobot, scenario: Scenario) -> None:
+        self.robot = robot
+        self.faults: tuple[SimulatedFault, ...] = ()
+        self._scenario = scenario
+        self._scheduler = robot.scheduler
+        self._aimed: AimedFaults | None = None
+        self._scheduler.on_step = self._check
+        robot.on_claim = self._check_claim
+
+    def go(self) -> None:
+        """Come up, break, heal, converge."""
+        robot = self.robot
+        for computer in robot.computers:
+            robot.start_agent(computer)
+        robot.start_manager(next(iter(robot.computers)))
+        self._until(UP_LIMIT, "the robot is not up")
+        robot.ledger.is_whole = True
+        begin = self._scheduler.now
+        end = begin + self._scenario.seconds
+        self.faults = self._scenario.faults or ()
+        if self._scenario.faults is None:
+            names = tuple(robot.computers)
+            kinds = self._scenario.kinds
+            is_quiet = robot.choices.happens("faults", _QUIET)
+            first = (begin + end) / 2 if is_quiet else begin
+            self.faults = tuple(plan_faults(robot.choices, names, first, end, kinds))
+            self._aimed = AimedFaults(robot, first, end, self._inject)
+        for fault in self.faults:
+            self._scheduler.at(fault.at, partial(self._inject, fault))
+        if self._scenario.moves:
+            self._scheduler.at(begin + 1.0, lambda: self._move(end))
+        robot.run(max([end, *(f.at + f.lasts for f in self.faults)]) + 0.01)
+        self._heal()
+        limit = self._scenario.converges
+        self._until(limit, f"{limit:g} s after the last fault", not_well)
+
+    def _heal(self) -> None:
+        """Start what was killed and never came back."""
+        robot = self.robot
+        for computer in robot.computers:
+            robot.start_agent(computer)
+        if robot.manager is None:
+            robot.keep_managed(next(iter(robot.computers)))
+        robot.note("run", "all faults are over")
+
+    def all_faults(self) -> tuple[SimulatedFault, ...]:
+        """Return what was to break, in the order of time."""
+        aimed = self._aimed.faults if self._aimed else ()
+        return tuple(sorted((*self.faults, *aimed), key=lambda fault: fault.at))
+
+    def _until(
+        self,
+        limit: float,
+        what: str,
+        troubles: Callable[[SimulatedRobot], list[str]] = unsettled,
+    ) -> None:
+        deadline = self._scheduler.now + limit
+        while found := troubles(self.robot):
+            if self._scheduler.now >= deadline:
+                raise Violation("desired-is-reached", f"{what}: {'; '.join(found)}")
+            self.robot.run(self._scheduler.now + _LOOK_EVERY)
+
+    def _inject(self, fault: SimulatedFault) -> None:
+        """Let a fault begin; in a second `status` has to say what is lost."""
+        self.robot.ledger.is_whole = False
+        manager, agent = self.robot.manager, self.robot.agents.get(fault.target)
+        was_heard = self._is_heard(fault.target)
+        inject(self.robot, fault)
+        if fault.kind == "isolate computer" and fault.lasts > FAILED_OVER_WITHIN:
+            at = self._scheduler.now + FAILED_OVER_WITHIN
+            self._scheduler.at(at, partial(self._check_failover, fault))
+        if fault.kind not in _LOSSES or fault.lasts < SHOWN_WITHIN or not was_heard:
+            return
+        is_judge = manager is not None and manager.process.computer.name != fault.target
+        if manager is None or not is_judge or fault.target in _lost(manager):
+            return
+        at = self._scheduler.now
+
+        def look() -> None:
+            process = manager.process
+            if process.is_dead or process.is_paused or process.awake_since > at:
+                return
+            if self.robot.agents.get(fault.target) not in {agent, None}:
+                return  # the end of another fault has started it again
+            manager.ask_status(judge)
+
+        def judge(status: RobotStatus) -> None:
+            said = [deviation.what for deviation in status.deviations]
+            if not any(f"'{fault.target}'" in what for what in said):
+                self.robot.ledger.violate(
+                    "failures-are-shown",
+                    f"status says {said} {SHOWN_WITHIN:g} s after {fault}",
+                )
+
+        self._scheduler.at(at + SHOWN_WITHIN, look)
+
+    def _check_failover(self, fault: SimulatedFault) -> None:
+        """See that all works elsewhere, if nothing else was broken meanwhile."""
+        manager, begin = self.robot.manager, fault.at - CONVERGE_LIMIT
+        is_judge = manager is not None and manager.process.computer.name != fault.target
+        others = [
+            each
+            for each in self.all_faults()
+            if each is not fault
+            and each.at < self._scheduler.now
+            and begin < each.at + each.lasts
+        ]
+        if manager is None or not is_judge or manager.up_since > begin or others:
+            return
+        works = self.robot.working()
+        missing = [
+            name
+            for name in sorted(self._scenario.placement)
+            if not {*works.get(name, ())} - {fault.target}
+        ]
+        if missing:
+            self.robot.ledger.violate(
+                "what-is-lost-runs",
+                f"{missing} works nowhere {FAILED_OVER_WITHIN:g} s after {fault}",
+            )
+
+    def _check_claim(self, computer: str, claim: Claim, before: ManagerId) -> None:
+        """See that the manager before has ended, or may seem so."""
+        alive = [
+            each.process
+            for each in self.robot.managers
+            if each.process.pid == before.pid and not each.process.is_dead
+        ]
+        since = self._scheduler.now - CONVERGE_LIMIT
+        is_broken = any(
+            fault.kind in _SILENCING
+            and fault.at < self._scheduler.now
+            and since < fault.at + fault.lasts
+            for fault in self.all_faults()
+        )
+        is_same = claim.manager.key == before.key
+        if alive and not (is_same or claim.take_over or is_broken):
+            self.robot.ledger.violate(
+                "a-manager-stays",
+                f"the agent of '{computer}' obeys {claim.manager} while {before}, "
+                "which it obeyed, is at work",
+            )
+
+    def _is_heard(self, computer: str) -> bool:
+        """Return whether the manager has heard heartbeats of an agent for a while.
+
+        Else the lease of its connection tells of its loss, which takes longer.
+        """
+        manager, agent = self.robot.manager, self.robot.agents.get(computer)
+        since = self._scheduler.now - SHOWN_WITHIN
+        if manager is None or agent is None or agent.process.is_paused:
+            return False
+        awake = max(agent.process.awake_since, manager.process.awake_since)
+        return max(awake, manager.up_since) < since and not any(
+            fault.kind in _BAD_LINKS
+            and fault.at < self._scheduler.now
+            and since < fault.at + fault.lasts
+            for fault in self.all_faults()
+        )
+
+    def _check(self) -> None:
+        """Raise what was violated in this step."""
+        if self.robot.ledger.violations:
+            raise Violation(*self.robot.ledger.violations[0])
+        for each in self.robot.managers:
+            error = None if each.manager is None else each.error
+            if error is not None and not isinstance(error, TakenOver):
+                raise Violation("no-bug-stops-the-robot", str(error))
+
+    def _move(self, end: float) -> None:
+        """Let a client move a component, and do so again later."""
+        robot, choices = self.robot, self.robot.choices
+        if self._scheduler.now >= end:
+            return
+        self._scheduler.at(
+            self._scheduler.now + _COMMAND_EVERY, lambda: self._move(end)
+        )
+        manager, wants = robot.manager, choices.happens("clients", _COMMANDED)
+        if not wants or manager is None or manager.manager is None:
+            return
+        names = sorted(self._scenario.placement)
+        computers = sorted(robot.computers)
+        component = names[choices.among("clients", len(names))]
+        computer = computers[choices.among("clients", len(computers))]
+        command = MoveCommand(component, computer)
+        robot.note("client", f"move {component} to {computer}")
+        is_done = False
+
+        def take(result: Result | Refusal) -> None:
+            nonlocal is_done
+            is_done = True
+            robot.note("client", f"move {component} to {computer}: {_short(result)}")
+            if not isinstance(result, MigrationReport):
+                return
+            if result.committed:
+                assert manager.run is not None
+                epoch = manager.run.placed[component].epoch
+                robot.ledger.commit(component, epoch)
+            elif robot.ledger.is_whole:
+                robot.ledger.violate("moves-succeed", f"{command}: {result.reason}")
+
+        def look() -> None:
+            if not is_done and not manager.process.is_dead:
+                raise Violation("commands-end", f"{command} after {COMMAND_LIMIT:g} s")
+
+        manager.ask(command, take)
+        self._scheduler.at(self._scheduler.now + COMMAND_LIMIT, look)
+
+
+def _lost(manager: SimulatedManager) -> frozenset[str]:
+    return manager.manager.lost() if manager.manager else frozenset()
+
+
+def _short(result: Result | Refusal) -> str:
+    return str(result)[:120]
