@@ -1,4 +1,4 @@
-"""The agent of a simulated computer: the real core, with a modelled sampler and disk."""
+"""The agent of a simulated computer: the real core; sampler and disk are models."""
 
 from __future__ import annotations
 
