@@ -35,7 +35,7 @@ from poise.manage.migration import transition_run
 from poise.manage.migration.migration_report import TransitionReport, TransitionStep
 from poise.manage.observe.estimates import DemandEstimate, Load
 from poise.manage.shortages.suspension import Suspensions
-from poise.model.policy.policy import TimerValues
+from poise.model.policy import TimerValues
 from poise.model.robot import (
     Action,
     Architecture,

@@ -17,11 +17,11 @@ from mkdocs.structure.pages import Page
 import poise
 from poise.cli.command_table import COMMANDS, build
 from poise.model.file_keys import keys_of
-from poise.model.policy.policy import SUBJECTS
+from poise.model.policy import SUBJECTS
 
 DOCS = Path(__file__).parents[1]
 GENERATED = {
-    "../src/poise/model/policy/policy.py": "reference/policy-values.md",
+    "../src/poise/model/policy.py": "reference/policy-values.md",
     "output.schema.json": "reference/json.md",
     "problem.schema.json": "reference/problem-keys.md",
     "robot.schema.json": "reference/robot-keys.md",

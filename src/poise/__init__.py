@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from poise.estimate.success_rates import note_outcome as note_outcome
     from poise.manage.journal import JournalEntry as JournalEntry
     from poise.manage.journal import read_journal as read_journal
-    from poise.model.policy.policy import PolicyAction as PolicyAction
-    from poise.model.policy.policy import Seen as Seen
+    from poise.model.policy import PolicyAction as PolicyAction
+    from poise.model.policy import Seen as Seen
     from poise.model.robot import Robot as Robot
     from poise.runtime.component.component import Component as Component
     from poise.runtime.component.component import time_left as time_left

@@ -9,7 +9,7 @@ from types import ModuleType, SimpleNamespace
 import pytest
 
 from poise.cli.command_table import COMMANDS
-from poise.model.policy.policy import SUBJECTS
+from poise.model.policy import SUBJECTS
 
 ROOT = Path(__file__).parents[2]
 

@@ -2,13 +2,7 @@
 
 import pytest
 
-from poise.estimate.demand_windows import (
-    Reading,
-    Sums,
-    Window,
-    demand_in,
-    window_between,
-)
+from poise.estimate.online import Reading, Sums, Window, demand_in, window_between
 
 
 def window(cpu: float, asked: int, done: int) -> Window:

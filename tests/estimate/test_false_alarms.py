@@ -12,8 +12,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from poise.estimate.demand_windows import Reading
-from poise.estimate.online import Drift, RunningEstimate
+from poise.estimate.online import Drift, Reading, RunningEstimate
 
 STEP = 0.2
 CORES = (0.0025, 0.015, 0.005, 0.0125, 0.0075, 0.00125) * 4

@@ -2,8 +2,7 @@ import random
 
 import pytest
 
-from poise.estimate.demand_windows import Reading
-from poise.estimate.online import SPAN, Drift, RunningEstimate
+from poise.estimate.online import SPAN, Drift, Reading, RunningEstimate
 
 STEP = 0.2
 

@@ -6,8 +6,7 @@ import random
 
 import pytest
 
-from poise.estimate.demand_windows import Reading
-from poise.estimate.online import Estimate, RunningEstimate
+from poise.estimate.online import Estimate, Reading, RunningEstimate
 
 STEP = 0.2
 TICK = 0.001

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from poise.model.policy.condition import check_sentence, parse_condition, sentence
-from poise.model.policy.policy import ComponentValues, ComputerValues, LinkValues
+from poise.model.condition import check_sentence, parse_condition, sentence
+from poise.model.policy import ComponentValues, ComputerValues, LinkValues
 
 FULL = ComputerValues(
     name="left", capacity=0.5, used=0.49, full=True, memory=300 * 2**20, late=2

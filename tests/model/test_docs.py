@@ -8,7 +8,7 @@ import pytest
 
 from poise.errors import FileProblem
 from poise.model.file_keys import keys_of
-from poise.model.policy.policy import ACTIONS, SUBJECTS, Subject
+from poise.model.policy import ACTIONS, SUBJECTS, Subject
 
 Find = Callable[[str], tuple[FileProblem, ...]]
 

@@ -11,7 +11,7 @@ import poise
 from poise.cli.commands.robot_file_command import policy_command
 from poise.errors import UsageError
 from poise.manage.observe.sample_recording import RecordingFile
-from poise.model.policy.policy import SUBJECTS, ComputerValues, LinkValues, Policy, Seen
+from poise.model.policy import SUBJECTS, ComputerValues, LinkValues, Policy, Seen
 from poise.model.robot import Computer, Robot
 from poise.wire.recording_file import McapFile
 from tests.recordings import write_recording

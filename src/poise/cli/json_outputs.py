@@ -23,7 +23,7 @@ from poise.manage.journal import JournalEntry
 from poise.manage.migration.migration_report import MigrationReport
 from poise.manage.observe.estimates import DemandEstimate
 from poise.manage.tasks.concurrent_tasks import TaskReport
-from poise.model.policy.policy import Policy
+from poise.model.policy import Policy
 from poise.plan.phase_result import PlainPhases
 from poise.plan.result_records import PlainResult
 from poise.session.placing.first_phase import Described, Listed

@@ -22,7 +22,7 @@ from msgspec.structs import replace
 from poise.clock import wall_time
 from poise.errors import UsageError
 from poise.estimate.code_version import hash_of
-from poise.estimate.sqlite_file import SqliteFile
+from poise.estimate.profiles import SqliteFile
 from poise.model.robot import Architecture, Robot
 from poise.model.steps import Action
 from poise.suggest import unknown

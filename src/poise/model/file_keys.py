@@ -1,7 +1,7 @@
 """How the fields of a robot's records are written in its file.
 
 A field of a record in `poise.model.robot` whose type has a description (`says`) is a
-key of the file. The validator (`poise.model.yaml.validate`), the published JSON Schema
+key of the file. The validator (`poise.model.yaml_validation`), the published schema
 (`poise.model.schema`) and the loader follow from these notes. They bind files only:
 msgspec ignores them.
 """

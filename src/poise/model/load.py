@@ -2,19 +2,38 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import msgspec
 from msgspec import Struct
 
 from poise.errors import FileProblem, RobotError
-from poise.model.check import check
+from poise.model.check.allowed_computers import (
+    check_allowed_computers,
+    check_checkpoints,
+    check_demands,
+    check_together_apart,
+)
+from poise.model.check.connectors import (
+    check_chains,
+    check_connectors,
+    check_ports,
+    declared_ports,
+)
+from poise.model.check.names import check_addresses, check_names
 from poise.model.check.ros2_components import check_ros2, with_ros2
+from poise.model.check.task_checks import (
+    check_ends,
+    check_policies,
+    check_tasks,
+    check_workload,
+)
 from poise.model.repository import Repository, with_repository
 from poise.model.robot import Robot
-from poise.model.yaml.include import read_tree
-from poise.model.yaml.tree import Positions
-from poise.model.yaml.validate import validate
+from poise.model.yaml_include import read_tree
+from poise.model.yaml_tree import Finding, Positions
+from poise.model.yaml_validation import validate
 from poise.units import quoted
 
 
@@ -64,3 +83,20 @@ def load_source(path: str | Path) -> Source:
     folders = tuple(str(Path(folder).resolve()) for folder in robot.repository)
     robot = msgspec.structs.replace(robot, repository=folders)
     return Source(robot, positions, repository)
+
+
+def check(robot: Robot, repository: Repository) -> Iterator[Finding]:
+    """Yield every problem of `robot` that shows without its code."""
+    yield from check_names(robot)
+    yield from check_addresses(robot)
+    yield from check_allowed_computers(robot)
+    yield from check_checkpoints(robot)
+    yield from check_demands(robot)
+    yield from check_together_apart(robot)
+    yield from check_connectors(robot)
+    yield from check_chains(robot)
+    yield from check_ports(robot, declared_ports(robot))
+    yield from check_workload(robot)
+    yield from check_policies(robot)
+    yield from check_tasks(robot, repository)
+    yield from check_ends(robot, declared_ports(robot))

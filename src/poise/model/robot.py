@@ -28,7 +28,7 @@ from poise.model.file_keys import (
     says,
 )
 from poise.model.hardware import Computer, Device, Link
-from poise.model.policy.policy import POLICIES, Policy
+from poise.model.policy import POLICIES, Policy
 from poise.model.ros2_bridge import Ros2Network
 from poise.model.software import (
     Architecture,

@@ -12,7 +12,7 @@ from typing import Annotated, Literal, TypeAlias
 from msgspec import Struct
 
 from poise.model.file_keys import END, Name, Seconds, Share, says, written
-from poise.model.policy.policy import Subject
+from poise.model.policy import Subject
 from poise.model.software import ConnectorEnd
 
 KIND = "kind"

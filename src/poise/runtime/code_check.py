@@ -34,7 +34,7 @@ from poise.model.check.names import components
 from poise.model.check.task_checks import check_ends, check_generated
 from poise.model.robot import ComponentEntry, PortKind, Robot
 from poise.model.software import CodeTimer, ComponentCode
-from poise.model.yaml.tree import Finding, Path
+from poise.model.yaml_tree import Finding, Path
 from poise.runtime.code_references import check_origin, check_parameters, check_programs
 from poise.runtime.component.component import Component
 from poise.runtime.component.implementation import (

@@ -11,8 +11,8 @@ from pathlib import Path
 
 from poise.model.check.names import components
 from poise.model.robot import Architecture, ComponentEntry, Robot
-from poise.model.yaml.tree import Finding
-from poise.model.yaml.tree import Path as Place
+from poise.model.yaml_tree import Finding
+from poise.model.yaml_tree import Path as Place
 from poise.runtime.component.component import Component
 from poise.runtime.component.parameters import parameters_type, problems
 from poise.runtime.hosting.command_line import program

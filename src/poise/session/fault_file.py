@@ -14,10 +14,10 @@ from msgspec import Struct
 from poise.errors import FileProblem, RobotError, UsageError
 from poise.model.file_keys import Name, Seconds, Share, says
 from poise.model.robot import Robot
-from poise.model.yaml.include import read_file
-from poise.model.yaml.tree import Finding, Positions
-from poise.model.yaml.tree import Path as KeyPath
-from poise.model.yaml.validate import validate
+from poise.model.yaml_include import read_file
+from poise.model.yaml_tree import Finding, Positions
+from poise.model.yaml_tree import Path as KeyPath
+from poise.model.yaml_validation import validate
 from poise.simulation.choices import Choices
 from poise.simulation.faults import KINDS, LINK_KINDS, Kind, SimulatedFault, plan_faults
 from poise.suggest import unknown

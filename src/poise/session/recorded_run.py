@@ -15,7 +15,7 @@ from msgspec import Struct
 from poise.errors import UsageError
 from poise.manage.adaptation.policies import Policies
 from poise.manage.observe.estimates import DemandEstimate, Estimates
-from poise.model.policy.policy import Do, Seen, Values, policies_of
+from poise.model.policy import Do, Seen, Values, policies_of
 from poise.model.robot import Robot
 from poise.session.callbacks import Say, log
 from poise.session.profiling.stored_profiles import read_profile

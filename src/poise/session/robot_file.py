@@ -12,7 +12,7 @@ from poise.errors import FileProblem, RobotError
 from poise.model.check.ros2_components import with_code as connected
 from poise.model.load import Source, load_source
 from poise.model.robot import Robot
-from poise.model.yaml.tree import Finding
+from poise.model.yaml_tree import Finding
 from poise.plan import keep_components, problem_of
 from poise.plan.conflict import conflict
 from poise.runtime.code_check import check_code_isolated

@@ -9,7 +9,7 @@ import pytest
 from poise.estimate.online import Estimate
 from poise.manage.adaptation.situation import Situation
 from poise.manage.observe.estimates import DemandEstimate, Load
-from poise.model.policy.policy import TimerValues
+from poise.model.policy import TimerValues
 from poise.model.robot import (
     Action,
     Architecture,

@@ -14,7 +14,7 @@ from poise.manage.adaptation.policies import Policies
 from poise.manage.adaptation.policy_values import values_of
 from poise.manage.adaptation.transitions import BUDGET, MoveLimits
 from poise.manage.migration.migration_report import TransitionStep
-from poise.model.policy.policy import Policy
+from poise.model.policy import Policy
 from poise.model.robot import Computer
 from tests.manage.adaptation.shortages.test_suspension import (
     BOTH,

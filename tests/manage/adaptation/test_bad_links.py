@@ -15,7 +15,7 @@ from poise.manage.adaptation.policies import Policies
 from poise.manage.adaptation.policy_values import values_of
 from poise.manage.adaptation.situation import Situation
 from poise.manage.adaptation.transitions import MoveLimits
-from poise.model.policy.policy import LinkValues, policies_of
+from poise.model.policy import LinkValues, policies_of
 from poise.model.robot import Computer, Connector, ConnectorEnd, Link, Robot
 from poise.wire.records.heartbeat_records import LinkQuality
 from poise.wire.records.status_records import AgentStatus

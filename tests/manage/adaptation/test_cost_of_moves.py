@@ -26,7 +26,7 @@ from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.migration.migration_report import TransitionReport, TransitionStep
 from poise.manage.observe.estimates import DemandEstimate, Load
 from poise.manage.shortages.suspension import Suspensions
-from poise.model.policy.policy import TimerValues
+from poise.model.policy import TimerValues
 from poise.model.robot import (
     Action,
     Architecture,

@@ -8,8 +8,7 @@ import pytest
 from msgspec.structs import replace
 
 from poise.errors import RobotError
-from poise.estimate.demand_windows import Reading
-from poise.estimate.online import Drift, Estimate, RunningEstimate
+from poise.estimate.online import Drift, Estimate, Reading, RunningEstimate
 from poise.manage.adaptation.proposals import Proposal
 from poise.manage.adaptation.replan import propose
 from poise.manage.adaptation.situation import Situation

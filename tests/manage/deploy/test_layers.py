@@ -16,7 +16,7 @@ from poise.manage.adaptation.situation import Situation
 from poise.manage.migration.move import move, replace_architecture
 from poise.manage.migration.move import replace as replace_implementation
 from poise.manage.shortages.failover import fail_over
-from poise.model.policy.policy import Policy
+from poise.model.policy import Policy
 from poise.model.robot import Computer, Robot
 from tests.manage.adaptation.shortages.test_suspension import BOTH, Robbed, robot_with
 from tests.manage.adaptation.test_actions import take

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from poise.model import load
-from poise.model.policy.policy import policies_of, shipped
+from poise.model.policy import policies_of, shipped
 from tests.model.conftest import Find, Refuse
 
 ROBOT = """
@@ -56,7 +56,7 @@ def test_only_shipped_policies_are_switched_off(refuse: Refuse) -> None:
 def test_the_shipped_policies_are_right(find: Find) -> None:
     as_own = "\n  ".join(
         line
-        for line in (Path("src/poise/model/policy/shipped.yaml"))
+        for line in (Path("src/poise/model/shipped_policies.yaml"))
         .read_text(encoding="utf-8")
         .splitlines()
         if not line.startswith("#")

@@ -19,7 +19,7 @@ from poise.cli.options import AsJson, RobotFile, RobotTask, busy, show
 from poise.errors import FileProblem, RobotError, UsageError
 from poise.estimate.success_rates import beliefs_about, forget
 from poise.model.load import load
-from poise.model.policy.policy import Policy, policies_of
+from poise.model.policy import Policy, policies_of
 from poise.model.robot import Robot
 from poise.session.diagrams.draw import FORMATS, What, draw
 from poise.session.placing.first_phase import Described, Listed, listed

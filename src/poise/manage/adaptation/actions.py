@@ -29,7 +29,7 @@ from poise.manage.migration.transition_run import start_together, transit
 from poise.manage.shortages.free_room import room_for_components
 from poise.manage.shortages.suspension import Suspensions
 from poise.model.check.allowed_computers import pinned_components
-from poise.model.policy.policy import Do
+from poise.model.policy import Do
 from poise.model.robot import Architecture, Robot
 
 

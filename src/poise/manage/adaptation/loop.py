@@ -35,7 +35,7 @@ from poise.manage.shortages.suspension import (
     StopWithoutNeeded,
     Suspensions,
 )
-from poise.model.policy.policy import Seen, policies_of
+from poise.model.policy import Seen, policies_of
 from poise.units import counted
 
 

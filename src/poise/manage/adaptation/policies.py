@@ -1,6 +1,6 @@
 """Evaluates the policies of a robot: what holds now, and for how long.
 
-`model/policy/shipped.yaml` has those that Poise ships.
+`model/shipped_policies.yaml` has those that Poise ships.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from msgspec import Struct, structs
 from poise.errors import PoiseError
 from poise.manage.adaptation import policy_process
 from poise.manage.adaptation.policy_process import IMPORT_LIMIT, LIMIT, FunctionAnswer
-from poise.model.policy.condition import Condition, parse_condition, sentence
-from poise.model.policy.policy import (
+from poise.model.condition import Condition, parse_condition, sentence
+from poise.model.policy import (
     ACTIONS,
     COOL_DOWN,
     LASTS,

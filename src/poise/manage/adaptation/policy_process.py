@@ -18,7 +18,7 @@ from collections.abc import Callable, Iterable
 from msgspec import Struct
 
 from poise.errors import Unavailable
-from poise.model.policy.policy import PolicyAction, Seen
+from poise.model.policy import PolicyAction, Seen
 from poise.wire import frame
 
 LIMIT = 1.0

@@ -9,7 +9,7 @@ from poise.manage.adaptation.bad_links import link_values
 from poise.manage.adaptation.decision import shortages_of
 from poise.manage.adaptation.situation import Situation
 from poise.manage.observe.estimates import DemandEstimate, culprit_on
-from poise.model.policy.policy import (
+from poise.model.policy import (
     ChainValues,
     ComponentValues,
     ComputerValues,

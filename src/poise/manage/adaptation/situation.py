@@ -23,7 +23,7 @@ from poise.manage.observe.estimates import (
     PresentDemand,
     present_demands,
 )
-from poise.model.policy.policy import Do, TimerValues
+from poise.model.policy import Do, TimerValues
 from poise.model.robot import Computer, Robot, Task
 from poise.wire.records.status_records import AgentStatus
 

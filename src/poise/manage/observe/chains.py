@@ -9,7 +9,7 @@ from itertools import pairwise
 from msgspec import Struct
 
 from poise.manage.agent_connections.statuses import Statuses, connectors_of, located
-from poise.model.policy.policy import TimerValues
+from poise.model.policy import TimerValues
 from poise.model.robot import Chain, Robot
 from poise.units import format_seconds
 from poise.wire.records.status_records import (

@@ -8,9 +8,8 @@ from collections.abc import Collection, Iterable, Mapping
 
 from msgspec import Struct
 
-from poise.estimate.demand_windows import Reading
 from poise.estimate.demands import shifted_cpu_demand
-from poise.estimate.online import Drift, Estimate, RunningEstimate
+from poise.estimate.online import Drift, Estimate, Reading, RunningEstimate
 from poise.estimate.profiles import ConnectorProfile, Profile
 from poise.model.robot import ComponentEntry, Computer, Robot
 from poise.units import format_cores

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from poise.clock import wall_time
 from poise.manage.background_file import BackgroundWriter
-from poise.model.policy.policy import Seen
+from poise.model.policy import Seen
 from poise.units import counted
 from poise.wire.recording_file import McapFile, message_of
 from poise.wire.records.status_records import AgentSample

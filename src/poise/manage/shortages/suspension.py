@@ -25,7 +25,7 @@ from poise.manage.migration.migration_report import TransitionStep
 from poise.manage.migration.transition_run import start_together, transit
 from poise.manage.observe.deviations import Deviation
 from poise.manage.shortages.free_room import room_for_components
-from poise.model.policy.policy import LASTS
+from poise.model.policy import LASTS
 from poise.model.robot import Architecture, Robot, Task
 
 FIRST = 10.0

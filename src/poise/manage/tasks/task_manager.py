@@ -38,8 +38,8 @@ from poise.manage.tasks.task_progress import (
     Saved,
     TaskRecord,
 )
-from poise.model.policy.condition import parse_condition
-from poise.model.policy.policy import SUBJECTS
+from poise.model.condition import parse_condition
+from poise.model.policy import SUBJECTS
 from poise.model.robot import Architecture
 from poise.model.steps import Action, Choice, Task, Until
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 from poise.model.check.names import check_components_known, components
 from poise.model.hardware import fits
 from poise.model.robot import Architecture, ComponentEntry, Computer, Robot
-from poise.model.yaml.tree import Finding, Path
+from poise.model.yaml_tree import Finding, Path
 from poise.suggest import listed
 from poise.units import format_amount
 

@@ -22,7 +22,7 @@ from poise.model.check.names import (
 )
 from poise.model.check.ros2_components import bridge_of
 from poise.model.robot import Architecture, Connector, ConnectorEnd, PortKind, Robot
-from poise.model.yaml.tree import Finding, Path
+from poise.model.yaml_tree import Finding, Path
 from poise.suggest import did_you_mean, unknown
 
 

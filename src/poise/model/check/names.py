@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator
 
 from poise.endpoint import Endpoint
 from poise.model.robot import Architecture, ComponentEntry, Connector, Robot
-from poise.model.yaml.tree import Finding, Path
+from poise.model.yaml_tree import Finding, Path
 from poise.suggest import listed, unknown
 
 _LEAST_VOTES = 3

@@ -17,7 +17,7 @@ from poise.model.check.names import component_names, components, connectors
 from poise.model.robot import ComponentEntry, Connector, ConnectorEnd, Robot
 from poise.model.ros2_bridge import Ros2Bridge
 from poise.model.software import ComponentCode
-from poise.model.yaml.tree import Finding
+from poise.model.yaml_tree import Finding
 from poise.suggest import unknown
 
 NODE = "poise.ros2.node:RosNode"

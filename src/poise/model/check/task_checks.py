@@ -6,20 +6,13 @@ from collections.abc import Iterator, Mapping
 
 from poise.model.check.connectors import KnownPort, Ports, no_such_port
 from poise.model.check.names import component_names
+from poise.model.condition import check_sentence, parse_condition
 from poise.model.phases import MOST_PHASES, TooManyPhasesError, clashes, phases_of
-from poise.model.policy.condition import check_sentence, parse_condition
-from poise.model.policy.policy import (
-    ACTIONS,
-    SUBJECTS,
-    Policy,
-    Subject,
-    policies_of,
-    shipped,
-)
+from poise.model.policy import ACTIONS, SUBJECTS, Policy, Subject, policies_of, shipped
 from poise.model.repository import Repository
 from poise.model.robot import ConnectorEnd, Robot
 from poise.model.steps import Action, Repeat, Subtask, Task, Until, walk
-from poise.model.yaml.tree import Finding, Path
+from poise.model.yaml_tree import Finding, Path
 from poise.suggest import did_you_mean, listed, unknown
 
 

@@ -9,7 +9,7 @@ from itertools import pairwise
 import msgspec
 from msgspec import Struct, structs
 
-from poise.estimate.demand_windows import Reading, window_between
+from poise.estimate.online import Reading, window_between
 from poise.estimate.profiles import (
     ComponentProfile,
     ConnectorProfile,

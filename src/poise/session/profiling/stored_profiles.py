@@ -16,7 +16,7 @@ from poise.estimate.demands import cpu_demand, memory_demand, missing, with_prof
 from poise.estimate.profiles import ComponentProfile, Profile, Store
 from poise.model.load import load_source
 from poise.model.robot import Robot
-from poise.model.yaml.tree import with_values
+from poise.model.yaml_tree import with_values
 from poise.runtime.calibration import score
 from poise.session.folders import to_write
 

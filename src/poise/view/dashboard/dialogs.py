@@ -11,13 +11,14 @@ from html import escape
 from typing import Any
 
 import msgspec
+import yaml
 from nicegui import run, ui
 
 from poise.errors import PoiseError, UsageError
 from poise.session.render.report_page import html_table
 from poise.session.render.tables import outcome_sentence, what_if_lines
 from poise.session.running_robots.running import JournalEntry, Running, WhatIf
-from poise.view.dashboard.parameter_fields import ParameterFields
+from poise.session.running_robots.running_component import RunningComponent
 from poise.view.dashboard.state import Page, proposal_in, why
 from poise.wire.records.request_records import OutputLine
 
@@ -244,7 +245,7 @@ def _dialog() -> Iterator[Any]:
     dialog.open()
 
 
-def _complain(error: PoiseError) -> None:
+def _complain(error: object) -> None:
     ui.notify(str(error), color="red-10", multi_line=True, timeout=10_000)
 
 
@@ -300,3 +301,60 @@ def _terms(columns: dict[str, Any]) -> str:
         for term, says in names.items()
     )
     return html_table(("", *terms), rows)
+
+
+class ParameterFields:
+    """A field for each parameter of a component; nothing where it has none."""
+
+    def __init__(self, component: RunningComponent, *, may_set: bool) -> None:
+        self._component = component
+        self._may_set = may_set
+        self._place = ui.column()
+        self._known: dict[str, Any] = {}
+        self._fields: dict[str, Any] = {}
+        ui.timer(0.0, self._fill, once=True)
+
+    async def _fill(self) -> None:
+        try:
+            self._known = await run.io_bound(self._component.parameters) or {}
+        except PoiseError as error:
+            with self._place:
+                ui.label(f"Its parameters are not known: {error}").classes("refused")
+            return
+        if not self._known:
+            return
+        with self._place:
+            ui.label("Its parameters")
+            for name, value in self._known.items():
+                field = ui.input(name, value=_text(value)).props("dense outlined")
+                field.set_enabled(self._may_set)
+                self._fields[name] = field
+            if self._may_set:
+                ui.button("Set", on_click=self._set).props("no-caps outline")
+
+    async def _set(self) -> None:
+        try:
+            values = {n: yaml.safe_load(f.value) for n, f in self._fields.items()}
+        except yaml.YAMLError as error:
+            _complain(f"that is no value: {error}")
+            return
+        changes = {n: v for n, v in values.items() if v != self._known[n]}
+        if not changes:
+            ui.notify("All are as they were")
+            return
+        try:
+            took = await run.io_bound(self._component.set_parameters, changes)
+        except PoiseError as error:
+            _complain(error)
+            return
+        self._known |= took
+        for name, value in took.items():
+            self._fields[name].value = _text(value)
+        said = ", ".join(f"{name} = {_text(value)}" for name, value in took.items())
+        ui.notify(f"{self._component.name} has {said}", color="green-10")
+
+
+def _text(value: object) -> str:
+    """Return a value as a robot file has it, in one line."""
+    text = yaml.safe_dump(value, default_flow_style=True, allow_unicode=True)
+    return text.removesuffix("\n").removesuffix("\n...")

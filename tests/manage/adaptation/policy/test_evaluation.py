@@ -12,7 +12,7 @@ from poise.manage.adaptation.policies import Policies, Symptom
 from poise.manage.adaptation.policy_values import values_of
 from poise.manage.adaptation.situation import Situation
 from poise.manage.observe.chains import ChainAge
-from poise.model.policy.policy import SUBJECTS, Policy, Subject, shipped
+from poise.model.policy import SUBJECTS, Policy, Subject, shipped
 from poise.wire.records.status_records import (
     AgentStatus,
     ComponentStatus,

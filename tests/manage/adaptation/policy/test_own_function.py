@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from poise.manage.adaptation.policies import OwnFunction, Policies
-from poise.model.policy.policy import ComputerValues, Policy, PolicyAction, Seen
+from poise.model.policy import ComputerValues, Policy, PolicyAction, Seen
 
 pytestmark = pytest.mark.slow
 

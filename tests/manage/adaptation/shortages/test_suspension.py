@@ -24,7 +24,7 @@ from poise.manage.shortages.suspension import (
     Suspensions,
     not_running,
 )
-from poise.model.policy.policy import ComputerValues, Policy, TimerValues
+from poise.model.policy import ComputerValues, Policy, TimerValues
 from poise.model.robot import (
     Action,
     Architecture,

@@ -5,7 +5,7 @@ import time
 import pytest
 
 from poise.errors import FileProblem
-from poise.model.yaml.tree import DEEPEST, MOST, Location, Node, Scalar, parse
+from poise.model.yaml_tree import DEEPEST, MOST, Location, Node, Scalar, parse
 
 
 def tree(text: str) -> tuple[Node | None, list[FileProblem]]:

@@ -6,7 +6,7 @@ from os.path import realpath
 from pathlib import Path
 
 from poise.errors import FileProblem
-from poise.model.yaml.tree import Location, Node, Scalar, parse
+from poise.model.yaml_tree import Location, Node, Scalar, parse
 from poise.units import quoted
 
 LARGEST = 1_000_000

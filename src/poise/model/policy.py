@@ -26,8 +26,8 @@ from poise.model.file_keys import (
     says,
     written,
 )
-from poise.model.yaml.tree import Node, parse
-from poise.model.yaml.validate import validate
+from poise.model.yaml_tree import Node, parse
+from poise.model.yaml_validation import validate
 
 Subject: TypeAlias = Literal[
     "computer", "link", "component", "container", "timer", "chain", "robot"
@@ -347,7 +347,7 @@ class PolicyAction(Struct, frozen=True, kw_only=True):
     force: bool = False
 
 
-FILE = Path(__file__).with_name("shipped.yaml")
+FILE = Path(__file__).with_name("shipped_policies.yaml")
 
 
 class _Shipped(Struct, frozen=True):

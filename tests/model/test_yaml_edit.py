@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from poise.model.load import load_source
-from poise.model.yaml.tree import with_values
+from poise.model.yaml_tree import with_values
 
 BLOCK = """\
 robot: r # mine

@@ -1,1 +1,0 @@
-"""Policies: conditions over what is measured, and what is done when they hold."""

@@ -1,1 +1,0 @@
-"""Robot files as text: reading, including, validating and editing YAML."""
