@@ -86,10 +86,7 @@ def memory_demand(profile: ComponentProfile) -> float:
 def shifted_cpu_demand(
     demand: float, expected: float | None, estimate: Estimate
 ) -> float:
-    """Return the CPU demand after a drift [cores], in proportion to the mean.
-
-    Without an `expected` mean it is the estimate, its error and the headroom.
-    """
+    """Return the CPU demand after a drift [cores], in proportion to the mean."""
     if expected:
         return demand * estimate.mean / expected
     return (estimate.mean + (estimate.error or 0.0)) * (1 + CPU_HEADROOM)

@@ -321,10 +321,7 @@ class RunningEstimate:
         return seconds >= _IDLE_FOR and cpu <= LEAST_CORES * seconds
 
     def _spread_of_windows(self) -> tuple[float, float | None]:
-        """Return what single windows used (p95), and the error of their mean [cores].
-
-        All windows are looked at for that: not each time when one is added.
-        """
+        """Return the p95 of single windows, and the error of their mean [cores]."""
         if self._since_spread >= _NEW * len(self._windows):
             loads = [window.cpu / window.seconds for window in self._windows]
             self._spread = quantile(loads, 0.95), error_of_mean(loads)
@@ -367,11 +364,7 @@ class RunningEstimate:
         return since
 
     def _drift_since(self, since: int, at: float) -> Drift | None:
-        """Return how the last windows differ from the expected; None: too little.
-
-        They must also differ without their worst second, which may be an outlier, such
-        as a machine that was suspended.
-        """
+        """Return how the last windows differ from the expected; None: too little."""
         windows = list(self._windows)
         recent = windows[-since:]
         before = self._load.reference

@@ -228,10 +228,7 @@ def learned(
     explore: bool = False,
     seed: int = 0,
 ) -> Learned:
-    """Return the robot with learned success: the mean over actions of a function.
-
-    A function of which nothing is known stays as it is.
-    """
+    """Return the robot with learned success: the mean over actions of a function."""
     explore, actions = explore or robot.explore, tuple(actions)
     groups: dict[str, list[Architecture]] = {}
     for a in robot.architectures:

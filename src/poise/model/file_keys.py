@@ -182,10 +182,7 @@ def _ports(entries: Mapping[str, Mapping[str, str]]) -> list[dict[str, str]]:
 
 
 def _reserve(share: float | Mapping[str, float]) -> Mapping[str, float]:
-    """Return resource -> share; a single share is that of CPU and memory.
-
-    Of a countable resource, a share would leave a part that nothing can use.
-    """
+    """Return resource -> share; a single share is that of CPU and memory."""
     if isinstance(share, Mapping):
         return share
     return dict.fromkeys(("cpu", "memory"), share) if share else {}

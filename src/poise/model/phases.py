@@ -75,10 +75,7 @@ def _learned(robot: Robot, action: Action) -> float:
 
 
 def promise_of(robot: Robot, action: Action) -> float:
-    """Return the quality of the best architectures for an action times their success.
-
-    What has no architecture promises nothing.
-    """
+    """Return quality x success of the best architectures for an action."""
     return prod(
         max(
             (a.quality * a.success for a in robot.architectures if a.function == f),

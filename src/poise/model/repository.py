@@ -161,10 +161,7 @@ def _wanted(robot: Robot, offers: Iterable[Offer]) -> Iterator[Offer]:
 
 
 def _fitting(robot: Robot, offers: Iterable[Offer]) -> Iterator[Offer]:
-    """Pass over what needs something that the robot lacks, if others do not.
-
-    If all do, they are kept, so that the check of the robot says what is lacking.
-    """
+    """Pass over what needs something that the robot lacks, if others do not."""
     offers = tuple(offers)
     lacks = [_lacking(robot, offer.architecture) for offer in offers]
     provided = {a.function for a in robot.architectures} | {

@@ -183,10 +183,7 @@ StepPath = tuple[str | int, ...]
 
 
 def walk(task: Task) -> Iterator[tuple[StepPath, Step]]:
-    """Yield every step of a task with its path, outer ones first.
-
-    Steps of the tasks that it names (`Subtask`) are not looked into.
-    """
+    """Yield every step of a task with its path, outer ones first."""
     yield from _walk_all(task.actions, ("actions",))
 
 

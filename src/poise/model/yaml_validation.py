@@ -28,10 +28,7 @@ _DIGITS = 19
 
 
 def plain_value(node: Node) -> Any:  # noqa: ANN401, any value of YAML
-    """Return the node as dicts, lists, text, numbers, truth values and None.
-
-    Scalars follow YAML 1.2: ``yes`` is a text, ``1e3`` a number.
-    """
+    """Return the node as dicts, lists, text, numbers, truth values and None."""
     if isinstance(node.value, dict):
         return {key: plain_value(entry) for key, entry in node.value.items()}
     if isinstance(node.value, list):

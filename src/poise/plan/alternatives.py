@@ -65,10 +65,7 @@ def part(problem: Problem, bundles: Iterable[Bundle]) -> Problem:
 def chosen_by(
     problem: Problem, placement: Mapping[str, str], *, partial: bool = False
 ) -> tuple[Selection, Problem]:
-    """Return what a placement chooses, and the problem without the rest.
-
-    `partial`: what has no component in the placement was suspended.
-    """
+    """Return what a placement chooses, and the problem without the rest."""
     if not (has_choice(problem) or partial):
         return Selection(), problem
     every, combo = needs(problem), []

@@ -96,11 +96,7 @@ class Oracle:
 
 
 def is_hopeless(arrays: Arrays) -> bool:
-    """Whether it clearly cannot hold.
-
-    Some computers have less than what may run nowhere else needs, or what may run
-    on one computer only makes something take too long.
-    """
+    """Whether it clearly cannot hold."""
     return next(_shortages(arrays), None) is not None or bool(_late(arrays))
 
 

@@ -126,10 +126,7 @@ def check_task(robot: model.Robot, task: str) -> None:
 def _without_rivals(
     architectures: list[model.Architecture],
 ) -> list[model.Architecture]:
-    """Return them with one architecture for each reactive or deliberative function.
-
-    Only in the sequencing layer Poise chooses; elsewhere the first one listed runs.
-    """
+    """Return them with one architecture for each reactive or deliberative function."""
     first: dict[str, str] = {}
     for a in architectures:
         if a.layer != "sequencing":
@@ -205,10 +202,7 @@ def _connectors(
 def _rivals(
     robot: model.Robot, chosen: list[model.Architecture]
 ) -> Iterator[tuple[str, str]]:
-    """Yield components that an exclusive device keeps from running at once.
-
-    What needs a device runs where it is: no placement holds two that must be apart.
-    """
+    """Yield components that an exclusive device keeps from running at once."""
     for device in robot.devices:
         users = [a for a in chosen if device.exclusive and needs_device(a, device.name)]
         for pair in combinations(users, 2):

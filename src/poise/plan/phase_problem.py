@@ -170,11 +170,7 @@ def beside(problem: PhasedProblem) -> dict[str, dict[str, float]]:
 def with_moves(
     phased: PhasedProblem, phase: str, placements: Placements, *, start: bool = False
 ) -> Problem:
-    """Return the problem of a phase, with the costs of moves to those beside it.
-
-    They are spread over the time of the phase, as its F is the mean over that. Another
-    alternative than in a phase beside it costs as if it moved.
-    """
+    """Return the problem of a phase, with the costs of moves to those beside it."""
     this = next(each for each in phased.phases if each.name == phase)
     problem = this.problem
     own = placements.get(phase, {}) if start else {}

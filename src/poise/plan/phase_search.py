@@ -190,11 +190,7 @@ class PhaseSearch:
         self.interrupted = False
 
     def alone(self) -> dict[str, Result]:
-        """Return each phase placed as if there were no other.
-
-        Where nothing is found, though there may be something, the whole budget goes
-        into it once.
-        """
+        """Return each phase placed as if there were no other."""
         results: dict[str, Result] = {}
         count = len(self._problems)
         share = ALONE / count if count > 1 else 1.0
@@ -215,11 +211,7 @@ class PhaseSearch:
         return self._cost(held, held)
 
     def chained(self, start: Solution, left: Left) -> dict[str, Result]:
-        """Place one phase after the other, with the moves from those before, and back.
-
-        Where nothing is found beside them, or no time is `left`, a phase stays as in
-        `start`.
-        """
+        """Place one phase after the other beside those before, and then backwards."""
         held: dict[str, Result] = {}
         share = CHAINED / 2 / len(start)
         for name in start:
@@ -229,10 +221,7 @@ class PhaseSearch:
         return held
 
     def together(self, start: Solution, left: Left, bound: float) -> dict[str, Result]:
-        """Search phases beside each other as one problem, while time is `left`.
-
-        It ends as well when the total is not above `bound`.
-        """
+        """Search phases beside each other as one problem, while time is `left`."""
         held, random = dict(start), Random(self._effort.seed)  # noqa: S311 - no secret
         rounds = 0
         while not self.interrupted and self.total(held) > bound:
@@ -356,10 +345,7 @@ class PhaseSearch:
         return alone + self._moves(some, {**held, **some})
 
     def _moves(self, some: Solution, held: Solution) -> float:
-        """Return the cost of moves between some phases and the phases before or after.
-
-        Between two of them it counts once.
-        """
+        """Return the cost of moves between some phases and those beside them."""
         total, counted = 0.0, set[frozenset[str]]()
         for name, here in some.items():
             for other, often in self._beside[name].items():

@@ -109,10 +109,7 @@ def _in_range(amount: float) -> float:
 
 
 def softened(problem: Problem, capacities: list[Limit]) -> Problem:
-    """Return the problem whose F is what capacities must rise by, as shares of usual.
-
-    A soft limit of each is about one computer: on the others it is out of reach.
-    """
+    """Return the problem whose F is the rise of capacities, as shares of usual."""
     soft = list(problem.soft_limits)
     for limit in capacities:
         (computer, resource) = limit.names
@@ -159,10 +156,7 @@ def rises(raises: Raises) -> tuple[More, ...]:
 
 
 def price(problem: Problem, raises: Raises) -> float:
-    """Return the sum of raises, each as a share of what is `usual`.
-
-    Infinite when there are none, or when limits that have no amount must give way.
-    """
+    """Return the sum of raises, each as a share of what is `usual`."""
     if not raises or any(limit.advice for limit in raises):
         return inf
     return sum(more / usual(problem, limit) for limit, more in raises.items())
@@ -180,11 +174,7 @@ class Relaxation:
         self._conflicts = conflicts
 
     def find(self, problem: Problem, limits: list[Limit]) -> Raises:
-        """Return what has to give way, so that the whole problem holds; or nothing.
-
-        What is cheapest (`price`) of: one limit of those in conflict; or several, none
-        of which is needless. Raises come before what is lifted.
-        """
+        """Return what has to give way, so that the whole problem holds; or nothing."""
         whole = list(limits_of(problem))
         limits = [next(k for k in whole if k.covers(limit)) for limit in limits]
         ways: list[Raises] = [
@@ -199,10 +189,7 @@ class Relaxation:
         return one
 
     def _capacities(self, problem: Problem) -> Raises:
-        """Return the least rises of capacities that are enough, if any are.
-
-        A placement tells them that is best where what is short is all that counts.
-        """
+        """Return the least rises of capacities that are enough, if any are."""
         soft = [k for k in limits_of(problem) if k.kind == "capacity"]
         if len(soft) > MOST_TRIES or len(problem.components) > MOST_TRIES:
             return {}

@@ -101,10 +101,7 @@ class Snapshot:
             return []
 
     def terms(self, placed: Placed) -> Terms:
-        """Return F of a placement; units without a computer (-1) contribute nothing.
-
-        But to how long something takes they contribute what they take at least.
-        """
+        """Return F of a placement; units without a computer (-1) contribute nothing."""
         communication, balance, move, shortage, time = self.core.terms(placed)
         return Terms(
             total=communication + balance + move + shortage + time,
@@ -116,10 +113,7 @@ class Snapshot:
         )
 
     def greedy_trace(self) -> tuple[GreedyStep, ...]:
-        """Return each step of the greedy, with every computer that it tries.
-
-        The last one has no `chosen` when the greedy came to a dead end.
-        """
+        """Return each step of the greedy, with every computer that it tries."""
         decided, _ = self.core.greedy()
         placed = [-1] * self.arrays.n
         trace: list[GreedyStep] = []

@@ -37,10 +37,7 @@ class Part(NamedTuple):
 def parts(
     arrays: Arrays, placed: Placed, load: Sequence[float], limit: int
 ) -> Iterator[Part]:
-    """Yield each run of a time limit, and each hop whose ends are apart.
-
-    `load` is what is used, (m, r).
-    """
+    """Yield each run of a time limit, and each hop whose ends are apart."""
     times = arrays.times
     assert times is not None  # noqa: S101 - it has this limit
     _, _, _, cpu, runs, hops = times.limits[limit]
@@ -54,10 +51,7 @@ def parts(
 
 
 def seconds(arrays: Arrays, placed: Placed, load: Sequence[float]) -> list[float]:
-    """Return how long what each time limit is about takes [s].
-
-    While units have no computer: what it takes at least.
-    """
+    """Return how long what each time limit is about takes [s]."""
     return [
         limit[2] + sum(part.seconds for part in parts(arrays, placed, load, i))
         for i, limit in enumerate(arrays.times.limits if arrays.times else ())
@@ -233,10 +227,7 @@ def _overloaded(arrays: Arrays, placed: Placed) -> Iterator[str]:
 
 
 def late(arrays: Arrays, placed: Placed) -> dict[str, Late]:
-    """Return the time limits that are broken and must be kept, by name.
-
-    While units have no computer: those that break wherever these go.
-    """
+    """Return the time limits that are broken and must be kept, by name."""
     load = loads(arrays, placed) if arrays.times is not None else []
     found: dict[str, Late] = {}
     for i, takes in enumerate(seconds(arrays, placed, load)):

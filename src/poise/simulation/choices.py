@@ -61,10 +61,7 @@ class Choices:
         return low + (high - low) * self.draw(stream)
 
     def pause(self, probability: float) -> float:
-        """Return how often something does not happen until it does.
-
-        Its mean is that of asking `happens` each time; infinite when all draws are 0.
-        """
+        """Return how often something does not happen until it does."""
         draw = self.draw("schedule")
         return log(draw) // log(1 - probability) if draw else inf
 

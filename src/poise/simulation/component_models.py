@@ -130,11 +130,7 @@ class Traffic(Struct, frozen=True, kw_only=True):
     costs: Mapping[str, KindCosts] = {}
 
     def cost(self, connector: str, kind: str, together: str, end: End) -> float:
-        """Return the work of one message or call beyond what it costs together.
-
-        `kind`: the connector's: ``direct``, ``local`` or ``remote``.
-        `together`: its kind when both ends are on one computer: so it was profiled.
-        """
+        """Return the work of one message or call beyond what it costs together."""
         is_call = connector in self.calling
         one = ConnectorProfile(
             calls=float(is_call),

@@ -81,10 +81,7 @@ def plan_faults(
     *,
     mean_pause: float = _MEAN_PAUSE,
 ) -> list[SimulatedFault]:
-    """Return the faults of a run, all over before `end` [s].
-
-    `mean_pause`: from one fault to the next [s].
-    """
+    """Return the faults of a run, all over before `end` [s]."""
     allowed = [kind for kind in kinds if choices.happens("faults", _ALLOWED)]
     allowed = allowed or [kinds[choices.among("faults", len(kinds))]]
     weights = [choices.draw("faults") for _ in allowed]
@@ -161,10 +158,7 @@ def _kill(robot: SimulatedRobot, fault: SimulatedFault) -> Mend:
 
 
 def _start_manager(robot: SimulatedRobot, fault: SimulatedFault) -> Mend:
-    """Let somebody run `poise up` on a computer, though another may be at work.
-
-    They say `--take-over` only when no computer is out of reach, as is asked of them.
-    """
+    """Let somebody run `poise up` on a computer, though another may be at work."""
     takes_over = fault.kind == "take over" and robot.is_reached()
     robot.start_manager(fault.target, take_over=takes_over)
     return _nothing

@@ -69,10 +69,7 @@ class Network:
         return self._engine.time_for(source, target, size)
 
     def stream(self, source: str, target: str) -> Stream:
-        """Return a new stream in one direction: in order, none lost.
-
-        What is sent over a cut link waits for its end, as TCP lets it.
-        """
+        """Return a new stream in one direction: in order, none lost."""
         return self._engine.stream(source, target)
 
     def arrivals(self, source: str, target: str, size: int) -> Sequence[float]:

@@ -236,11 +236,7 @@ class PredictedTimes(Struct, frozen=True, kw_only=True):
 def predict_times(
     robot: Robot, placement: Mapping[str, str], work: SimulatedWork
 ) -> PredictedTimes:
-    """Return what is predicted of a placement.
-
-    `placement`: component -> computer, of all that runs.
-    `work`: what the components do.
-    """
+    """Return what is predicted of a placement."""
     models = [work.models[name] for name in placement if name in work.models]
     periods = [timer.timer.period for model in models for timer in model.timers]
     chains = [
@@ -281,10 +277,7 @@ def _uncrowded(robot: Robot, cores: int) -> Robot:
 
 
 def _stuck(free: PredictedChain | None, seconds: float) -> PredictedChain | None:
-    """Return a chain whose data only gets to its end where there is CPU enough.
-
-    `free`: what is predicted of it there; None: nothing gets to its end there either.
-    """
+    """Return a chain whose data only gets to its end where there is CPU enough."""
     if free is None:
         return None
     return structs.replace(free, median=seconds, p99=seconds, late=1.0)

@@ -161,13 +161,7 @@ class Rehearsal:
             self._robot.run(self._robot.scheduler.now + seconds)
 
     def move(self, component: str, computer: str) -> MigrationReport:
-        """Let a client move a component, whatever the planner thinks of it.
-
-        Raises
-        ------
-        RunError
-            It was refused, or did not end within `MOVE_LIMIT`.
-        """
+        """Let a client move a component, whatever the planner thinks of it."""
         results: list[Result | Refusal] = []
         manager, robot = self._robot.manager, self._robot
         assert manager is not None, "it has to come up first"  # noqa: S101

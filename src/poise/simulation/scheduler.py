@@ -193,10 +193,7 @@ class Scheduler:
             self._switch_to(task)
 
     def present(self) -> SimulatedTask | None:
-        """Return the task that calls this; None: no task does, such as another thread.
-
-        Libraries have threads of their own, which go on while a simulation runs.
-        """
+        """Return the task that calls this; None where no task does."""
         return self.current if get_ident() == self._thread else None
 
     def run(self, until: float) -> None:

@@ -117,11 +117,7 @@ class SimulationObserver:
         )
 
     def chains(self) -> tuple[SimulatedChain, ...]:
-        """Return how old the data at the end of each chain was.
-
-        Of a chain whose last component moved, median and 99th percentile are means over
-        its incarnations, by their numbers of uses.
-        """
+        """Return how old the data at the end of each chain was."""
         found = []
         for chain in self._robot.robot.chains:
             ages: list[Summary] = []

@@ -59,10 +59,7 @@ def stamp(at: float) -> dict[str, int]:
 
 
 def as_json(value: Any) -> Any:  # noqa: ANN401, any message
-    """Return a value as JSON has it: all of it.
-
-    Bytes, and arrays of more than `MOST_LISTED` values, are in base64.
-    """
+    """Return a value as JSON has it: all of it."""
     if isinstance(value, Mapping):
         return {str(name): as_json(each) for name, each in value.items()}
     if isinstance(value, list | tuple):
@@ -82,10 +79,7 @@ def pictures(
     at: float,
     name: str = "",
 ) -> Iterator[tuple[str, Schema, dict[str, Any]]]:
-    """Yield the pictures in a message: each's path in it, schema, and content.
-
-    `at`: when the message went out [s since 1970].
-    """
+    """Yield the pictures in a message: each's path in it, schema, and content."""
     if isinstance(value, Mapping):
         for part, each in value.items():
             yield from pictures(each, at, f"{name}/{part}" if name else str(part))

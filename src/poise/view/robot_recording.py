@@ -78,11 +78,7 @@ def schema_of(type_: type[Struct]) -> Schema:
 
 
 def schema_like(value: Mapping[str, Any], title: str) -> Schema:
-    """Return the schema of objects that have the same parts as one.
-
-    Parts of which Foxglove takes no schema are left out of it, and only of it: null,
-    and lists that are empty, mixed or of lists.
-    """
+    """Return the schema of objects that have the same parts as one."""
     return {"title": title, **_object_like(value)}
 
 

@@ -155,10 +155,7 @@ def _components(before: Status, now: Status) -> Iterator[ComponentRow]:
 
 
 def _connectors(before: Status, now: Status) -> Iterator[ConnectorRow]:
-    """Yield each connector as its source counts it, and what both ends gave up.
-
-    Ends on computers of which nothing is known now count only if there are no others.
-    """
+    """Yield each connector as its source counts it, and what both ends gave up."""
     past, unknown = dict(containers(before)), now.not_known()
     ends: dict[str, list[tuple[bool, ConnectorStatus, ConnectorStatus, _Span]]] = {}
     for key, container in containers(now):

@@ -36,10 +36,7 @@ class _Places(NamedTuple):
         *,
         layers_stay: bool = True,
     ) -> dict[str, Names]:
-        """Return what limits a component, for people, -> the computers it leaves.
-
-        Names that are unknown limit nothing: they are problems of their own.
-        """
+        """Return what limits a component, for people, -> the computers it leaves."""
         limits = {
             f"device '{name}' is on": frozenset({self.devices[name]})
             for name in component.devices
@@ -79,10 +76,7 @@ def check_allowed_computers(robot: Robot) -> Iterator[Finding]:
 
 
 def check_demands(robot: Robot) -> Iterator[Finding]:
-    """Yield the demands that are larger than every computer that is allowed.
-
-    Where another architecture of the same function has none, that one can be chosen.
-    """
+    """Yield the demands that are larger than every computer that is allowed."""
     hosts = allowed_computers(robot)
     largest = _Largest(robot.computers)
     found: dict[str, list[Finding]] = {a.name: [] for a in robot.architectures}

@@ -127,10 +127,7 @@ def with_ros2(robot: Robot) -> Robot:
 
 
 def with_code(robot: Robot, code: Mapping[str, ComponentCode]) -> Robot:
-    """Return the robot with what its classes declare, and its bridges connected.
-
-    Only the code says which end of a bridge publishes or calls.
-    """
+    """Return the robot with what its classes declare, and its bridges connected."""
     ports = {str(bridge.port): bridge.port for bridge in robot.ros2.bridges}
     architectures = []
     for architecture in robot.architectures:

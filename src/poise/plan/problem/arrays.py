@@ -43,10 +43,7 @@ class Times(Struct, frozen=True):
 
 
 def times_of(problem: Problem, index: Mapping[str, int]) -> Times | None:
-    """Return the time limits in numbers; None when there are none.
-
-    `index` is the place of each component, by name.
-    """
+    """Return the time limits in numbers; None when there are none."""
     if not problem.time_limits:
         return None
     resources = problem.resources
@@ -271,10 +268,7 @@ def _separable(
     allowed: dict[int, tuple[int, ...]],
     unit: dict[str, int],
 ) -> tuple[float, float]:
-    """Return the overhead and the traffic of all pairs that some placement has apart.
-
-    Of alternatives one runs: the best one counts.
-    """
+    """Return overhead and traffic of all pairs that some placement has apart."""
     if problem.architectures:
         usual = problem.usual_connectors
         if usual is not problem.connectors:

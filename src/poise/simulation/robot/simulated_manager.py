@@ -87,10 +87,7 @@ class SimulatedManager:
         process.spawn("manager", self._main)
 
     def ask_status(self, take: Callable[[RobotStatus], object]) -> None:
-        """Let a client ask for the status; nobody answers while it is not up.
-
-        It is worked out on a task, for the simulated world has another clock.
-        """
+        """Let a client ask for the status; nobody answers while it is not up."""
 
         def answer() -> None:
             if self.manager is not None:

@@ -83,10 +83,7 @@ class SimulatedComputer:
         return process
 
     def suspend(self, seconds: float) -> None:
-        """Let the whole computer stand still for a while [s], as in suspend to RAM.
-
-        Of two that overlap, the later end counts.
-        """
+        """Let the whole computer stand still for a while [s], as in suspend to RAM."""
         now = self.scheduler.now
         if self._suspended_at is None:
             self._suspended_at = now

@@ -79,10 +79,7 @@ class Updates:
         self._is_on_the_way = False
 
     def next(self, page: Page, now: float) -> dict[str, Any] | None:
-        """Return an update at a time [s]; None: not now, or nothing was read since.
-
-        It may be empty: a page that hears nothing at all says so.
-        """
+        """Return an update at a time [s]; None: not now, or nothing was read since."""
         if self._is_on_the_way or page is self._sent:
             return None
         differ = changes(self._sent, page)
