@@ -97,7 +97,10 @@ def with_profile(robot: Robot, profile: Profile) -> Robot:
     kinds = kinds_together(robot)
 
     def filled(connectors: Iterable[Connector]) -> tuple[Connector, ...]:
-        return tuple(_connector(each, profile, kinds[str(each)]) for each in connectors)
+        return tuple(
+            _connector(connector, profile, kinds[str(connector)])
+            for connector in connectors
+        )
 
     return msgspec.structs.replace(
         robot,

@@ -383,8 +383,8 @@ class RunningEstimate:
         """Forget the windows before the change."""
         kept = list(self._windows)[-since:]
         self._windows, self._sums = deque(), Sums()
-        for each in kept:
-            self._keep(each)
+        for window in kept:
+            self._keep(window)
         self._drift = drift
         self._load, self._cost, self._asked = (
             _change_point.ChangePointDetector(),

@@ -143,7 +143,7 @@ def by_name(record: type[Struct]) -> Meta:
     """Return a note: records are the entries of a mapping, whose keys are names."""
     return written(
         dict[Name, record],  # type: ignore[valid-type]
-        lambda entries: [{"name": name, **each} for name, each in entries.items()],
+        lambda entries: [{"name": name, **entry} for name, entry in entries.items()],
     )
 
 

@@ -105,7 +105,7 @@ def first_action(robot: Robot, step: Step) -> Action:
 
 def assumed(robot: Robot, task: str) -> Iterator[str]:
     """Yield what is assumed of a task that its file does not say, for people."""
-    steps = list(steps_of({each.name: each for each in robot.tasks}, task))
+    steps = list(steps_of({t.name: t for t in robot.tasks}, task))
     actions = [step for step in steps if isinstance(step, Action)]
     timeless = [a.name for a in actions if a.limit is None]
     if timeless:
@@ -243,16 +243,16 @@ class _Flows:
             case Subtask(task=name):
                 return self.of_task(name, tasks)
             case Parallel(steps=steps):
-                return _at_once([self._of(each, tasks) for each in steps])
+                return _at_once([self._of(step, tasks) for step in steps])
             case Choice(steps=steps):
-                flows = [self._of(each, tasks) for each in steps]
+                flows = [self._of(step, tasks) for step in steps]
                 return _either(flows, shares_of(self._robot, step))
         once = self._of_sequence(step.steps, tasks)
         rounds = rounds_of(step) if isinstance(step, Repeat) else 1
         return once if rounds == 1 else _again(once, rounds)
 
     def _of_sequence(self, steps: Iterable[Step], tasks: tuple[str, ...]) -> _Flow:
-        whole, *others = (self._of(each, tasks) for each in steps)
+        whole, *others = (self._of(step, tasks) for step in steps)
         for then in others:
             done = whole.done
             whole = _Flow(
@@ -346,7 +346,7 @@ def _at_once(flows: Iterable[_Flow]) -> _Flow:
 
 def _shares(lasts: _Odds) -> _Odds:
     total = sum(lasts.values())
-    return {node: each / total for node, each in lasts.items()}
+    return {node: seconds / total for node, seconds in lasts.items()}
 
 
 def _both(one: _Odds, two: _Odds, times: float = 1.0) -> _Odds:
@@ -399,9 +399,9 @@ def clashes(robot: Robot, actions: Iterable[Action]) -> Iterator[Clash]:
 
 def needs_device(architecture: Architecture, device: str) -> bool:
     """Return whether some component of an architecture needs a device."""
-    return any(device in each.devices for each in architecture.components)
+    return any(device in component.devices for component in architecture.components)
 
 
 def _always_needs(robot: Robot, function: str, device: str) -> bool:
     every = [a for a in robot.architectures if a.function == function]
-    return bool(every) and all(needs_device(each, device) for each in every)
+    return bool(every) and all(needs_device(a, device) for a in every)

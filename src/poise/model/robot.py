@@ -343,7 +343,7 @@ class Robot(Struct, frozen=True, kw_only=True):
     def architecture_of(self, component: str) -> Architecture:
         """Return the architecture that has a component; KeyError when there is none."""
         for architecture in self.architectures:
-            if any(each.name == component for each in architecture.components):
+            if any(c.name == component for c in architecture.components):
                 return architecture
         raise KeyError(component)
 
@@ -357,7 +357,7 @@ class Robot(Struct, frozen=True, kw_only=True):
 
     def actions(self, task: str | None = None) -> Iterator[Action]:
         """Yield the actions of a task, and of the tasks that it names; None: of all."""
-        tasks = {each.name: each for each in self.tasks}
+        tasks = {task.name: task for task in self.tasks}
         for name in tasks if task is None else (task,):
             yield from actions_of(tasks, name)
 
@@ -374,7 +374,7 @@ class Robot(Struct, frozen=True, kw_only=True):
         return [
             architecture
             for architecture in self.architectures
-            if all(each.name in components for each in architecture.components)
+            if all(c.name in components for c in architecture.components)
         ]
 
     def components_for(self, functions: Collection[str]) -> set[str]:

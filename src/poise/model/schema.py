@@ -59,7 +59,7 @@ def _schema(
     if isinstance(kind, types.StructType):
         return _record(kind, records)
     if isinstance(kind, types.UnionType):
-        return {"anyOf": [_schema(each, notes, records) for each in kind.types]}
+        return {"anyOf": [_schema(part, notes, records) for part in kind.types]}
     if isinstance(kind, types.DictType):
         return {
             "type": "object",
@@ -109,8 +109,8 @@ def _record(kind: types.StructType, records: dict[str, Schema]) -> Schema:
             title=name,
             description=(kind.cls.__doc__ or "").partition("\n")[0],
             type="object",
-            properties={key: _property(each, records) for key, each in keys.items()},
-            required=[key for key, each in keys.items() if each.is_required],
+            properties={key: _property(entry, records) for key, entry in keys.items()},
+            required=[key for key, entry in keys.items() if entry.is_required],
             additionalProperties=False,
         )
     return {"$ref": f"#/$defs/{name}"}

@@ -184,7 +184,7 @@ class _Builder:
         self._check_size(node.place, depth)
         if isinstance(node.value, dict):
             entries = node.value.items()
-            value = {key: self._copy(each, depth + 1) for key, each in entries}
+            value = {key: self._copy(node, depth + 1) for key, node in entries}
             return Node(node.place, value)
         if isinstance(node.value, list):
             return Node(node.place, [self._copy(e, depth + 1) for e in node.value])
@@ -263,7 +263,7 @@ class Positions:
         if not below:
             raise KeyError(path)
         return min(
-            (self._places[each] for each in below), key=lambda p: (p.line, p.column)
+            (self._places[path] for path in below), key=lambda p: (p.line, p.column)
         )
 
     def problem(self, finding: Finding) -> FileProblem:
@@ -301,10 +301,10 @@ def with_values(
     new = {k: v for k, v in values.items() if not positions.has((*path, k))}
     # from right to left, so that the remaining locations stay valid
     kept = [(positions.at((*path, key)), key) for key in values if key not in new]
-    for place, key in sorted(kept, key=lambda each: -each[0].column):
+    for place, key in sorted(kept, key=lambda edit: -edit[0].column):
         _replace(lines, place, key, values[key])
     _insert(lines, first, new, is_flow=first.line == here.line)
-    return {file: "".join(each) for file, each in lines.items()}
+    return {file: "".join(parts) for file, parts in lines.items()}
 
 
 def _replace(lines: dict[str, list[str]], at: Location, key: str, value: str) -> None:

@@ -112,8 +112,8 @@ def admit(problem: Problem, decide: Decide, *, fewer: bool) -> Result:
         if _better(other, best):
             best, admitted = other, kept
     if best.feasible and (len(sets) > 1 or not admission.is_complete):
-        bounds = [-inf if each.bound is None else each.bound for each in results]
-        proven = all(each.proven for each in results)
+        bounds = [-inf if result.bound is None else result.bound for result in results]
+        proven = all(result.proven for result in results)
         best.settle(
             min(bounds) if admission.is_complete else -inf,
             proven=proven and admission.is_complete,

@@ -68,7 +68,7 @@ def smallest(
         dropped = {h.name for h in computers} - {*kept}
         try:
             smaller = [
-                each.changed(lambda p: _without(p, dropped)) for each in problems
+                problem.changed(lambda p: _without(p, dropped)) for problem in problems
             ]
         except UsageError:
             return None

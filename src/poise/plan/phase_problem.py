@@ -110,8 +110,8 @@ def _in_one_unit(
     arrays = [(phase.lasts / lasts, arrays_of(phase.problem)) for phase in phases]
     scale = overhead_scale(
         problem,
-        sum(share * each.overhead for share, each in arrays),
-        sum(share * each.traffic for share, each in arrays),
+        sum(share * arrays_.overhead for share, arrays_ in arrays),
+        sum(share * arrays_.traffic for share, arrays_ in arrays),
     )
     return tuple(
         replace(p, problem=replace(p.problem, overhead_scale=scale)) for p in phases
@@ -171,7 +171,7 @@ def with_moves(
     phased: PhasedProblem, phase: str, placements: Placements, *, start: bool = False
 ) -> Problem:
     """Return the problem of a phase, with the costs of moves to those beside it."""
-    this = next(each for each in phased.phases if each.name == phase)
+    this = next(candidate for candidate in phased.phases if candidate.name == phase)
     problem = this.problem
     own = placements.get(phase, {}) if start else {}
     near = [

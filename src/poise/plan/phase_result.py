@@ -201,7 +201,7 @@ class PhasedResult:
             raise UsageError(unknown("phase", phase, self.results))
         if not self.results[phase].placement:
             raise UsageError(f"phase {phase!r} has no placement")
-        placements = {each: r.placement for each, r in self.results.items()}
+        placements = {name: r.placement for name, r in self.results.items()}
         problem = with_moves(self.problem, phase, placements)
         return explain(problem, self.results[phase].placement, name)
 

@@ -43,9 +43,9 @@ def weighted(part: Arrays, weight: float) -> Arrays:
         part,
         times=times,
         communication=weight * part.communication,
-        spread=[weight * each for each in part.spread],
-        price=[weight * each for each in part.price],
-        cost=[weight * each for each in part.cost],
+        spread=[weight * spread for spread in part.spread],
+        price=[weight * price for price in part.price],
+        cost=[weight * cost for cost in part.cost],
     )
 
 
@@ -259,7 +259,7 @@ class PhaseSearch:
         """Place one phase beside those that are held; None when that finds nothing."""
         if self.interrupted or (self._effort.steps is None and left() <= 0):
             return None
-        placements = {each: h.placement for each, h in held.items()}
+        placements = {phase: h.placement for phase, h in held.items()}
         problem = with_moves(self._problem, name, placements, start=True)
         result = self._decide(problem, share)
         if not result.placement:
@@ -338,9 +338,9 @@ class PhaseSearch:
     def _cost(self, some: Solution, held: Solution) -> float:
         """Return what some phases add to the total, the others as they are held."""
         alone = sum(
-            self._weights[name] * each.objective.total
-            for name, each in some.items()
-            if each.objective
+            self._weights[name] * result.objective.total
+            for name, result in some.items()
+            if result.objective
         )
         return alone + self._moves(some, {**held, **some})
 
@@ -398,27 +398,27 @@ def solve_phases(  # noqa: PLR0913 - each says how to decide, and has a default
     result = PhasedResult(problem, alone)
     weights = problem.weights
     bounds = [
-        weights[name] * each.bound
-        for name, each in alone.items()
-        if each.bound is not None
+        weights[name] * result.bound
+        for name, result in alone.items()
+        if result.bound is not None
     ]
     bound = sum(bounds) if len(bounds) == len(alone) else None
     if result.moves:
-        held = {name: each for name, each in alone.items() if each.feasible}
+        held = {name: result for name, result in alone.items() if result.feasible}
         better = search.chained(held, until.left)
         if method in {"auto", "search"}:
             enough = -inf if bound is None else bound + GAIN
             better = search.together(better, until.left, enough)
         if search.total(better) < search.total(held) - GAIN:
             changed = {
-                name: each
-                for name, each in better.items()
-                if each.placement != alone[name].placement
+                name: result
+                for name, result in better.items()
+                if result.placement != alone[name].placement
             }
             result = PhasedResult(problem, {**alone, **changed})
     if why and method != "greedy":
-        for each in result.results.values():
-            each.find_conflict(stop)
+        for r in result.results.values():
+            r.find_conflict(stop)
     if not result.feasible:
         result.proven = any(r.proven for r in alone.values() if not r.feasible)
     elif bound is not None and result.total is not None:

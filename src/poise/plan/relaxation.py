@@ -197,7 +197,7 @@ class Relaxation:
         raises: dict[Limit, float] = {}
         for limit in soft if placement else ():
             computer, resource = limit.names
-            h = next(each for each in problem.computers if each.name == computer)
+            h = next(h for h in problem.computers if h.name == computer)
             used = sum(
                 c.demand.get(resource, 0.0)
                 for c in problem.components
@@ -294,7 +294,7 @@ _IDLE = 100.0
 
 def limits_of(problem: Problem) -> Iterator[Limit]:
     """Yield each limit of a problem."""
-    softened = {each.resource for each in problem.soft_limits}
+    softened = {limit.resource for limit in problem.soft_limits}
     is_shared = any(t.shared and not t.price for t in problem.time_limits)
     for resource in (r for r in problem.resources if r not in softened):
         total = sum(c.demand.get(resource, 0.0) for c in problem.components)

@@ -131,7 +131,7 @@ class Snapshot:
     def _trial(self, placed: Placed, unit: int, computer: int) -> ComputerTried:
         trial = [*placed[:unit], computer, *placed[unit + 1 :]]
         # no limit of time may be broken already, whatever breaks it
-        hopeless = (each.text for each in late(self.arrays, trial).values())
+        hopeless = (broken.text for broken in late(self.arrays, trial).values())
         reason = obstacle(self.arrays, placed, unit, computer) or "; ".join(hopeless)
         total = None if reason else self.terms(trial).total
         return ComputerTried(
@@ -303,12 +303,12 @@ class Result:
         if suspended and self.choice.architectures:
             return None
         problems = problem, *self.choice.others
-        found = [conflict(each, stop, 1.0 / len(problems)) for each in problems]
-        known = [each for each in found if each is not None]
+        found = [conflict(part, stop, 1.0 / len(problems)) for part in problems]
+        known = [c for c in found if c is not None]
         # of several ways out the cheapest, whichever alternative it is for
         self._conflict = min(
             known,
-            key=lambda each: inf if each.price is None else each.price,
+            key=lambda way: inf if way.price is None else way.price,
             default=None,
         )
         is_all = bool(self.choice.others) or not self.choice.architectures
@@ -369,8 +369,10 @@ class Result:
         arrays = self.snapshot.arrays
         takes = seconds(arrays, self.placed, loads(arrays, self.placed))
         return tuple(
-            TimeTaken(name=each.name, limit=each.limit, seconds=time, price=each.price)
-            for each, time in zip(self.problem.time_limits, takes, strict=True)
+            TimeTaken(
+                name=limit.name, limit=limit.limit, seconds=time, price=limit.price
+            )
+            for limit, time in zip(self.problem.time_limits, takes, strict=True)
         )
 
     @cached_property

@@ -162,7 +162,7 @@ def traffic(arrays: Arrays, placed: Placed) -> dict[tuple[int, int], float]:
 def violations(arrays: Arrays, placed: Placed) -> list[str]:
     """Return every limit that a placement breaks; some units may have no computer."""
     times = late(arrays, placed).values()
-    return [*_in_place(arrays, placed), *(each.text for each in times)]
+    return [*_in_place(arrays, placed), *(broken.text for broken in times)]
 
 
 def _in_place(arrays: Arrays, placed: Placed) -> list[str]:
@@ -180,9 +180,9 @@ def obstacle(arrays: Arrays, placed: Placed, unit: int, computer: int) -> str:
     trial = [*placed[:unit], computer, *placed[unit + 1 :]]
     before, was = _in_place(arrays, placed), late(arrays, placed)
     broken = [limit for limit in _in_place(arrays, trial) if limit not in before]
-    for name, each in late(arrays, trial).items():
-        if name not in was or not fits(each.seconds, was[name].seconds):
-            broken.append(each.text)
+    for name, limit in late(arrays, trial).items():
+        if name not in was or not fits(limit.seconds, was[name].seconds):
+            broken.append(limit.text)
     return "; ".join(broken)
 
 
@@ -257,7 +257,7 @@ def _most(arrays: Arrays, placed: Placed, load: list[float], limit: int) -> str:
 
 def shortages(arrays: Arrays, placed: Placed) -> Iterator[Shortage]:
     """Yield by how much resources with soft limits are beyond what is usable."""
-    soft = {each.resource for each in arrays.problem.soft_limits}
+    soft = {limit.resource for limit in arrays.problem.soft_limits}
     load = loads(arrays, placed) if soft else []
     for h, computer in enumerate(arrays.problem.computers if soft else ()):
         for k, resource in enumerate(arrays.resources):

@@ -84,15 +84,19 @@ class ComponentModel(Struct, frozen=True, kw_only=True):
         return engine.model(
             timers=[
                 (
-                    each.timer.name,
-                    each.timer.period,
-                    each.timer.deadline,
-                    each.handler.made_in(engine),
+                    timer.timer.name,
+                    timer.timer.period,
+                    timer.timer.deadline,
+                    timer.handler.made_in(engine),
                 )
-                for each in self.timers
+                for timer in self.timers
             ],
-            takes={slot: each.made_in(engine) for slot, each in self.takes.items()},
-            serves={slot: each.made_in(engine) for slot, each in self.serves.items()},
+            takes={
+                slot: handler.made_in(engine) for slot, handler in self.takes.items()
+            },
+            serves={
+                slot: handler.made_in(engine) for slot, handler in self.serves.items()
+            },
             other=self.other.made_in(engine),
             factors=self.factors,
             keep=self.keep,
@@ -138,8 +142,8 @@ class Traffic(Struct, frozen=True, kw_only=True):
             size=self.sizes.get(connector, 0.0),
         )
         now, then = (
-            getattr(self.costs.get(each, KindCosts()), end).load(one)
-            for each in (kind, together)
+            getattr(self.costs.get(between, KindCosts()), end).load(one)
+            for between in (kind, together)
         )
         return max(0.0, float(now - then))
 

@@ -104,24 +104,24 @@ class PlacedComponents:
                 container = engine.container(cpu, computer.name, _nothing, _nothing)
                 container.cpu.weight = spec.weight or _WEIGHT
                 connectors = {
-                    each.key: work.traffic.connector_in(
-                        engine, each, kinds.get(each.name, "local")
+                    connector.key: work.traffic.connector_in(
+                        engine, connector, kinds.get(connector.name, "local")
                     )
-                    for each in spec.connectors
+                    for connector in spec.connectors
                 }
                 container.connect(list(connectors.values()))
-                for each in spec.components:
-                    model = work.models.get(each.name, _USUAL)
+                for component in spec.components:
+                    model = work.models.get(component.name, _USUAL)
                     executor = container.add(
-                        (each.name, each.epoch),
+                        (component.name, component.epoch),
                         0,
-                        model.made_in(engine, release_offset(each.name)),
-                        [(c.name, c.is_first, c.deadline) for c in each.chains],
+                        model.made_in(engine, release_offset(component.name)),
+                        [(c.name, c.is_first, c.deadline) for c in component.chains],
                     )
                     executor.set_wanted(True)
                     executor.set_leased(False)
-                    self._executors[each.name] = executor
-                inside = {each.name for each in spec.components}
+                    self._executors[component.name] = executor
+                inside = {component.name for component in spec.components}
                 for connector in spec.connectors:
                     if connector.source in inside:
                         container.add_sender(connectors[connector.key])
@@ -239,25 +239,23 @@ def predict_times(
     """Return what is predicted of a placement."""
     models = [work.models[name] for name in placement if name in work.models]
     periods = [timer.timer.period for model in models for timer in model.timers]
-    chains = [
-        each for each in robot.chains if all(c in placement for c in each.through)
-    ]
+    chains = [c for c in robot.chains if placement.keys() >= {*c.through}]
     seconds = min(_LONGEST, max(_SHORTEST, _PERIODS * max(periods, default=0.0)))
     robots = [PlacedComponents(robot, placement, work, seed) for seed in range(_ROBOTS)]
-    for each in robots:
-        each.run(each.now + seconds)
-    found = {each: _chain(each, robots, placement) for each in chains}
+    for simulated in robots:
+        simulated.run(simulated.now + seconds)
+    found = {chain: _chain(chain, robots, placement) for chain in chains}
     if None in found.values():
         free = PlacedComponents(_uncrowded(robot, len(placement)), placement, work)
         free.run(free.now + seconds)
         found |= {
-            each: _stuck(_chain(each, [free], placement), seconds)
-            for each, predicted in found.items()
+            unplaced: _stuck(_chain(unplaced, [free], placement), seconds)
+            for unplaced, predicted in found.items()
             if predicted is None
         }
     return PredictedTimes(
-        chains=tuple(each for each in found.values() if each is not None),
-        unknown=tuple(each.name for each, known in found.items() if known is None),
+        chains=tuple(p for p in found.values() if p is not None),
+        unknown=tuple(c.name for c, known in found.items() if known is None),
         timers=tuple(_timers(robots, placement)),
         guesses=work.guesses,
     )
@@ -329,8 +327,8 @@ def _timers(
             if first.deadline is None or not releases:
                 continue
             p99 = sum(
-                _mean(each).p99
-                for each in (
+                _mean(summaries).p99
+                for summaries in (
                     [timer.lateness for timer in same],
                     [timer.duration for timer in same],
                 )
@@ -347,12 +345,12 @@ def _timers(
 
 def _mean(summaries: Iterable[Summary]) -> Summary:
     """Return what several summaries say, by their numbers of values."""
-    known = [each for each in summaries if each.count]
-    count = sum(each.count for each in known)
+    known = [summary for summary in summaries if summary.count]
+    count = sum(summary.count for summary in known)
     if not count:
         return Summary()
     mean, median, p99 = (
-        sum(each.count * getattr(each, name) for each in known) / count
+        sum(summary.count * getattr(summary, name) for summary in known) / count
         for name in ("mean", "median", "p99")
     )
-    return Summary(count, mean, median, p99, max(each.maximum for each in known))
+    return Summary(count, mean, median, p99, max(summary.maximum for summary in known))

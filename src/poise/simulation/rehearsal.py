@@ -61,9 +61,9 @@ def not_well(robot: SimulatedRobot) -> list[str]:
         is_told.append(status)
         # a clock that jumped is said for a while, and so are many restarts
         said.extend(
-            f"status says: {each.what}"
-            for each in status.deviations
-            if each.computer and not each.what.startswith("container '")
+            f"status says: {deviation.what}"
+            for deviation in status.deviations
+            if deviation.computer and not deviation.what.startswith("container '")
         )
 
     manager.ask_status(take)
@@ -140,7 +140,7 @@ class Rehearsal:
         with self._running():
             for computer in robot.computers:
                 robot.start_agent(computer)
-            is_real = any(each.address for each in robot.robot.computers)
+            is_real = any(computer.address for computer in robot.robot.computers)
             robot.start_manager(next(iter(robot.computers)) if is_real else OUTSIDE)
             while found := unsettled(robot):
                 if robot.scheduler.now >= UP_LIMIT:

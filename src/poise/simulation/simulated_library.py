@@ -232,18 +232,19 @@ class SimulatedLibrary:
         if len(sys.modules) != self._num_modules:  # some were imported meanwhile
             self._num_modules = len(sys.modules)
             self._bound = [
-                _Bound(each, self._instead) for each in _with_defaults(self._instead)
+                _Bound(function, self._instead)
+                for function in _with_defaults(self._instead)
             ]
         for module, name, real in self._real:
             setattr(module, name, self._instead[real])
-        for each in self._bound:
-            each.swap()
+        for bound in self._bound:
+            bound.swap()
 
     def __exit__(self, *_: object) -> None:
         for module, name, real in self._real:
             setattr(module, name, real)
-        for each in self._bound:
-            each.restore()
+        for bound in self._bound:
+            bound.restore()
 
 
 class _Bound:
@@ -255,11 +256,11 @@ class _Bound:
         self._function = function
         self._real = function.__defaults__, function.__kwdefaults__
         self._defaults = tuple(
-            _swapped(each, instead) for each in function.__defaults__ or ()
+            _swapped(default, instead) for default in function.__defaults__ or ()
         )
         self._named = {
-            name: _swapped(each, instead)
-            for name, each in (function.__kwdefaults__ or {}).items()
+            name: _swapped(default, instead)
+            for name, default in (function.__kwdefaults__ or {}).items()
         }
 
     def swap(self) -> None:

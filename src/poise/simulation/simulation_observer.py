@@ -49,12 +49,14 @@ class SimulationObserver:
         self._placed = self._desired.placement() if self._desired else {}
         self._functions = functions_of(robot.robot)
         self._before = {
-            id(each): {t.name: (t.releases, t.missed) for t in each.status().timers}
-            for each in robot.components
+            id(c): {t.name: (t.releases, t.missed) for t in c.status().timers}
+            for c in robot.components
         }
         self._chains_before = {
-            id(each): {c.name: (c.age.count, c.missed) for c in each.status().chains}
-            for each in robot.components
+            id(component): {
+                c.name: (c.age.count, c.missed) for c in component.status().chains
+            }
+            for component in robot.components
         }
         robot.on_entry = self._note_entry
         self._look()
@@ -126,10 +128,10 @@ class SimulationObserver:
                 if component.spec.name != chain.through[-1]:
                     continue
                 before = self._chains_before.get(id(component), {})
-                for each in component.status().chains:
-                    if each.name == chain.name and each.age.count:
-                        ages.append(each.age)
-                        missed += each.missed - before.get(each.name, (0, 0))[1]
+                for status in component.status().chains:
+                    if status.name == chain.name and status.age.count:
+                        ages.append(status.age)
+                        missed += status.missed - before.get(status.name, (0, 0))[1]
             uses = sum(age.count for age in ages)
             if uses:
                 found.append(
@@ -152,7 +154,7 @@ class SimulationObserver:
     def outages(self) -> tuple[Outage, ...]:
         """Return which functions stopped, and for how long."""
         going = (self._outage(function, over=False) for function in sorted(self._since))
-        return tuple(sorted((*self._outages, *going), key=lambda each: each.at))
+        return tuple(sorted((*self._outages, *going), key=lambda event: event.at))
 
     def _look(self) -> None:
         scheduler = self._robot.scheduler

@@ -190,9 +190,9 @@ class SimulationReport(Struct, frozen=True, kw_only=True):
     @property
     def due(self) -> int:
         """How often timers with a deadline were due."""
-        return sum(each.due for each in self.timers if each.deadline is not None)
+        return sum(timer.due for timer in self.timers if timer.deadline is not None)
 
     @property
     def missed(self) -> int:
         """How many of these deadlines were missed."""
-        return sum(each.missed for each in self.timers if each.deadline is not None)
+        return sum(timer.missed for timer in self.timers if timer.deadline is not None)

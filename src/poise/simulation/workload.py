@@ -88,8 +88,8 @@ def workload_of(
     guesses: list[str] = []
     plan = DeploymentPlan(robot, "")
     over = {
-        str(each): _traffic_of(each, profile.connectors.get(str(each)))
-        for each in robot.all_connectors()
+        str(connector): _traffic_of(connector, profile.connectors.get(str(connector)))
+        for connector in robot.all_connectors()
     }
     models = {}
     for entry in robot.components():
@@ -98,11 +98,11 @@ def workload_of(
             guesses.append(why)
         part = _ComponentWork(robot, plan, over, entry, code, profile, guesses.append)
         mean, taken = part.cpu(), cores.get(entry.name, ())
-        factors = tuple(each / mean for each in taken) if mean else ()
+        factors = tuple(second / mean for second in taken) if mean else ()
         models[entry.name] = structs.replace(part.model(), factors=factors)
     traffic = Traffic(
-        sizes={name: each.size for name, each in over.items() if each.size},
-        calling=frozenset(name for name, each in over.items() if each.calls),
+        sizes={name: t.size for name, t in over.items() if t.size},
+        calling=frozenset(name for name, t in over.items() if t.calls),
         costs=profile.costs,
     )
     return SimulatedWork(
@@ -180,11 +180,11 @@ class _ComponentWork:
         coming = list(self._coming())
         taken = self._runs((s, at, t.messages) for s, at, t in coming if t.messages)
         alike = {id(e): self._measured(e.of, e.rate) or e for e in taken.values()}
-        taken = {slot: alike[id(each)] for slot, each in taken.items()}
+        taken = {slot: alike[id(handler)] for slot, handler in taken.items()}
         served = self._runs((s, at, t.calls) for s, at, t in coming if t.calls)
         others = [*taken.values(), *served.values()]
-        unique = list({id(each): each for each in others}.values())
-        if any(each.is_measured for each in (*timers.values(), *unique)):
+        unique = list({id(handler): handler for handler in others}.values())
+        if any(handler.is_measured for handler in (*timers.values(), *unique)):
             _share_rest(self.cpu(), [*timers.values(), *unique])
         else:
             self._share_work(list(timers.values()), unique)
@@ -194,8 +194,8 @@ class _ComponentWork:
                 TimerModel(timer=timer, handler=timers[timer.name].handler())
                 for timer in self._timers()
             ),
-            takes={slot: each.handler() for slot, each in taken.items()},
-            serves={slot: each.handler() for slot, each in served.items()},
+            takes={slot: handler.handler() for slot, handler in taken.items()},
+            serves={slot: handler.handler() for slot, handler in served.items()},
             other=HandlerModel(work=1e-4),
             keep=self._keeps(),
             start=(_START[0] * start, _START[1] * start),
@@ -210,8 +210,8 @@ class _ComponentWork:
             return [Timer(t.name, t.period, t.deadline) for t in self._code.timers]
         measured = self._known.timers if self._known else {}
         return [
-            Timer(name, each.period, each.period if self._code is None else None)
-            for name, each in measured.items()
+            Timer(name, timer.period, timer.period if self._code is None else None)
+            for name, timer in measured.items()
         ]
 
     def _timer(self, timer: Timer) -> _Rated:
@@ -296,25 +296,25 @@ class _ComponentWork:
         taken to be alike.
         """
         total = self.cpu()
-        measured = sum(each.rate * each.work for each in timers)
-        rest = sum(each.rate for each in others)
+        measured = sum(timer.rate * timer.work for timer in timers)
+        rest = sum(handler.rate for handler in others)
         if rest and measured > total:
-            alike = total / (rest + sum(each.rate for each in timers))
-            for each in (*timers, *others):
-                each.work = alike
+            alike = total / (rest + sum(timer.rate for timer in timers))
+            for handler in (*timers, *others):
+                handler.work = alike
             return
         if rest:
             by_timers = measured
-            for each in others:
-                each.work = (total - by_timers) / rest
+            for handler in others:
+                handler.work = (total - by_timers) / rest
         else:
             by_timers = total
         if measured:
-            for each in timers:
-                each.work *= by_timers / measured
+            for timer in timers:
+                timer.work *= by_timers / measured
         elif timers and not rest:
-            for each in timers:
-                each.work = total / sum(timer.rate for timer in timers)
+            for timer in timers:
+                timer.work = total / sum(t.rate for t in timers)
         if not timers and not others and total:
             what = f"'{self._entry.name}' has no timer and gets nothing: it idles here"
             self._guess(what)
@@ -336,7 +336,7 @@ class _ComponentWork:
                     wanted[slot] = end.port, over
         sends = self._code.sends if self._code else {}
         for slot, (port, over) in wanted.items():
-            may = [each for each in handlers if port in sends.get(each.of, ())]
+            may = [handler for handler in handlers if port in sends.get(handler.of, ())]
             by = _feeding(may or handlers, over.rate)
             if by is None or not by.rate:
                 if over.rate:
@@ -351,10 +351,10 @@ class _ComponentWork:
 
 def _share_rest(total: float, handlers: list[_Rated]) -> None:
     """Let what was not measured take the rest of the CPU; all, if everything was."""
-    rest = total - sum(each.rate * each.work for each in handlers)
-    unknown = [each for each in handlers if not each.is_measured] or handlers
-    for each in unknown:
-        each.work += max(0.0, rest) / sum(other.rate for other in unknown)
+    rest = total - sum(handler.rate * handler.work for handler in handlers)
+    unknown = [handler for handler in handlers if not handler.is_measured] or handlers
+    for handler in unknown:
+        handler.work += max(0.0, rest) / sum(other.rate for other in unknown)
 
 
 def _each(often: float) -> float:
@@ -365,10 +365,10 @@ def _each(often: float) -> float:
 
 def _feeding(handlers: list[_Rated], rate: float) -> _Rated | None:
     """Return the handler that runs just as often, or a little more; else the most."""
-    enough = [each for each in handlers if each.rate * _AS_OFTEN >= rate]
+    enough = [handler for handler in handlers if handler.rate * _AS_OFTEN >= rate]
     if enough:
-        return min(enough, key=lambda each: each.rate)
-    return max(handlers, key=lambda each: each.rate, default=None)
+        return min(enough, key=lambda handler: handler.rate)
+    return max(handlers, key=lambda handler: handler.rate, default=None)
 
 
 _JITTER = 0.25

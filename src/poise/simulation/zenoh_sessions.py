@@ -353,15 +353,15 @@ class Session:
 
     def take_put(self, key: str, data: bytes) -> None:
         """Give subscribers what another session put; on the process's own task."""
-        for each in list(self._subscribers):
-            if matches(each.key, key):
-                each.take(_sample(key, zenoh.SampleKind.PUT, data))
+        for subscriber in list(self._subscribers):
+            if matches(subscriber.key, key):
+                subscriber.take(_sample(key, zenoh.SampleKind.PUT, data))
 
     def take_token(self, key: str, kind: zenoh.SampleKind) -> None:
         """Tell watchers of a token that came or went; on the process's own task."""
-        for each in list(self._watchers):
-            if matches(each.key, key):
-                each.take(_sample(key, kind))
+        for watcher in list(self._watchers):
+            if matches(watcher.key, key):
+                watcher.take(_sample(key, kind))
 
     def _put(self, key: str, data: bytes) -> None:
         for side in list(self.sides):

@@ -54,7 +54,7 @@ _NO_DATE: dict[str, Any] = {"Date": None}
 
 
 def _draw_cpu(axes: Any, profile: Profile) -> None:  # noqa: ANN401, of a library
-    found = sorted(profile.components.items(), key=lambda each: each[1].cpu.mean)
+    found = sorted(profile.components.items(), key=lambda entry: entry[1].cpu.mean)
     found = found[-_MOST_ROWS:]
     names = [name for name, _ in found]
     cpus = [component.cpu for _, component in found]
@@ -113,7 +113,7 @@ def _draw_connectors(
     profile: Profile,
     overheads: Mapping[str, float],
 ) -> None:
-    found = sorted(profile.connectors.items(), key=lambda each: each[1].traffic)
+    found = sorted(profile.connectors.items(), key=lambda entry: entry[1].traffic)
     found = found[-_MOST_ROWS:]
     names = [name for name, _ in found]
     traffic = [connector.traffic / 1e3 for _, connector in found]

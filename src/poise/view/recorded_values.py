@@ -61,9 +61,9 @@ def stamp(at: float) -> dict[str, int]:
 def as_json(value: Any) -> Any:  # noqa: ANN401, any message
     """Return a value as JSON has it: all of it."""
     if isinstance(value, Mapping):
-        return {str(name): as_json(each) for name, each in value.items()}
+        return {str(name): as_json(part) for name, part in value.items()}
     if isinstance(value, list | tuple):
-        return [as_json(each) for each in value]
+        return [as_json(part) for part in value]
     if isinstance(value, bytes | bytearray | memoryview):
         return _base64(value)
     if not _is_array(value):
@@ -81,8 +81,8 @@ def pictures(
 ) -> Iterator[tuple[str, Schema, dict[str, Any]]]:
     """Yield the pictures in a message: each's path in it, schema, and content."""
     if isinstance(value, Mapping):
-        for part, each in value.items():
-            yield from pictures(each, at, f"{name}/{part}" if name else str(part))
+        for part, inner in value.items():
+            yield from pictures(inner, at, f"{name}/{part}" if name else str(part))
     elif isinstance(value, bytes):
         for signature, format_ in _SIGNATURES.items():
             if value.startswith(signature):

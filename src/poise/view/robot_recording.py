@@ -83,7 +83,7 @@ def schema_like(value: Mapping[str, Any], title: str) -> Schema:
 
 
 def _object_like(value: Mapping[str, Any]) -> dict[str, Any]:
-    parts = {name: _like(each) for name, each in value.items()}
+    parts = {name: _like(part) for name, part in value.items()}
     return {"type": "object", "properties": {n: p for n, p in parts.items() if p}}
 
 
@@ -92,7 +92,7 @@ def _like(value: Any) -> dict[str, Any]:  # noqa: ANN401, JSON's
     if isinstance(value, Mapping):
         return _object_like(value)
     if isinstance(value, list):
-        kinds = {_TYPES.get(type(each), "") for each in value}
+        kinds = {_TYPES.get(type(item), "") for item in value}
         is_one = len(kinds) == 1 and "" not in kinds
         return {"type": "array", "items": _like(value[0])} if is_one else {}
     kind = _TYPES.get(type(value))

@@ -167,7 +167,7 @@ def _connectors(before: Status, now: Status) -> Iterator[ConnectorRow]:
             span = seconds if was and is_known else None
             ends.setdefault(end.name, []).append((is_known, end, was or end, span))
     for name, both in sorted(ends.items()):
-        known = [each for each in both if each[0]]
+        known = [pair for pair in both if pair[0]]
         _, source, was, seconds = min(known or both, key=lambda e: e[1].end == "target")
         yield ConnectorRow(
             name,
@@ -212,7 +212,10 @@ def _components_since(
     past, unknown = dict(containers(before)), now.not_known()
     for key, container in containers(now):
         first, seconds = _since(past.get(key), container)
-        earlier = {(each.name, each.epoch): each for each in first.components}
+        earlier = {
+            (component.name, component.epoch): component
+            for component in first.components
+        }
         for component in container.components:
             was = earlier.get((component.name, component.epoch))
             is_known = was is not None and key.computer not in unknown

@@ -98,7 +98,7 @@ class _Largest(dict[tuple[Names, str], Computer]):
 
     def __missing__(self, key: tuple[Names, str]) -> Computer:
         names, resource = key
-        allowed = (each for each in self._computers if each.name in names)
+        allowed = (known for known in self._computers if known.name in names)
         found = max(allowed, key=lambda computer: computer.usable(resource))
         self[key] = found
         return found

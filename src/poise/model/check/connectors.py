@@ -158,18 +158,20 @@ def check_ports(robot: Robot, ports: Ports) -> Iterator[Finding]:
 
 def _are_alternatives(robot: Robot, *connectors: Connector) -> bool:
     """Return whether at most one of the connectors' targets runs at a time."""
-    home = {c.name: each for each in robot.architectures for c in each.components}
-    first, second = (home[each.between[1].component] for each in connectors)
+    home = {c.name: a for a in robot.architectures for c in a.components}
+    first, second = (home[connector.between[1].component] for connector in connectors)
     return first.function == second.function and first.name != second.name
 
 
 def check_unconnected(robot: Robot, ports: Ports) -> Iterator[Finding]:
     """Yield the required ports and subscriptions that no connector joins."""
-    joined = {str(end) for _, _, each in connectors(robot) for end in each.between}
+    joined = {
+        str(end) for _, _, connector in connectors(robot) for end in connector.between
+    }
     for bridge in robot.ros2.bridges:  # connected when the code is known
         joined |= {str(bridge.port), f"{bridge_of(bridge.port)}.{bridge.port.port}"}
     if robot.workload is not None:  # these get messages while they are measured
-        joined |= {str(each.port) for each in robot.workload.generate}
+        joined |= {str(generated.port) for generated in robot.workload.generate}
     for path, _, component in components(robot):
         for port in ports.get(component.name, {}).values():
             end = str(ConnectorEnd(component.name, port.name))

@@ -110,8 +110,8 @@ def with_ros2(robot: Robot) -> Robot:
                 architecture,
                 components=(
                     *(
-                        _with_node(each, environment)
-                        for each in architecture.components
+                        _with_node(component, environment)
+                        for component in architecture.components
                     ),
                     *(
                         _bridge(entry, lines, environment)

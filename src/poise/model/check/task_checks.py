@@ -93,7 +93,7 @@ def choices_of(robot: Robot, subject: Subject) -> Mapping[str, tuple[str, ...]]:
     return {
         "computer": computers,
         "component": names["component"],
-        "architecture": tuple(each.name for each in robot.architectures),
+        "architecture": tuple(a.name for a in robot.architectures),
         "name": names.get(subject, ()),
     }
 
@@ -144,7 +144,7 @@ _ENDS = {("publishes", "bool"), ("publishes", "builtins:bool")}
 
 
 def _names(robot: Robot, task: Task, repository: Repository) -> Iterator[Finding]:
-    tasks = [each.name for each in robot.tasks]
+    tasks = [task.name for task in robot.tasks]
     seen: set[str] = set()
     for path, step in walk(task):
         where: Path = ("tasks", task.name, *path)

@@ -49,15 +49,15 @@ def times_of(problem: Problem, index: Mapping[str, int]) -> Times | None:
     resources = problem.resources
     cpu = resources.index("cpu") if "cpu" in resources else -1
     limits: list[LimitArray] = []
-    for each in problem.time_limits:
-        runs = [(index[run.component], run.seconds) for run in each.runs]
+    for limit in problem.time_limits:
+        runs = [(index[run.component], run.seconds) for run in limit.runs]
         hops = [
             (index[a], index[b], hop.seconds, hop.crossings, hop.size)
-            for hop in each.hops
+            for hop in limit.hops
             for a, b in [hop.between]
         ]
-        shares = cpu if each.shared else -1
-        limits.append((each.limit, each.price, each.fixed, shares, runs, hops))
+        shares = cpu if limit.shared else -1
+        limits.append((limit.limit, limit.price, limit.fixed, shares, runs, hops))
     queues = [queue_of(h) for h in problem.computers]
     return Times(
         limits,
@@ -224,14 +224,14 @@ def _with_soft_limits(arrays: Arrays) -> Arrays:
     """Return the numbers with a column for each soft limit of the problem."""
     problem, resources = arrays.problem, arrays.resources
     soft, r = problem.soft_limits, arrays.r
-    counts = [[_counts(each, c) for each in soft] for c in problem.components]
-    has = [[h.total(each.resource) for each in soft] for h in problem.computers]
+    counts = [[_counts(limit, c) for limit in soft] for c in problem.components]
+    has = [[h.total(limit.resource) for limit in soft] for h in problem.computers]
     most = [
-        [each.limits.get(h.name, h.usable(each.resource)) for each in soft]
+        [limit.limits.get(h.name, h.usable(limit.resource)) for limit in soft]
         for h in problem.computers
     ]
     demand = _beside(arrays.component_demand, r, counts)
-    softened = {each.resource for each in soft}
+    softened = {limit.resource for limit in soft}
     hard = [
         inf if resources[e % r] in softened else x for e, x in enumerate(arrays.limit)
     ]
@@ -242,7 +242,7 @@ def _with_soft_limits(arrays: Arrays) -> Arrays:
         demand=_summed(demand, arrays.unit_of, arrays.n, r + len(soft)),
         capacity=_beside(arrays.capacity, r, has),
         limit=_beside(hard, r, most),
-        price=[*arrays.price, *(each.price for each in soft)],
+        price=[*arrays.price, *(limit.price for limit in soft)],
         size_weight=[*arrays.size_weight, *none],
         spread=[*arrays.spread, *none],
         r=r + len(soft),

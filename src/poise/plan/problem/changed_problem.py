@@ -50,15 +50,15 @@ def keep_components(
             a for a in problem.architectures if all(n in names for n in a.components)
         ),
         soft_limits=tuple(
-            each
-            if each.components is None
-            else replace(each, components=group(each.components))
-            for each in problem.soft_limits
+            limit
+            if limit.components is None
+            else replace(limit, components=group(limit.components))
+            for limit in problem.soft_limits
         ),
         time_limits=tuple(
-            each
-            for each in problem.time_limits
-            if all(name in names for name in each.components)
+            limit
+            for limit in problem.time_limits
+            if all(name in names for name in limit.components)
         ),
         overhead_scale=scale_of(problem, arrays),
     )
@@ -229,7 +229,7 @@ def share_cpu(
         for most, share in margins
         if share > 0
     ]
-    others = [each for each in problem.soft_limits if each.resource != "cpu"]
+    others = [limit for limit in problem.soft_limits if limit.resource != "cpu"]
     return replace(problem, soft_limits=(*others, *work, *left))
 
 

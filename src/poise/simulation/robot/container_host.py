@@ -179,7 +179,10 @@ class SimulatedAdoption:
         computer = agent.process.computer
         self.num_adopted = 0
         self._limit = computer.monotonic() + ADOPT_LIMIT
-        self._left = {each.process.pid: each for each in world.containers_on(computer)}
+        self._left = {
+            container.process.pid: container
+            for container in world.containers_on(computer)
+        }
 
     def begin(self) -> None:
         """Let the containers find the agent."""
@@ -190,7 +193,7 @@ class SimulatedAdoption:
 
     def awaits(self, container: str) -> bool:
         """Return whether a container may run still."""
-        return any(each.name == container for each in self._left.values())
+        return any(left.name == container for left in self._left.values())
 
     def is_settled(self) -> bool:
         """Return whether all have asked, or have ended."""

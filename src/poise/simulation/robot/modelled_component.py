@@ -45,7 +45,7 @@ class SimulatedComponent:
             self.key,
             process.pid,
             world.engine_model_of(spec.name),
-            [(each.name, each.is_first, each.deadline) for each in spec.chains],
+            [(chain.name, chain.is_first, chain.deadline) for chain in spec.chains],
         )
         self.executor.set_leased(spec.leased)
         self._is_changing = False
@@ -308,9 +308,9 @@ class MigrationModel:
     ) -> tuple[SimulatedContainer, int] | None:
         name = component.spec.name
         for container in self._container.world.containers():
-            for (other, epoch), each in container.components.items():
+            for (other, epoch), sibling in container.components.items():
                 is_older = other == name and epoch < component.spec.epoch
-                if is_older and each.state != "finalized":
+                if is_older and sibling.state != "finalized":
                     return container, epoch
         return None
 

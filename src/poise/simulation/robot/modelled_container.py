@@ -221,7 +221,7 @@ class SimulatedContainer:
 
     def _apply(self, spec: ContainerSpec) -> None:
         wanted = {(c.name, c.epoch): c for c in spec.components}
-        self._connectors = {each.key: each for each in spec.connectors}
+        self._connectors = {connector.key: connector for connector in spec.connectors}
         self.execution.connect(list(map(self.world.connector_of, spec.connectors)))
         self.is_new = not self.components
         for key, component in wanted.items():
@@ -239,10 +239,10 @@ class SimulatedContainer:
     def _join(self, connectors: tuple[ConnectorSpec, ...]) -> None:
         """Let each slot lead to one target; during a move it stays where it is."""
         slots: dict[str, list[ConnectorSpec]] = {}
-        for each in connectors:
-            if (each.source, each.source_epoch) in self.components:
-                key = f"{each.slot or each.name}/{each.source_epoch}"
-                slots.setdefault(key, []).append(each)
+        for spec in connectors:
+            if (spec.source, spec.source_epoch) in self.components:
+                key = f"{spec.slot or spec.name}/{spec.source_epoch}"
+                slots.setdefault(key, []).append(spec)
         for key in sorted(self.senders.keys() - slots.keys()):
             self.execution.remove_sender(self.senders.pop(key))
         for key, choices in slots.items():
@@ -285,7 +285,7 @@ class SimulatedContainer:
             return
         connectors = self._joined()
         self._reported = connectors
-        if not all(each.ready for each in connectors):
+        if not all(connector.ready for connector in connectors):
             self.process.after(_JOINING_EVERY, lambda: self._report_joined(connectors))
         self.answer(
             ContainerStatus(
@@ -301,12 +301,12 @@ class SimulatedContainer:
     def _joined(self) -> tuple[ConnectorStatus, ...]:
         return tuple(
             ConnectorStatus(
-                name=each.name,
-                kind=each.kind,
-                end="both" if each.kind == "direct" else self._end_of(each),
-                ready=self._is_joined(each),
+                name=connector.name,
+                kind=connector.kind,
+                end="both" if connector.kind == "direct" else self._end_of(connector),
+                ready=self._is_joined(connector),
             )
-            for each in self._connectors.values()
+            for connector in self._connectors.values()
         )
 
     def _report_joined(self, before: tuple[ConnectorStatus, ...]) -> None:

@@ -289,13 +289,14 @@ class SimulatedSampler:
         here = self._world.containers_on(computer)
         containers = tuple(map(self._of_container, here))
         self.usage = {
-            each.name: ContainerUse(
-                (each.cpu - self._before.get(each.pid, each.cpu)) / SAMPLE_EVERY,
-                each.memory,
+            container.name: ContainerUse(
+                (container.cpu - self._before.get(container.pid, container.cpu))
+                / SAMPLE_EVERY,
+                container.memory,
             )
-            for each in containers
+            for container in containers
         }
-        self._before = {each.pid: each.cpu for each in containers}
+        self._before = {container.pid: container.cpu for container in containers}
         at = computer.monotonic()
         sample = AgentSample(computer.name, at, self._group.used, containers, busy)
         self._put(self._encode(sample))
@@ -308,17 +309,17 @@ class SimulatedSampler:
             pid=container.process.pid,
             at=container.process.computer.monotonic(),
             cpu=container.execution.cpu.used,
-            memory=round(sum(each.model.memory for each in components)),
+            memory=round(sum(component.model.memory for component in components)),
             components=tuple(
                 ComponentSample(
-                    each.spec.name,
-                    each.spec.epoch,
-                    each.executor.cpu,
+                    component.spec.name,
+                    component.spec.epoch,
+                    component.executor.cpu,
                     0.0,
-                    each.executor.asked,
-                    each.executor.done,
+                    component.executor.asked,
+                    component.executor.done,
                 )
-                for each in components
+                for component in components
             ),
             connectors=tuple(map(self._of_sender, container.senders.values())),
         )
@@ -382,7 +383,9 @@ class SimulatedDisk:
 
     def keep_only(self, wanted: Deployment) -> None:
         """Remove the checkpoints of all that is not wanted, and send the others."""
-        components = [c for each in wanted.containers for c in each.components]
+        components = [
+            c for container in wanted.containers for c in container.components
+        ]
         kept = {(c.name, c.epoch) for c in components}
         self._checkpoints = {k: v for k, v in self._checkpoints.items() if k in kept}
         self._wanted = tuple((c.name, c.epoch) for c in components if c.checkpoint)

@@ -84,17 +84,17 @@ class SimulatedRobot:
         self._note = note
         self._containers: dict[int, SimulatedContainer] = {}
         random = choices.random("clocks")
-        for each in robot.computers:
+        for known in robot.computers:
             boot, drift = random.uniform(1, _LONGEST_UPTIME), random.uniform(-1, 1)
-            cores = each.capacity.get("cpu", _CORES)
+            cores = known.capacity.get("cpu", _CORES)
             drift *= _DRIFT
             computer = SimulatedComputer(
-                self.scheduler, each.name, boot, drift, cores, each.speed
+                self.scheduler, known.name, boot, drift, cores, known.speed
             )
-            self.computers[each.name] = computer
-            self.disks[each.name] = SimulatedDisk(computer)
-            host = self.addresses.add(each.name)
-            self.endpoints[each.name] = f"tcp/{host}:{PORT}"
+            self.computers[known.name] = computer
+            self.disks[known.name] = SimulatedDisk(computer)
+            host = self.addresses.add(known.name)
+            self.endpoints[known.name] = f"tcp/{host}:{PORT}"
         self._outside = SimulatedComputer(self.scheduler, OUTSIDE)
         self.addresses.add(OUTSIDE)
 
@@ -173,8 +173,8 @@ class SimulatedRobot:
     @property
     def manager(self) -> SimulatedManager | None:
         """The last manager that is up, or starts; None: none runs."""
-        running = [each for each in self.managers if not each.process.is_dead]
-        up = [each for each in running if each.manager is not None]
+        running = [manager for manager in self.managers if not manager.process.is_dead]
+        up = [manager for manager in running if manager.manager is not None]
         return next(reversed(up or running), None)
 
     def note(self, who: str, what: str) -> None:

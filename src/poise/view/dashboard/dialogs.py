@@ -292,12 +292,12 @@ def _alternatives(others: list[dict[str, Any]]) -> str:
 
 def _terms(columns: dict[str, Any]) -> str:
     """Return F and its parts as a table."""
-    terms = {name: msgspec.to_builtins(each) for name, each in columns.items()}
+    terms = {name: msgspec.to_builtins(column) for name, column in columns.items()}
     names = {"total": "F"} | {n: n for n in ("communication", "balance", "move")}
-    if any(each["time"] for each in terms.values()):
+    if any(values["time"] for values in terms.values()):
         names["time"] = "time"
     rows = (
-        (says, *(f"{each[term]:.4g}" for each in terms.values()))
+        (says, *(f"{values[term]:.4g}" for values in terms.values()))
         for term, says in names.items()
     )
     return html_table(("", *terms), rows)

@@ -36,7 +36,9 @@ class PageState:
         view = self._reader.take(status, at)
         page["timers"] = timers = dict(_timers(status, view.timers))
         page["chains"] = {chain.name: _chain(chain, status) for chain in status.chains}
-        page["connectors"] = {each.name: _connector(each) for each in view.connectors}
+        page["connectors"] = {
+            connector.name: _connector(connector) for connector in view.connectors
+        }
         page["components"] = components = dict(_components(status))
         for timer in timers.values():
             component = components.get(timer["component"])  # None: it is being ended
@@ -227,7 +229,7 @@ def _ends(connector: str) -> tuple[str, str]:
 
 
 def _components(status: Status) -> Iterator[tuple[str, dict[str, Any]]]:
-    needs = {each.component: each.estimate for each in status.demand_estimates}
+    needs = {demand.component: demand.estimate for demand in status.demand_estimates}
     shown: Records = {
         name: {"at": computer, "state": "not there", "in": ""}
         for name, computer in status.placement.items()
@@ -262,12 +264,14 @@ def _computers(
     for name in sorted({*status.computers, *status.placement.values(), *unknown}):
         agent, load = status.computers.get(name), status.loads.get(name)
         age = status.ages.get(name)
-        here = [each for each in components.values() if each["at"] == name]
-        sure = [each.get("sure") or 0.0 for each in here]
+        here = [
+            component for component in components.values() if component["at"] == name
+        ]
+        sure = [component.get("sure") or 0.0 for component in here]
         each: dict[str, Any] = {
             "state": "not known" if name in unknown else "",
             "age": round(age) if age is not None and name in unknown else None,
-            "need": _round(sum(each.get("cpu", 0.0) for each in here)),
+            "need": _round(sum(component.get("cpu", 0.0) for component in here)),
             "sure": _round(math.hypot(*sure)),
             "memory": agent.memory if agent else 0,
         }
@@ -301,8 +305,8 @@ class RecentHistory:
         if second in self._moments or look.trouble:
             return
         self._moments[second] = {
-            "cpu": {n: _share(each) for n, each in page["computers"].items()},
-            "ages": {n: self._age(n, each) for n, each in page["chains"].items()},
+            "cpu": {n: _share(computer) for n, computer in page["computers"].items()},
+            "ages": {n: self._age(n, chain) for n, chain in page["chains"].items()},
             "late": _late(page),
         }
         while len(self._moments) > SPAN:
@@ -329,7 +333,7 @@ def _share(computer: dict[str, Any]) -> float | None:
 
 def _late(page: Page) -> float | None:
     """Return the largest share of deadlines that a timer misses now."""
-    shares = [each["now"] for each in page["timers"].values() if each["deadline"]]
+    shares = [timer["now"] for timer in page["timers"].values() if timer["deadline"]]
     known = [share for share in shares if share is not None]
     return max(known) if known else None
 
