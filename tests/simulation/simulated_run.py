@@ -28,9 +28,12 @@ from poise.simulation.faults import (
     inject,
     plan_faults,
 )
-from poise.simulation.rehearsal import not_well, unsettled
-from poise.simulation.robot.simulated_manager import ManagedRobot, SimulatedManager
-from poise.simulation.robot.simulated_robot import SimulatedRobot
+from poise.simulation.rehearsal import unsettled
+from poise.simulation.robot.simulated_robot import (
+    ManagedRobot,
+    SimulatedManager,
+    SimulatedRobot,
+)
 from poise.simulation.scheduler import ENGINE, SimulationError
 from poise.simulation.workload import SimulatedWork
 from poise.wire.records.request_records import Claim, Election, ManagerId
@@ -65,6 +68,8 @@ class Violation(SimulationError):
         self.invariant = invariant
 
 
+_ANSWERED = 0.01
+"""A manager answers within this time [s]."""
 UP_LIMIT = 30.0
 """A robot without faults is up within this time [s]."""
 CONVERGE_LIMIT = 5.0
@@ -408,6 +413,28 @@ class _Run:
 
         manager.ask(command, take)
         self._scheduler.at(self._scheduler.now + COMMAND_LIMIT, look)
+
+
+def not_well(robot: SimulatedRobot) -> list[str]:
+    """Return what is not as it is desired, or is said not to be."""
+    found, manager = unsettled(robot), robot.manager
+    if found or manager is None:
+        return found
+    said: list[str] = []
+    is_told: list[RobotStatus] = []
+
+    def take(status: RobotStatus) -> None:
+        is_told.append(status)
+        # a clock that jumped is said for a while, and so are many restarts
+        said.extend(
+            f"status says: {deviation.what}"
+            for deviation in status.deviations
+            if deviation.computer and not deviation.what.startswith("container '")
+        )
+
+    manager.ask_status(take)
+    robot.run(robot.scheduler.now + _ANSWERED)
+    return said if is_told else ["the manager does not say how it is"]
 
 
 def _lost(manager: SimulatedManager) -> frozenset[str]:

@@ -12,25 +12,16 @@ from msgspec import Struct
 
 from poise.errors import RunError
 from poise.estimate.profiles import Profile
-from poise.manage.control_socket.commands import (
-    MoveCommand,
-    Refusal,
-    Result,
-    RobotStatus,
-)
+from poise.manage.control_socket.commands import MoveCommand, Refusal, Result
 from poise.manage.migration.migration_report import MigrationReport
 from poise.model.robot import Robot
 from poise.simulation.choices import Choices
 from poise.simulation.faults import SimulatedFault, inject
-from poise.simulation.robot.simulated_manager import ManagedRobot
-from poise.simulation.robot.simulated_robot import OUTSIDE, SimulatedRobot
+from poise.simulation.robot.simulated_robot import OUTSIDE, ManagedRobot, SimulatedRobot
 from poise.simulation.scheduler import SimulationError
 from poise.simulation.simulation_observer import SimulationObserver
 from poise.simulation.simulation_report import SimulationReport
 from poise.simulation.workload import workload_of
-
-_ANSWERED = 0.01
-"""A manager answers within this time [s]."""
 
 
 def unsettled(robot: SimulatedRobot) -> list[str]:
@@ -47,28 +38,6 @@ def unsettled(robot: SimulatedRobot) -> list[str]:
     ]
     lost = sorted(manager.manager.lost())
     return found + [f"the manager takes '{name}' for lost" for name in lost]
-
-
-def not_well(robot: SimulatedRobot) -> list[str]:
-    """Return what is not as it is desired, or is said not to be."""
-    found, manager = unsettled(robot), robot.manager
-    if found or manager is None:
-        return found
-    said: list[str] = []
-    is_told: list[RobotStatus] = []
-
-    def take(status: RobotStatus) -> None:
-        is_told.append(status)
-        # a clock that jumped is said for a while, and so are many restarts
-        said.extend(
-            f"status says: {deviation.what}"
-            for deviation in status.deviations
-            if deviation.computer and not deviation.what.startswith("container '")
-        )
-
-    manager.ask_status(take)
-    robot.run(robot.scheduler.now + _ANSWERED)
-    return said if is_told else ["the manager does not say how it is"]
 
 
 UP_LIMIT = 60.0
