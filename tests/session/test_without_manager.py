@@ -140,7 +140,7 @@ def test_python_finds_it_too_and_its_errors_are_typed() -> None:
     robots = robots_here()
     assert robots[NAME] is not None
     says(SENTENCE, str(next(iter(listing({NAME: robots[NAME]})))))
-    look = LiveReader(NAME).look()
+    look = LiveReader(NAME).poll()
     assert look.status is not None
     assert look.status.placement == seen.placement
     says(SENTENCE, look.trouble)

@@ -81,10 +81,10 @@ def seen(
 
 def test_rates_are_differences_on_the_time_of_the_container() -> None:
     reader = Reader()
-    first = reader.take(seen(10.0, cpu=1.0, missed=5, sent=100), now=0.0)
+    first = reader.update(seen(10.0, cpu=1.0, missed=5, sent=100), now=0.0)
     assert first.components[0].cpu is None  # nothing to compare with yet
     # the second came late, after 3 s, and the container says that 2 s have passed
-    view = reader.take(seen(12.0, cpu=1.5, missed=9, sent=140), now=3.0)
+    view = reader.update(seen(12.0, cpu=1.5, missed=9, sent=140), now=3.0)
     assert view.components[0] == ComponentRow("eye", "left", "active", 0.25, 2.0, 1)
     assert view.connectors == (
         ConnectorRow("eye.x-mind.x", "local", True, 20.0, 2000.0, 5, 0),
@@ -96,7 +96,7 @@ def test_rates_are_means_of_the_last_seconds() -> None:
     reader = Reader()
     for second in range(10):
         sent = 10 * second if second < 5 else 40 + 100 * (second - 4)
-        view = reader.take(
+        view = reader.update(
             seen(float(second), cpu=0.0, missed=0, sent=sent), float(second)
         )
     assert SPAN < 4
@@ -105,16 +105,16 @@ def test_rates_are_means_of_the_last_seconds() -> None:
 
 def test_what_began_again_has_no_rate_below_nothing() -> None:
     reader = Reader()
-    reader.take(seen(10.0, cpu=9.0, missed=9, sent=900), 0.0)
-    view = reader.take(seen(11.0, cpu=0.1, missed=0, sent=3), 1.0)
+    reader.update(seen(10.0, cpu=9.0, missed=9, sent=900), 0.0)
+    view = reader.update(seen(11.0, cpu=0.1, missed=0, sent=3), 1.0)
     assert view.components[0].cpu == 0.0
     assert view.connectors[0].rate == 0.0
-    view = reader.take(seen(12.0, cpu=0.2, missed=0, sent=3, epoch=1), 2.0)
+    view = reader.update(seen(12.0, cpu=0.2, missed=0, sent=3, epoch=1), 2.0)
     assert view.components[0].cpu is None  # not yet known, and not 0 %
 
 
 def test_what_is_missing_is_shown_as_missing() -> None:
-    view = Reader().take(seen(1.0, cpu=0.0, missed=0, sent=0), 0.0)
+    view = Reader().update(seen(1.0, cpu=0.0, missed=0, sent=0), 0.0)
     assert view.components[1] == ComponentRow(
         "mind", "left", "not there", None, None, 0
     )
@@ -127,7 +127,7 @@ def test_what_is_missing_is_shown_as_missing() -> None:
 def test_components_of_a_computer_out_of_reach_are_unknown() -> None:
     status = seen(1.0, cpu=0.0, missed=0, sent=0)
     lost = shown(status.computers, out_of_reach={"left": 1.0})
-    assert Reader().take(lost, 0.0).components[0].state == "unknown"
+    assert Reader().update(lost, 0.0).components[0].state == "unknown"
 
 
 def test_a_stale_end_does_not_say_how_a_connector_is_now() -> None:
@@ -145,5 +145,5 @@ def test_a_stale_end_does_not_say_how_a_connector_is_now() -> None:
         status, computers={**status.computers, "right": right}, ages={"left": 9.0}
     )
     assert {end.kind for end in old} == {"local"}
-    (row,) = Reader().take(now, 0.0).connectors
+    (row,) = Reader().update(now, 0.0).connectors
     assert (row.kind, row.rate) == ("remote", None)

@@ -45,7 +45,7 @@ def drive(
         async with app.run_test(size=SIZE) as pilot:
             for turn in range(turns):
                 if turn:
-                    app._look()
+                    app._poll()
                 await app.workers.wait_for_complete()
                 await pilot.pause()
             await pilot.press(*keys)

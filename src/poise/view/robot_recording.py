@@ -218,7 +218,7 @@ class Recorder:
         self._connectors: dict[str, str] = {}
         """Connector -> why there is no answer; empty: there is."""
         for connector in connectors:
-            self._connectors[self._look_at(connector).connector] = ""
+            self._connectors[self._read_messages(connector).connector] = ""
 
     def record(
         self,
@@ -256,24 +256,24 @@ class Recorder:
             time.sleep(min(_LOOK_EVERY, max(0.0, began + seconds - time.monotonic())))
 
     def _read(self, file: McapFile, now: float, say: Say) -> None:
-        look = self._live.look()
-        if look.trouble:
+        seen = self._live.poll()
+        if seen.trouble:
             if self._silent_since is None:
                 self._silent_since = now
-                say(f"no answer, waiting up to {_PATIENCE:g} s: {look.trouble}")
+                say(f"no answer, waiting up to {_PATIENCE:g} s: {seen.trouble}")
             elif now - self._silent_since > _PATIENCE:
-                raise RunError(f"robot '{self.robot}' has ended: {look.trouble}")
+                raise RunError(f"robot '{self.robot}' has ended: {seen.trouble}")
             return
         if self._silent_since is not None:
             self._silent_since = None
             say(f"robot '{self.robot}' answers again")
-        assert look.status is not None  # noqa: S101, without trouble there is one
-        self._write_rows(file, look.status, now)
-        self._write_entries(file, look.status.manager.key, look.entries)
+        assert seen.status is not None  # noqa: S101, without trouble there is one
+        self._write_rows(file, seen.status, now)
+        self._write_entries(file, seen.status.manager.key, seen.entries)
         file.flush()
 
     def _write_rows(self, file: McapFile, status: Status, now: float) -> None:
-        view, at = self._reader.take(status, now), wall_time()
+        view, at = self._reader.update(status, now), wall_time()
         ages = tuple(
             ChainRow(
                 chain.name,
@@ -327,7 +327,7 @@ class Recorder:
         """Write its messages; say why there are none, and that there are some again."""
         why = ""
         try:
-            reading = self._look_at(connector)
+            reading = self._read_messages(connector)
         except PoiseError as error:
             why = str(error)
         else:
@@ -336,7 +336,7 @@ class Recorder:
             self._connectors[connector] = why
             say(why or f"connector '{connector}' is recorded again")
 
-    def _look_at(self, connector: str) -> TapReading:
+    def _read_messages(self, connector: str) -> TapReading:
         return self._live.running.look_at(
             connector, self._viewer, rate=self._rate, is_whole=True
         )

@@ -102,7 +102,7 @@ class Reader:
     def __init__(self) -> None:
         self._past: deque[tuple[float, Status]] = deque()
 
-    def take(self, status: Status, now: float) -> RobotView:
+    def update(self, status: Status, now: float) -> RobotView:
         """Return what is to be seen of a status that came at `now` [s]."""
         self._past.append((now, status))
         while len(self._past) > 2 and self._past[1][0] <= now - SPAN:  # noqa: PLR2004
@@ -263,7 +263,7 @@ MOST_ENTRIES = 500
 """How many decisions are kept."""
 
 
-class Look(Struct, frozen=True, kw_only=True):
+class LastSeen(Struct, frozen=True, kw_only=True):
     """How a robot was when it was last looked at."""
 
     at: float = 0.0  # When it was looked at [s since 1970]
@@ -281,11 +281,11 @@ class LiveReader:
     def __init__(self, robot: str | None = None) -> None:
         self.running = Running(robot)
         self._entries: deque[JournalEntry] = deque(maxlen=MOST_ENTRIES)
-        self._look = Look()
+        self._seen = LastSeen()
 
-    def look(self) -> Look:
+    def poll(self) -> LastSeen:
         """Return how the robot is; without an answer, how it was, and why."""
-        before = self._look
+        before = self._seen
         try:
             status = self.running.status()
             self.running.name = status.robot
@@ -295,14 +295,14 @@ class LiveReader:
             if status.by_agents:  # the journal is the manager's
                 first = status.deviations[0]
                 trouble, since = first.what, first.since
-                return self._note(Look(status=status, trouble=trouble, since=since))
+                return self._note(LastSeen(status=status, trouble=trouble, since=since))
             after = self._entries[-1].number if self._entries else 0
             self._entries.extend(self.running.journal(after))
         except PoiseError as error:
             since = before.since if before.trouble else wall_time()
             return self._note(replace(before, trouble=str(error), since=since))
-        return self._note(Look(status=status))
+        return self._note(LastSeen(status=status))
 
-    def _note(self, look: Look) -> Look:
-        self._look = replace(look, entries=tuple(self._entries), at=wall_time())
-        return self._look
+    def _note(self, seen: LastSeen) -> LastSeen:
+        self._seen = replace(seen, entries=tuple(self._entries), at=wall_time())
+        return self._seen

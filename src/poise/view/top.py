@@ -105,10 +105,10 @@ class Top(App[None]):
         yield Footer()
 
     def on_mount(self) -> None:
-        """Begin to look."""
+        """Begin to poll."""
         self.query_one("#components").focus()
-        self._look()
-        self.set_interval(self._every, self._look)
+        self._poll()
+        self.set_interval(self._every, self._poll)
 
     def action_sort(self) -> None:
         """Sort the table in focus by its next column."""
@@ -126,25 +126,25 @@ class Top(App[None]):
         name = getattr(self.focused, "id", None)
         return name if name in _COLUMNS else "components"
 
-    def _look(self) -> None:
-        """Look again, unless the last look still waits for its answer."""
+    def _poll(self) -> None:
+        """Read the robot, unless the last answer is still awaited."""
         now = time.monotonic()
         if self._asked_at is None:
             self._asked_at = now
-            self.run_worker(self._take, thread=True)
+            self.run_worker(self._read_status, thread=True)
         elif now - self._asked_at > _PATIENCE:
             self._silent = f"since {now - self._asked_at:.0f} s"
             self.query_one("#head").update(self._head())
 
-    def _take(self) -> None:
+    def _read_status(self) -> None:
         view, silent = None, ""
         try:
-            view = self._reader.take(self._read(), time.monotonic())
-        except Exception as error:  # noqa: BLE001, it is shown, and the next look is soon
+            view = self._reader.update(self._read(), time.monotonic())
+        except Exception as error:  # noqa: BLE001, it is shown, and the next poll is soon
             silent = str(error)
-        self.call_from_thread(self._came, view, silent)
+        self.call_from_thread(self._show_view, view, silent)
 
-    def _came(self, view: RobotView | None, silent: str) -> None:
+    def _show_view(self, view: RobotView | None, silent: str) -> None:
         self._view, self._silent = view or self._view, silent
         self._asked_at = None
         self._show()

@@ -15,7 +15,7 @@ from poise.view.dashboard.state import (
     changes,
     why,
 )
-from poise.view.robot_view import Look
+from poise.view.robot_view import LastSeen
 from poise.wire.records.request_records import ManagerId
 from poise.wire.records.status_records import (
     AgentStatus,
@@ -27,9 +27,9 @@ from poise.wire.records.status_records import (
 )
 
 
-def look(
+def seen(
     missed: int = 0, releases: int = 10, computer: str = "left", at: float = 1.0
-) -> Look:
+) -> LastSeen:
     timer = TimerStatus(
         name="tick",
         period=0.1,
@@ -62,11 +62,11 @@ def look(
         placement={"arm": computer, "lid-2": "right"},
         computers={computer: agent, other: empty},
     )
-    return Look(status=status)
+    return LastSeen(status=status)
 
 
 def test_every_component_is_on_its_computer() -> None:
-    page = PageState().of(look(), 0.0)
+    page = PageState().of(seen(), 0.0)
     assert {name: each["at"] for name, each in page["components"].items()} == {
         "arm": "left",
         "lid-2": "right",
@@ -79,17 +79,17 @@ def test_every_component_is_on_its_computer() -> None:
 
 def test_only_late_deadlines_of_the_last_seconds_count_as_late_now() -> None:
     state = PageState()
-    state.of(look(missed=5, releases=10, at=1.0), 0.0)
-    page = state.of(look(missed=5, releases=20, at=3.0), 2.0)
+    state.of(seen(missed=5, releases=10, at=1.0), 0.0)
+    page = state.of(seen(missed=5, releases=20, at=3.0), 2.0)
     assert page["timers"]["arm.tick"]["now"] == 0.0
     assert "late" not in page["components"]["arm"]
-    page = state.of(look(missed=10, releases=30, at=5.0), 4.0)
+    page = state.of(seen(missed=10, releases=30, at=5.0), 4.0)
     assert page["timers"]["arm.tick"]["now"] == pytest.approx(0.25)
     assert page["components"]["arm"]["late"] == pytest.approx(0.25)
 
 
 def test_a_component_that_is_being_ended_is_no_longer_placed() -> None:
-    known = look(missed=5)
+    known = seen(missed=5)
     assert known.status is not None
     gone = replace(known, status=replace(known.status, placement={"lid-2": "right"}))
     assert "arm" not in PageState().of(gone, 0.0)["components"]
@@ -97,13 +97,13 @@ def test_a_component_that_is_being_ended_is_no_longer_placed() -> None:
 
 def test_only_what_has_changed_is_sent() -> None:
     state = PageState()
-    before, same = state.of(look(), 0.0), state.of(look(), 0.0)
+    before, same = state.of(seen(), 0.0), state.of(seen(), 0.0)
     assert not changes(before, before)
     assert changes({}, before) == {part: r for part, r in before.items() if r}
-    status = look(computer="right").status
+    status = seen(computer="right").status
     assert status is not None
     right = {"right": status.computers["right"]}
-    after = state.of(Look(status=replace(status, computers=right)), 1.0)
+    after = state.of(LastSeen(status=replace(status, computers=right)), 1.0)
     differ = changes(same, after)
     assert differ["components"]["arm"]["at"] == "right"
     assert "lid-2" not in differ["components"]
@@ -130,12 +130,12 @@ def test_a_page_gets_the_latest_when_it_took_the_last_update() -> None:
 
 
 def test_a_robot_that_gives_no_answer_is_shown_as_it_was() -> None:
-    known = look()
-    gone = Look(status=known.status, trouble="no answer", since=5.0)
+    known = seen()
+    gone = LastSeen(status=known.status, trouble="no answer", since=5.0)
     page = PageState().of(gone, 0.0)
     assert page["robot"][""]["trouble"] == "no answer"
     assert "arm" in page["components"]
-    assert "components" not in PageState().of(Look(trouble="none runs"), 0.0)
+    assert "components" not in PageState().of(LastSeen(trouble="none runs"), 0.0)
 
 
 def test_a_decision_says_what_its_policy_saw_and_what_it_gains() -> None:
@@ -158,8 +158,8 @@ def test_a_decision_says_what_its_policy_saw_and_what_it_gains() -> None:
 
 def test_nothing_of_a_computer_that_is_silent_counts_as_fine_or_live() -> None:
     state = PageState()
-    state.of(look(missed=0, releases=10, at=1.0), 0.0)
-    known = look(missed=0, releases=20, at=2.0)
+    state.of(seen(missed=0, releases=10, at=1.0), 0.0)
+    known = seen(missed=0, releases=20, at=2.0)
     assert known.status is not None
     silent = replace(known, status=replace(known.status, ages={"left": 12.4}))
     page = state.of(silent, 1.0)
@@ -182,8 +182,8 @@ def test_the_history_has_a_moment_a_second_for_ten_minutes() -> None:
     for second in range(700):
         uses = 10 * second
         chain = {"uses": uses, "mean": 0.05, "deadline": 0.1, "known": second != 699}
-        history.note({**page, "chains": {"see": chain}}, Look(at=second + 0.1))
-        history.note({**page, "chains": {"see": chain}}, Look(at=second + 0.6))
+        history.note({**page, "chains": {"see": chain}}, LastSeen(at=second + 0.1))
+        history.note({**page, "chains": {"see": chain}}, LastSeen(at=second + 0.6))
     moments = history.moments()
     assert len(moments) == 600
     assert moments["698"] == {

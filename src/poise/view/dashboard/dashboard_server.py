@@ -19,7 +19,7 @@ from nicegui.events import GenericEventArguments
 from poise.clock import wall_time
 from poise.view.dashboard.dialogs import PageActions
 from poise.view.dashboard.state import Page, PageState, Updates
-from poise.view.robot_view import LiveReader, Look
+from poise.view.robot_view import LastSeen, LiveReader
 from poise.wire.credentials import CERTIFICATE, PRIVATE_KEY, Credentials
 
 Scope = MutableMapping[str, Any]
@@ -143,7 +143,7 @@ class Dashboard:
         self._reader = LiveReader(robot)
         self._state = PageState()
         self._page: Page = {}
-        self._look = Look()
+        self._seen = LastSeen()
         self._viewers: set[str] = set()
         self._is_watched = asyncio.Event()
 
@@ -153,11 +153,11 @@ class Dashboard:
             with contextlib.suppress(TimeoutError):  # so that the history has all
                 await asyncio.wait_for(self._is_watched.wait(), _UNWATCHED_EVERY)
             began = time.monotonic()
-            look = await run.io_bound(self._reader.look)
-            if look is None:  # the server ends
+            seen = await run.io_bound(self._reader.poll)
+            if seen is None:  # the server ends
                 return
-            self._look = look
-            self._page = self._state.of(look, began)
+            self._seen = seen
+            self._page = self._state.of(seen, began)
             await asyncio.sleep(max(0.0, EVERY - (time.monotonic() - began)))
             if not self._viewers:
                 self._is_watched.clear()
@@ -213,11 +213,11 @@ class Dashboard:
             self._viewers.discard(client)
 
     def _component(self, actions: PageActions, event: GenericEventArguments) -> None:
-        if self._look.status is not None:
+        if self._seen.status is not None:
             actions.show_component(str(event.args), self._page)
 
     def _entry(self, actions: PageActions, event: GenericEventArguments) -> None:
-        for entry in self._look.entries:
+        for entry in self._seen.entries:
             if entry.number == event.args:
                 actions.show_entry(entry)
 
@@ -281,7 +281,7 @@ def serve(
             await asyncio.sleep(_LOOK_EVERY)
         say(f"the dashboard is at {first}; Ctrl-C ends it")
         for other in others:
-            say(f"for who may only look: {other}")
+            say(f"for viewers: {other}")
 
     app.on_startup(lambda: background_tasks.create(say_where(), name="where"))
     ui.page("/", title=f"Poise: {robot}" if robot else "Poise")(dashboard.build)

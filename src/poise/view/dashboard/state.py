@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 from poise.session.running_robots.running import ChainReport, JournalEntry, Status
-from poise.view.robot_view import ConnectorRow, Look, Reader, TimerRow, containers
+from poise.view.robot_view import ConnectorRow, LastSeen, Reader, TimerRow, containers
 
 Records = dict[str, dict[str, Any]]
 Page = dict[str, Records]
@@ -27,13 +27,13 @@ class PageState:
         self._reader = Reader()
         self._history = RecentHistory()
 
-    def of(self, look: Look, at: float) -> Page:
+    def of(self, seen: LastSeen, at: float) -> Page:
         """Return the state."""
-        page: Page = {"robot": {"": _robot(look)}, "entries": _entries(look)}
-        status = look.status
+        page: Page = {"robot": {"": _robot(seen)}, "entries": _entries(seen)}
+        status = seen.status
         if status is None:
             return page
-        view = self._reader.take(status, at)
+        view = self._reader.update(status, at)
         page["timers"] = timers = dict(_timers(status, view.timers))
         page["chains"] = {chain.name: _chain(chain, status) for chain in status.chains}
         page["connectors"] = {
@@ -45,7 +45,7 @@ class PageState:
             if component and timer["deadline"] is not None and timer["now"]:
                 component["late"] = max(component.get("late", 0.0), timer["now"])
         page["computers"] = dict(_computers(status, components))
-        self._history.note(page, look)
+        self._history.note(page, seen)
         page["history"] = self._history.moments()
         return page
 
@@ -92,9 +92,9 @@ class Updates:
         return differ
 
 
-def _robot(look: Look) -> dict[str, Any]:
-    status = look.status
-    shown: dict[str, Any] = {"trouble": look.trouble, "since": look.since}
+def _robot(seen: LastSeen) -> dict[str, Any]:
+    status = seen.status
+    shown: dict[str, Any] = {"trouble": seen.trouble, "since": seen.since}
     if status is not None:
         shown |= {
             "name": status.robot,
@@ -120,7 +120,7 @@ def _task(report: Any) -> dict[str, Any]:  # noqa: ANN401, `view` does not impor
     }
 
 
-def _entries(look: Look) -> Records:
+def _entries(seen: LastSeen) -> Records:
     return {
         str(entry.number): {
             "number": entry.number,
@@ -129,7 +129,7 @@ def _entries(look: Look) -> Records:
             "what": entry.what,
             "why": why(entry),
         }
-        for entry in look.entries[-MOST_SHOWN:]
+        for entry in seen.entries[-MOST_SHOWN:]
     }
 
 
@@ -299,10 +299,10 @@ class RecentHistory:
         self._moments: Records = {}
         self._before: dict[str, tuple[int, float]] = {}
 
-    def note(self, page: Page, look: Look) -> None:
+    def note(self, page: Page, seen: LastSeen) -> None:
         """Note how a page is, unless that was done within this second already."""
-        second = str(int(look.at))
-        if second in self._moments or look.trouble:
+        second = str(int(seen.at))
+        if second in self._moments or seen.trouble:
             return
         self._moments[second] = {
             "cpu": {n: _share(computer) for n, computer in page["computers"].items()},
