@@ -40,14 +40,14 @@ def _files(component: ComponentEntry, folder: Path) -> set[Path]:
     if component.command:
         words = [shutil.which(component.command[0]) or "", *component.command[1:]]
         return {folder / word for word in words if word and (folder / word).is_file()}
-    found: set[Path] = set()
+    files: set[Path] = set()
     waiting = [component.implementation.partition(":")[0]]
-    while waiting and len(found) < _MOST_FILES:
+    while waiting and len(files) < _MOST_FILES:
         for file in _sources(waiting.pop(), folder):
-            if file not in found:
-                found.add(file)
+            if file not in files:
+                files.add(file)
                 waiting += _imports(file, folder)
-    return found
+    return files
 
 
 def _sources(module: str, folder: Path) -> Iterator[Path]:
@@ -80,8 +80,8 @@ def _import_statements(
         tree = ast.parse(file.read_bytes())
     except (SyntaxError, ValueError):
         return ()
-    found = (ast.Import, ast.ImportFrom)
-    return tuple(node for node in ast.walk(tree) if isinstance(node, found))
+    imports = (ast.Import, ast.ImportFrom)
+    return tuple(node for node in ast.walk(tree) if isinstance(node, imports))
 
 
 def _base(node: ast.ImportFrom, file: Path, folder: Path) -> str:

@@ -51,13 +51,13 @@ def kinds_together(robot: Robot) -> dict[str, str]:
     The components of one architecture share a container, unless one is isolated or a
     command.
     """
-    found = {str(connector): "local" for connector in robot.connectors}
+    kinds = {str(connector): "local" for connector in robot.connectors}
     for architecture in robot.architectures:
         alone = {c.name for c in architecture.components if _is_alone(c)}
         for connector in architecture.connectors:
             ends = {end.component for end in connector.between}
-            found[str(connector)] = "local" if ends & alone else "direct"
-    return found
+            kinds[str(connector)] = "local" if ends & alone else "direct"
+    return kinds
 
 
 def declared(connector: Connector) -> ConnectorProfile:

@@ -148,7 +148,7 @@ def _quantity(match: re.Match[str]) -> tuple[float, _Kind]:
 
 
 def _names(record: type[Struct], choices: Mapping[str, tuple[str, ...]]) -> Names:
-    found = {}
+    kinds = {}
     for name, key in keys_of(record).items():
         kind: types.Type = key.kind
         dimension: Dimension | None = None
@@ -156,15 +156,15 @@ def _names(record: type[Struct], choices: Mapping[str, tuple[str, ...]]) -> Name
             dimension = dimension or (kind.extra or {}).get("dimension")
             kind = kind.type
         if isinstance(kind, types.BoolType):
-            found[name] = _TRUTH
+            kinds[name] = _TRUTH
         elif isinstance(kind, types.LiteralType):
-            found[name] = _Kind("text", choices=tuple(map(str, kind.values)))
+            kinds[name] = _Kind("text", choices=tuple(map(str, kind.values)))
         elif isinstance(kind, types.StrType):
-            found[name] = _Kind("text", choices=choices.get(name, ()))
+            kinds[name] = _Kind("text", choices=choices.get(name, ()))
         else:
             of = dimension or units.NUMBER
-            found[name] = _Kind("number", frozenset((of.name,)))
-    return found
+            kinds[name] = _Kind("number", frozenset((of.name,)))
+    return kinds
 
 
 class _Compiler:

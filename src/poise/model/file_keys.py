@@ -118,22 +118,22 @@ class FileKey(Struct, frozen=True):
 @cache
 def keys_of(record: type[Struct]) -> Mapping[str, FileKey]:
     """Return the keys of a record in the file, by name."""
-    found: dict[str, FileKey] = {}
+    keys: dict[str, FileKey] = {}
     for field in types.type_info(record).fields:  # type: ignore[attr-defined]
         if not isinstance(field.type, types.Metadata):
             continue
         notes = field.type.extra or {}
         if "entries" in notes:
             for name, entry in keys_of(notes["entries"]).items():
-                found[name] = structs.replace(entry, field=field.name, is_entry=True)
+                keys[name] = structs.replace(entry, field=field.name, is_entry=True)
         elif "says" in notes:
-            found[notes.get("key", field.name)] = FileKey(
+            keys[notes.get("key", field.name)] = FileKey(
                 field.name,
                 field.type,
                 field.default,
                 field.required or "is_required" in notes,
             )
-    return found
+    return keys
 
 
 PortKind = Literal["provides", "requires", "publishes", "subscribes"]

@@ -316,8 +316,8 @@ class Seen(Struct, frozen=True, kw_only=True):
 
     def of(self, subject: Subject) -> tuple[Values, ...]:
         """Return the values of all subjects of a kind."""
-        found: tuple[Values, ...] = getattr(self, f"{subject}s")
-        return found
+        values: tuple[Values, ...] = getattr(self, f"{subject}s")
+        return values
 
 
 class PolicyAction(Struct, frozen=True, kw_only=True):
@@ -362,9 +362,9 @@ def shipped() -> tuple[Policy, ...]:
     root = parse(text, str(FILE), problems)
     if root is not None:
         top = Node(root.place, {"policies": root})
-        found = validate(top, msgspec.inspect.type_info(_Shipped), problems)
+        valid = validate(top, msgspec.inspect.type_info(_Shipped), problems)
         if not problems:
-            return msgspec.convert(found, _Shipped).policies
+            return msgspec.convert(valid, _Shipped).policies
     raise RobotError(problems=problems)
 
 
@@ -374,10 +374,12 @@ def policies_of(written: Iterable[Policy]) -> tuple[Policy, ...]:
     What a policy of the robot file does not give is that of the shipped one of its
     name, or a default.
     """
-    found = {policy.name: policy for policy in shipped()}
+    policies = {policy.name: policy for policy in shipped()}
     for own in written:
-        found[own.name] = _changed(found.get(own.name, Policy(name=own.name)), own)
-    return tuple(map(_whole, found.values()))
+        policies[own.name] = _changed(
+            policies.get(own.name, Policy(name=own.name)), own
+        )
+    return tuple(map(_whole, policies.values()))
 
 
 def _changed(policy: Policy, by: Policy) -> Policy:

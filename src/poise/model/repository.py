@@ -115,13 +115,15 @@ def with_repository(
     functions = {a.function for a in robot.architectures}
     if not robot.repository and wanted_by(robot) <= functions:
         return robot, Repository()
-    found = search(robot.repository, problems, _items(root, "repository"))
-    found = replace(found, offers=tuple(_fitting(robot, _wanted(robot, found.offers))))
-    used = [offer for offer in found.offers if not offer.unused]
+    repository = search(robot.repository, problems, _items(root, "repository"))
+    repository = replace(
+        repository, offers=tuple(_fitting(robot, _wanted(robot, repository.offers)))
+    )
+    used = [offer for offer in repository.offers if not offer.unused]
     nodes = _entries(root, "architectures")
     nodes.update({offer.architecture.name: offer.node for offer in used})
     chosen = tuple(offer.architecture for offer in used)
-    return replace(robot, architectures=(*robot.architectures, *chosen)), found
+    return replace(robot, architectures=(*robot.architectures, *chosen)), repository
 
 
 def wanted_by(robot: Robot) -> set[str]:
@@ -229,11 +231,11 @@ def _yaml_files(place: Place, problems: list[FileProblem]) -> list[Path]:
 
 def _installed(problems: list[FileProblem]) -> Iterator[Place]:
     """Yield the folders of installed packages, by the names of the packages."""
-    found = {
+    points = {
         (f"{point.dist.name} {point.dist.version}" if point.dist else point.name, point)
         for point in entry_points(group=GROUP)
     }
-    for package, point in sorted(found):
+    for package, point in sorted(points):
         named = Location(f"package {package}", 0, 0)
         if folder := _folder_of(point):
             yield Place(str(folder), named, package)

@@ -311,8 +311,8 @@ def _replace(lines: dict[str, list[str]], at: Location, key: str, value: str) ->
     line = lines[at.file][at.line - 1]
     head, tail = line[: at.column - 1], line[at.column - 1 :]
     pattern = rf"(\"{key}\"|'{key}'|{key}){_VALUE}"
-    found = re.sub(pattern, lambda m: f"{m[1]}{m[2]}{value}", tail, count=1)
-    lines[at.file][at.line - 1] = head + found
+    changed = re.sub(pattern, lambda m: f"{m[1]}{m[2]}{value}", tail, count=1)
+    lines[at.file][at.line - 1] = head + changed
 
 
 def _insert(

@@ -208,9 +208,9 @@ def _tagged(node: Node, kinds: Sequence[types.Type], where: Where) -> Value:
         )
     present = [key for key in node.value if key in tags]
     if len(present) != 1:
-        found = " and ".join(map(quoted, present or node.value)) or "nothing"
+        keys = " and ".join(map(quoted, present or node.value)) or "nothing"
         likely = "" if present else _likely(node.value, tags)
-        return where.wrong(f"has {found}{likely}; it takes one of {listed(tags)}")
+        return where.wrong(f"has {keys}{likely}; it takes one of {listed(tags)}")
     return _value(node, tags[present[0]], where)
 
 

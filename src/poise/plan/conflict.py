@@ -120,10 +120,10 @@ def conflict(
     one, or when `stop` says that it is enough.
     """
     oracle = Oracle(stop, share)
-    found = _infeasible_subset(problem, oracle)
-    if found is None:
+    subset = _infeasible_subset(problem, oracle)
+    if subset is None:
         return None
-    part, limits, irreducible = found
+    part, limits, irreducible = subset
     relaxation = Relaxation(oracle, lambda p: _infeasible_subset(p, oracle))
     raises = relaxation.find(problem, limits)
     return Conflict(

@@ -91,13 +91,13 @@ def _cheapest_first(computers: tuple[Computer, ...], attempt: Try) -> Smallest:
     proven = True
     every = tuple(h.name for h in computers)
     for kept in _by_price(computers):
-        found = attempt(kept)
-        if found is None:
+        result = attempt(kept)
+        if result is None:
             continue
-        if found.feasible or kept == every:
-            return found._replace(proven=proven)
-        proven = proven and found.proven
-        if found.stopped_by == "interrupted":
+        if result.feasible or kept == every:
+            return result._replace(proven=proven)
+        proven = proven and result.proven
+        if result.stopped_by == "interrupted":
             break
     whole = attempt(every)
     assert whole is not None  # noqa: S101 - of all computers none was dropped
@@ -130,7 +130,7 @@ def _drop_one_by_one(computers: tuple[Computer, ...], attempt: Try) -> Smallest:
         kept = best.computers
         if len(kept) == 1 or not best.feasible or best.stopped_by == "interrupted":
             break
-        found = attempt(tuple(name for name in kept if name != computer.name))
-        if found is not None and found.feasible:
-            best = found
+        smaller = attempt(tuple(name for name in kept if name != computer.name))
+        if smaller is not None and smaller.feasible:
+            best = smaller
     return best._replace(proven=False)

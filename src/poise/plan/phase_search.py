@@ -265,11 +265,11 @@ class PhaseSearch:
         if not result.placement:
             return None
         snapshot = Snapshot(keep_components(self._problems[name], result.placement))
-        found = _of(snapshot, snapshot.arrays.placed(result.placement), result.choice)
+        moved = _of(snapshot, snapshot.arrays.placed(result.placement), result.choice)
         if name not in held:
-            return found
+            return moved
         now = self._cost({name: held[name]}, held)
-        return found if self._cost({name: found}, held) < now else held[name]
+        return moved if self._cost({name: moved}, held) < now else held[name]
 
     def _some_beside(self, names: Sequence[str], random: Random) -> list[str]:
         """Return two or three phases of which each is beside another one."""
@@ -306,14 +306,14 @@ class PhaseSearch:
         seconds = max(0.0, min(effort.seconds, left))
         answer = effort._replace(seconds=seconds, seed=seed).search(core, known)
         self.interrupted |= answer.stopped_by == "interrupted"
-        placed, found = answer.placed, dict[str, Result]()
+        placed, results = answer.placed, dict[str, Result]()
         for name in names:
             count = len(held[name].placed)
             here, placed = placed[:count], placed[count:]
             if not held[name].snapshot.core.feasible(here):
                 return {}
-            found[name] = _of(held[name].snapshot, here, held[name].choice)
-        return found
+            results[name] = _of(held[name].snapshot, here, held[name].choice)
+        return results
 
     def _between(
         self, names: Sequence[str], held: Solution

@@ -218,11 +218,11 @@ class Relaxation:
             if not lifted:
                 return {}
             chosen += lifted
-            found = self._conflicts(relaxed(problem, dict.fromkeys(chosen, inf)))
+            conflicts = self._conflicts(relaxed(problem, dict.fromkeys(chosen, inf)))
             limits = [
                 limit
                 for limit in limits_of(problem)
-                if found and any(limit.covers(other) for other in found[1])
+                if conflicts and any(limit.covers(other) for other in conflicts[1])
                 if limit not in chosen
             ]
         return self._with_less(problem, chosen)

@@ -303,8 +303,8 @@ class Result:
         if suspended and self.choice.architectures:
             return None
         problems = problem, *self.choice.others
-        found = [conflict(part, stop, 1.0 / len(problems)) for part in problems]
-        known = [c for c in found if c is not None]
+        conflicts = [conflict(part, stop, 1.0 / len(problems)) for part in problems]
+        known = [c for c in conflicts if c is not None]
         # of several ways out the cheapest, whichever alternative it is for
         self._conflict = min(
             known,
@@ -312,7 +312,7 @@ class Result:
             default=None,
         )
         is_all = bool(self.choice.others) or not self.choice.architectures
-        if is_all and not self._complete and len(known) == len(found):
+        if is_all and not self._complete and len(known) == len(conflicts):
             self.proven, self.stopped_by = True, "infeasible"
         return self._conflict
 
@@ -422,8 +422,8 @@ class Result:
         )
 
 
-def _sentence(found: Conflict) -> str:
-    names, limits = ", ".join(found.components), "; ".join(found.limits)
+def _sentence(conflict: Conflict) -> str:
+    names, limits = ", ".join(conflict.components), "; ".join(conflict.limits)
     if not limits.startswith(names):
         limits = f"{names} cannot hold together: {limits}"
-    return f"{limits}. It would fit with {found.relaxation}"
+    return f"{limits}. It would fit with {conflict.relaxation}"

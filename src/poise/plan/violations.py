@@ -229,18 +229,18 @@ def _overloaded(arrays: Arrays, placed: Placed) -> Iterator[str]:
 def late(arrays: Arrays, placed: Placed) -> dict[str, Late]:
     """Return the time limits that are broken and must be kept, by name."""
     load = loads(arrays, placed) if arrays.times is not None else []
-    found: dict[str, Late] = {}
+    broken: dict[str, Late] = {}
     for i, takes in enumerate(seconds(arrays, placed, load)):
         limit = arrays.problem.time_limits[i]
         if limit.price > 0 or fits(takes, limit.limit):
             continue
         needs = "takes at least" if -1 in placed else "takes"
-        found[limit.name] = Late(
+        broken[limit.name] = Late(
             takes,
             f"time limit {limit.name!r}: {needs} {format_seconds(takes)}, "
             f"limit {format_seconds(limit.limit)}{_most(arrays, placed, load, i)}",
         )
-    return found
+    return broken
 
 
 def _most(arrays: Arrays, placed: Placed, load: list[float], limit: int) -> str:

@@ -244,18 +244,18 @@ def predict_times(
     robots = [PlacedComponents(robot, placement, work, seed) for seed in range(_ROBOTS)]
     for simulated in robots:
         simulated.run(simulated.now + seconds)
-    found = {chain: _chain(chain, robots, placement) for chain in chains}
-    if None in found.values():
+    predictions = {chain: _chain(chain, robots, placement) for chain in chains}
+    if None in predictions.values():
         free = PlacedComponents(_uncrowded(robot, len(placement)), placement, work)
         free.run(free.now + seconds)
-        found |= {
+        predictions |= {
             unplaced: _stuck(_chain(unplaced, [free], placement), seconds)
-            for unplaced, predicted in found.items()
+            for unplaced, predicted in predictions.items()
             if predicted is None
         }
     return PredictedTimes(
-        chains=tuple(p for p in found.values() if p is not None),
-        unknown=tuple(c.name for c, known in found.items() if known is None),
+        chains=tuple(p for p in predictions.values() if p is not None),
+        unknown=tuple(c.name for c, known in predictions.items() if known is None),
         timers=tuple(_timers(robots, placement)),
         guesses=work.guesses,
     )

@@ -31,13 +31,13 @@ def unsettled(robot: SimulatedRobot) -> list[str]:
         why = robot.managers[-1].error if robot.managers else None
         return [f"no manager is up ({why or 'it starts'})"]
     working = robot.working()
-    found = [
+    misplaced = [
         f"'{name}' works on {' and '.join(working.get(name, ['nothing']))}, not '{at}'"
         for name, at in sorted(manager.run.placement().items())
         if working.get(name) != [at]
     ]
     lost = sorted(manager.manager.lost())
-    return found + [f"the manager takes '{name}' for lost" for name in lost]
+    return misplaced + [f"the manager takes '{name}' for lost" for name in lost]
 
 
 UP_LIMIT = 60.0

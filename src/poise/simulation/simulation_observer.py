@@ -76,11 +76,11 @@ class SimulationObserver:
 
     def loads(self) -> tuple[SimulatedLoad, ...]:
         """Return how busy each computer was."""
-        found = []
+        loads = []
         for name, computer in self._robot.computers.items():
             cores, series = computer.cpu.cores, self._loads[name]
             known = next(c for c in self._robot.robot.computers if c.name == name)
-            found.append(
+            loads.append(
                 SimulatedLoad(
                     computer=name,
                     capacity=cores,
@@ -91,17 +91,17 @@ class SimulationObserver:
                     over_time=series.points(),
                 )
             )
-        return tuple(found)
+        return tuple(loads)
 
     def timers(self) -> tuple[TimerMisses, ...]:
         """Return how all timers kept their rates, over all incarnations."""
-        found: dict[tuple[str, str], list[float | None]] = {}
+        sums_of: dict[tuple[str, str], list[float | None]] = {}
         for component in self._robot.components:
             before = self._before.get(id(component), {})
             for timer in component.status().timers:
                 due, missed = before.get(timer.name, (0, 0))
                 key = component.spec.name, timer.name
-                sums = found.setdefault(key, [timer.period, timer.deadline, 0, 0])
+                sums = sums_of.setdefault(key, [timer.period, timer.deadline, 0, 0])
                 sums[2] = (sums[2] or 0) + timer.releases - due
                 sums[3] = (sums[3] or 0) + timer.missed - missed
         return tuple(
@@ -114,13 +114,13 @@ class SimulationObserver:
                 missed=int(missed or 0),
             )
             for (component, timer), (period, deadline, due, missed) in sorted(
-                found.items()
+                sums_of.items()
             )
         )
 
     def chains(self) -> tuple[SimulatedChain, ...]:
         """Return how old the data at the end of each chain was."""
-        found = []
+        chains = []
         for chain in self._robot.robot.chains:
             ages: list[Summary] = []
             missed = 0
@@ -134,7 +134,7 @@ class SimulationObserver:
                         missed += status.missed - before.get(status.name, (0, 0))[1]
             uses = sum(age.count for age in ages)
             if uses:
-                found.append(
+                chains.append(
                     SimulatedChain(
                         name=chain.name,
                         deadline=chain.deadline,
@@ -145,7 +145,7 @@ class SimulationObserver:
                         maximum=max(age.maximum for age in ages),
                     )
                 )
-        return tuple(found)
+        return tuple(chains)
 
     def moves(self) -> tuple[SimulatedMove, ...]:
         """Return what was moved or restarted elsewhere."""
@@ -312,8 +312,8 @@ class _LoadSeries:
 
 def functions_of(robot: Robot) -> dict[str, set[str]]:
     """Return function -> the components of all architectures that provide it."""
-    found: dict[str, set[str]] = {}
+    functions: dict[str, set[str]] = {}
     for architecture in robot.architectures:
         names = {component.name for component in architecture.components}
-        found.setdefault(architecture.function, set()).update(names)
-    return found
+        functions.setdefault(architecture.function, set()).update(names)
+    return functions

@@ -281,13 +281,13 @@ class _ComponentWork:
 
     def _keeps(self) -> dict[str, int]:
         """Return slot -> how many messages wait at most, where the class says so."""
-        found = {}
+        kept = {}
         for connector in self._robot.all_connectors():
             end = connector.between[1]
             keep = self._code.keep.get(end.port) if self._code else None
             if keep is not None and end.component == self._entry.name:
-                found[self._plan.slot_of(connector)] = keep
-        return found
+                kept[self._plan.slot_of(connector)] = keep
+        return kept
 
     def _share_work(self, timers: list[_Rated], others: list[_Rated]) -> None:
         """Let all handlers together take the CPU that the component takes.

@@ -412,11 +412,11 @@ def matches(pattern: str, key: str) -> bool:
     """Return whether a key is among those of a pattern with `*`, or `**` at its end."""
     if pattern == key:
         return True
-    wanted, found = pattern.split("/"), key.split("/")
+    wanted, words = pattern.split("/"), key.split("/")
     if wanted[-1] == "**":
-        return found[: len(wanted) - 1] == wanted[:-1]
-    return len(wanted) == len(found) and all(
-        w in {"*", f} for w, f in zip(wanted, found, strict=True)
+        return words[: len(wanted) - 1] == wanted[:-1]
+    return len(wanted) == len(words) and all(
+        w in {"*", f} for w, f in zip(wanted, words, strict=True)
     )
 
 

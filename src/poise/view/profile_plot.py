@@ -54,10 +54,10 @@ _NO_DATE: dict[str, Any] = {"Date": None}
 
 
 def _draw_cpu(axes: Any, profile: Profile) -> None:  # noqa: ANN401, of a library
-    found = sorted(profile.components.items(), key=lambda entry: entry[1].cpu.mean)
-    found = found[-_MOST_ROWS:]
-    names = [name for name, _ in found]
-    cpus = [component.cpu for _, component in found]
+    largest = sorted(profile.components.items(), key=lambda entry: entry[1].cpu.mean)
+    largest = largest[-_MOST_ROWS:]
+    names = [name for name, _ in largest]
+    cpus = [component.cpu for _, component in largest]
     axes.barh(
         names,
         [100 * cpu.mean for cpu in cpus],
@@ -70,40 +70,40 @@ def _draw_cpu(axes: Any, profile: Profile) -> None:  # noqa: ANN401, of a librar
         ("p99 of 100 ms", ":", [cpu.p99 for cpu in cpus]),
         ("peak of 100 ms", ">", [cpu.peak for cpu in cpus]),
         ("p95 of 2 s", "s", [cpu.sustained for cpu in cpus]),
-        ("demand", "D", [cpu_demand(component) for _, component in found]),
+        ("demand", "D", [cpu_demand(component) for _, component in largest]),
     ):
         marker = {"marker": "." if mark == ":" else mark, "linestyle": "none"}
         axes.plot([100 * v for v in values], names, label=label, **marker)
-    unstable = [name for name, component in found if not component.stable]
+    unstable = [name for name, component in largest if not component.stable]
     title = f"; not stable: {', '.join(unstable)}" if unstable else ""
     _label(axes, f"CPU{title}", "% of a core of the reference computer")
 
 
 def _draw_memory(axes: Any, profile: Profile) -> None:  # noqa: ANN401, as above
-    found = sorted(profile.components.items(), key=lambda e: memory_demand(e[1]))
-    found = found[-_MOST_ROWS:]
-    names = [name for name, _ in found]
-    own = [component.memory / _MIB for _, component in found]
-    base = [component.base / _MIB for _, component in found]
+    largest = sorted(profile.components.items(), key=lambda e: memory_demand(e[1]))
+    largest = largest[-_MOST_ROWS:]
+    names = [name for name, _ in largest]
+    own = [component.memory / _MIB for _, component in largest]
+    base = [component.base / _MIB for _, component in largest]
     axes.barh(names, own, color="tab:green", label="own, at most")
     axes.barh(names, base, left=own, color="tab:gray", label="part of the container")
-    states = [component.state / _MIB for _, component in found]
+    states = [component.state / _MIB for _, component in largest]
     axes.plot(states, names, "k|", label="snapshot")
     _label(axes, "Memory", "MiB")
 
 
 def _draw_timers(axes: Any, profile: Profile) -> None:  # noqa: ANN401, as above
-    found = [
+    timers = [
         (f"{name}.{timer}", times)
         for name, component in profile.components.items()
         for timer, times in component.timers.items()
     ][-_MOST_ROWS:]
-    names = [name for name, _ in found]
-    axes.barh(names, [1e3 * t.median for _, t in found], label="median")
-    axes.plot([1e3 * t.p99 for _, t in found], names, "k|", label="p99")
-    axes.plot([1e3 * t.maximum for _, t in found], names, "r.", label="longest")
-    axes.plot([1e3 * t.period for _, t in found], names, "kx", label="period")
-    if found:
+    names = [name for name, _ in timers]
+    axes.barh(names, [1e3 * t.median for _, t in timers], label="median")
+    axes.plot([1e3 * t.p99 for _, t in timers], names, "k|", label="p99")
+    axes.plot([1e3 * t.maximum for _, t in timers], names, "r.", label="longest")
+    axes.plot([1e3 * t.period for _, t in timers], names, "kx", label="period")
+    if timers:
         axes.set_xscale("log")
     _label(axes, "Execution time of timers", "ms")
 
@@ -113,10 +113,10 @@ def _draw_connectors(
     profile: Profile,
     overheads: Mapping[str, float],
 ) -> None:
-    found = sorted(profile.connectors.items(), key=lambda entry: entry[1].traffic)
-    found = found[-_MOST_ROWS:]
-    names = [name for name, _ in found]
-    traffic = [connector.traffic / 1e3 for _, connector in found]
+    largest = sorted(profile.connectors.items(), key=lambda entry: entry[1].traffic)
+    largest = largest[-_MOST_ROWS:]
+    names = [name for name, _ in largest]
+    traffic = [connector.traffic / 1e3 for _, connector in largest]
     axes.barh(names, traffic, color="tab:purple", label="traffic [kB/s]")
     unit = "0.01 cores" if profile.costs else "MB/s"
     values = [overheads.get(name, 0.0) for name in names]

@@ -79,14 +79,14 @@ def check_demands(robot: Robot) -> Iterator[Finding]:
     """Yield the demands that are larger than every computer that is allowed."""
     hosts = allowed_computers(robot)
     largest = _Largest(robot.computers)
-    found: dict[str, list[Finding]] = {a.name: [] for a in robot.architectures}
+    findings: dict[str, list[Finding]] = {a.name: [] for a in robot.architectures}
     for path, architecture, component in components(robot):
         if allowed := hosts[component.name]:
-            found[architecture.name] += _too_large(path, component, allowed, largest)
-    can = {a.function for a in robot.architectures if not found[a.name]}
+            findings[architecture.name] += _too_large(path, component, allowed, largest)
+    can = {a.function for a in robot.architectures if not findings[a.name]}
     for architecture in robot.architectures:
         if architecture.function not in can:
-            yield from found[architecture.name]
+            yield from findings[architecture.name]
 
 
 class _Largest(dict[tuple[Names, str], Computer]):
@@ -99,9 +99,9 @@ class _Largest(dict[tuple[Names, str], Computer]):
     def __missing__(self, key: tuple[Names, str]) -> Computer:
         names, resource = key
         allowed = (known for known in self._computers if known.name in names)
-        found = max(allowed, key=lambda computer: computer.usable(resource))
-        self[key] = found
-        return found
+        largest = max(allowed, key=lambda computer: computer.usable(resource))
+        self[key] = largest
+        return largest
 
 
 def _too_large(

@@ -136,13 +136,13 @@ def check_ports(robot: Robot, ports: Ports) -> Iterator[Finding]:
         if connector.topic:
             continue  # ROS 2 joins them
         between: Path = (*path, "between")
-        found = [_find(end, ports) for end in connector.between]
+        joined = [_find(end, ports) for end in connector.between]
         for index, end in enumerate(connector.between):
-            if end.component in ports and found[index] is None:
+            if end.component in ports and joined[index] is None:
                 message = no_such_port(end, ports[end.component])
                 yield Finding((*between, index), message)
-        yield from _misfit(between, connector, found)
-        if found[0] is not None and found[0].kind == "requires":
+        yield from _misfit(between, connector, joined)
+        if joined[0] is not None and joined[0].kind == "requires":
             caller = str(connector.between[0])
             for other in served.setdefault(caller, []):
                 if not _are_alternatives(robot, connector, other):
@@ -208,12 +208,12 @@ def no_such_port(end: ConnectorEnd, ports: Mapping[str, KnownPort]) -> str:
 
 
 def _misfit(
-    path: Path, connector: Connector, found: list[KnownPort | None]
+    path: Path, connector: Connector, ports: list[KnownPort | None]
 ) -> Iterator[Finding]:
-    first, second = found
+    first, second = ports
     wrong_way = [
         index
-        for index, port in enumerate(found)
+        for index, port in enumerate(ports)
         if port is not None and (port.kind in _FIRST) != (index == 0)
     ]
     if first and second and OPPOSITE[first.kind] != second.kind:

@@ -184,18 +184,18 @@ def _bridge(
 
 
 def ros2_environment(robot: Robot) -> dict[str, str]:
-    """Return the environment variables with which its nodes find each other."""
-    network, found = robot.ros2, {}
+    """Return the environment variables with which its variables find each other."""
+    network, variables = robot.ros2, {}
     if network.domain is not None:
-        found["ROS_DOMAIN_ID"] = str(network.domain)
+        variables["ROS_DOMAIN_ID"] = str(network.domain)
     discovery = network.discovery
     if discovery == "computers" and not robot.is_emulated:
         addresses = [c.address for c in robot.computers if c.address is not None]
         peers = (Endpoint.parse(address).host for address in addresses)
-        found["ROS_STATIC_PEERS"] = ";".join(peers)
+        variables["ROS_STATIC_PEERS"] = ";".join(peers)
     if discovery is not None:
         # an emulated network has no others in it, and no addresses yet
         is_wide = discovery == "subnet" or robot.is_emulated
         is_local = discovery == "localhost" or not is_wide
-        found["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST" if is_local else "SUBNET"
-    return found
+        variables["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST" if is_local else "SUBNET"
+    return variables

@@ -105,16 +105,16 @@ def _finding(policy: Policy, key: str, message: str) -> Finding:
 
 def check_tasks(robot: Robot, repository: Repository) -> Iterator[Finding]:
     """Yield what is wrong with the tasks of a robot."""
-    found = [
+    findings = [
         finding for task in robot.tasks for finding in _names(robot, task, repository)
     ]
-    yield from found
+    yield from findings
     for task in robot.tasks:
         yield from _needs(robot, task)
     for task in robot.tasks:
         for path, until in _conditions(task):
             yield from _condition(robot, path, until)
-    if not found:  # phases need names that exist, and no cycles
+    if not findings:  # phases need names that exist, and no cycles
         for task in robot.tasks:
             yield from _phases(robot, task)
 

@@ -314,7 +314,7 @@ def _summed(values: list[float], unit_of: list[int], n: int, r: int) -> list[flo
 def _connectors(
     connectors: Iterable[Edge], unit: dict[str, int]
 ) -> list[tuple[int, int, float, float]]:
-    found: dict[tuple[int, int], tuple[float, float]] = {}
+    joined: dict[tuple[int, int], tuple[float, float]] = {}
     for connector in connectors:
         a, b = connector.between
         i, j = unit[a], unit[b]
@@ -322,11 +322,11 @@ def _connectors(
             continue
         pair = (i, j) if i < j else (j, i)
         overhead, traffic = connector.overhead, connector.traffic
-        if pair in found:
-            overhead += found[pair][0]
-            traffic += found[pair][1]
-        found[pair] = overhead, traffic
-    return [(i, j, o, t) for (i, j), (o, t) in found.items()]
+        if pair in joined:
+            overhead += joined[pair][0]
+            traffic += joined[pair][1]
+        joined[pair] = overhead, traffic
+    return [(i, j, o, t) for (i, j), (o, t) in joined.items()]
 
 
 def _balance_weights(problem: Problem, resources: tuple[str, ...]) -> list[float]:

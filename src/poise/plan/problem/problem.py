@@ -105,12 +105,12 @@ LEAST, MOST = 1e-30, 1e30
 def check(problem: Problem) -> None:
     """Raise a RobotError that lists everything that is wrong with `problem`."""
     try:
-        found = list(problems(problem))
+        wrong = list(problems(problem))
     except (AttributeError, TypeError, ValueError):
         _check_types(problem)
         raise
-    if found:
-        raise RobotError("the problem is wrong:\n  " + "\n  ".join(found))
+    if wrong:
+        raise RobotError("the problem is wrong:\n  " + "\n  ".join(wrong))
 
 
 def _check_types(problem: Problem) -> None:
@@ -350,6 +350,6 @@ def load(path: str | Path) -> Problem:
 
 def schema() -> str:
     """Return the JSON Schema of what `load` reads, as indented JSON."""
-    found = msgspec.json.schema(Problem)
-    whole = {"$schema": "https://json-schema.org/draft/2020-12/schema", **found}
+    keys = msgspec.json.schema(Problem)
+    whole = {"$schema": "https://json-schema.org/draft/2020-12/schema", **keys}
     return msgspec.json.format(msgspec.json.encode(whole), indent=2).decode() + "\n"

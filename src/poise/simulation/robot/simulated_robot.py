@@ -361,19 +361,19 @@ class SimulatedRobot:
 
     def containers_on(self, computer: SimulatedComputer) -> list[SimulatedContainer]:
         """Return the containers that run on a computer."""
-        found = map(self._containers.get, computer.processes)
-        return [container for container in found if container is not None]
+        containers = map(self._containers.get, computer.processes)
+        return [container for container in containers if container is not None]
 
     def working(self) -> dict[str, list[str]]:
         """Return component -> the computers where it works."""
-        found: dict[str, list[str]] = {}
+        working: dict[str, list[str]] = {}
         for container in self.containers():
             if not container.process.is_paused:
                 at = container.process.computer.name
                 for component in container.components.values():
                     if component.executor.is_working:
-                        found.setdefault(component.spec.name, []).append(at)
-        return found
+                        working.setdefault(component.spec.name, []).append(at)
+        return working
 
     def names_at_work(self) -> set[str]:
         """Return the components that work somewhere."""

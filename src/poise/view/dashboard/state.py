@@ -52,14 +52,14 @@ class PageState:
 
 def changes(before: Page, after: Page) -> dict[str, Any]:
     """Return what of a page has changed: for each part its new records, None: gone."""
-    found: dict[str, Any] = {}
+    changes: dict[str, Any] = {}
     for part in before.keys() | after.keys():
         old, new = before.get(part, {}), after.get(part, {})
         differ: dict[str, Any] = {n: r for n, r in new.items() if old.get(n) != r}
         differ |= dict.fromkeys(old.keys() - new.keys())
         if differ:
-            found[part] = differ
-    return found
+            changes[part] = differ
+    return changes
 
 
 class Updates:
@@ -224,8 +224,8 @@ def _connector(row: ConnectorRow) -> dict[str, Any]:
 
 def _ends(connector: str) -> tuple[str, str]:
     """Return the components that a connector joins, by its name."""
-    found = re.fullmatch(r"(.+?)\.\w+-(.+)\.\w+", connector)
-    return (found[1], found[2]) if found else ("", "")
+    match = re.fullmatch(r"(.+?)\.\w+-(.+)\.\w+", connector)
+    return (match[1], match[2]) if match else ("", "")
 
 
 def _components(status: Status) -> Iterator[tuple[str, dict[str, Any]]]:
