@@ -85,7 +85,7 @@ _SILENCING = {*_BAD_LINKS, *(kind for kind in KINDS if "pause" in kind)} | {
 }
 COMMAND_LIMIT = 60.0
 """An accepted command ends within this time [s]."""
-_LOOK_EVERY = 0.05
+_POLL_EVERY = 0.05
 _QUIET = 0.15
 """In this share of runs nothing breaks in the first half."""
 _COMMAND_EVERY, _COMMANDED = 1.0, 0.2
@@ -266,7 +266,7 @@ class _Run:
         while found := troubles(self.robot):
             if self._scheduler.now >= deadline:
                 raise Violation("desired-is-reached", f"{what}: {'; '.join(found)}")
-            self.robot.run(self._scheduler.now + _LOOK_EVERY)
+            self.robot.run(self._scheduler.now + _POLL_EVERY)
 
     def _inject(self, fault: SimulatedFault) -> None:
         """Let a fault begin; in a second `status` has to say what is lost."""

@@ -197,9 +197,11 @@ class SimulatedDatagrams:
         for address in targets:
             if (target := bound(address)) is not None:
                 for at in arrivals(here, target.computer, size):
-                    target.take(at, beat, source, wakes=wakes)
+                    target.arrive(at, beat, source, wakes=wakes)
 
-    def take(self, at: float, beat: Heartbeat, source: Address, *, wakes: bool) -> None:
+    def arrive(
+        self, at: float, beat: Heartbeat, source: Address, *, wakes: bool
+    ) -> None:
         """Keep what arrives at a moment [s]; wake the reader for it, or not."""
         if len(self._waiting) < _MOST:
             scheduler = self._process.scheduler

@@ -44,7 +44,7 @@ UP_LIMIT = 60.0
 """A robot that is not up within this time [virtual s] does not come up."""
 MOVE_LIMIT = 60.0
 """A move ends within this time [virtual s]."""
-_LOOK_EVERY = 0.1
+_POLL_EVERY = 0.1
 _MOVE_EVERY = 0.005
 
 
@@ -115,7 +115,7 @@ class Rehearsal:
                 if robot.scheduler.now >= UP_LIMIT:
                     why = "; ".join(found)
                     raise RunError(f"the simulated robot does not come up: {why}")
-                robot.run(robot.scheduler.now + _LOOK_EVERY)
+                robot.run(robot.scheduler.now + _POLL_EVERY)
             self._observer = SimulationObserver(robot)
             for fault in self._plan.faults:
                 at = robot.scheduler.now + fault.at

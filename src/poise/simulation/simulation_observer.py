@@ -19,7 +19,7 @@ from poise.simulation.simulation_report import (
 )
 from poise.wire.records.status_records import Summary
 
-LOOK_EVERY = 0.05
+SAMPLE_EVERY = 0.05
 """What works is looked at so often [s]; outages are known to that."""
 _SECOND = 1.0
 _POINTS = 600
@@ -59,7 +59,7 @@ class SimulationObserver:
             for component in robot.components
         }
         robot.on_entry = self._note_entry
-        self._look()
+        self._sample()
 
     @property
     def now(self) -> float:
@@ -156,14 +156,14 @@ class SimulationObserver:
         going = (self._outage(function, over=False) for function in sorted(self._since))
         return tuple(sorted((*self._outages, *going), key=lambda event: event.at))
 
-    def _look(self) -> None:
+    def _sample(self) -> None:
         scheduler = self._robot.scheduler
         self._note_placement()
         self._note_outages()
         if self.now >= self._second:
             self._second += _SECOND
             self._note_loads()
-        scheduler.at(scheduler.now + LOOK_EVERY, self._look)
+        scheduler.at(scheduler.now + SAMPLE_EVERY, self._sample)
 
     def _note_loads(self) -> None:
         memory = dict.fromkeys(self._robot.computers, 0.0)

@@ -101,15 +101,15 @@ class Side:
 
     def tell_token(self, key: str, kind: zenoh.SampleKind) -> None:
         """Say that a token came or went."""
-        self.send(_SMALL, lambda: self.other.take_token(key, kind))
+        self.send(_SMALL, lambda: self.other.note_token(key, kind))
 
-    def take_token(self, key: str, kind: zenoh.SampleKind) -> None:
+    def note_token(self, key: str, kind: zenoh.SampleKind) -> None:
         """Note that a token of the other side came or went."""
         is_known = key in self.known
         if (kind == zenoh.SampleKind.PUT) == is_known:
             return
         (self.known.remove if is_known else self.known.append)(key)
-        self.session.take_token(key, kind)
+        self.session.note_token(key, kind)
 
     def ask(self, key: str, handler: Any, payload: bytes, timeout: float) -> None:  # noqa: ANN401, zenoh's
         """Ask the other side; the handler gets its replies, and is then dropped."""
@@ -133,11 +133,11 @@ class Side:
         )
 
         def hear() -> None:
-            take = other.session.queryable(key)
-            if take is None:
+            callback = other.session.queryable(key)
+            if callback is None:
                 drop()
             else:
-                take(query)
+                callback(query)
 
         self.send(len(payload), hear)
         until = scheduler.now + timeout
@@ -150,7 +150,7 @@ class Side:
         if self in self.session.sides:
             self.session.sides.remove(self)
         for key in list(self.known):
-            self._post(partial(self.take_token, key, zenoh.SampleKind.DELETE))
+            self._post(partial(self.note_token, key, zenoh.SampleKind.DELETE))
         for number in list(self._asked):
             self._post(partial(self._end_asked, number))
 
@@ -188,9 +188,9 @@ class Side:
         self._received.append(act)
         if not self._is_taking:
             self._is_taking = True
-            self.session.process.spawn("zenoh", self._take)
+            self.session.process.spawn("zenoh", self._run_received)
 
-    def _take(self) -> None:
+    def _run_received(self) -> None:
         try:
             while self._received:
                 self._received.popleft()()
@@ -320,13 +320,17 @@ class Session:
             declare_token=self._declare_token, declare_subscriber=self._watch
         )
 
-    def declare_subscriber(self, key: str, take: Callable[[Any], object]) -> _Declared:
+    def declare_subscriber(
+        self, key: str, callback: Callable[[Any], object]
+    ) -> _Declared:
         """Take what others put at matching keys."""
-        return _Declared(self._subscribers, key, take)
+        return _Declared(self._subscribers, key, callback)
 
-    def declare_queryable(self, key: str, take: Callable[[Any], object]) -> _Declared:
+    def declare_queryable(
+        self, key: str, callback: Callable[[Any], object]
+    ) -> _Declared:
         """Answer what others ask at a key."""
-        return _Declared(self._queryables, key, take)
+        return _Declared(self._queryables, key, callback)
 
     def declare_publisher(self, key: str, **_: object) -> SimpleNamespace:
         """Return what puts at a key."""
@@ -349,24 +353,24 @@ class Session:
 
     def queryable(self, key: str) -> Callable[[Any], object] | None:
         """Return what answers at a key."""
-        return next((d.take for d in self._queryables if matches(d.key, key)), None)
+        return next((d.callback for d in self._queryables if matches(d.key, key)), None)
 
-    def take_put(self, key: str, data: bytes) -> None:
+    def receive_put(self, key: str, data: bytes) -> None:
         """Give subscribers what another session put; on the process's own task."""
         for subscriber in list(self._subscribers):
             if matches(subscriber.key, key):
-                subscriber.take(_sample(key, zenoh.SampleKind.PUT, data))
+                subscriber.callback(_sample(key, zenoh.SampleKind.PUT, data))
 
-    def take_token(self, key: str, kind: zenoh.SampleKind) -> None:
+    def note_token(self, key: str, kind: zenoh.SampleKind) -> None:
         """Tell watchers of a token that came or went; on the process's own task."""
         for watcher in list(self._watchers):
             if matches(watcher.key, key):
-                watcher.take(_sample(key, kind))
+                watcher.callback(_sample(key, kind))
 
     def _put(self, key: str, data: bytes) -> None:
         for side in list(self.sides):
-            take = partial(side.other.session.take_put, key, data)
-            side.send(len(data), take)
+            callback = partial(side.other.session.receive_put, key, data)
+            side.send(len(data), callback)
 
     def _declare_token(self, key: str) -> SimpleNamespace:
         self.tokens.append(key)
@@ -380,13 +384,13 @@ class Session:
             side.tell_token(key, zenoh.SampleKind.DELETE)
 
     def _watch(
-        self, key: str, take: Callable[[Any], object], *, history: bool = False
+        self, key: str, callback: Callable[[Any], object], *, history: bool = False
     ) -> _Declared:
-        declared = _Declared(self._watchers, key, take)
+        declared = _Declared(self._watchers, key, callback)
         known = [t for s in self.sides for t in s.known if matches(key, t)]
         for token in known if history else ():
             sample = _sample(token, zenoh.SampleKind.PUT)
-            self.process.spawn("zenoh", partial(take, sample))
+            self.process.spawn("zenoh", partial(callback, sample))
         return declared
 
 
@@ -394,10 +398,10 @@ class _Declared:
     """A declaration, until it is undone."""
 
     def __init__(
-        self, among: list[_Declared], key: str, take: Callable[[Any], object]
+        self, among: list[_Declared], key: str, callback: Callable[[Any], object]
     ) -> None:
         self.key = key
-        self.take = take
+        self.callback = callback
         self._among = among
         among.append(self)
 

@@ -184,7 +184,7 @@ def _bridge(
 
 
 def ros2_environment(robot: Robot) -> dict[str, str]:
-    """Return the environment variables with which its variables find each other."""
+    """Return the environment variables with which its nodes find each other."""
     network, variables = robot.ros2, {}
     if network.domain is not None:
         variables["ROS_DOMAIN_ID"] = str(network.domain)
@@ -197,5 +197,7 @@ def ros2_environment(robot: Robot) -> dict[str, str]:
         # an emulated network has no others in it, and no addresses yet
         is_wide = discovery == "subnet" or robot.is_emulated
         is_local = discovery == "localhost" or not is_wide
-        variables["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST" if is_local else "SUBNET"
+        variables["ROS_AUTOMATIC_DISCOVERY_RANGE"] = (
+            "LOCALHOST" if is_local else "SUBNET"
+        )
     return variables

@@ -255,7 +255,7 @@ class SimulatedWatchdog:
         self._agent = agent
         self._since: dict[SimulatedContainer, float] = {}
         self._silent: set[SimulatedContainer] = set()
-        self._look()
+        self._check()
 
     def watch(self, container: SimulatedContainer) -> None:
         """Look at a container from now on, until its process ends."""
@@ -266,7 +266,7 @@ class SimulatedWatchdog:
         self._since.pop(container, None)
         self._silent.discard(container)
 
-    def _look(self) -> None:
+    def _check(self) -> None:
         now = self._agent.process.computer.monotonic()
         for container, since in self._since.items():
             if container.process.is_paused:
@@ -279,7 +279,7 @@ class SimulatedWatchdog:
                 if container in self._silent:
                     self._silent.remove(container)
                     self._tell(container, 0.0)
-        self._agent.process.after(_WATCH_EVERY, self._look)
+        self._agent.process.after(_WATCH_EVERY, self._check)
 
     def _tell(self, container: SimulatedContainer, seconds: float) -> None:
         silence = Silence(

@@ -124,7 +124,7 @@ class SimulatedComponent:
 
 _SHARE = 0.75
 """As in the real container: the rest of the limit is for the answer."""
-_LOOK_EVERY = 0.002
+_POLL_EVERY = 0.002
 
 
 class MigrationModel:
@@ -244,7 +244,7 @@ class MigrationModel:
             case "await idle":
                 until = min(deadline, self._now + step.limit)
                 while executor.is_busy and self._now < until:
-                    container.world.scheduler.wait(_LOOK_EVERY, "an idle component")
+                    container.world.scheduler.wait(_POLL_EVERY, "an idle component")
             case "pause":
                 executor.pause()
                 container.wait(lambda: not executor.is_busy, deadline, "its handler")
@@ -298,7 +298,7 @@ class MigrationModel:
         while not is_there():
             if self._now >= deadline or source.process.is_dead:
                 raise RunError(f"the state of '{name}' did not come from '{there}'")
-            world.scheduler.wait(_LOOK_EVERY, "a state")
+            world.scheduler.wait(_POLL_EVERY, "a state")
         state = states[name, epoch, migration]
         world.scheduler.wait(seconds, "a state's transfer")
         component.executor.restore(state)

@@ -101,22 +101,24 @@ class SimulatedManager:
         self._is_standby = is_standby
         process.spawn("manager", self._main)
 
-    def ask_status(self, take: Callable[[RobotStatus], object]) -> None:
+    def ask_status(self, on_result: Callable[[RobotStatus], object]) -> None:
         """Let a client ask for the status; nobody answers while it is not up."""
 
         def answer() -> None:
             if self.manager is not None:
-                take(self.manager.status())
+                on_result(self.manager.status())
 
         self.process.spawn("client status", answer)
 
-    def ask(self, command: Command, take: Callable[[Result | Refusal], object]) -> None:
-        """Submit a command from a client; `take` gets its result."""
+    def ask(
+        self, command: Command, on_result: Callable[[Result | Refusal], object]
+    ) -> None:
+        """Submit a command from a client; `on_result` gets its result."""
 
         def submit() -> None:
             assert self.manager is not None  # noqa: S101, clients ask what is up
             future = self.manager.submit(command)
-            take(future.result())
+            on_result(future.result())
 
         self.process.spawn(f"client {type(command).__name__}", submit)
 
