@@ -30,7 +30,7 @@ def test_refuses_an_unknown_key_and_lists_the_keys(refuse: Refuse) -> None:
     refuse(
         "robot: r\ncomputers: {main: {cpu: 1, memory: 1, ▸sped: 2}}\n",
         "computers.main.sped",
-        "the computer has the unknown key 'sped'",
+        "unknown key 'sped'",
         "did you mean 'speed'?",
         "'address'",
     )
@@ -39,7 +39,7 @@ def test_refuses_an_unknown_key_and_lists_the_keys(refuse: Refuse) -> None:
 def test_refuses_a_missing_key(refuse: Refuse) -> None:
     refuse(
         "robot: r\ncomputers: {▸main: {cpu: 1}}\n",
-        "computers.main: the computer lacks the key 'memory'",
+        "computers.main: the key 'memory' is missing",
     )
 
 

@@ -137,7 +137,7 @@ faults:
     ("text", "what"),
     [
         ("", "the file is empty"),
-        ("fault: []", "the document lacks the key 'faults'"),
+        ("fault: []", "the key 'faults' is missing"),
         ("- 1", "must be a mapping with 'faults'"),
         ("faults: {", "not YAML"),
     ],

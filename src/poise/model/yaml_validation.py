@@ -126,13 +126,12 @@ def _noted(node: Node, kind: types.Metadata, where: Where) -> Value:
 
 def _struct(node: Node, kind: types.StructType, where: Where) -> Value:
     keys = keys_of(kind.cls)
-    noun = kind.cls.__name__.removesuffix("Keys").lower()
     if not isinstance(node.value, dict):
         return where.wrong(f"must be a mapping with {listed(keys)}, not {_kind(node)}")
     for name in [name for name in node.value if name not in keys]:
         where.inner(name, node.value[name]).wrong(
-            f"the {noun} has the unknown key {quoted(name)}"
-            f"{did_you_mean(name, keys)}; keys: {listed(keys)}"
+            f"unknown key {quoted(name)}{did_you_mean(name, keys)}; "
+            f"keys: {listed(keys)}"
         )
     values: dict[str, Value] = {kind.tag_field: kind.tag} if kind.tag_field else {}
     is_right = True
@@ -145,7 +144,7 @@ def _struct(node: Node, kind: types.StructType, where: Where) -> Value:
             elif key.is_required or _shape(key.kind) is not Scalar:
                 is_right = False
         elif key.is_required:
-            where.wrong(f"the {noun} lacks the key '{name}'")
+            where.wrong(f"the key '{name}' is missing")
             is_right = False
     return values if is_right else _INVALID
 
