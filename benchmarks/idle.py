@@ -66,8 +66,15 @@ def measure(robot: Robot, seconds: float) -> Mapping[str, float]:
         computers = stack.enter_context(
             computers_of(robot, folder / "computers", lambda _: None)
         )
+        there, clock = computers.addresses, SystemClock()
         agents = stack.enter_context(
-            Agents(robot.name, computers.endpoints, SystemClock(), lambda _: None)
+            Agents(
+                robot.name,
+                there.endpoints,
+                clock,
+                lambda _: None,
+                keys=there.credentials(),
+            )
         )
         agents.wait_alive(computers.endpoints, LIMIT, computers.raise_if_ended)
         agent_there = time.monotonic()

@@ -51,8 +51,9 @@ def running(
         computers = stack.enter_context(
             computers_of(robot, folder / "computers", lambda _: None)
         )
+        keys = computers.addresses.credentials()
         agents = stack.enter_context(
-            Agents(robot.name, computers.endpoints, SystemClock())
+            Agents(robot.name, computers.endpoints, SystemClock(), keys=keys)
         )
         agents.wait_alive(computers.endpoints, 20)
         run = RunningComponents(robot, placement, agents, journal, str(folder))
