@@ -1,7 +1,9 @@
-"""Kills a random computer of a robot again and again, that of its leader included.
+"""Breaks a random computer of a robot again and again, that of its leader included.
 
     python -m tests.leader_kills 200            # so many kills
     python -m tests.leader_kills 20 --seed 7
+    python -m tests.leader_kills 20 --witness   # of two computers, and one that votes
+    python -m tests.leader_kills 20 --faults cut,flap
 
 Each computer is emulated in a network namespace of its own, which needs root. Tickers
 note each tick with the time of the machine's one clock, so the counts are the test's
@@ -18,7 +20,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from tests.leader_kills.kills import NAMES, Kills, Report
+from tests.leader_kills.kills import FAULTS, NAMES, Kills, Report
 
 
 def main() -> int:
@@ -26,6 +28,8 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("kills", nargs="?", type=int, default=20)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--witness", action="store_true")
+    parser.add_argument("--faults", default="kill", help=f"of {', '.join(FAULTS)}")
     asked = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         os.environ |= {"XDG_RUNTIME_DIR": folder, "XDG_STATE_HOME": folder}
@@ -33,10 +37,13 @@ def main() -> int:
 
 
 def _run(folder: Path, asked: argparse.Namespace) -> int:
-    with Kills(folder) as kills:
+    faults = asked.faults.split(",")
+    with Kills(folder, with_witness=asked.witness) as kills:
         chance = random.Random(asked.seed)
         for _ in range(asked.kills):
-            print(kills.kill(chance.choice(NAMES), chance.random()), flush=True)
+            computer, back_after = chance.choice(NAMES), chance.random()
+            fault = chance.choice(faults)
+            print(kills.kill(computer, back_after, fault), flush=True)
     report = Report.of(kills)
     print(json.dumps(report.figures(), indent=2))
     return bool(report.broken())

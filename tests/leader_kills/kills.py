@@ -1,4 +1,4 @@
-"""A robot of three emulated computers, each of which may die, and what came of that."""
+"""A robot of three emulated computers, each of which may fail, and what came of it."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import sys
 import time
 from collections.abc import Callable
 from itertools import pairwise
+from math import inf
 from pathlib import Path
 from typing import Self
 
@@ -37,40 +38,53 @@ class Ticker(Component):
 """
 NAMES = "abc"
 TICKERS = "xyz"
-TEXT = (
-    """
+FAULTS = ("kill", "cut", "flap")
+
+
+def text(*, with_witness: bool) -> str:
+    """Return a robot file; with a witness, computer c only votes."""
+    homes = "aba" if with_witness else "abc"
+    return (
+        _HEAD.replace("CANDIDATES", "a, b" if with_witness else "a, b, c").replace(
+            "WITNESS", ", witness: true" if with_witness else ""
+        )
+        + "".join(
+            _TICKER.replace("NAME", name).replace("HOME", home)
+            for name, home in zip(TICKERS, homes, strict=True)
+        )
+        + _TASKS
+    )
+
+
+_HEAD = """
 robot: {name}
 computers:
   a: {{cpu: 0.6, memory: 1 GiB}}
   b: {{cpu: 0.6, memory: 1 GiB}}
-  c: {{cpu: 0.6, memory: 1 GiB}}
+  c: {{cpu: 0.6, memory: 1 GiBWITNESS}}
 links:
   - {{between: [a, b], bandwidth: 100 Mbit/s}}
   - {{between: [b, c], bandwidth: 100 Mbit/s}}
   - {{between: [a, c], bandwidth: 100 Mbit/s}}
-manager: [a, b, c]
+manager: [CANDIDATES]
 architectures:
 """
-    + "".join(
-        f"""
-  tick-{name}:
-    function: tick-{name}
-    home: {at}
+_TICKER = """
+  tick-NAME:
+    function: tick-NAME
+    home: HOME
     components:
-      {name}:
+      NAME:
         implementation: 'leader_kills_robot:Ticker'
         cpu: 4%
         memory: 20 MiB
-        parameters: {{{{folder: {{folder}}/ticks}}}}
+        parameters: {{folder: {folder}/ticks}}
 """
-        for name, at in zip(TICKERS, NAMES, strict=True)
-    )
-    + """
+_TASKS = """
 tasks:
   tick: {{actions: [{{name: tick, functions: [tick-x, tick-y, tick-z]}}]}}
   count: {{actions: [{{name: count, functions: [tick-x]}}]}}
 """
-)
 _AWAY = 20.0
 """What is not back within this time stays away [s]."""
 _PAUSE = 0.5
@@ -78,8 +92,9 @@ _PAUSE = 0.5
 
 
 class Outcome(Struct, frozen=True):
-    """What came of one kill; times count from it [s]."""
+    """What came of one fault; times count from it [s]."""
 
+    fault: str
     computer: str
     was_leader: bool
     lost: tuple[str, ...]  # the tickers that ran there
@@ -91,8 +106,9 @@ class Outcome(Struct, frozen=True):
         """Return it in a line."""
         leads = ", the leader's" if self.was_leader else ""
         return (
-            f"{self.computer}{leads}: {','.join(self.lost) or 'nothing'} active after "
-            f"{self.active:.2f} s, leader after {self.leader:.2f} s, others paused "
+            f"{self.fault} {self.computer}{leads}: "
+            f"{','.join(self.lost) or 'nothing'} active after {self.active:.2f} s, "
+            f"leader after {self.leader:.2f} s, others paused "
             f"{self.longest:.2f} s at most"
         )
 
@@ -100,10 +116,11 @@ class Outcome(Struct, frozen=True):
 class Kills:
     """The robot, up on its emulated computers. Use it as a context manager."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, *, with_witness: bool = False) -> None:
         self._folder = folder
         (folder / "ticks").mkdir()
-        self._file = written(folder, "kills", "leader_kills_robot", CODE, TEXT)
+        file = text(with_witness=with_witness)
+        self._file = written(folder, "kills", "leader_kills_robot", CODE, file)
         self._stack = contextlib.ExitStack()
         self._robot = poise.load(self._file)
         self._kept: EmulatedSet
@@ -117,7 +134,10 @@ class Kills:
         )
         argv = [sys.executable, "-m", "poise", "up", str(self._file)]
         argv += ["--placement", "static"]
-        self._kept.computers["a"].popen(argv, stdout=log, stderr=subprocess.STDOUT)
+        first = self._kept.computers["a"].popen(
+            argv, stdout=log, stderr=subprocess.STDOUT
+        )
+        self._stack.callback(first.wait, LONG)
         self._stack.callback(self._stop)
         wait_until(self._is_whole, LONG, 0.05)
         return self
@@ -125,29 +145,51 @@ class Kills:
     def __exit__(self, *_: object) -> None:
         self._stack.close()
 
-    def kill(self, computer: str, back_after: float = 0.5) -> Outcome:
-        """Kill a computer, wait until all is as before, and return what came of it."""
-        placement, was_leader = self._status().placement, computer == self.leader()
-        lost = tuple(n for n in TICKERS if placement[n] == computer)
+    def kill(
+        self, computer: str, back_after: float = 0.5, fault: str = "kill"
+    ) -> Outcome:
+        """Break a computer, wait until all is as before, and return what came of it.
+
+        `fault`: its processes die (`kill`), nothing reaches it (`cut`), or that comes
+        and goes (`flap`).
+        """
+        status, was_leader = self._status(), computer == self.leader()
+        lost = tuple(n for n in TICKERS if status.placement[n] == computer)
+        before = status.manager.pid if was_leader else 0
         self._set_task("start")
         at = time.monotonic()
-        self._kept.crash(computer)
-        active = self._after(at, lambda: self._tick_since(at + _PAUSE))
-        leader = self._after(at, lambda: self._answers(computer, lost))
+        begin, end = {
+            "kill": (self._kept.crash, self._kept.boot),
+            "cut": (self._kept.cut, self._kept.heal),
+            "flap": (self._flap, lambda _: None),
+        }[fault]
+        begin(computer)
+        if fault == "flap":
+            at, lost, before = time.monotonic(), (), 0
+        active = self._after(at, lambda: self._is_active(lost, at))
+        leader = self._after(at, lambda: self._answers(computer, lost, before))
         longest = max(
             (self._longest_pause(n, at) for n in TICKERS if n not in lost), default=0.0
         )
-        firsts = [self._first_tick(name, at) for name in lost]
-        active = max(firsts, default=0.0) if active < LONG else active
-        outcome = Outcome(computer, was_leader, lost, active, leader, longest)
+        if active < inf:
+            active = max((self._first_tick(n, at) for n in lost), default=0.0)
+        outcome = Outcome(fault, computer, was_leader, lost, active, leader, longest)
         self.outcomes.append(outcome)
         self.tasks_lost += "count" not in self._tasks()
         with contextlib.suppress(PoiseError):
             self._set_task("cancel")
         time.sleep(back_after)
-        self._kept.boot(computer)
+        end(computer)
         wait_until(self._is_whole, LONG, 0.05)
         return outcome
+
+    def _flap(self, computer: str) -> None:
+        """Cut it and heal it four times, for a moment each."""
+        for moment in (0.3, 0.5, 0.2, 0.7):
+            self._kept.cut(computer)
+            time.sleep(moment)
+            self._kept.heal(computer)
+            time.sleep(moment)
 
     def leader(self) -> str:
         """Return the computer where the leader runs."""
@@ -179,15 +221,22 @@ class Kills:
         try:
             wait_until(holds, _AWAY, 0.01)
         except AssertionError:
-            return LONG
+            return inf
         return time.monotonic() - at
 
-    def _answers(self, computer: str, lost: tuple[str, ...]) -> bool:
+    def _answers(self, computer: str, lost: tuple[str, ...], before: int) -> bool:
+        """Return whether a leader answers that is not the process `before`."""
         try:
             status = self._status()
         except PoiseError:
             return False
-        return not any(status.placement[n] == computer for n in lost)
+        is_next = status.manager.pid != before
+        return is_next and not any(status.placement[n] == computer for n in lost)
+
+    def _is_active(self, lost: tuple[str, ...], at: float) -> bool:
+        """Return whether all tick, those that were lost in another process."""
+        again = all(self._first_tick(name, at) < inf for name in lost)
+        return again and self._tick_since(at + _PAUSE)
 
     def _tick_since(self, since: float) -> bool:
         return all(
@@ -198,16 +247,13 @@ class Kills:
     def _first_tick(self, name: str, since: float) -> float:
         """Return when it began to tick in another process, after a kill [s]."""
         begun = [at[0] for at in self.ticks()[name].values() if at[0] > since]
-        return min(begun, default=since + LONG) - since
+        return min(begun, default=inf) - since
 
     def _longest_pause(self, name: str, since: float) -> float:
-        moments = sorted(
-            at
-            for times in self.ticks()[name].values()
-            for at in times
-            if at > since - 1
-        )
-        return max((b - a for a, b in pairwise(moments)), default=LONG)
+        """Return the longest that it did not tick, of all that ended after `since`."""
+        moments = sorted(at for times in self.ticks()[name].values() for at in times)
+        moments.append(time.monotonic())
+        return max(b - a for a, b in pairwise(moments) if b > since)
 
     def _status(self) -> Status:
         return poise.connect(self._robot.name).status()
@@ -271,5 +317,5 @@ class Report(Struct, frozen=True):
 
     def broken(self) -> bool:
         """Return whether something must never be so."""
-        away = max((*self.active, *self.leader), default=0.0) >= LONG
+        away = max((*self.active, *self.leader), default=0.0) == inf
         return away or bool(self.active_twice or self.tasks_lost)

@@ -76,6 +76,7 @@ COMMANDS = {
     "journal": ("look", "Show what a manager decided and why."),
     "stop": ("running_robot", "Stop a running robot."),
     "agent": ("agent", "Run what the manager wants on this computer."),
+    "witness": ("agent", "Vote for a robot's manager, and run nothing."),
     "standby": ("standby", "Wait to lead a robot; agents start it."),
 }
 """Command -> its file in `commands/` (`look`: `look_command.py`), and what it does. A

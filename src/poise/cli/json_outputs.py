@@ -50,6 +50,8 @@ class Checked(TypedDict):
 
     ok: bool
     problems: list[FileProblem]
+    # What a person should know though nothing is wrong
+    notes: list[str]
 
 
 class Fired(TypedDict):

@@ -83,6 +83,13 @@ class Computer(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
             "7447 unless given. Either all computers have one, or all are emulated."
         ),
     ] = None
+    witness: Annotated[
+        bool,
+        says(
+            "Whether it only votes for the manager, as a router may: nothing is placed "
+            "there."
+        ),
+    ] = False
 
     def total(self, resource: str) -> float:
         """Return how much it has of `resource`: capacity x speed."""

@@ -29,6 +29,7 @@ from poise.model.check.task_checks import (
     check_tasks,
     check_workload,
 )
+from poise.model.check.voting import check_voting
 from poise.model.repository import Repository, with_repository
 from poise.model.robot import Robot
 from poise.model.yaml_include import read_tree
@@ -89,6 +90,7 @@ def check(robot: Robot, repository: Repository) -> Iterator[Finding]:
     """Yield every problem of `robot` that shows without its code."""
     yield from check_names(robot)
     yield from check_addresses(robot)
+    yield from check_voting(robot)
     yield from check_allowed_computers(robot)
     yield from check_checkpoints(robot)
     yield from check_demands(robot)

@@ -265,6 +265,13 @@ class Robot(Struct, frozen=True, kw_only=True):
             "gone, the first one first. Without it, a person starts the next manager."
         ),
     ] = ()
+    keeps: Annotated[
+        tuple[Name, ...],
+        says(
+            "Devices whose computer goes on with a manager when half of the computers "
+            "are out of reach."
+        ),
+    ] = ()
     simulator: Annotated[
         Simulator | None, says("The simulated world of an emulated robot.")
     ] = None
@@ -319,6 +326,17 @@ class Robot(Struct, frozen=True, kw_only=True):
         names = {computer.name for computer in computers}
         links = tuple(link for link in self.links if names.issuperset(link.between))
         return replace(self, computers=computers, links=links)
+
+    @property
+    def hosts(self) -> tuple[Computer, ...]:
+        """The computers on which components may be placed."""
+        return tuple(c for c in self.computers if not c.witness)
+
+    @property
+    def votes(self) -> dict[str, int]:
+        """Computer -> how many votes it has for the next manager."""
+        keeper = {d.computer for d in self.devices if d.name in self.keeps}
+        return {c.name: 1 + (c.name in keeper) for c in self.computers}
 
     @property
     def folders(self) -> tuple[str, ...]:

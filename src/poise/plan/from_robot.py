@@ -48,6 +48,7 @@ def problem_of(
     UsageError
         When there is no such task.
     """
+    robot = robot.on(robot.hosts)
     chosen = _architectures(robot, task, functions)
     faults: list[str] = []
     components = tuple(

@@ -1,4 +1,4 @@
-"""`poise agent`: run what the manager wants to run on this computer."""
+"""`poise agent`: run what the manager wants on this computer; `witness`: only vote."""
 
 from __future__ import annotations
 
@@ -26,18 +26,39 @@ from poise.wire.credentials import find, folders
 log = logging.getLogger(__name__)
 
 _LAST = 65535
+_Computer = Annotated[str, typer.Argument(help="This computer's name.")]
+_Robot = Annotated[str, typer.Option(help="The robot's name.")]
+_Address = Annotated[
+    str, typer.Option(help="IP address by which the others reach this computer.")
+]
+_Port = Annotated[
+    int, typer.Option(min=1, max=_LAST, help="TCP port, and UDP port for heartbeats.")
+]
+_Folder = Annotated[
+    Path | None,
+    typer.Option(help="Folder of its own for its sockets and what it must keep."),
+]
+_Keys = Annotated[
+    Path | None,
+    typer.Option(help="Folder of this computer's keys (`poise keys issue`)."),
+]
+_Insecure = Annotated[
+    bool,
+    typer.Option("--insecure", help="Without keys: whoever reaches it commands it."),
+]
+_Lifeline = Annotated[
+    int | None, typer.Option(hidden=True, help="End at this descriptor's end.")
+]
+_Lease = Annotated[
+    float, typer.Option(hidden=True, help="Who is silent so long [s] is lost.")
+]
 
 
 def agent_command(
-    computer: Annotated[str, typer.Argument(help="This computer's name.")],
-    robot: Annotated[str, typer.Option(help="The robot's name.")],
-    address: Annotated[
-        str, typer.Option(help="IP address by which the others reach this computer.")
-    ],
-    port: Annotated[
-        int,
-        typer.Option(min=1, max=_LAST, help="TCP port, and UDP port for heartbeats."),
-    ] = AGENT_PORT,
+    computer: _Computer,
+    robot: _Robot,
+    address: _Address,
+    port: _Port = AGENT_PORT,
     gateway: Annotated[
         int,
         typer.Option(
@@ -46,34 +67,19 @@ def agent_command(
             help="TCP port for connectors from other computers; 0: any.",
         ),
     ] = 0,
-    folder: Annotated[
-        Path | None,
-        typer.Option(help="Folder of its own for its sockets and what it must keep."),
-    ] = None,
+    folder: _Folder = None,
     sample_every: Annotated[
         str, typer.Option(help="How often to sample the CPU use; 0: never.")
     ] = "200 ms",
-    keys: Annotated[
-        Path | None,
-        typer.Option(help="Folder of this computer's keys (`poise keys issue`)."),
-    ] = None,
-    insecure: Annotated[
-        bool,
-        typer.Option(
-            "--insecure", help="Without keys: whoever reaches it runs code here."
-        ),
-    ] = False,
+    keys: _Keys = None,
+    insecure: _Insecure = False,
     allow: Annotated[
         list[Path] | None,
         typer.Option(help="Run only code and programs in this folder; again for more."),
     ] = None,
     plain_connectors: Annotated[bool, typer.Option(hidden=True)] = False,
-    lifeline: Annotated[
-        int | None, typer.Option(hidden=True, help="End at this descriptor's end.")
-    ] = None,
-    lease: Annotated[
-        float, typer.Option(hidden=True, help="Who is silent so long [s] is lost.")
-    ] = LEASE,
+    lifeline: _Lifeline = None,
+    lease: _Lease = LEASE,
 ) -> None:
     """Run the containers of this computer until Ctrl-C.
 
@@ -82,33 +88,71 @@ def agent_command(
 
     Example: poise agent main --robot t-rot --address 10.0.0.1
     """
-    _check_ip(address)
+    place = folder or agent_folder(f"{robot} {computer} {Endpoint(address, port)}")
+    _serve(
+        AgentSetup(
+            robot=robot,
+            computer=computer,
+            address=address,
+            port=port,
+            gateway=gateway,
+            folder=str(place),
+            lifeline=lifeline,
+            lease=lease,
+            sample_every=parse_option("--sample-every", sample_every, SECONDS),
+            keys=_keys_for(robot, address, keys, is_insecure=insecure),
+            encrypts=not plain_connectors,
+            allow=tuple(str(path.resolve()) for path in allow or ()),
+        )
+    )
+
+
+def witness_command(
+    computer: _Computer,
+    robot: _Robot,
+    address: _Address,
+    port: _Port = AGENT_PORT,
+    folder: _Folder = None,
+    keys: _Keys = None,
+    insecure: _Insecure = False,
+    lifeline: _Lifeline = None,
+    lease: _Lease = LEASE,
+) -> None:
+    """Vote for a robot's manager from this computer, until Ctrl-C.
+
+    It is an agent that runs nothing, for a computer with `witness: true` in the robot
+    file: of two computers, the one that it reaches goes on without the other.
+
+    Example: poise witness router --robot t-rot --address 10.0.0.9
+    """
+    place = folder or agent_folder(f"{robot} {computer} {Endpoint(address, port)}")
+    _serve(
+        AgentSetup(
+            robot=robot,
+            computer=computer,
+            address=address,
+            port=port,
+            folder=str(place),
+            lifeline=lifeline,
+            lease=lease,
+            sample_every=0.0,
+            keys=_keys_for(robot, address, keys, is_insecure=insecure),
+            is_witness=True,
+        )
+    )
+
+
+def _serve(setup: AgentSetup) -> None:
     logging.basicConfig(
-        format=f"%(asctime)s {computer} %(levelname)s %(name)s: %(message)s",
+        format=f"%(asctime)s {setup.computer} %(levelname)s %(name)s: %(message)s",
         level="WARNING",
     )
     logging.getLogger("poise.component").setLevel("INFO")
-    if lifeline is not None:  # its manager shows the faults already
+    is_owned = setup.lifeline is not None
+    if is_owned:  # its manager shows the faults already
         logging.getLogger("poise.runtime.supervision.supervisor").setLevel("ERROR")
-    place = folder or agent_folder(f"{robot} {computer} {Endpoint(address, port)}")
     with Interrupts() as interrupts:
-        agent = Agent(
-            AgentSetup(
-                robot=robot,
-                computer=computer,
-                address=address,
-                port=port,
-                gateway=gateway,
-                folder=str(place),
-                lifeline=lifeline,
-                lease=lease,
-                sample_every=parse_option("--sample-every", sample_every, SECONDS),
-                keys=_keys_for(robot, address, keys, is_insecure=insecure),
-                encrypts=not plain_connectors,
-                allow=tuple(str(path.resolve()) for path in allow or ()),
-            ),
-            say=_say if lifeline is None else lambda _: None,
-        )
+        agent = Agent(setup, say=(lambda _: None) if is_owned else _say)
         interrupts.check()
         try:
             agent.run()  # with handlers of its own
@@ -118,13 +162,14 @@ def agent_command(
             log.exception(
                 "agent '%s' ended because of a bug in Poise; its containers keep "
                 "running for a minute and wait for the next agent: start it again",
-                computer,
+                setup.computer,
             )
             raise typer.Exit(BROKEN) from None
 
 
 def _keys_for(robot: str, address: str, keys: Path | None, *, is_insecure: bool) -> str:
     """Return the folder of the agent's keys; empty: it goes without."""
+    _check_ip(address)
     if is_insecure:
         return ""
     found = find(robot, "agent", folder=keys)

@@ -18,6 +18,7 @@ from rich.table import Table
 from poise.cli.options import AsJson, RobotFile, RobotTask, busy, show
 from poise.errors import FileProblem, RobotError, UsageError
 from poise.estimate.success_rates import beliefs_about, forget
+from poise.model.check.voting import notes_of
 from poise.model.load import load
 from poise.model.policy import Policy, policies_of
 from poise.model.robot import Robot
@@ -57,7 +58,11 @@ def check_command(
         raise UsageError("give a robot file, as in `poise check robot.yaml`")
     with busy("checking"):
         problems = check(file)
-    _print_json(problems) if as_json else _print_text(file, problems)
+    notes = () if problems else notes_of(load(file))
+    if as_json:
+        _print_json(problems, notes)
+    else:
+        _print_text(file, problems, notes)
     if problems:
         raise typer.Exit(1)
 
@@ -68,14 +73,20 @@ def _print_schema() -> None:
     sys.stdout.write(schema_text())
 
 
-def _print_json(problems: tuple[FileProblem, ...]) -> None:
-    report = {"ok": not problems, "problems": msgspec.to_builtins(problems)}
+def _print_json(problems: tuple[FileProblem, ...], notes: tuple[str, ...]) -> None:
+    report = {
+        "ok": not problems,
+        "problems": msgspec.to_builtins(problems),
+        "notes": notes,
+    }
     sys.stdout.write(json.dumps(report, indent=2) + "\n")
 
 
-def _print_text(path: Path, problems: tuple[FileProblem, ...]) -> None:
+def _print_text(
+    path: Path, problems: tuple[FileProblem, ...], notes: tuple[str, ...]
+) -> None:
     if not problems:
-        sys.stdout.write(f"{path}: no problems\n")
+        sys.stdout.write("\n".join((f"{path}: no problems", *notes, "")))
         return
     for problem in problems:
         sys.stderr.write(f"{problem}\n")

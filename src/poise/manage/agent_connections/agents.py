@@ -279,7 +279,8 @@ class Agents(AgentReports):
         if votes and self.wait_news(is_majority, limit):
             until = min(until, self._clock.now() + _OTHERS)
         self.wait_news(is_there, max(0.0, until - self._clock.now()))
-        if not any(status.containers for status in self.statuses().values()):
+        statuses = self.statuses().values()
+        if not any(s.containers or (votes and s.is_at_work) for s in statuses):
             return False
         self.go_on_without_missing()
         return True

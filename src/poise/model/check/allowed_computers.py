@@ -20,12 +20,14 @@ class _Places(NamedTuple):
     """Where things are on a robot: its computers, and that of each device."""
 
     computers: Names
+    hosts: Names  # Of these, those on which anything is placed
     devices: Mapping[str, str]
 
     @staticmethod
     def of(robot: Robot) -> _Places:
         return _Places(
             frozenset(computer.name for computer in robot.computers),
+            frozenset(computer.name for computer in robot.hosts),
             {device.name: device.computer for device in robot.devices},
         )
 
@@ -55,7 +57,7 @@ def allowed_computers(robot: Robot, *, layers_stay: bool = True) -> Mapping[str,
     """Return component -> the computers it may run on; names must be known."""
     places = _Places.of(robot)
     return {
-        component.name: places.computers.intersection(
+        component.name: places.hosts.intersection(
             *places.limits(architecture, component, layers_stay=layers_stay).values()
         )
         for _, architecture, component in components(robot)
@@ -78,7 +80,7 @@ def check_allowed_computers(robot: Robot) -> Iterator[Finding]:
 def check_demands(robot: Robot) -> Iterator[Finding]:
     """Yield the demands that are larger than every computer that is allowed."""
     hosts = allowed_computers(robot)
-    largest = _Largest(robot.computers)
+    largest = _Largest(robot.hosts)
     findings: dict[str, list[Finding]] = {a.name: [] for a in robot.architectures}
     for path, architecture, component in components(robot):
         if allowed := hosts[component.name]:
@@ -157,11 +159,11 @@ def _not_apart(robot: Robot, allowed: Mapping[str, Names]) -> Iterator[Finding]:
     groups = tuple(_groups(robot))
     for index, names in enumerate(robot.apart):
         distinct = dict.fromkeys(names)
-        if len(distinct) > len(robot.computers):
+        if len(distinct) > len(robot.hosts):
             yield Finding(
                 ("apart", index),
                 f"{len(distinct)} components cannot all be on different computers: "
-                f"there are only {len(robot.computers)}",
+                f"there are only {len(robot.hosts)}",
             )
             continue
         for pair in combinations(distinct, 2):

@@ -9,8 +9,6 @@ from poise.model.robot import Architecture, ComponentEntry, Connector, Robot
 from poise.model.yaml_tree import Finding, Path
 from poise.suggest import listed, unknown
 
-_LEAST_VOTES = 3
-
 
 def check_addresses(robot: Robot) -> Iterator[Finding]:
     """Yield addresses that are malformed, shared or missing."""
@@ -78,19 +76,6 @@ def check_names(robot: Robot) -> Iterator[Finding]:
     yield from _never_chosen(robot)
     yield from _components(robot)
     yield from _resources(robot)
-    yield from _managers(robot)
-
-
-def _managers(robot: Robot) -> Iterator[Finding]:
-    yield from each_known(("manager",), "computer", robot.manager, _computers(robot))
-    if robot.manager and len(robot.computers) < _LEAST_VOTES:
-        count = len(robot.computers)
-        yield Finding(
-            ("manager",),
-            f"a manager is followed by a vote of most computers, and of {count} no "
-            "majority is left when one dies: leave `manager` out, or add a computer, "
-            "however small, that has an agent",
-        )
 
 
 def _duplicate_components(robot: Robot) -> Iterator[Finding]:

@@ -84,8 +84,10 @@ class Agent:
         self._standby = StandbyProcess(setup.computer, self._path, self._keys)
         # before any thread, zenoh session or descriptor of the agent's own exists
         held = () if setup.lifeline is None else (setup.lifeline,)
-        self._zygote, self._zygote_pid = zygote.start(closing=held)
-        self._has_zygote = True
+        self._has_zygote = not setup.is_witness
+        self._zygote, self._zygote_pid = (
+            zygote.start(closing=held) if self._has_zygote else zygote.absent()
+        )
         self._adoption = AdoptedContainers(self._path, self._clock)
         self._host = ProcessHost(self._zygote, setup.computer, self._path)
         self._waker = Waker()
@@ -121,7 +123,8 @@ class Agent:
             contextlib.ExitStack() as closing,
         ):
             self._say(
-                f"agent of computer '{setup.computer}' of robot '{setup.robot}' at "
+                f"{'witness' if setup.is_witness else 'agent'} of computer "
+                f"'{setup.computer}' of robot '{setup.robot}' at "
                 f"{self._endpoint}, gateway {gateway}; "
                 f"Poise {version('poise')}, protocol {PROTOCOL}"
             )

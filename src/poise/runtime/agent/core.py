@@ -267,6 +267,9 @@ class AgentCore:
         elif wanted and request.generation < wanted.generation:
             older = f"generation {request.generation} is older than "
             reply(Refused(f"{older}{wanted.generation}"))
+        elif request.containers and self._setup.is_witness:
+            computer = self._setup.computer
+            reply(Refused(f"'{computer}' is a witness: `poise agent` runs components"))
         elif why := allowed_code.refusal(request.containers, self._setup.allow):
             reply(Refused(why))
         else:
@@ -299,8 +302,12 @@ class AgentCore:
         )
 
     def _watch_leader(self) -> None:
+        self.standby.look(is_over=self._is_over())
+
+    def _is_over(self) -> bool:
+        """Return whether nothing is to run on the robot, or nobody has said so."""
         wanted = self.supervisor.wanted
-        self.standby.look(is_over=wanted is None or wanted.is_last)
+        return wanted is None or wanted.is_last
 
     def _note_lease(self) -> None:
         self.fence.update()
@@ -347,6 +354,7 @@ class AgentCore:
             pid=world.pid,
             adopted=world.adoption.num_adopted,
             generation=wanted.generation if wanted else 0,
+            is_at_work=not self._is_over(),
             token=self.fence.token,
             manager=self.fence.manager,
             uptime=self._clock.now() - self._born,

@@ -52,6 +52,7 @@ class AgentSetup(Struct, frozen=True, kw_only=True):
     keys: str = ""
     encrypts: bool = True  # whether its containers speak TLS with other computers
     allow: tuple[str, ...] = ()  # Folders of the code that it runs; empty: any
+    is_witness: bool = False  # It votes for managers, and runs nothing
 
 
 class AgentState(Struct, frozen=True, kw_only=True):

@@ -98,6 +98,13 @@ def start(closing: Sequence[int] = ()) -> tuple[socket.socket, int]:
     return ours, pid
 
 
+def absent() -> tuple[socket.socket, int]:
+    """Return what `start` does, of a zygote that was never forked."""
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    theirs.close()
+    return ours, 0
+
+
 def ask(zygote: socket.socket, wanted: Fork, stats_page: int) -> socket.socket:
     """Ask for a container that counts in `stats_page`; return its control socket."""
     try:
@@ -121,6 +128,8 @@ def hear(zygote: socket.socket) -> Event:
 def end(zygote: socket.socket, pid: int) -> None:
     """Let the zygote end, whose containers have ended."""
     zygote.close()
+    if not pid:
+        return
     pidfd = os.pidfd_open(pid)
     try:
         if not wait_readable([pidfd], PATIENCE + 1):

@@ -54,7 +54,7 @@ class EmulatedAgents:
 
     def __init__(
         self,
-        robot: str,
+        robot: Robot,
         emulation: Emulation,
         output: int,
         lifeline: int,
@@ -65,10 +65,12 @@ class EmulatedAgents:
         lease = UNCUT_LEASE if kept is None else LEASE
         self.emulation = emulation
         self.processes: dict[str, subprocess.Popen[bytes]] = {}
-        self._robot = robot
+        self._robot = robot.name
+        self._witnesses = {each.name for each in robot.computers if each.witness}
         self._output = output
         self._lifeline = lifeline
-        self._options = ["--lease", f"{lease}", "--sample-every", f"{sample_every}"]
+        self._lease = f"{lease}"
+        self._options = ["--sample-every", f"{sample_every}"]
         if not os.environ.get(ENCRYPT):
             self._options.append("--plain-connectors")
         self._say = say
@@ -100,11 +102,13 @@ class EmulatedAgents:
 
     def _start(self, name: str) -> None:
         computer = self.emulation.computers[name]
-        argv = [sys.executable, "-m", "poise", "agent", name, "--robot", self._robot]
+        is_witness = name in self._witnesses
+        command = ["witness", name] if is_witness else ["agent", name, *self._options]
+        argv = [sys.executable, "-m", "poise", *command, "--robot", self._robot]
         argv += ["--address", computer.address, "--folder", str(computer.folder)]
-        argv += ["--keys", str(computer.folder / _KEYS)]
+        argv += ["--keys", str(computer.folder / _KEYS), "--lease", self._lease]
         self.processes[name] = computer.popen(
-            [*argv, "--lifeline", str(self._lifeline), *self._options],
+            [*argv, "--lifeline", str(self._lifeline)],
             stdin=subprocess.DEVNULL,
             stdout=self._output,
             stderr=self._output,
@@ -180,7 +184,7 @@ def emulated_agents(
                 say(f"  without {sentence}")
             kept = find_set(robot.name) if keep else None
             with EmulatedAgents(
-                robot.name, emulation, output, lifeline, sample_every, say, kept
+                robot, emulation, output, lifeline, sample_every, say, kept
             ) as agents:
                 yield agents
     finally:

@@ -26,7 +26,7 @@ def election_of(robot: Robot, *, adapts: bool) -> Election | None:
     if not robot.manager or not (is_real or set_for(robot) is not None):
         return None
     return Election(
-        votes={computer.name: 1 for computer in robot.computers},
+        votes=robot.votes,
         managers=robot.manager,
         setup=msgspec.msgpack.encode(StandbySetup(robot=robot, adapts=adapts)),
     )

@@ -242,6 +242,8 @@ class AgentStatus(Struct, frozen=True, kw_only=True, dict=True):
     # How many containers of an earlier agent, which was killed, it took over
     adopted: int = 0
     generation: int
+    # Whether the robot is at work for all that it knows, though not here
+    is_at_work: bool = False
     # The manager that it obeys, or obeyed last, with that one's fencing token
     token: int = 0
     manager: ManagerId | None = None
