@@ -13,13 +13,16 @@ from hashlib import blake2b
 from heapq import heappop, heappush
 from math import inf
 from threading import get_ident
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from greenlet import getcurrent, greenlet
 
 from poise.errors import PoiseError
 from poise.simulation._engine import Engine
 from poise.simulation.choices import Choices
+
+if TYPE_CHECKING:
+    from poise.simulation.robot.simulated_process import Process
 
 SLACK = 60e-6
 """The kernel ends a wait this much late, as Linux does [s]."""
@@ -40,25 +43,6 @@ class Killed(BaseException):
     """The process of a task was killed: nothing of it goes on."""
 
 
-class Host(Protocol):
-    """What a scheduler asks of a task's process."""
-
-    name: str
-    computer: Any
-    is_dead: bool
-    is_paused: bool
-
-    held: list[SimulatedTask]
-
-    def spawn(self, name: str, work: Callable[[], object]) -> SimulatedTask:
-        """Start a task of this process."""
-        ...
-
-    def note_failure(self, task: SimulatedTask, error: BaseException) -> None:
-        """Take note of an error that no code of the task caught; may raise."""
-        ...
-
-
 class SimulatedTask:
     """What runs like a thread.
 
@@ -67,7 +51,7 @@ class SimulatedTask:
 
     greenlet: greenlet
 
-    def __init__(self, number: int, name: str, host: Host) -> None:
+    def __init__(self, number: int, name: str, host: Process) -> None:
         self.number = number
         self.name = name
         self.host = host
@@ -133,7 +117,9 @@ class Scheduler:
         self._number += 1
         return self._number
 
-    def spawn(self, host: Host, name: str, work: Callable[[], object]) -> SimulatedTask:
+    def spawn(
+        self, host: Process, name: str, work: Callable[[], object]
+    ) -> SimulatedTask:
         """Let a process have a new task."""
         task = SimulatedTask(self.number(), name, host)
         task.greenlet = greenlet(lambda: self._main(task, work), self._world)

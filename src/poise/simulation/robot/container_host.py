@@ -12,12 +12,13 @@ from poise.errors import Unavailable
 from poise.runtime.supervision.container_processes import ProcessEnd
 from poise.runtime.supervision.health import Silence
 from poise.simulation.component_models import drawn
-from poise.simulation.robot.modelled_container import SimulatedContainer, World
+from poise.simulation.robot.modelled_container import SimulatedContainer
 from poise.wire.records.deployment_records import ContainerSpec
 from poise.wire.records.status_records import FromContainer, ToContainer
 
 if TYPE_CHECKING:
     from poise.simulation.robot.simulated_agent import SimulatedAgent
+    from poise.simulation.robot.simulated_robot import SimulatedRobot
 
 _LOCAL = 50e-6
 _FORK = 0.005, 0.03
@@ -120,7 +121,7 @@ class SimulatedHost:
 
     cpu_weights = "cgroup v2"
 
-    def __init__(self, world: World, agent: SimulatedAgent) -> None:
+    def __init__(self, world: SimulatedRobot, agent: SimulatedAgent) -> None:
         self._world = world
         self._agent = agent
 
@@ -173,7 +174,7 @@ class SimulatedHost:
 class SimulatedAdoption:
     """What an earlier agent left: each container that runs asks to be adopted."""
 
-    def __init__(self, world: World, agent: SimulatedAgent) -> None:
+    def __init__(self, world: SimulatedRobot, agent: SimulatedAgent) -> None:
         self._world = world
         self._agent = agent
         computer = agent.process.computer

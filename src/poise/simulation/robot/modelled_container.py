@@ -4,27 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from math import inf
-from typing import Literal, Protocol
+from typing import TYPE_CHECKING, Literal
 
 from poise.errors import RunError
-from poise.simulation._engine import Connector, Ledger, Model, Sender
-from poise.simulation.choices import Choices
-from poise.simulation.component_models import ComponentModel
-from poise.simulation.network import Network
+from poise.simulation._engine import Sender
 from poise.simulation.robot.modelled_component import MigrationModel, SimulatedComponent
-from poise.simulation.robot.simulated_process import Process, SimulatedComputer
-from poise.simulation.scheduler import Scheduler, SimulatedTask
-from poise.wire.heartbeats import Datagrams
+from poise.simulation.robot.simulated_process import Process
+from poise.simulation.scheduler import SimulatedTask
 from poise.wire.records.deployment_records import ConnectorSpec, ContainerSpec
 from poise.wire.records.heartbeat_records import Clocks
 from poise.wire.records.migration_records import MigrationSteps
-from poise.wire.records.request_records import (
-    Claim,
-    ManagerId,
-    PortAnswer,
-    PortRequest,
-    TapReading,
-)
+from poise.wire.records.request_records import PortAnswer, PortRequest, TapReading
 from poise.wire.records.status_records import (
     ConnectorStatus,
     ContainerStatus,
@@ -32,6 +22,9 @@ from poise.wire.records.status_records import (
     Side,
     ToContainer,
 )
+
+if TYPE_CHECKING:
+    from poise.simulation.robot.simulated_robot import SimulatedRobot
 
 _MISSED_WITHIN = 0.1
 """A missed deadline is reported within this time [s]."""
@@ -47,62 +40,6 @@ Key = tuple[str, int]
 Moment = Literal["steps", "up", "paused"]
 
 
-class World(Protocol):
-    """What a container needs of the simulated robot."""
-
-    scheduler: Scheduler
-    choices: Choices
-    network: Network
-    ledger: Ledger
-
-    agent_cpu: float
-    components: list[SimulatedComponent]
-    on_moment: Callable[[Moment, str], object]
-    on_claim: Callable[[str, Claim, ManagerId], object]
-
-    def model_of(self, component: str) -> ComponentModel:
-        """Return the model of a component."""
-        ...
-
-    def engine_model_of(self, component: str) -> Model:
-        """Return the model of a component as the engine has it."""
-        ...
-
-    def connector_of(self, spec: ConnectorSpec) -> Connector:
-        """Return a connector as the engine has it."""
-        ...
-
-    def size_of(self, connector: str) -> float:
-        """Return the size of a message, or of a call both ways [bytes]."""
-        ...
-
-    def datagrams_of(self, process: Process, port: int) -> Datagrams:
-        """Return what carries heartbeats to and from a port of a process."""
-        ...
-
-    def start_standby(self, computer: str) -> Callable[[], bool]:
-        """Let a standby try to lead; return what says whether it still runs."""
-        ...
-
-    def containers(self) -> list[SimulatedContainer]:
-        """Return all containers that run."""
-        ...
-
-    def containers_on(self, computer: SimulatedComputer) -> list[SimulatedContainer]:
-        """Return the containers that run on a computer."""
-        ...
-
-    def add_container(self, container: SimulatedContainer) -> None:
-        """Let a container be found until its process ends."""
-        ...
-
-    def container_of(
-        self, computer: str, component: str, epoch: int
-    ) -> SimulatedContainer | None:
-        """Return the container of an incarnation on a computer."""
-        ...
-
-
 class SimulatedContainer:
     """A container of one computer.
 
@@ -113,7 +50,7 @@ class SimulatedContainer:
     `senders`: the slots of its components, with their epochs -> their sending ends.
     """
 
-    def __init__(self, world: World, process: Process, name: str) -> None:
+    def __init__(self, world: SimulatedRobot, process: Process, name: str) -> None:
         self.world = world
         self.process = process
         self.name = name

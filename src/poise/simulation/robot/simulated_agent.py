@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 from functools import partial
+from typing import TYPE_CHECKING
 
 import msgspec
 import zenoh
@@ -22,7 +23,7 @@ from poise.simulation.robot.container_host import (
     SimulatedHost,
     SimulatedWatchdog,
 )
-from poise.simulation.robot.modelled_container import SimulatedContainer, World
+from poise.simulation.robot.modelled_container import SimulatedContainer
 from poise.simulation.robot.simulated_process import Process, SimulatedComputer
 from poise.simulation.scheduler import SimulatedTask
 from poise.wire.control_session import identity_key, locator, open_session
@@ -50,6 +51,9 @@ from poise.wire.records.status_records import (
     ContainerSample,
 )
 
+if TYPE_CHECKING:
+    from poise.simulation.robot.simulated_robot import SimulatedRobot
+
 PORT = 7447
 LEASE = 2.0
 _NEWS = "news"
@@ -62,7 +66,7 @@ _WAKE = 0.02, 0.15
 class SimulatedStandby:
     """The `StandbyControl` of a simulated computer."""
 
-    def __init__(self, world: World, process: Process) -> None:
+    def __init__(self, world: SimulatedRobot, process: Process) -> None:
         self._world = world
         self._process = process
         self._claim: Claim | None = None
@@ -93,7 +97,7 @@ class SimulatedAgent:
 
     def __init__(
         self,
-        world: World,
+        world: SimulatedRobot,
         robot: str,
         process: Process,
         address: str,
@@ -260,7 +264,7 @@ class SimulatedSampler:
     """
 
     def __init__(
-        self, world: World, process: Process, put: Callable[[bytes], object]
+        self, world: SimulatedRobot, process: Process, put: Callable[[bytes], object]
     ) -> None:
         self._world = world
         self._process = process
