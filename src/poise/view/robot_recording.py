@@ -228,20 +228,7 @@ class Recorder:
         say: Say,
         tell: Callable[[float], object],
     ) -> None:
-        """Record for some time, or until `check` raises.
-
-        Parameters
-        ----------
-        say
-            Takes a sentence when the robot gives no answer, and when it does again.
-        tell
-            Called now and then with the time so far [s].
-
-        Raises
-        ------
-        RunError
-            The disk is full, or the robot has ended.
-        """
+        """Record for some time, or until `check` raises."""
         began = time.monotonic()
         next_read = began
         while (now := time.monotonic()) - began < seconds:
