@@ -8,7 +8,7 @@ import json
 import msgspec
 import numpy as np
 
-from poise.view.recorded_values import MOST_LISTED, as_json, pictures
+from poise.view.robot_recording import MOST_LISTED, as_json, pictures
 
 
 def test_all_of_a_message_is_written() -> None:
