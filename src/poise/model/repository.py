@@ -22,8 +22,7 @@ from poise.errors import FileProblem
 from poise.model.file_keys import by_name, says
 from poise.model.robot import Architecture, Robot
 from poise.model.steps import Action, walk
-from poise.model.yaml_include import read_file
-from poise.model.yaml_tree import Location, Node
+from poise.model.yaml_tree import Location, Node, read_file
 from poise.model.yaml_validation import validate
 from poise.units import counted
 

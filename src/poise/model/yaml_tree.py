@@ -1,4 +1,4 @@
-"""Parses YAML text into a tree of nodes, each with its location in the file.
+"""Reads YAML files into trees of nodes, each with its location in the file.
 
 A scalar stays text until the type of its field gives it a meaning, so that
 `address: 10.0` and a computer called `on` stay texts.
@@ -6,6 +6,7 @@ A scalar stays text until the type of its field gives it a meaning, so that
 
 from __future__ import annotations
 
+import pathlib
 import re
 from collections.abc import Iterator, Mapping
 from typing import Protocol
@@ -17,6 +18,8 @@ from yaml.reader import Reader
 from poise.errors import FileProblem
 from poise.units import quoted
 
+LARGEST = 1_000_000
+"""[bytes] A larger file is an error."""
 DEEPEST = 40
 """[levels] Deeper nesting is an error."""
 MOST = 100_000
@@ -56,6 +59,43 @@ class Node(Struct):
 
     place: Location
     value: dict[str, Node] | list[Node] | Scalar
+
+
+def read_file(
+    path: pathlib.Path, asked: Location | None, problems: list[FileProblem]
+) -> Node | None:
+    """Return the tree of one file, or None; every problem is added to `problems`."""
+    text = _read_text(path, asked, problems)
+    return None if text is None else parse(text, str(path), problems)
+
+
+def _read_text(
+    path: pathlib.Path, asked: Location | None, problems: list[FileProblem]
+) -> str | None:
+    def wrong(text: str) -> None:
+        where = asked or Location(str(path), 0, 0)
+        named = f"include: {quoted(path.name)} {text}" if asked else text
+        problems.append(where.problem(named))
+
+    try:
+        if path.is_dir():
+            wrong("is a folder, not a robot file")
+        elif not path.exists():
+            wrong("does not exist")
+        elif not path.is_file():
+            wrong("is not an ordinary file")
+        elif path.stat().st_size > LARGEST:
+            wrong(f"is larger than {LARGEST} bytes, the limit for a robot file")
+        else:
+            return path.read_bytes().decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        before = error.object[: error.start]
+        column = error.start - before.rfind(b"\n")
+        place = Location(str(path), before.count(b"\n") + 1, column)
+        problems.append(place.problem(f"is not UTF-8 text: {error.reason}"))
+    except OSError as error:
+        wrong(f"cannot be read: {error.strerror}")
+    return None
 
 
 class _Bad(Exception):

@@ -14,8 +14,7 @@ from msgspec import Struct
 from poise.errors import FileProblem, RobotError, UsageError
 from poise.model.file_keys import Name, Seconds, Share, says
 from poise.model.robot import Robot
-from poise.model.yaml_include import read_file
-from poise.model.yaml_tree import Finding, Positions
+from poise.model.yaml_tree import Finding, Positions, read_file
 from poise.model.yaml_tree import Path as KeyPath
 from poise.model.yaml_validation import validate
 from poise.simulation.choices import Choices
