@@ -263,7 +263,7 @@ MOST_ENTRIES = 500
 """How many decisions are kept."""
 
 
-class LastSeen(Struct, frozen=True, kw_only=True):
+class LiveReading(Struct, frozen=True, kw_only=True):
     """How a robot was when it was last looked at."""
 
     at: float = 0.0  # When it was looked at [s since 1970]
@@ -281,9 +281,9 @@ class LiveReader:
     def __init__(self, robot: str | None = None) -> None:
         self.running = Running(robot)
         self._entries: deque[JournalEntry] = deque(maxlen=MOST_ENTRIES)
-        self._seen = LastSeen()
+        self._seen = LiveReading()
 
-    def poll(self) -> LastSeen:
+    def poll(self) -> LiveReading:
         """Return how the robot is; without an answer, how it was, and why."""
         before = self._seen
         try:
@@ -295,14 +295,16 @@ class LiveReader:
             if status.by_agents:  # the journal is the manager's
                 first = status.deviations[0]
                 trouble, since = first.what, first.since
-                return self._note(LastSeen(status=status, trouble=trouble, since=since))
+                return self._note(
+                    LiveReading(status=status, trouble=trouble, since=since)
+                )
             after = self._entries[-1].number if self._entries else 0
             self._entries.extend(self.running.journal(after))
         except PoiseError as error:
             since = before.since if before.trouble else wall_time()
             return self._note(replace(before, trouble=str(error), since=since))
-        return self._note(LastSeen(status=status))
+        return self._note(LiveReading(status=status))
 
-    def _note(self, seen: LastSeen) -> LastSeen:
+    def _note(self, seen: LiveReading) -> LiveReading:
         self._seen = replace(seen, entries=tuple(self._entries), at=wall_time())
         return self._seen

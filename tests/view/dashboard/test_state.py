@@ -15,7 +15,7 @@ from poise.view.dashboard.state import (
     changes,
     why,
 )
-from poise.view.robot_view import LastSeen
+from poise.view.robot_view import LiveReading
 from poise.wire.records.request_records import ManagerId
 from poise.wire.records.status_records import (
     AgentStatus,
@@ -29,7 +29,7 @@ from poise.wire.records.status_records import (
 
 def seen(
     missed: int = 0, releases: int = 10, computer: str = "left", at: float = 1.0
-) -> LastSeen:
+) -> LiveReading:
     timer = TimerStatus(
         name="tick",
         period=0.1,
@@ -62,7 +62,7 @@ def seen(
         placement={"arm": computer, "lid-2": "right"},
         computers={computer: agent, other: empty},
     )
-    return LastSeen(status=status)
+    return LiveReading(status=status)
 
 
 def test_every_component_is_on_its_computer() -> None:
@@ -103,7 +103,7 @@ def test_only_what_has_changed_is_sent() -> None:
     status = seen(computer="right").status
     assert status is not None
     right = {"right": status.computers["right"]}
-    after = state.of(LastSeen(status=replace(status, computers=right)), 1.0)
+    after = state.of(LiveReading(status=replace(status, computers=right)), 1.0)
     differ = changes(same, after)
     assert differ["components"]["arm"]["at"] == "right"
     assert "lid-2" not in differ["components"]
@@ -131,11 +131,11 @@ def test_a_page_gets_the_latest_when_it_took_the_last_update() -> None:
 
 def test_a_robot_that_gives_no_answer_is_shown_as_it_was() -> None:
     known = seen()
-    gone = LastSeen(status=known.status, trouble="no answer", since=5.0)
+    gone = LiveReading(status=known.status, trouble="no answer", since=5.0)
     page = PageState().of(gone, 0.0)
     assert page["robot"][""]["trouble"] == "no answer"
     assert "arm" in page["components"]
-    assert "components" not in PageState().of(LastSeen(trouble="none runs"), 0.0)
+    assert "components" not in PageState().of(LiveReading(trouble="none runs"), 0.0)
 
 
 def test_a_decision_says_what_its_policy_saw_and_what_it_gains() -> None:
@@ -182,8 +182,8 @@ def test_the_history_has_a_moment_a_second_for_ten_minutes() -> None:
     for second in range(700):
         uses = 10 * second
         chain = {"uses": uses, "mean": 0.05, "deadline": 0.1, "known": second != 699}
-        history.note({**page, "chains": {"see": chain}}, LastSeen(at=second + 0.1))
-        history.note({**page, "chains": {"see": chain}}, LastSeen(at=second + 0.6))
+        history.note({**page, "chains": {"see": chain}}, LiveReading(at=second + 0.1))
+        history.note({**page, "chains": {"see": chain}}, LiveReading(at=second + 0.6))
     moments = history.moments()
     assert len(moments) == 600
     assert moments["698"] == {

@@ -19,7 +19,7 @@ from nicegui.events import GenericEventArguments
 from poise.clock import wall_time
 from poise.view.dashboard.dialogs import PageActions
 from poise.view.dashboard.state import Page, PageState, Updates
-from poise.view.robot_view import LastSeen, LiveReader
+from poise.view.robot_view import LiveReader, LiveReading
 from poise.wire.credentials import CERTIFICATE, PRIVATE_KEY, Credentials
 
 Scope = MutableMapping[str, Any]
@@ -143,7 +143,7 @@ class Dashboard:
         self._reader = LiveReader(robot)
         self._state = PageState()
         self._page: Page = {}
-        self._seen = LastSeen()
+        self._seen = LiveReading()
         self._viewers: set[str] = set()
         self._is_watched = asyncio.Event()
 

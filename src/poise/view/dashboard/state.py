@@ -8,7 +8,13 @@ from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 from poise.session.running_robots.running import ChainReport, JournalEntry, Status
-from poise.view.robot_view import ConnectorRow, LastSeen, Reader, TimerRow, containers
+from poise.view.robot_view import (
+    ConnectorRow,
+    LiveReading,
+    Reader,
+    TimerRow,
+    containers,
+)
 
 Records = dict[str, dict[str, Any]]
 Page = dict[str, Records]
@@ -27,7 +33,7 @@ class PageState:
         self._reader = Reader()
         self._history = RecentHistory()
 
-    def of(self, seen: LastSeen, at: float) -> Page:
+    def of(self, seen: LiveReading, at: float) -> Page:
         """Return the state."""
         page: Page = {"robot": {"": _robot(seen)}, "entries": _entries(seen)}
         status = seen.status
@@ -92,7 +98,7 @@ class Updates:
         return differ
 
 
-def _robot(seen: LastSeen) -> dict[str, Any]:
+def _robot(seen: LiveReading) -> dict[str, Any]:
     status = seen.status
     shown: dict[str, Any] = {"trouble": seen.trouble, "since": seen.since}
     if status is not None:
@@ -120,7 +126,7 @@ def _task(report: Any) -> dict[str, Any]:  # noqa: ANN401, `view` does not impor
     }
 
 
-def _entries(seen: LastSeen) -> Records:
+def _entries(seen: LiveReading) -> Records:
     return {
         str(entry.number): {
             "number": entry.number,
@@ -299,7 +305,7 @@ class RecentHistory:
         self._moments: Records = {}
         self._before: dict[str, tuple[int, float]] = {}
 
-    def note(self, page: Page, seen: LastSeen) -> None:
+    def note(self, page: Page, seen: LiveReading) -> None:
         """Note how a page is, unless that was done within this second already."""
         second = str(int(seen.at))
         if second in self._moments or seen.trouble:
