@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from poise.emulate.usage import StarvationWatch, Usage, is_starved
+from poise.emulate.limits import StarvationWatch, Usage, is_starved
 
 
 class Time:

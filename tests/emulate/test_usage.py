@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from poise.emulate.usage import Usage, is_starved, starved_time
+from poise.emulate.limits import Usage, is_starved, starved_time
 from poise.kernel_counters import stolen_time
 
 START = Usage(used=10.0, starved=1.0)

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks.priorities import run
-from poise.emulate.computer import CPU_GROUP, EmulatedComputer
+from poise.emulate.emulation import CPU_GROUP, EmulatedComputer
 
 pytestmark = [pytest.mark.slow, pytest.mark.one_worker]
 

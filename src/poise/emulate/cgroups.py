@@ -6,9 +6,8 @@ from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
 
-from poise.emulate.limits import Limits
+from poise.emulate.limits import Limits, Usage, starved_time
 from poise.emulate.processes import marked, stop
-from poise.emulate.usage import Usage, starved_time
 from poise.kernel_counters import group_cpu, process_cpu, table
 
 
@@ -38,10 +37,7 @@ def pids(folder: Path) -> list[int]:
 
 
 def lift(folder: str) -> None:
-    """Lift a cgroup's quota: even a killed process needs CPU to end.
-
-    OSError when the kernel refuses.
-    """
+    """Lift a cgroup's quota: even a killed process needs CPU to end."""
     for name, value in (("cpu.cfs_quota_us", "-1"), ("cpu.max", "max")):
         with suppress(FileNotFoundError), Path(folder, name).open("r+") as file:
             file.write(value)

@@ -14,10 +14,7 @@ _PERIOD = 0.02
 
 
 def background_load(cores: float) -> list[str]:
-    """Return the command of a program that takes `cores` [at most 1].
-
-    It imports nothing of Poise, so that it is at work at once.
-    """
+    """Return the command of a program that takes `cores` [at most 1]."""
     return [sys.executable, "-I", __file__, f"{cores:g}"]
 
 

@@ -100,11 +100,7 @@ def _shape(link: Link) -> Shape:
 
 
 def _free_subnet(start: int, taken: Iterable[str] = ()) -> ipaddress.IPv4Network:
-    """Return a subnet of 10.0.0.0/8 without `taken`, and to which there is no route.
-
-    Each owner starts its search elsewhere: those of two users, who do not know each
-    other's, hardly collide.
-    """
+    """Return a subnet of 10.0.0.0/8 without `taken`, and to which there is no route."""
     others = [*_routes(), *map(ipaddress.IPv4Network, taken)]
     for step in range(256):
         number = (start + step) % 65536
@@ -189,7 +185,7 @@ def shaping(network: NetworkPlan, *, delays: bool) -> list[tuple[str, list[str]]
                 "filter add dev eth0 parent 1: protocol ip prio 1 u32 "
                 f"match ip dst {address}/32 flowid 1:{target + 1:x}"
             )
-    return [(network.cables[i].namespace, each) for i, each in commands.items()]
+    return [(network.cables[i].namespace, command) for i, command in commands.items()]
 
 
 def reshape(

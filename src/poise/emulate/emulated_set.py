@@ -20,9 +20,9 @@ from msgspec.structs import replace
 
 from poise.clock import wall_time
 from poise.emulate import emulated_network, processes, registry
-from poise.emulate.computer import EmulatedComputer
 from poise.emulate.cpu_load import background_load
 from poise.emulate.emulated_network import NetworkPlan, Shape
+from poise.emulate.emulation import EmulatedComputer
 from poise.emulate.layout import EmulationLayout, FaultKind, InjectedFault, KeptSet
 from poise.errors import RunError, UsageError
 from poise.kernel_counters import process_stat
@@ -343,7 +343,7 @@ def _wait(holds: Callable[[], bool], limit: float, what: str) -> None:
 
 def find_set(robot: str | None = None) -> EmulatedSet:
     """Return the emulated computers that a process of this user keeps."""
-    found = {each.robot: each for each in all_sets()}
+    found = {kept.robot: kept for kept in all_sets()}
     if robot is None and len(found) == 1:
         return next(iter(found.values()))
     if robot in found:

@@ -170,5 +170,5 @@ def _private(folder: Path, name: str) -> str:
 def _loopback(start: int, taken: Collection[str]) -> str:
     """Return how free addresses in 127.0.0.0/8 begin, such as ``127.7.``."""
     begins = [f"127.{1 + (start + step) % 254}." for step in range(254)]
-    free = (each for each in begins if not any(t.startswith(each) for t in taken))
+    free = (begin for begin in begins if not any(t.startswith(begin) for t in taken))
     return next(free, begins[0])

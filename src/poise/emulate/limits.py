@@ -1,13 +1,14 @@
-"""The limits of each emulated computer on the host."""
+"""The limits of each emulated computer on the host, and whether the host starved it."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from typing import Protocol
 
 from msgspec import Struct
 
-from poise.emulate.usage import PERIOD
+from poise.clock import Clock
 from poise.errors import RobotError
 from poise.model.robot import Computer
 
@@ -111,3 +112,110 @@ def _own_sets(quotas: Sequence[float], cpus: list[int]) -> list[tuple[int, ...]]
         more = min(len(cpus), math.ceil(quota - _ROUNDING) - 1)
         own += [cpus.pop(0) for _ in range(more)]
     return [tuple(own) for own in sets]
+
+
+PERIOD = 0.01
+"""The period of a CPU quota [s]."""
+TURNS = 0.05
+"""Waiting for less than this in a second [s] is normal beside other processes, such as
+the simulator."""
+TOLERANCE = 0.1
+"""The share of the promised speed that may be missing; noise is below it."""
+
+
+class Usage(Struct, frozen=True, kw_only=True):
+    """The usage of an emulated computer since it was started."""
+
+    # CPU time [s], summed over its processes and CPUs. Without cgroups: of those
+    # processes that still run
+    used: float
+    # time in which it did not run because its quota was used up [s]
+    throttled: float = 0.0
+    memory: int | None = None  # peak [bytes]; None when it is not counted
+    # time in which it wanted CPU, had quota left, and other processes ran [s]; None
+    # when the kernel does not count it
+    starved: float | None = None
+
+
+def is_starved(before: Usage, after: Usage, quota: float, cpus: int = 1) -> bool:
+    """Return whether the host made the computer slower than promised between the two.
+
+    The emulation promises that a computer with `quota` cores on `cpus` host CPUs, while
+    it wants CPU and is not throttled, advances at ``quota / cpus`` of a host CPU's
+    speed or faster. It advanced at ``used / (used + starved)``. If that is less by more
+    than `TOLERANCE`, the measurement describes the host and not the robot. Waiting for
+    less than `TURNS` is ignored.
+
+    Short starvation vanishes in a long mean: compare windows of a second or less.
+    """
+    if before.starved is None or after.starved is None:
+        return False
+    starved = after.starved - before.starved
+    used = after.used - before.used
+    promised = min(1.0, quota / cpus) * (1 - TOLERANCE)
+    return starved > TURNS and used < promised * (used + starved)
+
+
+def starved_time(pressure: str, throttled: float, cpus: int) -> float:
+    """Return how long a cgroup was runnable, not throttled, and not running [s].
+
+    The kernel's ``full`` CPU pressure of a cgroup is the time in which some of its
+    processes were runnable and none ran, as a mean over its CPUs. It includes throttled
+    time, which is subtracted. The result is exact for one CPU and an upper bound for
+    several, because not all of them need be in use.
+    """
+    full = next(line for line in pressure.splitlines() if line.startswith("full"))
+    microseconds = int(full.rpartition("total=")[2])
+    return max(0.0, cpus * microseconds / 1e6 - throttled)
+
+
+WINDOW = 1.0
+"""The shortest window [s]: long against a quota's period, short against a run."""
+
+
+class Watched(Protocol):
+    """The watched computer: an `EmulatedComputer`."""
+
+    def usage(self) -> Usage:
+        """Return what it has used since it was made."""
+        ...
+
+    def was_starved(self, before: Usage, after: Usage) -> bool:
+        """Return whether the host made it slower than promised between the two."""
+        ...
+
+
+class StarvationWatch:
+    """Counts how long each computer was starved, window by window."""
+
+    def __init__(self, computers: Mapping[str, Watched], clock: Clock) -> None:
+        self._computers = computers
+        self._clock = clock
+        self._starved: dict[str, float] = {}
+        self._since = clock.now()
+        self._before = self._usages()
+
+    def poll(self) -> None:
+        """Judge the window if it has ended; call it more often than every `WINDOW`."""
+        if self._clock.now() - self._since >= WINDOW:
+            self._judge()
+
+    def end(self) -> Mapping[str, float]:
+        """Judge the last window; return the starved computers, and how long [s].
+
+        The run is invalid unless the result is empty.
+        """
+        self._judge()
+        return dict(self._starved)
+
+    def _judge(self) -> None:
+        now, after = self._clock.now(), self._usages()
+        for name, computer in self._computers.items():
+            before = self._before[name]
+            if computer.was_starved(before, after[name]):
+                lasted = now - self._since
+                self._starved[name] = self._starved.get(name, 0.0) + lasted
+        self._since, self._before = now, after
+
+    def _usages(self) -> dict[str, Usage]:
+        return {name: computer.usage() for name, computer in self._computers.items()}

@@ -47,10 +47,7 @@ class V1(Groups):
         return {controller: base / name for controller, base in self._bases.items()}
 
     def make(self, name: str, limits: Limits) -> Group:
-        """Make a group, and allow real-time threads if the kernel limits them.
-
-        Otherwise all threads of the group share its quota.
-        """
+        """Make a group, and allow real-time threads if the kernel limits them."""
         group = super().make(name, limits)
         file = self.homes(name).get("cpu", Path()) / "cpu.rt_runtime_us"
         if file.exists():
@@ -209,10 +206,7 @@ def _groups(found: list[Mount]) -> Groups:
 
 
 def _may_administer() -> bool:
-    """Return whether this process has CAP_NET_ADMIN and CAP_SYS_ADMIN.
-
-    Root in a container often has neither.
-    """
+    """Return whether this process has CAP_NET_ADMIN and CAP_SYS_ADMIN."""
     status = Path("/proc/self/status").read_text()
     effective = int(status.partition("CapEff:")[2].split()[0], 16)
     return effective & _NEEDED == _NEEDED

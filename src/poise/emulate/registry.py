@@ -97,8 +97,8 @@ def register(lay_out: Callable[[Collection[str]], EmulationLayout]) -> Emulation
 
 def addresses(but: str = "") -> list[str]:
     """Return the IP addresses of all emulations but one of this name."""
-    others = (each for each in registered() if each.run != but)
-    return [computer.address for each in others for computer in each.computers]
+    others = (layout for layout in registered() if layout.run != but)
+    return [computer.address for layout in others for computer in layout.computers]
 
 
 def read(run: str) -> EmulationLayout | None:
@@ -119,7 +119,7 @@ def remove(layout: EmulationLayout) -> None:
     network, computers = layout.network, layout.computers
     steps: tuple[tuple[Callable[[str], None], Iterable[str]], ...] = (
         (_end_marked, [computer.mark for computer in computers]),
-        (cgroup_files.remove, [each for c in computers for each in c.groups]),
+        (cgroup_files.remove, [folder for c in computers for folder in c.groups]),
         (cgroup_files.bring_back, layout.aside),
         (emulated_network.unplug, [network.owner] if network else []),
         (emulated_network.remove, network.namespaces if network else []),

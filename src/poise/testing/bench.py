@@ -13,6 +13,7 @@ from collections.abc import Mapping
 from math import inf
 from typing import Any, Generic, Self, TypeVar
 
+from poise.clock import Elapsed, Stamp
 from poise.errors import UsageError
 from poise.runtime.component.component import Component, Context, create
 from poise.runtime.component.ports import (
@@ -23,7 +24,6 @@ from poise.runtime.component.ports import (
     watchers_of,
 )
 from poise.runtime.execution.timers import Releases
-from poise.testing.virtual_clock import VirtualClock
 
 C = TypeVar("C", bound=Component)
 
@@ -119,7 +119,7 @@ class Bench(Generic[C]):
         """
         end = self.clock.now() + seconds
         while self._schedules:
-            schedule = min(self._schedules, key=lambda each: each.due)
+            schedule = min(self._schedules, key=lambda schedule: schedule.due)
             if schedule.due > end + _ROUNDING:
                 break
             self.clock.sleep(max(0.0, schedule.due - self.clock.now()))
@@ -170,3 +170,32 @@ class Bench(Generic[C]):
 
 _ROUNDING = 1e-9
 """Three steps of 0.1 s reach a release at 0.3 s, whatever floating point says [s]."""
+
+
+class VirtualClock:
+    """Time for tests; a `poise.clock.ComponentClock`.
+
+    Parameters
+    ----------
+    start
+        The first moment [s].
+    """
+
+    def __init__(self, start: float = 0.0) -> None:
+        self._now = start
+
+    def now(self) -> float:
+        """Return the present moment [s]."""
+        return self._now
+
+    def sleep(self, seconds: float) -> None:
+        """Let `seconds` [s] pass, at once."""
+        self._now += seconds
+
+    def stamp(self, at: float | None = None) -> Stamp:
+        """Return the present moment, or `at` [s]."""
+        return Stamp(self._now if at is None else at)
+
+    def since(self, stamp: Stamp) -> Elapsed:
+        """Return how long ago a stamp was; there is one computer, whatever it says."""
+        return Elapsed(self._now - stamp.at)
