@@ -7,7 +7,7 @@ import json
 import pytest
 import typer
 
-from poise.cli.commands.running_robot_command import balance_command, move_command
+from poise.cli.running_robot_command import balance_command, move_command
 from poise.manage.adaptation.proposals import Proposal
 from poise.manage.control_socket.commands import Rebalanced
 from poise.manage.migration.migration_report import (

@@ -138,7 +138,7 @@ def test_a_missing_file_is_a_problem_without_a_traceback(tmp_path: Path) -> None
 @pytest.mark.slow
 def test_an_interrupt_ends_with_130() -> None:
     interrupt = (
-        "import poise.cli.commands.robot_file_command as c\n"
+        "import poise.cli.robot_file_command as c\n"
         "def stop(*_):\n    raise KeyboardInterrupt\n"
         "c.check = stop\n"
     )
@@ -153,7 +153,7 @@ from poise.cli.command_table import COMMANDS
 
 for where in sorted({where for where, _ in COMMANDS.values()}):
     if not (child := os.fork()):
-        importlib.import_module(f"poise.cli.commands.{where}_command")
+        importlib.import_module(f"poise.cli.{where}_command")
         os._exit(0)
     if os.waitpid(child, 0)[1]:
         sys.exit(where)

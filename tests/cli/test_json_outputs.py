@@ -36,7 +36,7 @@ def test_it_is_a_schema_of_draft_2020_12() -> None:
 def test_it_has_every_command_that_prints_json() -> None:
     printing = []
     for name, (where, _) in COMMANDS.items():
-        module = import_module(f"poise.cli.commands.{where}_command")
+        module = import_module(f"poise.cli.{where}_command")
         command = getattr(module, f"{name.split()[-1]}_command")
         if {"as_json", "json"} & inspect.signature(command).parameters.keys():
             printing.append(name)

@@ -7,7 +7,7 @@ import pytest
 import typer
 from typer.testing import CliRunner, Result
 
-from poise.cli.commands.plan_command import plan_command
+from poise.cli.plan_command import plan_command
 from poise.errors import UsageError
 
 ROBOT = Path(__file__).parents[2] / "examples" / "paper" / "robot.yaml"

@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from poise.cli.commands.run_command import run_command
+from poise.cli.run_command import run_command
 from poise.emulate import sweep
 from poise.emulate.registry import registry
 from poise.errors import PoiseError

@@ -8,7 +8,7 @@ import msgspec
 import pytest
 
 import poise
-from poise.cli.commands.robot_file_command import policy_command
+from poise.cli.robot_file_command import policy_command
 from poise.errors import UsageError
 from poise.manage.observe.sample_recording import RecordingFile
 from poise.model.policy import SUBJECTS, ComputerValues, LinkValues, Policy, Seen

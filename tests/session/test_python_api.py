@@ -66,7 +66,7 @@ def test_the_names_are_listed_before_they_are_imported() -> None:
         ),
         # containers are forked from it
         (
-            "import poise.cli.commands.agent_command",
+            "import poise.cli.agent_command",
             ["rich", "yaml", "poise.model", "poise.plan"],
         ),
     ],

@@ -145,7 +145,7 @@ def test_faults_are_named_and_files_read_without_the_extra() -> None:
     code = """
 import sys
 sys.modules["greenlet"] = None
-import poise, poise.cli.commands.simulate_command
+import poise, poise.cli.simulate_command
 poise.simulate, poise.SimulatedFault(at=1.0, kind="kill agent", target="left")
 """
     subprocess.run([sys.executable, "-c", code], check=True, timeout=LONG)

@@ -1,4 +1,4 @@
-"""The commands of `poise`: each has a line here and a function in `commands/`."""
+"""The commands of `poise`: each has a line here and a function in its file."""
 
 from __future__ import annotations
 
@@ -47,20 +47,20 @@ COMMANDS = {
     "keys list": ("keys", "Show the keys that are here."),
     "keys rotate": ("keys", "Replace the authority, in two steps."),
     "up": ("run", "Start a robot and keep it running."),
-    "top": ("look", "Watch a running robot in the terminal."),
-    "list": ("look", "List robots that run, and what they consist of."),
-    "echo": ("look", "Show messages as they go out over a connector."),
-    "hz": ("look", "Show how often something goes out over a connector."),
+    "top": ("watch", "Watch a running robot in the terminal."),
+    "list": ("watch", "List robots that run, and what they consist of."),
+    "echo": ("watch", "Show messages as they go out over a connector."),
+    "hz": ("watch", "Show how often something goes out over a connector."),
     "call": ("outside", "Call a component of a running robot."),
     "pub": ("outside", "Send a message into a running robot."),
-    "param": ("param", "Look at and set parameters of components."),
-    "param list": ("param", "List the parameters of all components."),
-    "param get": ("param", "Print a component's parameters."),
-    "param set": ("param", "Set parameters of a component that runs."),
-    "ros2": ("ros2", "Take ROS 2 nodes in."),
-    "ros2 import": ("ros2", "Write a running ROS 2 graph as a robot file."),
+    "param": ("outside", "Look at and set parameters of components."),
+    "param list": ("outside", "List the parameters of all components."),
+    "param get": ("outside", "Print a component's parameters."),
+    "param set": ("outside", "Set parameters of a component that runs."),
+    "ros2": ("robot_file", "Take ROS 2 nodes in."),
+    "ros2 import": ("robot_file", "Write a running ROS 2 graph as a robot file."),
     "record": ("recording", "Record a running robot for Foxglove."),
-    "log": ("look", "Show what components wrote."),
+    "log": ("watch", "Show what components wrote."),
     "task": ("running_robot", "Start, pause, resume and cancel tasks."),
     "task start": ("running_robot", "Start a task of a running robot."),
     "task pause": ("running_robot", "Pause a task."),
@@ -69,19 +69,18 @@ COMMANDS = {
     "task list": ("running_robot", "List the tasks that were started."),
     "task show": ("running_robot", "Show a task and its actions."),
     "status": ("running_robot", "Show how a running robot is."),
-    "dashboard": ("dashboard", "Show a running robot as a web page."),
+    "dashboard": ("watch", "Show a running robot as a web page."),
     "move": ("running_robot", "Move a component of a running robot."),
     "replace": ("running_robot", "Swap a component's implementation."),
     "balance": ("running_robot", "Rebalance a running robot."),
-    "journal": ("look", "Show what a manager decided and why."),
+    "journal": ("watch", "Show what a manager decided and why."),
     "stop": ("running_robot", "Stop a running robot."),
     "agent": ("agent", "Run what the manager wants on this computer."),
     "witness": ("agent", "Vote for a robot's manager, and run nothing."),
-    "standby": ("standby", "Wait to lead a robot; agents start it."),
+    "standby": ("agent", "Wait to lead a robot; agents start it."),
 }
-"""Command -> its file in `commands/` (`look`: `look_command.py`), and what it does. A
-second word makes a sub-command. Its function is named after its last word:
-`stop_command`."""
+"""Command -> its file (`watch`: `watch_command.py`), and what it does. A second word
+makes a sub-command. Its function is named after its last word: `stop_command`."""
 
 _EXIT_CODES = (
     "Exit codes: 0 done; 1 the robot file has problems, nothing can be placed, or "
@@ -105,7 +104,7 @@ def build(arguments: Sequence[str]) -> typer.Typer:
     asked = both if both in COMMANDS else "".join(words[:1])
     for name, (where, help_) in COMMANDS.items():
         if name == asked:
-            loaded = importlib.import_module(f"poise.cli.commands.{where}_command")
+            loaded = importlib.import_module(f"poise.cli.{where}_command")
             group, last = _group_of(app, name)
             command = getattr(loaded, f"{last}_command")
             help_text = _flowing(inspect.getdoc(command) or "")
@@ -140,7 +139,7 @@ def _group_of(app: typer.Typer, name: str) -> tuple[typer.Typer, str]:
 def _flowing(text: str) -> str:
     """Return help whose paragraphs fill the terminal's width, whatever that is."""
     about, examples, commands = text.partition("\n\nExamples\n")
-    paragraphs = (" ".join(each.split("\n")) for each in about.split("\n\n"))
+    paragraphs = (" ".join(paragraph.split("\n")) for paragraph in about.split("\n\n"))
     return "\n\n".join(paragraphs) + examples + commands
 
 

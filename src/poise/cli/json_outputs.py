@@ -12,9 +12,9 @@ from typing import Any, TypedDict
 
 import msgspec
 
-from poise.cli.commands.emulate_command import ListedSet
-from poise.cli.commands.keys_command import KeysListed
-from poise.cli.commands.run_command import demo_module
+from poise.cli.emulate_command import ListedSet
+from poise.cli.keys_command import KeysListed
+from poise.cli.run_command import demo_module
 from poise.errors import FileProblem
 from poise.estimate.profiles import Profile
 from poise.manage.adaptation.proposals import WhatIf
@@ -169,7 +169,7 @@ _REF = "#/$defs/{name}"
 
 def schema() -> dict[str, Any]:
     """Return the schema; ``$defs`` has what each command prints, by its name."""
-    types = [each for several in OUTPUTS.values() for each in several]
+    types = [output for several in OUTPUTS.values() for output in several]
     found, records = msgspec.json.schema_components([*types, Failed], ref_template=_REF)
     # what a command prints may also be an error
     schemas = iter(found)

@@ -44,10 +44,10 @@ def in_file(what: str) -> Complete:
             # before an option without a value, arguments are not told from the rest
             robot = load(Path(context.params.get("file") or context.args[0]))
             if what == "tasks":
-                return [each.name for each in robot.tasks]
+                return [task.name for task in robot.tasks]
             if what == "computers":
-                return [each.name for each in robot.computers]
-            return [each.name for each in robot.components()]
+                return [computer.name for computer in robot.computers]
+            return [component.name for component in robot.components()]
 
         return _fitting(names, begun)
 

@@ -46,7 +46,7 @@ def telling_progress(running: Running) -> Iterator[None]:
                 sentences = running.status().under_way
             except PoiseError:  # the command itself says why
                 return
-            sys.stderr.writelines(f"{each}\n" for each in sentences)
+            sys.stderr.writelines(f"{sentence}\n" for sentence in sentences)
 
     telling = threads.daemon(tell, "progress")
     telling.start()

@@ -12,9 +12,9 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
-from poise.cli.commands.running_robot_command import Robot
 from poise.cli.interrupts import Interrupts
 from poise.cli.options import AsJson, print_json, running, show
+from poise.cli.running_robot_command import Robot
 from poise.errors import UsageError
 from poise.manage.agent_connections.statuses import connectors_of
 from poise.manage.observe.estimates import DemandEstimate

@@ -110,7 +110,7 @@ def simulate_command(
         placed = place(robot, chosen, method=placement or "auto", fewer=True)
         run = partial(simulate, placement=placed)
     else:
-        methods = [each.strip() for each in compare.split(",")]
+        methods = [method.strip() for method in compare.split(",")]
         run = partial(compare_simulations, methods=methods)
     with Interrupts() as interrupts:
         with virtual_progress(console, seconds) as show:

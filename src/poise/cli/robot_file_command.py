@@ -1,10 +1,10 @@
-"""What is said of a robot file: `check`, `policy`, `repository` and `draw`."""
+"""Robot files: `poise check`, `policy`, `repository`, `draw` and `ros2 import`."""
 
 from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -15,10 +15,12 @@ from rich.console import RenderableType
 from rich.markup import escape
 from rich.table import Table
 
-from poise.cli.options import AsJson, RobotFile, RobotTask, busy, show
+from poise.cli.options import AsJson, RobotFile, RobotTask, busy, parse_option, show
+from poise.cli.plan_command import computer_of
 from poise.errors import FileProblem, RobotError, UsageError
 from poise.estimate.success_rates import beliefs_about, forget
 from poise.model.check.voting import notes_of
+from poise.model.hardware import Computer
 from poise.model.load import load
 from poise.model.policy import Policy, policies_of
 from poise.model.robot import Robot
@@ -32,7 +34,7 @@ from poise.session.render.tables import table
 from poise.session.robot_file import check
 from poise.session.running_robots.running import Running
 from poise.suggest import unknown
-from poise.units import counted, format_seconds
+from poise.units import SECONDS, counted, format_bytes, format_seconds
 
 
 def check_command(
@@ -145,8 +147,8 @@ def _policy_table(policies: tuple[Policy, ...]) -> Table:
 
 def _event_parts(events: tuple[PolicyEvent, ...]) -> Iterator[RenderableType]:
     rows = table("at [s]", "policy", "do", "what was seen", folds=3)
-    for each in events:
-        rows.add_row(f"{each.at:.1f}", each.policy, each.do or "", each.what)
+    for event in events:
+        rows.add_row(f"{event.at:.1f}", event.policy, event.do or "", event.what)
     yield rows
     if not events:
         yield "the policies would have done nothing"
@@ -324,3 +326,79 @@ def _placements(
             raise RobotError(f"'{name}' gives no placement: {placed.reason}")
         found[name] = placed.where
     return found
+
+
+def ros2_command() -> None:
+    """Write ROS 2 nodes as a robot file.
+
+    Examples
+    --------
+    poise ros2 import --for 30s -o robot.yaml
+    """
+    raise UsageError("say what: poise ros2 import")
+
+
+def import_command(
+    for_: Annotated[
+        str, typer.Option("--for", help="How long to watch; the longer, the truer.")
+    ] = "30s",
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="The robot file to write.")
+    ] = Path("robot.yaml"),
+    computer: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME:cpu=2,memory=4GiB",
+            help="A computer for the robot; main stands for this one. Repeatable.",
+        ),
+    ] = None,
+    name: Annotated[str, typer.Option(help="The robot's name.")] = "ros2",
+) -> None:
+    """Watch a running ROS 2 graph, and write it as a robot file.
+
+    Measures what nodes send, and what CPU and memory their processes take. Reads from
+    the command lines how to start them again. Changes nothing: it subscribes without
+    asking for lost messages, and to big topics only at times. Run it beside the nodes,
+    with their environment, in one that has rclpy, too.
+
+    Examples
+    --------
+    poise ros2 import --for 30s -o robot.yaml
+
+    poise ros2 import --computer vision:cpu=4,memory=8GiB
+    """
+    from poise.session.robot_file import check
+    from poise.session.ros2_import.import_robot import import_robot
+
+    seconds = parse_option("--for", for_, SECONDS)
+    if seconds <= 0:
+        raise UsageError(f"--for {for_}: must be longer than 0 s")
+    if output.exists():
+        raise UsageError(f"{output} exists: remove it, or name another file with -o")
+    if not output.absolute().parent.is_dir():
+        raise UsageError(f"--output {output}: there is no folder for it")
+    computers = _keys(map(computer_of, computer or ()))
+    sys.stderr.write(f"watching ROS 2 for {seconds:g} s\n")
+    found = import_robot(
+        seconds, name=name, folder=output.absolute().parent, computers=computers
+    )
+    output.write_text(found.text, encoding="utf-8")
+    for line in found.summary():
+        sys.stderr.write(f"{line}\n")
+    sys.stderr.write(f"wrote {output}; next: poise plan {output}\n")
+    problems = check(output)
+    for problem in problems:
+        sys.stderr.write(f"{problem}\n")
+    if problems:
+        raise typer.Exit(1)
+
+
+def _keys(computers: Iterable[Computer]) -> dict[str, dict[str, str | float]]:
+    """Return computers as a robot file has them."""
+    return {
+        computer.name: {
+            "cpu": computer.capacity.get("cpu", 0.0),
+            "memory": format_bytes(computer.capacity.get("memory", 0)),
+        }
+        for computer in computers
+    }

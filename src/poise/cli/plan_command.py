@@ -143,7 +143,7 @@ def plan_command(
         return plan.share_cpu(found) if share else found
 
     if smallest and robot is not None and not tasks:
-        tasks = [each.name for each in robot.tasks]
+        tasks = [task.name for task in robot.tasks]
     if tasks and not at_once:
         problems = {
             name: plan.phased_problem_of(each, name)
@@ -157,7 +157,7 @@ def plan_command(
         problems = {name or ALL: plan.PhasedProblem.of_one(name or ALL, problem)}
     has_phases = len(tasks) > 1 or any(len(p.phases) > 1 for p in problems.values())
     _check_phases(tasks, phase, compare, has_phases=has_phases)
-    problems = {name: each.changed(changed) for name, each in problems.items()}
+    problems = {name: problem.changed(changed) for name, problem in problems.items()}
     with Interrupts() as interrupts:
         solve = partial(
             plan.solve_phases,
@@ -301,7 +301,7 @@ def _answer_smallest(
 ) -> bool:
     """Print the cheapest computers on which each task fits; return whether all do."""
     problems = [*tasks.values()]
-    few = plan.smallest(problems, lambda each: how(each).phased)
+    few = plan.smallest(problems, lambda method: how(method).phased)
     known = problems[0].computers
     price = sum(h.price for h in known if h.name in few.computers)
     results = dict(zip(tasks, few.results, strict=False))

@@ -77,7 +77,7 @@ def list_command(as_json: AsJson = False) -> None:
 
     Example: poise emulate list
     """
-    listed = [_listed(each) for each in all_sets()]
+    listed = [_listed(kept) for kept in all_sets()]
     show(listed, map(escape, _lines(listed)), as_json=as_json)
 
 
@@ -234,7 +234,7 @@ def _listed(kept: EmulatedSet) -> ListedSet:
         robot=kept.robot,
         process=kept.layout.owner.pid,
         since=state.since or 0.0,
-        computers={name: each.address for name, each in kept.computers.items()},
+        computers={name: computer.address for name, computer in kept.computers.items()},
         without=state.without,
         faults=state.faults,
     )

@@ -1,10 +1,15 @@
-"""What one looks at first of a running robot: `poise list`, `echo`, `hz`, `journal`."""
+"""How one watches a running robot: `poise list`, `echo`, `hz`, `top`, `dashboard`."""
 
 from __future__ import annotations
 
+import contextlib
+import importlib.util
 import math
+import socket
+import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -14,11 +19,12 @@ import yaml
 from rich.console import Console
 from rich.markup import escape
 
-from poise.cli.commands.running_robot_command import Robot
 from poise.cli.options import AsJson, print_json, running, show
+from poise.cli.running_robot_command import Robot
 from poise.errors import UsageError
 from poise.manage.agent_connections.statuses import connectors_of
 from poise.manage.journal import KINDS, JournalEntry, read_journal
+from poise.runtime.hosting.command_line import die_with_parent
 from poise.session.folders import find_journal
 from poise.session.render.printable import console_to
 from poise.session.running_robots.local_robots import (
@@ -30,6 +36,7 @@ from poise.session.running_robots.local_robots import (
 )
 from poise.session.running_robots.running import Running, connect
 from poise.units import format_bytes
+from poise.wire.credentials import Credentials, find
 from poise.wire.records.request_records import OutputLine
 
 Connector = Annotated[
@@ -225,7 +232,7 @@ def top_command(
     Top(connect(robot).status, every).run()
 
 
-_LOOK_EVERY = 0.2
+_POLL_EVERY = 0.2
 _COLOURS = {"wrong": "red", "failed": "red", "right": "green", "decided": "bold"}
 
 
@@ -286,7 +293,7 @@ def journal_command(
     _show(console, chosen, facts=facts)
     after = entries[-1].number if entries else 0
     while follow:
-        time.sleep(_LOOK_EVERY)
+        time.sleep(_POLL_EVERY)
         if new := read_journal(file, after):
             after = new[-1].number
             _show(console, [entry for entry in new if fits(entry)], facts=facts)
@@ -299,3 +306,98 @@ def _show(console: Console, entries: list[JournalEntry], *, facts: bool) -> None
         if facts and entry.facts:
             text = msgspec.json.format(msgspec.json.encode(entry.facts), indent=2)
             console.print(escape(text.decode()), style="dim")
+
+
+_PORT = 7480
+
+
+def dashboard_command(
+    robot: Annotated[
+        str | None, typer.Argument(help="The robot's name, when several run here.")
+    ] = None,
+    host: Annotated[
+        str,
+        typer.Option(help="Address to listen on; others than loopback need a token."),
+    ] = "127.0.0.1",
+    port: Annotated[
+        int, typer.Option(min=0, max=65535, help="TCP port; 0: any that is free.")
+    ] = _PORT,
+    insecure: Annotated[
+        bool,
+        typer.Option("--insecure", help="Do not encrypt it for other computers."),
+    ] = False,
+) -> None:
+    """Show a running robot as a web page, until Ctrl-C.
+
+    Computers with their components, connectors, deadlines, and what Poise decided and
+    why. Drag a component to another computer to see what a move would change. It waits
+    for the robot, and for a new manager when that was killed.
+
+    To other computers it is encrypted by the robot's keys (`poise keys`). It prints an
+    address for people who may act, and one for people who may only look.
+
+    Example: poise dashboard
+    """
+    check_dashboard()
+    from poise.view.dashboard.dashboard_server import is_loopback, serve
+
+    keys = None if insecure or is_loopback(host) else _keys(robot)
+
+    def say(text: str) -> None:
+        sys.stdout.write(f"{text}\n")
+        sys.stdout.flush()
+
+    serve(robot, host, _free_port(host, port), say, keys)
+
+
+def _keys(robot: str | None) -> Credentials:
+    """Return the keys that encrypt the page of a robot."""
+    if robot is None:
+        raise UsageError("name the robot: its keys encrypt the page")
+    keys = find(robot, "manager", "viewer")
+    if keys is None:
+        raise UsageError(
+            f"there are no keys of robot '{robot}' to encrypt the page with: `poise "
+            "keys init` makes them; --insecure goes without; `ssh -L` needs neither"
+        )
+    return keys
+
+
+def check_dashboard() -> None:
+    """Raise UsageError when what the dashboard needs is not installed."""
+    if importlib.util.find_spec("nicegui") is None:
+        raise UsageError("the dashboard needs NiceGUI: pip install 'poise[dashboard]'")
+
+
+@contextlib.contextmanager
+def dashboard_beside(robot: str) -> Iterator[None]:
+    """Serve the page by a process that ends with this block, and with this process."""
+    try:
+        port = _free_port("127.0.0.1", _PORT)
+    except UsageError:  # the page of another robot
+        port = 0
+    words = ["dashboard", robot, "--port", str(port)]
+    with subprocess.Popen(  # noqa: S603, Poise itself
+        [sys.executable, "-m", "poise", *words],
+        stdin=subprocess.DEVNULL,
+        preexec_fn=die_with_parent,  # noqa: PLW1509, it is one call
+    ) as server:
+        try:
+            yield
+        finally:
+            server.terminate()
+
+
+def _free_port(host: str, port: int) -> int:
+    """Return the port, or a free one for 0, if it can be listened on."""
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    with socket.socket(family) as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((host, port))
+        except OSError as error:
+            raise UsageError(
+                f"{host}:{port} cannot be listened on ({error.strerror}): choose "
+                "another with --host or --port; --port 0 takes any that is free"
+            ) from error
+        return int(probe.getsockname()[1])

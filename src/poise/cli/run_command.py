@@ -14,7 +14,6 @@ import typer
 from msgspec.structs import replace
 from rich.markup import escape
 
-from poise.cli.commands.dashboard_command import check_dashboard, dashboard_beside
 from poise.cli.interrupts import Interrupts
 from poise.cli.options import (
     AnyMethod,
@@ -24,6 +23,7 @@ from poise.cli.options import (
     RobotTask,
     parse_option,
 )
+from poise.cli.watch_command import check_dashboard, dashboard_beside
 from poise.errors import UsageError
 from poise.model.steps import Prefetch
 from poise.session.folders import to_write
@@ -126,7 +126,7 @@ def _make_folder(path: Path) -> None:
     to_write(path / "report.json")
 
 
-_LOOK_EVERY = 0.2
+_POLL_EVERY = 0.2
 
 
 def up_command(
@@ -225,7 +225,7 @@ def up_command(
             ends = "Ctrl-C" if sys.stdin.isatty() else "`poise stop`"
             names = "' and '".join(tasks)
             say(f"robot '{robot.name}' is up with task '{names}'; {ends} ends it")
-            while not running.wait(_LOOK_EVERY):
+            while not running.wait(_POLL_EVERY):
                 interrupts.check()
             say("stopping")
 
@@ -235,7 +235,7 @@ def _import_the_rest() -> None:
     importlib.import_module("poise.session.up")
 
 
-_CLONE = Path(__file__).parents[4]
+_CLONE = Path(__file__).parents[3]
 
 
 def demo_command(

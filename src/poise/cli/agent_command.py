@@ -1,4 +1,4 @@
-"""`poise agent`: run what the manager wants on this computer; `witness`: only vote."""
+"""What runs on each computer of a robot: `poise agent`, `standby` and `witness`."""
 
 from __future__ import annotations
 
@@ -201,3 +201,24 @@ def _check_ip(address: str) -> None:
             f"--address {address}: give an IP address of this computer, without "
             "brackets or port, as in 10.0.0.1 or fd00::1; --port gives the port"
         )
+
+
+def standby_command(
+    computer: Annotated[str, typer.Argument(help="This computer's name.")],
+    claim: Annotated[Path, typer.Option(help="The file of the agent's last claim.")],
+) -> None:
+    """Wait to lead a robot when its manager is gone.
+
+    Agents start it where the robot file says `manager`, and tell it when to lead, by a
+    line `lead` on its standard input.
+
+    Example: poise standby main --claim /tmp/poise-agent-0-1f2e/claim
+    """
+    from poise.session.standby import stand_by  # the manager, which no agent needs
+
+    def say(sentence: str) -> None:
+        with contextlib.suppress(OSError):  # nobody reads it
+            at = time.strftime("%H:%M:%S")
+            sys.stderr.write(f"{at} standby on '{computer}': {sentence}\n")
+
+    stand_by(claim, sys.stdin, say)
