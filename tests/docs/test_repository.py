@@ -48,4 +48,4 @@ def test_the_example_runs(tmp_path: Path) -> None:
     assert re.search(r"pick +all computers +33% ± 24%", shown), shown
     assert run_poise(*reset, cwd=tmp_path).returncode == 0
     after = run_poise(*show, cwd=tmp_path).stdout
-    assert after.endswith("nothing is learned of its success yet\n")
+    assert after.endswith("nothing has been learned yet\n")

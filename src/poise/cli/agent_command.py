@@ -36,7 +36,7 @@ _Port = Annotated[
 ]
 _Folder = Annotated[
     Path | None,
-    typer.Option(help="Folder of its own for its sockets and what it must keep."),
+    typer.Option(help="Its private folder, for sockets and files to keep."),
 ]
 _Keys = Annotated[
     Path | None,
@@ -44,13 +44,16 @@ _Keys = Annotated[
 ]
 _Insecure = Annotated[
     bool,
-    typer.Option("--insecure", help="Without keys: whoever reaches it commands it."),
+    typer.Option(
+        "--insecure", help="Without keys: any host that reaches it commands it."
+    ),
 ]
 _Lifeline = Annotated[
     int | None, typer.Option(hidden=True, help="End at this descriptor's end.")
 ]
 _Lease = Annotated[
-    float, typer.Option(hidden=True, help="Who is silent so long [s] is lost.")
+    float,
+    typer.Option(hidden=True, help="A peer that is silent for so long [s] is lost."),
 ]
 
 

@@ -24,11 +24,13 @@ from poise.units import BANDWIDTH, CORES, SECONDS, Dimension
 _POLL_EVERY = 0.2
 
 Robot = Annotated[
-    str | None, typer.Option(help="The robot's name, when several have some.")
+    str | None, typer.Option(help="The robot's name, if several are emulated.")
 ]
 Computer = Annotated[str, typer.Argument(help="The computer.")]
 Other = Annotated[str, typer.Argument(help="The other one.")]
-AnyOther = Annotated[str | None, typer.Argument(help="The other one; else all.")]
+AnyOther = Annotated[
+    str | None, typer.Argument(help="The other computer. Default: all.")
+]
 
 
 class ListedSet(Struct, frozen=True, kw_only=True):
@@ -139,7 +141,7 @@ def heal_command(
     """
     find_set(robot).heal(computer, other)
     what = f"'{computer}'" if other is None else f"the link {computer} - {other}"
-    console_to().print(f"{what} is as it was", highlight=False)
+    console_to().print(f"{what} is healed", highlight=False)
 
 
 def crash_command(computer: Computer, robot: Robot = None) -> None:

@@ -20,10 +20,11 @@ from poise.wire.credentials import Credentials, Role, folders
 RobotName = Annotated[str, typer.Argument(help="The robot's name.", show_default=False)]
 Folder = Annotated[
     Path | None,
-    typer.Option(help="The folder of the owner's keys; else his usual one."),
+    typer.Option(help="The owner's key folder. Default: the usual one."),
 ]
 Out = Annotated[
-    Path, typer.Option("--out", "-o", help="A folder below which each gets its own.")
+    Path,
+    typer.Option("--out", "-o", help="A folder in which each owner gets a folder."),
 ]
 
 
@@ -57,10 +58,12 @@ def issue_command(
     role: Annotated[
         str,
         typer.Option(
-            help="agent: a computer; manager: who may command; viewer: who may look."
+            help="agent: a computer; manager: may command; viewer: may only watch."
         ),
     ] = "agent",
-    days: Annotated[float, typer.Option(help="How long they hold.", min=0.001)] = DAYS,
+    days: Annotated[
+        float, typer.Option(help="How long they are valid.", min=0.001)
+    ] = DAYS,
     leads: Annotated[
         bool,
         typer.Option(

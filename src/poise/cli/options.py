@@ -71,7 +71,7 @@ RobotTask = Annotated[
     str | None,
     typer.Option(
         "--task",
-        help="The task; else the file's first.",
+        help="The task. Default: the file's first.",
         autocompletion=in_file("tasks"),
     ),
 ]

@@ -66,7 +66,7 @@ def plan_command(
     ] = False,
     share: Annotated[
         bool,
-        typer.Option("--share", help="Let CPU be short where not all fits."),
+        typer.Option("--share", help="Share CPU where not everything fits."),
     ] = False,
     explain: Annotated[
         str | None,

@@ -41,7 +41,7 @@ def recording_command(
     ] = None,
     of: Annotated[
         Literal["components", "connectors"],
-        typer.Option(help="For export: what the rows are of."),
+        typer.Option(help="For export: what each row is about."),
     ] = "components",
     robot: Annotated[
         Path | None,
@@ -103,7 +103,7 @@ def record_command(
         bool, typer.Option("--all", help="Messages and calls of all connectors.")
     ] = False,
     rate: Annotated[
-        float, typer.Option(help="Most messages of each a second.")
+        float, typer.Option(help="At most so many messages of each connector a second.")
     ] = 400.0,
     seconds: Annotated[
         float, typer.Option("--for", help="End after this time [s].")
@@ -155,11 +155,13 @@ def record_command(
 def play_command(
     file: Annotated[Path, typer.Argument(help="A file of `poise record`.")],
     rate: Annotated[
-        float, typer.Option(help="So many times as quickly as it was recorded.")
+        float, typer.Option(help="Speed: 2 plays it twice as fast as it was recorded.")
     ] = 1.0,
     only: Annotated[
         list[str] | None,
-        typer.Option(metavar="COMPONENT.PORT", help="Only this; may be repeated."),
+        typer.Option(
+            metavar="COMPONENT.PORT", help="Only this connector; may be repeated."
+        ),
     ] = None,
     robot: Robot = None,
     as_json: AsJson = False,

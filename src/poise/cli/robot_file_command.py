@@ -229,7 +229,7 @@ def _architecture_parts(row: Described) -> Iterator[RenderableType]:
     ):
         yield escape(sentence)
     if not row.learned:
-        yield "nothing is learned of its success yet"
+        yield "nothing has been learned yet"
         return
     shown = table("action", "conditions", "success", "of", "hash", folds=1)
     for belief in row.learned:
@@ -253,7 +253,8 @@ _ON_STDOUT = "-"
 def draw_command(
     file: RobotFile,
     what: Annotated[
-        What | None, typer.Option(help="Else as the placements ask for.")
+        What | None,
+        typer.Option(help="What to draw. Default: what the placements ask for."),
     ] = None,
     task: RobotTask = None,
     placement: Annotated[
@@ -335,12 +336,12 @@ def ros2_command() -> None:
     --------
     poise ros2 import --for 30s -o robot.yaml
     """
-    raise UsageError("say what: poise ros2 import")
+    raise UsageError("there is one command: poise ros2 import")
 
 
 def import_command(
     for_: Annotated[
-        str, typer.Option("--for", help="How long to watch; the longer, the truer.")
+        str, typer.Option("--for", help="How long to watch; longer is more accurate.")
     ] = "30s",
     output: Annotated[
         Path, typer.Option("--output", "-o", help="The robot file to write.")

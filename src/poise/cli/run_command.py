@@ -133,7 +133,7 @@ def up_command(
     file: RobotFile,
     task: Annotated[
         list[str] | None,
-        typer.Option("--task", help="A task, or several; else the file's first."),
+        typer.Option("--task", help="A task, or several. Default: the file's first."),
     ] = None,
     placement: AnyMethod = None,
     journal: Annotated[
@@ -156,10 +156,11 @@ def up_command(
         bool, typer.Option(help="Prepare what the next actions need.")
     ] = True,
     take_over: Annotated[
-        bool, typer.Option("--take-over", help="Replace the manager that it has.")
+        bool, typer.Option("--take-over", help="Replace its present manager.")
     ] = False,
     detach: Annotated[
-        bool, typer.Option("--detach", help="Return once it is up; it goes on.")
+        bool,
+        typer.Option("--detach", help="Return once it is up, and leave it running."),
     ] = False,
     dashboard: Annotated[
         bool, typer.Option("--dashboard", help="Show it as a web page meanwhile.")

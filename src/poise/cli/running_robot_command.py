@@ -70,7 +70,7 @@ def status_command(
     robot: Robot = None,
     file: Annotated[
         Path | None,
-        typer.Option(help="Robot file: ask its agents, for want of a manager here."),
+        typer.Option(help="Robot file: ask its agents, if no manager runs here."),
     ] = None,
     everything: Annotated[
         bool,
@@ -105,7 +105,9 @@ def move_command(
     ],
     computer: Annotated[
         str,
-        typer.Argument(help="Where it is to run.", autocompletion=running("computers")),
+        typer.Argument(
+            help="The computer to move it to.", autocompletion=running("computers")
+        ),
     ],
     force: Annotated[
         bool,

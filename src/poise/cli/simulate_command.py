@@ -49,7 +49,7 @@ def simulate_command(
         typer.Option(help="File with faults, or random: the seed picks them."),
     ] = None,
     seed: Annotated[
-        int, typer.Option(help="Of chance. The same seed gives the same outcome.")
+        int, typer.Option(help="Seed of chance: the same seed gives the same outcome.")
     ] = 0,
     adapt: Annotated[
         bool, typer.Option(help="Change the placement as `poise up` does.")
@@ -93,7 +93,7 @@ def simulate_command(
     if compare is not None and placement is not None:
         raise UsageError(
             f"--compare {compare} and --placement {placement} together: add "
-            f"{placement} to what is compared"
+            f"{placement} to --compare"
         )
     console = Console(stderr=True, highlight=False)
 

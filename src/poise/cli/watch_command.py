@@ -50,7 +50,7 @@ Connector = Annotated[
 
 def list_command(
     what: Annotated[
-        Thing | None, typer.Argument(help="Only names of these, a line each.")
+        Thing | None, typer.Argument(help="Print only names of these, one a line.")
     ] = None,
     robot: Robot = None,
     as_json: AsJson = False,
@@ -73,7 +73,7 @@ def list_command(
 def echo_command(
     connector: Connector,
     rate: Annotated[
-        float, typer.Option(help="At most so many messages a second are shown.")
+        float, typer.Option(help="Show at most so many messages a second.")
     ] = 10.0,
     count: Annotated[
         int | None, typer.Option(min=1, help="End after so many messages.")
@@ -164,7 +164,7 @@ def _log_line(line: OutputLine, *, as_json: bool) -> str:
 def hz_command(
     connector: Connector,
     seconds: Annotated[
-        float, typer.Option("--for", help="Each line is about so many seconds.")
+        float, typer.Option("--for", help="How many seconds each line covers.")
     ] = 1.0,
     count: Annotated[
         int | None, typer.Option(min=1, help="End after so many lines.")
@@ -213,7 +213,7 @@ def _sizes(running: Running, connector: str) -> str:
 
 def top_command(
     every: Annotated[
-        float, typer.Option(min=0.2, help="Look again after so many seconds.")
+        float, typer.Option(min=0.2, help="Refresh after so many seconds.")
     ] = 1.0,
     robot: Robot = None,
 ) -> None:
@@ -239,7 +239,7 @@ _COLOURS = {"wrong": "red", "failed": "red", "right": "green", "decided": "bold"
 def journal_command(
     file: Annotated[
         Path | None,
-        typer.Argument(help="Another journal than the last robot's, or `--robot`'s."),
+        typer.Argument(help="A journal. Default: the last robot's, or `--robot`'s."),
     ] = None,
     robot: Annotated[
         str | None, typer.Option(help="The robot whose last journal is shown.")

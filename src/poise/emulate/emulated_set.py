@@ -90,9 +90,11 @@ class EmulatedSet:
         if bandwidth is None and latency is None:
             raise UsageError("slow: give a bandwidth or a latency")
         if bandwidth is not None and not 1 <= bandwidth < math.inf:
-            raise UsageError(f"slow: {bandwidth:g} B/s is no bandwidth: give 1 or more")
+            raise UsageError(
+                f"slow: {bandwidth:g} B/s is not a bandwidth: give 1 or more"
+            )
         if latency is not None and not 0 <= latency < math.inf:
-            raise UsageError(f"slow: {latency:g} s is no latency: give 0 or more")
+            raise UsageError(f"slow: {latency:g} s is not a latency: give 0 or more")
         with self._changing() as faults:
             before = _find(faults, "slow", on)
             if before is None or before.shape is None:
@@ -350,7 +352,9 @@ def find_set(robot: str | None = None) -> EmulatedSet:
         return found[robot]
     names = ", ".join(found) or "none"
     if robot is None and found:
-        raise UsageError(f"several robots have some ({names}): name one with --robot")
+        raise UsageError(
+            f"several robots have emulated computers ({names}): name one with --robot"
+        )
     whose = f"robot '{robot}' has" if robot else "there are"
     raise UsageError(
         f"{whose} no emulated computers that are kept (up: {names}); "

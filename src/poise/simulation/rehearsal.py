@@ -37,7 +37,7 @@ def unsettled(robot: SimulatedRobot) -> list[str]:
         if working.get(name) != [at]
     ]
     lost = sorted(manager.manager.lost())
-    return misplaced + [f"the manager takes '{name}' for lost" for name in lost]
+    return misplaced + [f"the manager considers '{name}' lost" for name in lost]
 
 
 UP_LIMIT = 60.0

@@ -138,7 +138,7 @@ def test_other_computers_need_an_address_that_says_what_they_may(
         page.locator('[data-component="printer"]').click()
         page.get_by_role("dialog").get_by_role("button", name="left").click()
         page.get_by_role("button", name="Do it").click()
-        page.get_by_text("this page may only look").wait_for()
+        page.get_by_text("this page is read-only").wait_for()
 
 
 _STILL = """() => document.getAnimations().every(

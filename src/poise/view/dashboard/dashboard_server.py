@@ -95,7 +95,7 @@ def _refusal_of_site(headers: Mapping[str, str], *, needs_name: bool) -> str:
         return f"a page of {origin} may not use this robot"
     name = urlsplit(f"//{host}").hostname or ""
     if needs_name and not is_loopback(name):
-        return f"{host} is no name of this computer"
+        return f"{host} is not a name of this computer"
     return ""
 
 

@@ -78,7 +78,7 @@ class PageActions:
                 ui.button(
                     "Cancel the task", on_click=lambda: self._call(act, dialog)
                 ).props("no-caps")
-                ui.button("Let it go on", on_click=dialog.close).props(
+                ui.button("Keep it running", on_click=dialog.close).props(
                     "no-caps outline"
                 )
 
@@ -143,7 +143,7 @@ class PageActions:
             ui.html(f"<h2>{escape(entry.what)}</h2>")
             clock = time.strftime("%H:%M:%S", time.localtime(entry.at))
             ui.label(f"{entry.kind} at {clock}").classes("dim")
-            ui.label(why(entry) or "The sentence above is all that is known of it.")
+            ui.label(why(entry) or "There are no further details.")
             for step in proposal.get("steps", ()) if proposal else ():
                 ui.label(f"• {_step_sentence(step)}")
             if others := facts.get("alternatives"):
@@ -154,7 +154,7 @@ class PageActions:
                     terms = {"as it was": proposal["now"], "proposed": proposal["then"]}
                     ui.html(_terms(terms))
             if plain := [(n, v) for n, v in facts.items() if _is_plain(v)]:
-                with ui.expansion("What was noted with it").props("dense"):
+                with ui.expansion("Recorded facts").props("dense"):
                     rows = ((escape(n), escape(_said(v))) for n, v in plain)
                     ui.html(html_table(("", ""), rows)).classes("scroll")
             ui.button("Close", on_click=dialog.close).props("no-caps")
@@ -231,7 +231,7 @@ class PageActions:
     def _raise_if_looking(self) -> None:
         if not self._may_act:
             raise UsageError(
-                "this page may only look: `poise dashboard` printed the address of one "
+                "this page is read-only: `poise dashboard` printed the address of one "
                 "that may act, too"
             )
 
@@ -336,11 +336,11 @@ class ParameterFields:
         try:
             values = {n: yaml.safe_load(f.value) for n, f in self._fields.items()}
         except yaml.YAMLError as error:
-            _complain(f"that is no value: {error}")
+            _complain(f"not a valid value: {error}")
             return
         changes = {n: v for n, v in values.items() if v != self._known[n]}
         if not changes:
-            ui.notify("All are as they were")
+            ui.notify("Nothing was changed")
             return
         try:
             took = await run.io_bound(self._component.set_parameters, changes)
