@@ -58,13 +58,13 @@ class ComputerValues(Struct, frozen=True, kw_only=True):
     ] = 0.0
     late: Annotated[int, says("Timers there that do not keep their rate.")] = 0
     drifted: Annotated[
-        int, says("Components there that need other than they were placed by.")
+        int, says("Components there whose demand has changed since they were placed.")
     ] = 0
     short: Annotated[
         Cores, says("What its components need and it does not have, reserves kept.")
     ] = 0.0
     culprit: Annotated[
-        str, says("What takes most beyond what was expected there, in words.")
+        str, says("The largest use there that was not expected, in words.")
     ] = ""
     memory: Annotated[Bytes, says("Memory use of the robot's programs.")] = 0.0
     components: Annotated[int, says("Components that are placed there.")] = 0

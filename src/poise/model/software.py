@@ -114,8 +114,8 @@ class ComponentEntry(Struct, frozen=True, kw_only=True):
     restart_when_hung: Annotated[
         Seconds,
         says(
-            "Its container is restarted when its code does not go on for this time: "
-            "5 s. Default: that is only said.",
+            "Its container is restarted when its code hangs for this time: "
+            "5 s. Default: it is only reported.",
             gt=0,
         ),
     ] = 0.0

@@ -77,7 +77,7 @@ def test_a_drift_is_named_when_it_takes_a_reserve(situation: Make) -> None:
     (found,) = seen(drifted, "drift")
     assert found == (
         "the components on 'left' need 0.13 cores more than it has beside other "
-        "programs and its reserve: 2 of them need other than they were placed by"
+        "programs and its reserve: the demand of 2 of them has changed"
     )
     alone = msgspec.structs.replace(drifted, placement={"a": "left", "b": "right"})
     assert not seen(alone, "drift")
