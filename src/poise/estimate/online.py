@@ -3,8 +3,9 @@
 The estimate covers the last `SPAN` seconds, and restarts when the demand has changed.
 The CPU time of a starved component is not its demand, nor is that of one that works off
 a backlog: the demand is then arriving jobs x CPU time per job, and while one job runs
-on, what that uses (`poise.estimate.online`). Windows that give only a lower
-bound count only if they raise the estimate.
+on, what that uses. Such a job stands out when it has used several times the CPU of the
+costliest one before. Windows that give only a lower bound count only if they raise the
+estimate.
 """
 
 from __future__ import annotations

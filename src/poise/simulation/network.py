@@ -1,4 +1,4 @@
-"""Links between simulated computers: delays, losses, cuts and clogs."""
+"""Links between simulated computers (delays, losses, cuts, clogs), and datagrams."""
 
 from __future__ import annotations
 

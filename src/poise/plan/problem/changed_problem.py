@@ -1,6 +1,11 @@
-"""A problem changed in one way: fewer components, other computers, other capacities.
+"""A problem changed in one way: fewer components, other computers, CPU that is shared.
 
 Where something is left out, overhead counts for as much as in the whole.
+
+CPU can be shared: what gets less of it does less. Memory and devices cannot, so their
+limits stay hard. Where components of several priorities share a computer, the higher
+ones get what they need first; so the shortage of a priority is what it and all above it
+need together beyond what there is, less that of those above alone.
 """
 
 from __future__ import annotations

@@ -6,7 +6,7 @@
 namespace poise {
 
 // A limit is about its runs, and about its hops where their ends are apart: see
-// `TimeLimit` in ../../problem/time_limit.py.
+// `TimeLimit` in ../../problem/items.py.
 struct TimeLimits {
   struct Run {
     std::int32_t unit, component;
