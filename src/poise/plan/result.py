@@ -38,7 +38,6 @@ from poise.plan.violations import (
     violations,
 )
 
-
 LONGEST_TRACE = 2_000
 """How many trials (components x computers) a trace is worked out for."""
 

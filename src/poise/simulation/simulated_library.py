@@ -38,7 +38,6 @@ from poise.simulation.scheduler import (
 )
 from poise.simulation.zenoh_sessions import ZenohNetwork
 
-
 _FORBIDDEN = (
     (os, "fork"),
     (subprocess, "Popen"),
