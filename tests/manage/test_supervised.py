@@ -7,7 +7,7 @@ import pytest
 from poise.errors import RunError, TakenOver
 from poise.manage.journal import Journal
 from poise.manage.observe.troubles import FIRST_PAUSE, LONGEST_PAUSE, SupervisedTick
-from poise.testing.bench import VirtualClock
+from poise.testing import VirtualClock
 
 
 class Rig:

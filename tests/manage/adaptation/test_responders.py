@@ -7,7 +7,7 @@ import pytest
 from poise.manage.adaptation.loop import Adaptation
 from poise.manage.adaptation.situation import Change, Responder, Situation
 from poise.manage.deploy.desired import Desired
-from poise.testing.bench import VirtualClock
+from poise.testing import VirtualClock
 from tests.manage.adaptation.shortages.test_suspension import Robbed, robot_with
 
 PURPOSES = [

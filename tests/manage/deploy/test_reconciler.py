@@ -14,7 +14,7 @@ from poise.manage.deploy.reconciler import APPLY_LIMIT, TRY_AGAIN
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.journal import Journal
 from poise.model.robot import Robot
-from poise.testing.bench import VirtualClock
+from poise.testing import VirtualClock
 from poise.wire.records.deployment_records import Deployment
 from tests.manage.conftest import FakeAgents
 

@@ -13,7 +13,7 @@ from poise.manage.deploy.deactivation import stop
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.journal import Journal
 from poise.model.robot import Robot
-from poise.testing.bench import VirtualClock
+from poise.testing import VirtualClock
 from poise.wire.records.status_records import ComponentStatus, Fault
 from tests.manage.conftest import FakeAgents
 

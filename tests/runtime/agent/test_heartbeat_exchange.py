@@ -10,7 +10,7 @@ from msgspec import structs
 
 from poise.runtime.agent.fence import Fence
 from poise.runtime.agent.heartbeat_exchange import HeartbeatExchange
-from poise.testing.bench import VirtualClock
+from poise.testing import VirtualClock
 from poise.wire.heartbeats import (
     LEASE,
     UNCUT_LEASE,

@@ -1,4 +1,6 @@
-"""One component on a bench: its ports lead to lists and functions, its time is virtual.
+"""What users may use in tests of their own components: a bench and a clock.
+
+On a bench, the ports of one component lead to lists and functions, its time is virtual.
 
 ::
 
@@ -24,6 +26,8 @@ from poise.runtime.component.ports import (
     watchers_of,
 )
 from poise.runtime.execution.timers import Releases
+
+__all__ = ["Bench", "VirtualClock"]
 
 C = TypeVar("C", bound=Component)
 
