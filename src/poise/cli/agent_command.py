@@ -175,9 +175,9 @@ def _keys_for(robot: str, address: str, keys: Path | None, *, is_insecure: bool)
     _check_ip(address)
     if is_insecure:
         return ""
-    found = find(robot, "agent", folder=keys)
-    if found is not None:
-        return str(found.folder.resolve())
+    own = find(robot, "agent", folder=keys)
+    if own is not None:
+        return str(own.folder.resolve())
     if ip_address(address).is_loopback:
         return ""
     raise UsageError(
@@ -196,10 +196,10 @@ def _say(sentence: str) -> None:
 def _check_ip(address: str) -> None:
     """Raise UsageError unless it is an IP address without a port."""
     try:
-        found = Endpoint.parse(address)
+        endpoint = Endpoint.parse(address)
     except ValueError as error:
         raise UsageError(f"--address: {error}") from None
-    if not found.is_ip or found.host != address:
+    if not endpoint.is_ip or endpoint.host != address:
         raise UsageError(
             f"--address {address}: give an IP address of this computer, without "
             "brackets or port, as in 10.0.0.1 or fd00::1; --port gives the port"

@@ -131,16 +131,18 @@ def list_command(
     poise keys list hello
     """
     places = [folder] if folder else _folders(robot)
-    found = [Credentials(place) for place in places if place.is_dir()]
-    if robot is not None and not found:
+    credentials = [Credentials(place) for place in places if place.is_dir()]
+    if robot is not None and not credentials:
         where = " or ".join(map(str, places))
         raise UsageError(f"there are no keys of robot '{robot}' in {where}")
     shown = table("robot", "keys of", "until", "folder")
-    for keys in found:
+    for keys in credentials:
         shown.add_row(keys.robot, keys.name, _day(keys.expires), str(keys.folder))
-    listed = [KeysListed(k.robot, k.name, str(k.folder), k.expires) for k in found]
+    listed = [
+        KeysListed(k.robot, k.name, str(k.folder), k.expires) for k in credentials
+    ]
     show(listed, [shown], as_json=as_json)
-    warnings = [warning for keys in found if (warning := keys.warning())]
+    warnings = [warning for keys in credentials if (warning := keys.warning())]
     for warning in warnings:
         sys.stderr.write(f"{warning}\n")
     if warnings:

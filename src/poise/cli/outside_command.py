@@ -51,8 +51,8 @@ def call_command(
     component, name = _component(port, robot)
     places, names = [], {}
     for argument in arguments or ():
-        if found := _NAMED.fullmatch(argument):
-            names[found[1]] = value_of(found[2])
+        if named := _NAMED.fullmatch(argument):
+            names[named[1]] = value_of(named[2])
         elif names:
             raise UsageError(f"{argument}: values without a name come first")
         else:
@@ -138,14 +138,16 @@ def list_command(robot: Robot = None, as_json: AsJson = False) -> None:
     poise param list
     """
     up = connect(robot)
-    found: dict[str, Any] = {}
+    parameters: dict[str, Any] = {}
     silent: list[str] = []
     for name in sorted(up.status().placement):
         try:
-            found[name] = up.component(name).parameters()
+            parameters[name] = up.component(name).parameters()
         except PoiseError as error:
             silent.append(f"{name}: {error}")
-    _show({name: values for name, values in found.items() if values}, as_json=as_json)
+    _show(
+        {name: values for name, values in parameters.items() if values}, as_json=as_json
+    )
     for sentence in silent:
         sys.stderr.write(f"{sentence}\n")
     if silent:
@@ -202,9 +204,9 @@ def set_command(
     """
     values = {}
     for change in changes:
-        if (found := _NAMED.fullmatch(change)) is None:
+        if (named := _NAMED.fullmatch(change)) is None:
             raise UsageError(f"'{change}': give NAME=VALUE, as in gain=0.06")
-        values[found[1]] = value_of(found[2])
+        values[named[1]] = value_of(named[2])
     up = connect(robot).component(component)
     _show(up.set_parameters(values, limit=limit), as_json=as_json)
 

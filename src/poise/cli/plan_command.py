@@ -131,16 +131,16 @@ def plan_command(
             return None
         conditions = Conditions(lost=tuple(without or ()))
         actions = robot.actions(task)
-        found = learned(
+        believed = learned(
             robot, actions, conditions=conditions, explore=explore, seed=seed
         )
-        for sentence in found.says:
+        for sentence in believed.says:
             say(sentence)
-        return found.robot
+        return believed.robot
 
     def changed(problem: plan.Problem) -> plan.Problem:
-        found = changed_problem(problem, without or [], add or [], scale or [])
-        return plan.share_cpu(found) if share else found
+        asked_about = changed_problem(problem, without or [], add or [], scale or [])
+        return plan.share_cpu(asked_about) if share else asked_about
 
     if smallest and robot is not None and not tasks:
         tasks = [task.name for task in robot.tasks]
@@ -245,10 +245,10 @@ def _robot(
 ) -> Robot | None:
     """Return the robot in `file`; None when it is a plain problem."""
     if file.suffix != ".json":
-        found = profiled(load(file))
-        for sentence in found.says:
+        measured = profiled(load(file))
+        for sentence in measured.says:
             say(sentence)
-        return found.robot
+        return measured.robot
     if explore:
         raise UsageError(f"--explore: {file} is a plain problem: nothing is learned")
     if tasks:
@@ -267,8 +267,8 @@ def _answer(
     json: bool,
 ) -> bool:
     """Decide and print, or why something is where it is; return whether it holds."""
-    found = how(problem)
-    result = found.phased
+    answer = how(problem)
+    result = answer.phased
     several = len(result.results) > 1
     explanation = None
     if explain is not None and (several or result.only[1].placement):
@@ -280,7 +280,7 @@ def _answer(
         print_json(
             {
                 **plain,
-                "predicted": found.predicted,
+                "predicted": answer.predicted,
                 **extra,
                 **({"phase": phase} if several and extra else {}),
             }
@@ -288,7 +288,7 @@ def _answer(
         return result.feasible
     console = Console()
     if explanation is None:
-        show(result, console, found.predicted)
+        show(result, console, answer.predicted)
         return result.feasible
     if several:
         console.print(f"phase {phase}:", highlight=False)

@@ -229,10 +229,10 @@ def calibrate_command(
 def _speed_table(robot: Robot, result: Calibration) -> Table:
     rows = table("computer", "loops per CPU second", "speed measured", "in the file")
     for computer in robot.computers:
-        found = result.computers[computer.name]
-        measured = "emulated" if found.speed is None else f"{found.speed:.2f}"
+        calibrated = result.computers[computer.name]
+        measured = "emulated" if calibrated.speed is None else f"{calibrated.speed:.2f}"
         rows.add_row(
-            computer.name, f"{found.loops:.0f}", measured, f"{computer.speed:g}"
+            computer.name, f"{calibrated.loops:.0f}", measured, f"{computer.speed:g}"
         )
     return rows
 

@@ -300,10 +300,10 @@ def draw_command(
     if chosen != "components" and not names:
         names = ["static", "auto"] if chosen == "transition" else ["auto"]
     console = console_to(stderr=True)
-    found = profiled(load(file))
-    for sentence in found.says:
+    measured = profiled(load(file))
+    for sentence in measured.says:
         console.print(sentence)
-    robot = found.robot
+    robot = measured.robot
     drawing = draw(robot, chosen, _placements(robot, task, names), task=task)
     if output == _ON_STDOUT:
         sys.stdout.write(drawing.text())
@@ -317,16 +317,16 @@ def draw_command(
 def _placements(
     robot: Robot, task: str | None, names: list[str]
 ) -> Mapping[str, Mapping[str, str]]:
-    found: dict[str, Mapping[str, str]] = {}
+    placements: dict[str, Mapping[str, str]] = {}
     for name in names:
         if name == _RUNNING:
-            found[name] = Running(robot.name).status().placement
+            placements[name] = Running(robot.name).status().placement
             continue
         placed = place(robot, task, method=name, at_once=True)
         if not placed.where:
             raise RobotError(f"'{name}' gives no placement: {placed.reason}")
-        found[name] = placed.where
-    return found
+        placements[name] = placed.where
+    return placements
 
 
 def ros2_command() -> None:
@@ -380,11 +380,11 @@ def import_command(
         raise UsageError(f"--output {output}: there is no folder for it")
     computers = _keys(map(computer_of, computer or ()))
     sys.stderr.write(f"watching ROS 2 for {seconds:g} s\n")
-    found = import_robot(
+    imported = import_robot(
         seconds, name=name, folder=output.absolute().parent, computers=computers
     )
-    output.write_text(found.text, encoding="utf-8")
-    for line in found.summary():
+    output.write_text(imported.text, encoding="utf-8")
+    for line in imported.summary():
         sys.stderr.write(f"{line}\n")
     sys.stderr.write(f"wrote {output}; next: poise plan {output}\n")
     problems = check(output)

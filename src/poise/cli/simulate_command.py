@@ -100,10 +100,10 @@ def simulate_command(
     def say(sentence: str) -> None:
         console.print(escape(sentence))
 
-    found = profiled(with_code(load(file)))
-    for sentence in found.says:
+    measured = profiled(with_code(load(file)))
+    for sentence in measured.says:
         say(sentence)
-    robot = found.robot
+    robot = measured.robot
     chosen = task_of(robot, task)
     run: Callable[..., Simulation | SimulationComparison]
     if compare is None:

@@ -29,11 +29,11 @@ class Files:
 
 def pids(folder: Path) -> list[int]:
     """Return the processes in a cgroup and in those below; none if it is not there."""
-    found = []
+    pids = []
     for file in [folder / "cgroup.procs", *folder.glob("*/cgroup.procs")]:
         with suppress(OSError):
-            found += [int(pid) for pid in file.read_text().split()]
-    return found
+            pids += [int(pid) for pid in file.read_text().split()]
+    return pids
 
 
 def lift(folder: str) -> None:

@@ -113,7 +113,7 @@ def _free_subnet(start: int, taken: Iterable[str] = ()) -> ipaddress.IPv4Network
 
 def _routes() -> list[ipaddress.IPv4Network]:
     """Return the networks that this host has routes to, without the default route."""
-    found = []
+    taken = []
     for line in Path("/proc/net/route").read_text().splitlines()[1:]:
         fields = line.split()
         # Addresses are numbers in the machine's byte order.
@@ -121,8 +121,8 @@ def _routes() -> list[ipaddress.IPv4Network]:
             socket.inet_ntoa(struct.pack("=L", int(fields[i], 16))) for i in (1, 7)
         )
         if mask != "0.0.0.0":  # noqa: S104 - nothing is bound here
-            found.append(ipaddress.IPv4Network((target, mask)))
-    return found
+            taken.append(ipaddress.IPv4Network((target, mask)))
+    return taken
 
 
 NAMESPACES = Path("/run/netns")

@@ -345,13 +345,13 @@ def _wait(holds: Callable[[], bool], limit: float, what: str) -> None:
 
 def find_set(robot: str | None = None) -> EmulatedSet:
     """Return the emulated computers that a process of this user keeps."""
-    found = {kept.robot: kept for kept in all_sets()}
-    if robot is None and len(found) == 1:
-        return next(iter(found.values()))
-    if robot in found:
-        return found[robot]
-    names = ", ".join(found) or "none"
-    if robot is None and found:
+    sets = {kept.robot: kept for kept in all_sets()}
+    if robot is None and len(sets) == 1:
+        return next(iter(sets.values()))
+    if robot in sets:
+        return sets[robot]
+    names = ", ".join(sets) or "none"
+    if robot is None and sets:
         raise UsageError(
             f"several robots have emulated computers ({names}): name one with --robot"
         )

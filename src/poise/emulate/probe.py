@@ -195,11 +195,11 @@ def probe_host() -> Probe:
     )
 
 
-def _groups(found: list[Mount]) -> Groups:
-    if any(mount.version == 1 and "cpu" in mount.controllers for mount in found):
-        first = V1(found)
+def _groups(mounts: list[Mount]) -> Groups:
+    if any(mount.version == 1 and "cpu" in mount.controllers for mount in mounts):
+        first = V1(mounts)
         return first if first.controls else Groups()
-    for mount in found:
+    for mount in mounts:
         if mount.version > 1 and os.access(mount.own, os.W_OK):
             return V2(mount)
     return Groups()

@@ -38,8 +38,8 @@ def registry() -> Path:
     usual = f"{run}/{PREFIX}" if run else f"/tmp/{PREFIX}-{os.getuid()}"  # noqa: S108 - owner and mode are checked below
     folder = Path(os.environ.get(FOLDER) or usual)
     folder.mkdir(mode=0o700, exist_ok=True)
-    found = folder.lstat()
-    if found.st_uid != os.getuid() or found.st_mode & 0o022 or folder.is_symlink():
+    owner = folder.lstat()
+    if owner.st_uid != os.getuid() or owner.st_mode & 0o022 or folder.is_symlink():
         message = f"{folder} must belong to user {os.getuid()} alone: remove it"
         raise RunError(message)
     return folder

@@ -112,9 +112,9 @@ def parse(text: str, file: str, problems: list[FileProblem]) -> Node | None:
     Every problem is added to `problems`: syntax, duplicate keys, tags, nesting
     deeper than `DEEPEST`, and more than `MOST` values.
     """
-    if found := Reader.NON_PRINTABLE.search(text):
-        before = text[: found.start()]
-        column = found.start() - before.rfind("\n")
+    if special := Reader.NON_PRINTABLE.search(text):
+        before = text[: special.start()]
+        column = special.start() - before.rfind("\n")
         place = Location(file, before.count("\n") + 1, column)
         problems.append(place.problem("not YAML: special characters are not allowed"))
         return None

@@ -111,9 +111,9 @@ class Rehearsal:
                 robot.start_agent(computer)
             is_real = any(computer.address for computer in robot.robot.computers)
             robot.start_manager(next(iter(robot.computers)) if is_real else OUTSIDE)
-            while found := unsettled(robot):
+            while wrong := unsettled(robot):
                 if robot.scheduler.now >= UP_LIMIT:
-                    why = "; ".join(found)
+                    why = "; ".join(wrong)
                     raise RunError(f"the simulated robot does not come up: {why}")
                 robot.run(robot.scheduler.now + _POLL_EVERY)
             self._observer = SimulationObserver(robot)

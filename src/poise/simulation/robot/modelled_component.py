@@ -281,10 +281,10 @@ class MigrationModel:
         """Wait until the source has sent its state, and take it."""
         container, world = self._container, self._container.world
         name, here = component.spec.name, container.process.computer.name
-        found = self._source_of(component)
-        if found is None:
+        sender = self._source_of(component)
+        if sender is None:
             raise RunError(f"no source of '{name}' is reached")
-        source, epoch = found
+        source, epoch = sender
         there = source.process.computer.name
         states = source.migration.states
         seconds = drawn(world.choices, (0.0, 0.005))

@@ -274,7 +274,7 @@ def _computers(
             component for component in components.values() if component["at"] == name
         ]
         sure = [component.get("sure") or 0.0 for component in here]
-        each: dict[str, Any] = {
+        row: dict[str, Any] = {
             "state": "not known" if name in unknown else "",
             "age": round(age) if age is not None and name in unknown else None,
             "need": _round(sum(component.get("cpu", 0.0) for component in here)),
@@ -282,11 +282,11 @@ def _computers(
             "memory": agent.memory if agent else 0,
         }
         if load is not None:
-            each["capacity"] = load.capacity
+            row["capacity"] = load.capacity
             if name not in unknown:
-                each["used"] = _round(load.used)
-                each["background"] = _round(load.background)
-        yield name, each
+                row["used"] = _round(load.used)
+                row["background"] = _round(load.background)
+        yield name, row
 
 
 def _round(value: float) -> float:
