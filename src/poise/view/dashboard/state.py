@@ -242,9 +242,9 @@ def _components(status: Status) -> Iterator[tuple[str, dict[str, Any]]]:
     }
     for key, container in containers(status):
         for component in container.components:
-            each = shown.get(component.name)
-            if each and (each["at"] == key.computer or each["state"] == "not there"):
-                each |= {
+            known = shown.get(component.name)
+            if known and (known["at"] == key.computer or known["state"] == "not there"):
+                known |= {
                     "state": component.state,
                     "in": container.name,
                     "errors": component.errors,
