@@ -367,14 +367,8 @@ class Recorder:
     def _write_rows(self, file: McapFile, status: Status, now: float) -> None:
         view, at = self._reader.update(status, now), wall_time()
         ages = tuple(
-            ChainRow(
-                chain.name,
-                chain.age.median,
-                chain.age.p99,
-                chain.deadline,
-                chain.missed,
-            )
-            for chain in status.chains
+            ChainRow(c.name, c.age.median, c.age.p99, c.deadline, c.missed)
+            for c in status.chains
         )
         parts: dict[str, tuple[_Row, ...]] = {
             "computers": view.computers,
