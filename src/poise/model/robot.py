@@ -29,7 +29,6 @@ from poise.model.file_keys import (
 )
 from poise.model.hardware import Computer, Device, Link
 from poise.model.policy import POLICIES, Policy
-from poise.model.ros2_bridge import Ros2Network
 from poise.model.software import (
     Architecture,
     ComponentCode,
@@ -38,6 +37,7 @@ from poise.model.software import (
     ConnectorEnd,
     DeclaredPort,
     Layer,
+    Ros2Network,
     WhenCutOff,
 )
 from poise.model.steps import PREFETCH, Action, Prefetch, Task, actions_of

@@ -15,8 +15,7 @@ from msgspec.structs import replace
 from poise.endpoint import Endpoint
 from poise.model.check.names import component_names, components, connectors
 from poise.model.robot import ComponentEntry, Connector, ConnectorEnd, Robot
-from poise.model.ros2_bridge import Ros2Bridge
-from poise.model.software import ComponentCode
+from poise.model.software import ComponentCode, Ros2Bridge
 from poise.model.yaml_tree import Finding
 from poise.suggest import unknown
 
