@@ -24,7 +24,7 @@ from benchmarks.experiment.results import extents
 from benchmarks.experiment.robots import ROBOTS
 from benchmarks.experiment.series import PAGE, experiment
 from benchmarks.experiment.tables import experiment_parts
-from poise.cli.interrupts import Interrupts
+from poise.cli.main import Interrupts
 from poise.cli.options import print_json
 
 

@@ -36,7 +36,7 @@ from examples.demo.drives import (
 )
 from examples.demo.picture import DrivePicture, drives_picture
 from examples.demo.scenes import SCENES
-from poise.cli.interrupts import Interrupts
+from poise.cli.main import Interrupts
 from poise.cli.options import print_json
 from poise.emulate import full_speed
 from poise.session.folders import scratch_folder

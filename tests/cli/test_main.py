@@ -92,7 +92,7 @@ def test_a_signal_ends_a_check_of_hanging_code(
 
 AT_ONCE = """
 import os, signal
-from poise.cli.interrupts import end_at_once
+from poise.cli.main import end_at_once
 end_at_once()
 try:
     os.kill(os.getpid(), signal.SIGTERM)
@@ -102,7 +102,7 @@ except BaseException as error:
 """
 NOTED = """
 import os, signal
-from poise.cli.interrupts import Interrupts
+from poise.cli.main import Interrupts
 with Interrupts() as interrupts:
     for number in signal.SIGTERM, signal.SIGINT:
         try:
@@ -132,7 +132,7 @@ def test_no_handler_raises(code: str, said: str) -> None:
 def test_nohup_lets_a_command_go_on() -> None:
     code = (
         "import os, signal\n"
-        "from poise.cli.interrupts import Interrupts, end_at_once\n"
+        "from poise.cli.main import Interrupts, end_at_once\n"
         "signal.signal(signal.SIGHUP, signal.SIG_IGN)\n"
         "end_at_once()\n"
         "os.kill(os.getpid(), signal.SIGHUP)\n"

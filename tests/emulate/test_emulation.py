@@ -14,10 +14,9 @@ import msgspec
 import pytest
 
 from poise.emulate import Emulation, probe_host, sweep
-from poise.emulate.cgroups import Group, Groups
+from poise.emulate.cgroups import V2, Group, Groups, Probe
 from poise.emulate.layout import EmulationLayout
 from poise.emulate.limits import Limits
-from poise.emulate.probe import V2, Probe
 from poise.emulate.registry import FOLDER, registered
 from poise.errors import RobotError, RunError, UsageError
 from poise.kernel_counters import mounts

@@ -9,9 +9,8 @@ import pytest
 from msgspec.structs import replace
 
 from poise.emulate import registry, sweep
-from poise.emulate.cgroups import Groups
+from poise.emulate.cgroups import Groups, Probe
 from poise.emulate.layout import EmulationLayout, lay_out
-from poise.emulate.probe import Probe
 from poise.errors import RunError
 from poise.model.robot import Robot
 

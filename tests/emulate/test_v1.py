@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from poise.emulate.cgroups import V1
 from poise.emulate.limits import Limits
-from poise.emulate.probe import V1
 from poise.kernel_counters import Mount
 
 

@@ -7,9 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from poise.emulate.cgroups import Files, bring_back
+from poise.emulate.cgroups import V2, Files, bring_back
 from poise.emulate.limits import Limits
-from poise.emulate.probe import V2
 from poise.kernel_counters import Mount
 
 

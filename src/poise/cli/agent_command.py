@@ -12,7 +12,7 @@ from typing import Annotated
 
 import typer
 
-from poise.cli.interrupts import Interrupts
+from poise.cli.main import Interrupts
 from poise.cli.options import parse_option
 from poise.endpoint import AGENT_PORT, Endpoint
 from poise.errors import PoiseError, UsageError

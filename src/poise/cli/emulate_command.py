@@ -11,7 +11,7 @@ import typer
 from msgspec import Struct
 from rich.markup import escape
 
-from poise.cli.interrupts import Interrupts
+from poise.cli.main import Interrupts
 from poise.cli.options import AsJson, RobotFile, parse_option, show
 from poise.emulate import EmulatedSet, InjectedFault, all_sets, find_set
 from poise.errors import UsageError

@@ -12,7 +12,7 @@ import typer
 from rich.console import Console
 
 from poise import plan, units
-from poise.cli.interrupts import Interrupts
+from poise.cli.main import Interrupts
 from poise.cli.options import AsJson, busy, in_file, print_json
 from poise.errors import UsageError
 from poise.estimate.success_rates import Conditions, learned

@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from poise.cli.interrupts import Interrupts
+from poise.cli.main import Interrupts
 from poise.cli.options import AsJson, RobotFile, parse_option, print_json, show
 from poise.errors import RobotError, RunError
 from poise.estimate.demands import overheads

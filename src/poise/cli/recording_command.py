@@ -12,7 +12,7 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
-from poise.cli.interrupts import Interrupts
+from poise.cli.main import Interrupts
 from poise.cli.options import AsJson, print_json, running, show
 from poise.cli.running_robot_command import Robot
 from poise.errors import UsageError

@@ -14,7 +14,7 @@ import typer
 from msgspec.structs import replace
 from rich.markup import escape
 
-from poise.cli.interrupts import Interrupts
+from poise.cli.main import Interrupts
 from poise.cli.options import (
     AnyMethod,
     AsJson,

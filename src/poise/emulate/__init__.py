@@ -1,11 +1,11 @@
 """One Linux machine as a robot's several computers (docs/emulation.md)."""
 
+from poise.emulate.cgroups import Probe, probe_host
 from poise.emulate.cpu_load import full_speed
 from poise.emulate.emulated_set import EmulatedSet, all_sets, find_set, set_for
 from poise.emulate.emulation import EmulatedComputer, Emulation
 from poise.emulate.layout import InjectedFault
 from poise.emulate.limits import StarvationWatch, Usage, is_starved
-from poise.emulate.probe import Probe, probe_host
 from poise.emulate.registry import sweep
 
 __all__ = [

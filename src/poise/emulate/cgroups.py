@@ -1,14 +1,20 @@
-"""All processes of an emulated computer as a group, with its limits."""
+"""What this host allows an emulation, and the cgroups that limit its computers."""
 
 from __future__ import annotations
 
+import errno
+import os
+import shutil
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
 
+from msgspec import Struct
+
+from poise.emulate.emulated_network import NAMESPACES
 from poise.emulate.limits import Limits, Usage, starved_time
 from poise.emulate.processes import marked, stop
-from poise.kernel_counters import group_cpu, process_cpu, table
+from poise.kernel_counters import Mount, group_cpu, mounts, process_cpu, table
 
 
 class Files:
@@ -179,3 +185,199 @@ def _inner(folder: Path) -> Path:
     """Return where processes of a group are: it may have a folder for them."""
     programs = folder / PROGRAMS
     return programs if programs.is_dir() else folder
+
+
+_SHARES = 262144
+"""The kernel's maximum: other processes on the CPU hardly count."""
+_REAL_TIME = 0.2
+"""The share of each CPU that a group's real-time threads may use beside its quota. On
+the robot these control threads would not wait for components either."""
+_REAL_TIME_PERIOD = 0.1
+"""The period of this share [s]."""
+
+
+class V1(Groups):
+    """Makes a group in each version 1 hierarchy that it may write to.
+
+    A version 2 hierarchy is often mounted beside them, without controllers. Groups are
+    made there too, because only there the kernel reports CPU pressure.
+    """
+
+    def __init__(self, mounts: Iterable[Mount], files: Files | None = None) -> None:
+        super().__init__(files)
+        self._bases: dict[str, Path] = {}
+        for mount in mounts:
+            wanted = mount.controllers & {"cpu", "cpuacct", "cpuset", "memory"}
+            names = {"pressure"} if mount.version > 1 else wanted
+            if os.access(mount.own, os.W_OK):
+                self._bases |= dict.fromkeys(names, mount.own)
+        self.controls = frozenset(self._bases) & {"cpu", "cpuset", "memory"}
+
+    def homes(self, name: str) -> dict[str, Path]:
+        """Return controller -> the folder of the group called `name`."""
+        return {controller: base / name for controller, base in self._bases.items()}
+
+    def make(self, name: str, limits: Limits) -> Group:
+        """Make a group, and allow real-time threads if the kernel limits them."""
+        group = super().make(name, limits)
+        file = self.homes(name).get("cpu", Path()) / "cpu.rt_runtime_us"
+        if file.exists():
+            period = round(_REAL_TIME_PERIOD * 1e6)
+            with suppress(OSError):  # other groups use all of it
+                self._files.write(file.with_name("cpu.rt_period_us"), period)
+                self._files.write(file, round(_REAL_TIME * period))
+        return group
+
+    def settings(self, homes: Mapping[str, Path], limits: Limits) -> Settings:
+        """Yield files of a group, and what they must contain."""
+        if cpu := homes.get("cpu"):
+            yield cpu / "cpu.cfs_period_us", limits.period_us
+            yield cpu / "cpu.cfs_quota_us", limits.quota_us or -1
+            yield cpu / "cpu.shares", _SHARES
+        if cpuset := homes.get("cpuset"):
+            mems = self._files.read(self._bases["cpuset"] / "cpuset.mems")
+            yield cpuset / "cpuset.mems", mems.strip()
+            yield cpuset / "cpuset.cpus", limits.cpu_list
+        if (memory := homes.get("memory")) and limits.memory:
+            yield memory / "memory.limit_in_bytes", limits.memory
+            if (memory / "memory.memsw.limit_in_bytes").exists():
+                yield memory / "memory.memsw.limit_in_bytes", limits.memory
+
+
+_WEIGHT = 10000
+"""The kernel's maximum: other processes on the CPU hardly count."""
+_TRIES = 5
+"""How often processes are moved aside, because they may start others meanwhile."""
+
+
+class V2(Groups):
+    """Makes groups below the topmost folder (root), or below its own (delegated)."""
+
+    def __init__(self, mount: Mount, files: Files | None = None) -> None:
+        super().__init__(files)
+        self._base = mount.top if os.access(mount.top, os.W_OK) else mount.own
+        available = self._files.read(self._base / "cgroup.controllers").split()
+        self.controls = frozenset(available) & {"cpu", "cpuset", "memory"}
+
+    def homes(self, name: str) -> dict[str, Path]:
+        """Return controller -> the one folder of the group called `name`."""
+        controllers = ("cpu", "cpuset", "memory", "pressure")
+        return dict.fromkeys(controllers, self._base / name)
+
+    def aside(self, name: str) -> tuple[Path, ...]:
+        """Return where `prepare` moves processes that are in the way."""
+        return (self._base / f"{name}-aside",)
+
+    def prepare(self, name: str) -> None:
+        """Enable the controllers for the future groups."""
+        control = self._base / "cgroup.subtree_control"
+        missing = self.controls - set(self._files.read(control).split())
+        enable = " ".join(f"+{controller}" for controller in sorted(missing))
+        for _ in range(_TRIES) if missing else ():
+            try:
+                self._files.write(control, enable)
+            except OSError as error:
+                if error.errno != errno.EBUSY:
+                    raise
+                self._put_aside(*self.aside(name))
+            else:
+                return
+        if missing:
+            self._files.write(control, enable)
+
+    def _put_aside(self, folder: Path) -> None:
+        self._files.make(folder)
+        for pid in self._files.read(self._base / "cgroup.procs").split():
+            with suppress(ProcessLookupError):
+                self._files.write(folder / "cgroup.procs", pid)
+
+    def make(self, name: str, limits: Limits) -> Group:
+        """Make a group in which an agent may make others."""
+        super().make(name, limits)
+        folder = self._base / name
+        if "cpu" in self.controls:
+            self._files.write(folder / "cgroup.subtree_control", "+cpu")
+            self._files.make(folder / PROGRAMS)
+        return Group(name, self.homes(name), len(limits.cpus), self._files)
+
+    def settings(self, homes: Mapping[str, Path], limits: Limits) -> Settings:
+        """Yield files of a group, and what they must contain."""
+        folder = homes["cpu"]
+        if "cpu" in self.controls:
+            yield folder / "cpu.max", f"{limits.quota_us or 'max'} {limits.period_us}"
+            yield folder / "cpu.weight", _WEIGHT
+        if "cpuset" in self.controls:
+            yield folder / "cpuset.cpus", limits.cpu_list
+        if "memory" in self.controls and limits.memory:
+            yield folder / "memory.max", limits.memory
+            yield folder / "memory.swap.max", 0
+
+
+_NAMES = {"cpu": "quota", "cpuset": "CPU set in a cgroup", "memory": "memory limit"}
+
+_NEEDED = 1 << 12 | 1 << 21
+_NOT_DELEGATED = (
+    "this user may not write to a cgroup that controls it; become root, or use "
+    "`systemd-run --user --scope -p Delegate=yes`"
+)
+_NOT_ROOT = (
+    "namespaces and shaped links: only root may make them; become root, or root in a "
+    "user namespace (docs/emulation.md)"
+)
+
+
+class Probe(Struct, frozen=True, kw_only=True):
+    """The abilities of a host."""
+
+    cpus: tuple[int, ...]  # the CPUs that this process may use; one at least
+    groups: Groups  # how processes are grouped and limited
+    # which of ``ip``, ``tc``, ``nsenter`` and ``taskset`` are installed
+    tools: frozenset[str]
+    may_make_namespaces: bool  # whether this process may make network namespaces
+
+    def without_groups(self) -> list[str]:
+        """Return which limits cgroups cannot set on this host, and why."""
+        missing = [
+            name for key, name in _NAMES.items() if key not in self.groups.controls
+        ]
+        return [f"{', '.join(missing)}: {_NOT_DELEGATED}"] if missing else []
+
+    def without_network(self) -> list[str]:
+        """Return why there can be no namespaces, or no shaped links."""
+        if missing := sorted({"ip", "nsenter"} - self.tools):
+            return [f"namespaces and shaped links: {', '.join(missing)} not installed"]
+        if not self.may_make_namespaces:
+            return [_NOT_ROOT]
+        return [] if "tc" in self.tools else ["shaped links: tc is not installed"]
+
+    @property
+    def has_namespaces(self) -> bool:
+        """Whether network namespaces can be made and entered."""
+        return self.may_make_namespaces and {"ip", "nsenter"} <= self.tools
+
+
+def probe_host() -> Probe:
+    """Return the abilities of this host, without changing it."""
+    return Probe(
+        cpus=tuple(sorted(os.sched_getaffinity(0))),
+        groups=_groups(mounts()),
+        tools=frozenset(filter(shutil.which, ("ip", "tc", "nsenter", "taskset"))),
+        may_make_namespaces=_may_administer() and os.access(NAMESPACES.parent, os.W_OK),
+    )
+
+
+def _groups(mounts: list[Mount]) -> Groups:
+    if any(mount.version == 1 and "cpu" in mount.controllers for mount in mounts):
+        first = V1(mounts)
+        return first if first.controls else Groups()
+    for mount in mounts:
+        if mount.version > 1 and os.access(mount.own, os.W_OK):
+            return V2(mount)
+    return Groups()
+
+
+def _may_administer() -> bool:
+    """Return whether this process has CAP_NET_ADMIN and CAP_SYS_ADMIN."""
+    status = Path("/proc/self/status").read_text()
+    effective = int(status.partition("CapEff:")[2].split()[0], 16)
+    return effective & _NEEDED == _NEEDED

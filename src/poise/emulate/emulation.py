@@ -16,11 +16,10 @@ from msgspec.structs import replace
 from poise.clock import wall_time
 from poise.emulate import cgroups as cgroup_files
 from poise.emulate import emulated_network, processes
-from poise.emulate.cgroups import Files, Group, Groups
+from poise.emulate.cgroups import Files, Group, Groups, Probe, probe_host
 from poise.emulate.emulated_network import NAMESPACES, NetworkPlan
 from poise.emulate.layout import ComputerLayout, EmulationLayout, KeptSet, lay_out
 from poise.emulate.limits import Usage, is_starved, shortages
-from poise.emulate.probe import Probe, probe_host
 from poise.emulate.processes import MARK, stop
 from poise.emulate.registry import addresses, register, remove, sweep
 from poise.errors import RunError

@@ -12,9 +12,9 @@ from typing import Literal
 
 from msgspec import Struct
 
+from poise.emulate.cgroups import Probe
 from poise.emulate.emulated_network import NetworkPlan, Shape, plan_network
 from poise.emulate.limits import Limits, share_out
-from poise.emulate.probe import Probe
 from poise.emulate.processes import Owner
 from poise.errors import UsageError
 from poise.model.robot import Robot
