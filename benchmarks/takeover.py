@@ -34,7 +34,6 @@ from poise.errors import PoiseError
 from poise.manage.agent_connections.agents import Agents
 from poise.manage.agent_connections.requests import Reply
 from poise.manage.agent_connections.statuses import components_of
-from poise.manage.control_socket.location import AgentAddresses
 from poise.manage.deploy.deactivation import stop
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.deploy.takeover import start_or_take_over
@@ -44,6 +43,7 @@ from poise.model import load
 from poise.session.launch.computers import computers_of
 from poise.wire.records.deployment_records import Deployment
 from poise.wire.records.migration_records import MigrationSteps, StepsOutcome
+from poise.wire.robots_here import AgentAddresses
 
 PLACEMENT = dict.fromkeys((*COMPONENTS, "conductor"), "a")
 _MOST_STEPS = 40

@@ -12,7 +12,7 @@ import pytest
 
 from poise.emulate import probe_host
 from poise.emulate.registry import FOLDER, registry
-from poise.manage.control_socket import location
+from poise.wire import robots_here as location
 from tests.waiting import LONG
 
 pytestmark = pytest.mark.slow

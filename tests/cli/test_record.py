@@ -16,7 +16,7 @@ import pytest
 
 import poise
 from poise.errors import RunError
-from poise.manage.control_socket.location import path_of
+from poise.wire.robots_here import path_of
 from tests.command import POISE, check_output, robot_up, run_poise
 from tests.view.test_robot_recording import read
 from tests.waiting import LONG, wait_long

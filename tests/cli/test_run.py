@@ -18,10 +18,10 @@ from poise.cli.run_command import run_command
 from poise.emulate import sweep
 from poise.emulate.registry import registry
 from poise.errors import PoiseError
-from poise.manage.control_socket.location import path_of
 from poise.manage.journal import read_journal
 from poise.runtime.waker import wait_readable
 from poise.session.folders import find_journal
+from poise.wire.robots_here import path_of
 from tests.command import POISE, called, run_poise
 from tests.waiting import wait_until
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from msgspec.structs import replace
 
 from poise.manage.control_socket.agents_without_manager import status_by_agents
-from poise.manage.control_socket.location import AgentAddresses
 from poise.wire.records.request_records import ManagerId
 from poise.wire.records.status_records import (
     AgentStatus,
@@ -14,6 +13,7 @@ from poise.wire.records.status_records import (
     ContainerStatus,
     State,
 )
+from poise.wire.robots_here import AgentAddresses
 
 AGENTS = AgentAddresses("r", {"main": "tcp/10.0.0.1:7447", "eye": "tcp/10.0.0.2:7447"})
 LAST = ManagerId(key="b", user="ann", host="desk", pid=7, since=50.0)

@@ -12,7 +12,6 @@ from msgspec.structs import replace
 
 from poise.errors import RunError, TakenOver
 from poise.manage.control_socket.control_server import ControlServer
-from poise.manage.control_socket.location import AgentAddresses
 from poise.manage.deploy.takeover import start_or_take_over
 from poise.manage.journal import Journal
 from poise.manage.tasks.concurrent_tasks import Tasks
@@ -24,6 +23,7 @@ from poise.session.launch.standby_setup import StandbySetup
 from poise.session.up import Up
 from poise.wire.address import KEYS
 from poise.wire.records.request_records import Claim
+from poise.wire.robots_here import AgentAddresses
 
 
 def stand_by(path: Path, words: Iterable[str], say: Say) -> None:

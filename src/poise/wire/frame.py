@@ -18,7 +18,7 @@ import socket
 import struct
 import time
 from enum import IntEnum
-from typing import Any
+from typing import Any, BinaryIO
 
 from msgspec import Struct
 
@@ -127,6 +127,30 @@ def receive_frame(
     if not isinstance(received, Frame):
         raise Unreadable("a frame with shared memory, which is not for this socket")
     return received
+
+
+def send_packet(connection: socket.socket, packet: Bytes) -> None:
+    """Send what `pack_record` returned over a stream, within `RECORD_LIMIT`."""
+    connection.settimeout(RECORD_LIMIT)
+    connection.sendall(LENGTH.pack(len(packet), 0))
+    connection.sendall(packet)
+
+
+def receive_packet(connection: socket.socket) -> bytes:
+    """Return the next record of a stream as one packet, within `RECORD_LIMIT`."""
+    connection.settimeout(RECORD_LIMIT)
+    with connection.makefile("rb") as stream:
+        length, _ = LENGTH.unpack(_exactly(stream, LENGTH.size))
+        if length > LARGEST:
+            raise Unreadable(f"a frame of {length} B; {LARGEST} B is the largest")
+        return _exactly(stream, length)
+
+
+def _exactly(stream: BinaryIO, size: int) -> bytes:
+    data = stream.read(size)
+    if len(data) < size:
+        raise Unavailable("the connection was closed")
+    return data
 
 
 class RecordReader:

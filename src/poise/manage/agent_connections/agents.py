@@ -118,7 +118,8 @@ class Agents(AgentReports):
     `on_sample`: called with every sample, on zenoh's thread; must not block; `lease`:
     an agent that is cut off is out of reach after this time [s]; one that ends, at
     once; `datagrams`: what carries heartbeats; None: a UDP socket; `keys`: what the
-    agents know this manager by; None: their network is its own.
+    agents know this manager by; None: their network is its own; `control`: the control
+    socket of this manager.
     """
 
     def __init__(  # noqa: PLR0913, each is a choice of the caller
@@ -132,9 +133,10 @@ class Agents(AgentReports):
         datagrams: Datagrams | None = None,
         election: Election | None = None,
         keys: Credentials | None = None,
+        control: str = "",
     ) -> None:
         super().__init__(robot, endpoints, clock)
-        self.manager = manager_id()
+        self.manager = manager_id(control)
         self.election = election
         self._is_leased = lease <= LEASE
         heard = endpoints if self._is_leased else {}
@@ -524,8 +526,8 @@ def _datagrams(
     return UdpDatagrams(clock, is_ipv6=is_ipv6, keys=keys)
 
 
-def manager_id() -> ManagerId:
-    """Return an identity for a manager that starts now."""
+def manager_id(control: str = "") -> ManagerId:
+    """Return an identity for a manager that starts now, with its control socket."""
     try:
         user = getpass.getuser()
     except (KeyError, OSError):  # it has no name
@@ -536,6 +538,7 @@ def manager_id() -> ManagerId:
         host=socket.gethostname(),
         pid=os.getpid(),
         since=wall_time(),
+        control=control,
     )
 
 

@@ -18,9 +18,9 @@ from poise.errors import RunError
 from poise.manage.agent_connections.reports import AgentReports
 from poise.manage.agent_connections.statuses import Statuses, located
 from poise.manage.control_socket.commands import RobotStatus
-from poise.manage.control_socket.location import AgentAddresses, noted
 from poise.manage.observe.deviations import Deviation
 from poise.wire.control_session import LEASE, endpoint_of, open_session
+from poise.wire.robots_here import AgentAddresses, noted
 
 AGENT_LIMIT = 2.0
 """An agent that is there reports within this time [s]: it does so twice a second."""
@@ -56,11 +56,6 @@ def robots_without_manager(but: Collection[str] = ()) -> dict[str, RobotStatus]:
             zip([e.robot for e in left], pool.map(ask_agents, left), strict=True)
         )
     return {name: status for name, status in found.items() if status is not None}
-
-
-def agents_of(robot: str) -> AgentAddresses | None:
-    """Return where a robot's agents are, if a manager noted that on this computer."""
-    return next((addresses for addresses in noted() if addresses.robot == robot), None)
 
 
 def ask_agents(addresses: AgentAddresses, why: str = "") -> RobotStatus | None:
@@ -170,6 +165,9 @@ def _placement(statuses: Statuses) -> dict[str, str]:
 
 
 def _listens(locator: str) -> bool:
+    """Return whether something may listen there; TLS servers log those who only ask."""
+    if locator.startswith("tls/"):
+        return True
     at = endpoint_of(locator)
     try:
         socket.create_connection((at.host, at.port), _CONNECT_LIMIT).close()

@@ -21,9 +21,9 @@ from poise import threads
 from poise.clock import wall_time
 from poise.errors import RunError, UsageError
 from poise.manage.control_socket.commands import Command, Refusal, Result, StatusCommand
-from poise.manage.control_socket.location import is_alive, make_folder, path_of
 from poise.wire import frame
 from poise.wire.codec import WireError
+from poise.wire.robots_here import is_alive, make_folder, path_of
 
 Submit = Callable[[Command], "Future[Result | Refusal]"]
 """Takes a command, from any thread, at once; its future may be cancelled."""

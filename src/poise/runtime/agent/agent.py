@@ -29,7 +29,13 @@ from poise.clock import SystemClock, time_asleep, wall_time
 from poise.endpoint import Endpoint
 from poise.errors import RunError, Unavailable, UsageError
 from poise.priority import ahead, go_first, goes_first
-from poise.runtime.agent.agent_files import AgentFolder, CheckpointFiles, DiskThread
+from poise.runtime.agent.agent_files import (
+    AgentFolder,
+    AgentNote,
+    CheckpointFiles,
+    DiskThread,
+)
+from poise.runtime.agent.command_relay import CommandRelay
 from poise.runtime.agent.core import AgentCore
 from poise.runtime.agent.inbox import AgentInbox
 from poise.runtime.agent.standby_process import StandbyProcess
@@ -148,6 +154,9 @@ class Agent:
         answers = session.declare_queryable(
             f"{prefix}/agent/{setup.computer}", self._inbox.hear
         )
+        control = f"{prefix}/control/{setup.computer}"
+        relay = CommandRelay(control, lambda: core.fence.manager)
+        commands = session.declare_queryable(control, relay.hear)
         managers = session.liveliness().declare_subscriber(
             f"{prefix}/manager/*", self._note_liveliness, history=True
         )
@@ -160,6 +169,7 @@ class Agent:
         closing.callback(disk.stop)
         with contextlib.ExitStack() as working:
             working.callback(answers.undeclare)
+            working.callback(commands.undeclare)
             working.callback(managers.undeclare)
             working.callback(sampler.stop)
             working.callback(core.heartbeats.close)
@@ -251,7 +261,17 @@ class Agent:
             priority=zenoh.Priority.BACKGROUND,
         )
         checkpoints = CheckpointFiles(self._path, lambda copy: copies.put(encode(copy)))
-        return DiskThread(self._path, self._folder, checkpoints, self._clock)
+        return DiskThread(
+            self._path, self._folder, checkpoints, self._clock, self._note()
+        )
+
+    def _note(self) -> AgentNote | None:
+        """Return what lets commands here find the robot; None: its manager does."""
+        if self._setup.lifeline is not None:
+            return None
+        leads = self._keys.to_lead if self._keys is not None else None
+        keys = str(leads) if leads is not None and leads.is_dir() else ""
+        return AgentNote(self._setup.robot, keys)
 
     def _appear(self, session: zenoh.Session) -> None:
         """Let managers see the agent."""

@@ -18,7 +18,7 @@ import msgspec
 
 from poise import threads
 from poise.clock import Clock, boot_id
-from poise.errors import UsageError
+from poise.errors import RunError, UsageError
 from poise.runtime.agent.surroundings import AgentState, Reply
 from poise.runtime.hosting.output import forget_output, read_output
 from poise.wire.codec import MALFORMED
@@ -34,6 +34,7 @@ from poise.wire.records.request_records import (
     checkpoint_path,
     set_age,
 )
+from poise.wire.robots_here import AgentAddresses, forget, note, noted_of
 
 log = logging.getLogger(__name__)
 
@@ -196,6 +197,41 @@ _STOP_LIMIT = 2.0
 _NOTHING = Deployment(generation=0, containers=())
 
 
+class AgentNote:
+    """Notes where a robot's agents are while it is at work, unless a manager does.
+
+    `keys`: the folder of keys to ask them with; empty: a person's own.
+    """
+
+    def __init__(self, robot: str, keys: str) -> None:
+        self._robot = robot
+        self._keys = keys
+        self._ours: AgentAddresses | None = None
+        self._trouble = ""
+
+    def update(self, state: AgentState | None) -> None:
+        """Write or remove it; a trouble is logged once."""
+        trouble, self._trouble = self._trouble, ""
+        try:
+            self._update(state)
+        except (RunError, OSError) as error:
+            self._trouble = str(error)
+            if trouble != self._trouble:
+                log.warning("commands on this computer find no robot: %s", error)
+
+    def _update(self, state: AgentState | None) -> None:
+        wanted = state.wanted if state is not None else None
+        claim = state.claim if state is not None else None
+        noted = noted_of(self._robot)
+        if claim is None or wanted is None or wanted.is_last:
+            if noted is not None and noted == self._ours:
+                forget(self._robot)
+        elif noted is None or noted == self._ours:
+            self._ours = AgentAddresses(self._robot, claim.agents, self._keys)
+            if noted != self._ours:
+                note(self._ours)
+
+
 class DiskThread:
     """The `AgentDisk` of a real computer."""
 
@@ -205,9 +241,11 @@ class DiskThread:
         folder: AgentFolder,
         checkpoints: CheckpointFiles,
         clock: Clock,
+        note: AgentNote | None = None,
     ) -> None:
         self._path = path
         self._folder = folder
+        self._note = note
         self._checkpoints = checkpoints
         self._clock = clock
         self._saved: AgentState | None = None
@@ -303,11 +341,15 @@ class DiskThread:
 
     def _keep(self, state: AgentState) -> None:
         self._folder.keep(state)
+        if self._note is not None:
+            self._note.update(state)
         if self._folder.trouble:
             self._saved = None  # it is tried again
 
     def _forget(self) -> None:
         self._folder.forget()
+        if self._note is not None:
+            self._note.update(None)
         forget_output(self._path)
         self._checkpoints.remove_all_but(_NOTHING)
 

@@ -347,6 +347,7 @@ class AgentCore:
     def _status(self) -> AgentStatus:
         world, supervisor, wanted = self._world, self.supervisor, self.supervisor.wanted
         statuses, usage = supervisor.statuses(), world.usage()
+        claim = self.heartbeats.claim
         # a lack of descriptors, say, is the cause of both
         trouble = world.gateway_trouble() or world.disk.trouble()
         return AgentStatus(
@@ -355,6 +356,7 @@ class AgentCore:
             adopted=world.adoption.num_adopted,
             generation=wanted.generation if wanted else 0,
             is_at_work=not self._is_over(),
+            has_standbys=claim is not None and claim.election is not None,
             token=self.fence.token,
             manager=self.fence.manager,
             uptime=self._clock.now() - self._born,

@@ -26,7 +26,6 @@ from poise.emulate import (
 from poise.emulate.registry import locked
 from poise.endpoint import AGENT_PORT, Endpoint
 from poise.errors import PoiseError, RunError, UsageError
-from poise.manage.control_socket.location import AgentAddresses, forget
 from poise.model.robot import Robot
 from poise.runtime.agent.surroundings import BROKEN
 from poise.runtime.waker import Waker, wait_readable
@@ -39,6 +38,7 @@ from poise.wire.control_session import LEASE, endpoint_of, locator
 from poise.wire.credentials import Credentials, find
 from poise.wire.heartbeats import UNCUT_LEASE
 from poise.wire.records.status_records import SAMPLE_EVERY
+from poise.wire.robots_here import AgentAddresses, forget
 
 _KEYS = "keys"
 """The folder of keys, below that of an emulated computer, and beside those."""

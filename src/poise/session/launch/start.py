@@ -20,7 +20,6 @@ from poise.clock import SystemClock
 from poise.errors import RobotError, RunError
 from poise.manage.agent_connections.agents import Agents
 from poise.manage.agent_connections.statuses import containers_left
-from poise.manage.control_socket.location import forget, note
 from poise.manage.deploy.deactivation import stop
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.journal import Journal
@@ -33,6 +32,7 @@ from poise.session.launch.computers import Computers, computers_of
 from poise.units import counted
 from poise.wire.records.request_records import Election
 from poise.wire.records.status_records import SAMPLE_EVERY, AgentSample
+from poise.wire.robots_here import forget, note, path_of
 
 READY_LIMIT = 20.0
 """A simulated world says ``ready`` within this time [s]."""
@@ -261,6 +261,7 @@ def started(  # noqa: PLR0913 - each is a choice of the caller
                 lease=computers.lease,
                 election=election,
                 keys=computers.addresses.credentials(),
+                control=str(path_of(robot.name)),
             )
         )
 

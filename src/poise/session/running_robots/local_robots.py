@@ -15,11 +15,11 @@ from poise.errors import PoiseError
 from poise.manage.agent_connections.statuses import connectors_of
 from poise.manage.control_socket.agents_without_manager import robots_without_manager
 from poise.manage.control_socket.commands import RobotStatus
-from poise.manage.control_socket.location import running_here
 from poise.session.render.status_tables import component_table
 from poise.session.render.tables import NamedRows
 from poise.session.running_robots.running import Running
 from poise.units import format_seconds
+from poise.wire.robots_here import running_here
 
 Thing = Literal["robots", "tasks", "computers", "components", "connectors"]
 Robots = Mapping[str, RobotStatus | None]

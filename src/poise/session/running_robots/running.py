@@ -370,7 +370,7 @@ class Running:
 
 
 def connect(name: str | None = None) -> Running:
-    """Return a robot that another process of this user keeps up, on this computer.
+    """Return a robot that another process keeps up, from any of its computers.
 
     Parameters
     ----------

@@ -9,12 +9,12 @@ from poise.manage.agent_connections.agents import Agents
 from poise.manage.agent_connections.statuses import containers_left
 from poise.manage.control_socket.agents_without_manager import ask_agents
 from poise.manage.control_socket.commands import RobotStatus
-from poise.manage.control_socket.location import AgentAddresses, forget
 from poise.manage.deploy.running_components import STOP_LIMIT
 from poise.model.robot import Robot
 from poise.session.launch.computers import emulated_addresses, real_agents
 from poise.wire.control_session import endpoint_of
 from poise.wire.records.deployment_records import Deployment
+from poise.wire.robots_here import AgentAddresses, forget
 
 REACH_LIMIT = 5.0
 """Agents are reached within this time [s], or count as out of reach."""

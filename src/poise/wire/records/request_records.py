@@ -30,6 +30,7 @@ class ManagerId(Struct, frozen=True, kw_only=True):
     host: str
     pid: int
     since: float  # When it started [s since 1970]
+    control: str = ""  # Its control socket, on its computer
     # Higher than that of every manager which an agent obeyed when this one began to
     # claim them; 0 before. Of two managers the one with the lower `rank` gives way
     term: int = 0

@@ -244,6 +244,7 @@ class AgentStatus(Struct, frozen=True, kw_only=True, dict=True):
     generation: int
     # Whether the robot is at work for all that it knows, though not here
     is_at_work: bool = False
+    has_standbys: bool = False  # Whether another manager leads when that one is gone
     # The manager that it obeys, or obeyed last, with that one's fencing token
     token: int = 0
     manager: ManagerId | None = None

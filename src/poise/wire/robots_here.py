@@ -1,13 +1,15 @@
-"""Where a running robot's control socket is: in the user's runtime folder.
+"""The robots of this user here: their managers' control sockets, and their agents.
 
-A manager whose agents outlive it notes them beside its control socket. The note stays
-until the robot has stopped.
+All is in the user's runtime folder. A manager whose agents outlive it notes them beside
+its control socket, and each agent notes all where no manager does. The note stays until
+the robot has stopped.
 """
 
 from __future__ import annotations
 
 import os
 import socket
+import struct
 import tempfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -21,6 +23,10 @@ from poise.wire.codec import MALFORMED
 
 if TYPE_CHECKING:
     from poise.wire.credentials import Credentials
+
+
+_PEER = struct.Struct("iii")
+"""Process, user and group of who listens at the other end."""
 
 
 def folder() -> Path:
@@ -65,10 +71,17 @@ def is_alive(path: Path) -> bool:
         return True
 
 
+def peer_of(connection: socket.socket) -> int:
+    """Return the process that listens at the other end of an AF_UNIX connection."""
+    peer = connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _PEER.size)
+    pid: int = _PEER.unpack(peer)[0]
+    return pid
+
+
 class AgentAddresses(Struct, frozen=True):
     """The agents of a robot; `endpoints`: computer -> zenoh endpoint.
 
-    `keys`: the folder of the keys that they ask for; empty: none.
+    `keys`: the folder of the keys that they ask for; empty: none, or a person's own.
     """
 
     robot: str
@@ -77,10 +90,14 @@ class AgentAddresses(Struct, frozen=True):
 
     def credentials(self) -> Credentials | None:
         """Return the keys; UsageError when they are not there any more."""
-        if not self.keys:
+        if not self.keys and not any(
+            e.startswith("tls/") for e in self.endpoints.values()
+        ):
             return None
-        from poise.wire.credentials import Credentials  # noqa: PLC0415, `ssl` is slow
+        from poise.wire.credentials import Credentials, find  # noqa: PLC0415, `ssl` is slow
 
+        if not self.keys:
+            return find(self.robot, "manager", "viewer")
         return Credentials(Path(self.keys)).check(self.robot, "manager", "viewer")
 
 
@@ -107,6 +124,11 @@ def forget(robot: str) -> None:
     _path(robot).unlink(missing_ok=True)
     if not is_alive(path_of(robot)):
         path_of(robot).unlink(missing_ok=True)
+
+
+def noted_of(robot: str) -> AgentAddresses | None:
+    """Return where a robot's agents are, if that is noted on this computer."""
+    return next((addresses for addresses in noted() if addresses.robot == robot), None)
 
 
 def noted() -> Iterator[AgentAddresses]:
