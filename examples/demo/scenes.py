@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping
 
 from examples.demo.cut_link import CutLinkScene, cut_link
 from examples.demo.lost_computer import LostComputerScene, lose_computer
+from examples.demo.lost_leader import LostLeaderScene, lose_leader
 from examples.demo.manager_killed import ManagerKilledScene, kill_manager
 from examples.demo.overload import OverloadScene, overload
 from examples.demo.relayed import RelayScene, cut_one_link, freeze_agent
@@ -19,6 +20,7 @@ from poise.session.callbacks import Check, Say
 Played = (
     OverloadScene
     | LostComputerScene
+    | LostLeaderScene
     | CutLinkScene
     | RelayScene
     | ManagerKilledScene
@@ -29,6 +31,7 @@ Play = Callable[[Robot, Say, Check], Played]
 SCENES: Mapping[str, tuple[str, Play]] = {
     "overload": ("adapt", overload),
     "lost-computer": ("adapt", lose_computer),
+    "lost-leader": ("relay", lose_leader),
     "cut-link": ("counted", cut_link),
     "cut-one-link": ("relay", cut_one_link),
     "frozen-agent": ("relay", freeze_agent),

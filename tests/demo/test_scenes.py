@@ -26,6 +26,21 @@ def test_components_of_a_crashed_computer_go_on_elsewhere() -> None:
 
 @pytest.mark.slow
 @pytest.mark.exhaustive
+def test_another_computer_leads_when_that_of_the_manager_dies() -> None:
+    if reasons := probe_host().without_network():
+        pytest.skip("; ".join(reasons))
+    done = run_poise("demo", "--scene", "lost-leader", "--json")
+    assert done.returncode == 0, done.stderr
+    scene = json.loads(done.stdout)
+    assert scene["ok"]
+    assert 0 < scene["detected_s"] <= scene["active_s"]
+    assert scene["leader_s"] > 0
+    assert not scene["active_twice"]
+    assert not scene["tasks_lost"]
+
+
+@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_a_robot_outlives_its_manager_amid_a_move() -> None:
     if reasons := probe_host().without_network():
         pytest.skip("; ".join(reasons))

@@ -245,6 +245,7 @@ def demo_command(
         Literal[
             "overload",
             "lost-computer",
+            "lost-leader",
             "cut-link",
             "cut-one-link",
             "frozen-agent",
@@ -262,9 +263,9 @@ def demo_command(
     minute, and draws both drives in poise-demo.svg.
 
     With --scene, a small robot adapts by itself: other programs overload one of its
-    computers, a computer loses power or is cut off, one link of three is cut, an agent
-    is stopped, or the manager is killed amid a move; or three tasks share functions,
-    and one pauses another.
+    computers, a computer loses power, or that of the manager does, or one is cut off,
+    one link of three is cut, an agent is stopped, or the manager is killed amid a move;
+    or three tasks share functions, and one pauses another.
 
     The robots and the home are in the folder `examples` of Poise's repository: run it
     in a clone.

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import zenoh
 
+from poise import threads
 from poise.endpoint import Endpoint
 from poise.errors import RunError
 
@@ -22,6 +23,7 @@ LEASE = 2.0
 """A manager or an agent that is cut off counts as out of reach after this time [s]. TCP
 sends again after waits that double, so a cut of 0.5 s may silence it for 1.5 s."""
 
+_CLOSE_LIMIT = 0.5
 _NO_LINGER = struct.pack("ii", 0, 0)
 
 
@@ -76,6 +78,16 @@ def open_session(
         raise RunError(f"cannot listen on {', '.join(listen)}: {why}") from None
     session.info.declare_link_events_listener(_close_without_waiting, history=True)
     return session
+
+
+def close_session(session: zenoh.Session) -> None:
+    """Close a session, in the background if that takes longer than a moment.
+
+    zenoh waits for up to 10 s for a connection that it is opening, to a lost computer.
+    """
+    closing = threads.daemon(session.close, "closing")
+    closing.start()
+    closing.join(_CLOSE_LIMIT)
 
 
 _LOOKS = (

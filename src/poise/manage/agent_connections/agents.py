@@ -29,7 +29,7 @@ from poise.manage.agent_connections.requests import (
     nothing,
 )
 from poise.priority import ahead
-from poise.wire.control_session import LEASE, endpoint_of, open_session
+from poise.wire.control_session import LEASE, close_session, endpoint_of, open_session
 from poise.wire.heartbeats import (
     SURELY_ENDED,
     UNCUT_SURELY_ENDED,
@@ -188,7 +188,7 @@ class Agents(AgentReports):
     def close(self) -> None:
         """Leave the agents as they are."""
         self._heartbeats.close()
-        self._session.close()  # type: ignore[no-untyped-call]
+        close_session(self._session)
 
     def take_status(self, status: AgentStatus) -> None:
         """Store what an agent reported.
@@ -334,8 +334,9 @@ class Agents(AgentReports):
                 raise RunError(f"no majority of votes: {'; '.join(said)}")
             return accepted
 
-        reached = self.reached() & votes.keys()
-        agreed = claimed(reached, is_poll=True)
+        agreed = self._poll(
+            lambda: claimed(self.reached() & votes.keys(), is_poll=True)
+        )
         answers = claimed(agreed.keys(), is_poll=False)
         for name in answers:
             self._claimed[name] = self._tokens[name]
@@ -354,6 +355,17 @@ class Agents(AgentReports):
             self._clock.sleep(_LOOK_AT_VOTES)
         self.wait_news(lambda: all(map(self.obey, answers)), ANSWER_LIMIT)
         return answers
+
+    def _poll(self, poll: Callable[[], dict[str, Claimed]]) -> dict[str, Claimed]:
+        """Ask until a majority agrees; some agents hear for a moment longer who led."""
+        until = self._clock.now() + _VOTE_LIMIT
+        while True:
+            try:
+                return poll()
+            except RunError:
+                if self._clock.now() >= until:
+                    raise
+            self._clock.sleep(LOOK_EVERY)
 
     def leads(self) -> bool:
         """Return whether a majority obeys this manager, where that matters."""

@@ -19,11 +19,13 @@ from poise.manage.agent_connections.reports import AgentReports
 from poise.manage.agent_connections.statuses import Statuses, located
 from poise.manage.control_socket.commands import RobotStatus
 from poise.manage.observe.deviations import Deviation
-from poise.wire.control_session import LEASE, endpoint_of, open_session
+from poise.wire.control_session import LEASE, close_session, endpoint_of, open_session
 from poise.wire.robots_here import AgentAddresses, noted
 
 AGENT_LIMIT = 2.0
 """An agent that is there reports within this time [s]: it does so twice a second."""
+_OTHERS_LIMIT = 0.7
+"""The others report within this time after the first one [s]."""
 _CONNECT_LIMIT = 0.5
 _MOST_AT_ONCE = 8
 
@@ -73,10 +75,11 @@ def ask_agents(addresses: AgentAddresses, why: str = "") -> RobotStatus | None:
     )
     try:
         kept = reports.subscribe(session)
-        reports.wait_news(lambda: reports.reached() == endpoints.keys(), AGENT_LIMIT)
+        reports.wait_news(lambda: bool(reports.reached()), AGENT_LIMIT)
+        reports.wait_news(lambda: reports.reached() == endpoints.keys(), _OTHERS_LIMIT)
         del kept
     finally:
-        session.close()  # type: ignore[no-untyped-call]
+        close_session(session)
     found = status_by_agents(addresses, reports.statuses(), wall_time(), why)
     return found and replace(found, ages=reports.ages())
 

@@ -32,7 +32,7 @@ from poise.manage.control_socket.commands import (
 from poise.wire import frame
 from poise.wire.address import connect
 from poise.wire.codec import WireError
-from poise.wire.control_session import LEASE, open_session
+from poise.wire.control_session import LEASE, close_session, open_session
 from poise.wire.robots_here import noted_of, path_of, peer_of, running_here
 
 _LOOKS = StatusCommand | JournalCommand | TapCommand | LogCommand
@@ -149,7 +149,7 @@ def _told_elsewhere(status: RobotStatus, command: Command) -> Response:
                 raise NoManager(why, status)
             time.sleep(_ASK_EVERY)
     finally:
-        session.close()  # type: ignore[no-untyped-call]
+        close_session(session)
 
 
 def _replies(
