@@ -112,7 +112,9 @@ def _first_manager(computers: EmulatedSet, file: Path) -> Iterator[int]:
     """Run `poise up` on the computer that will be lost; yield its process."""
     argv = [sys.executable, "-m", "poise", "up", str(file), "--task", "relay"]
     process = computers.computers[_LEADS].popen(
-        [*argv, "--placement", "static"], stdin=subprocess.DEVNULL, stdout=sys.stderr.buffer
+        [*argv, "--placement", "static"],
+        stdin=subprocess.DEVNULL,
+        stdout=sys.stderr.buffer,
     )
     try:
         yield process.pid
