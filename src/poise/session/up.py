@@ -21,7 +21,7 @@ from poise.manage.observe.sample_recording import RecordingFile
 from poise.model.robot import Robot
 from poise.session.callbacks import Check, Say, log, nothing
 from poise.session.launch.managed import journal_of, managed, planned
-from poise.session.launch.standby_setup import election_of
+from poise.session.launch.standby_setup import election_of, without_standbys
 from poise.session.launch.start import Started
 from poise.session.placing.first_phase import first_phase
 from poise.session.placing.placement import Placement
@@ -166,6 +166,8 @@ def up(  # noqa: PLR0913 - each is a choice of the user
     decided: list[str] = []
     first = first_phase(robot, names, placement, decided.append)
     send = _telemetry() if otel is not None else None
+    if sentence := without_standbys(robot):
+        say(sentence)
     with contextlib.ExitStack() as stack:
         server = stack.enter_context(ControlServer(robot.name, takes_over=take_over))
         book = stack.enter_context(

@@ -31,7 +31,6 @@ from poise.runtime.agent.surroundings import BROKEN
 from poise.runtime.waker import Waker, wait_readable
 from poise.session.callbacks import Say, log
 from poise.session.folders import scratch_folder
-from poise.session.keys import init_keys
 from poise.session.launch.printer import STDERR, Printer, relay
 from poise.units import counted
 from poise.wire.control_session import LEASE, endpoint_of, locator
@@ -94,6 +93,9 @@ class EmulatedAgents:
 
     def _issue_keys(self) -> None:
         """Let nobody else on this machine, or in its network, command the agents."""
+        # `cryptography` is large, and real robots do not need it
+        from poise.session.keys import init_keys  # noqa: PLC0415
+
         folders = {name: c.folder for name, c in self.emulation.computers.items()}
         authority = init_keys(self._robot, next(iter(folders.values())).parent / _KEYS)
         for name, folder in folders.items():

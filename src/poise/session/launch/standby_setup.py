@@ -30,3 +30,15 @@ def election_of(robot: Robot, *, adapts: bool) -> Election | None:
         managers=robot.manager,
         setup=msgspec.msgpack.encode(StandbySetup(robot=robot, adapts=adapts)),
     )
+
+
+def without_standbys(robot: Robot) -> str:
+    """Return what a person should know of a real robot that has none; empty: it has."""
+    real = [computer.name for computer in robot.hosts if computer.address]
+    if robot.manager or len(real) == 1 or not real:
+        return ""
+    return (
+        "without standbys: when the computer of this manager dies, what ran there is "
+        f"away until the next `poise up`; `manager: [{', '.join(real)}]` in the robot "
+        "file lets another one lead"
+    )
