@@ -38,7 +38,7 @@ def without_standbys(robot: Robot) -> str:
     if robot.manager or len(real) == 1 or not real:
         return ""
     return (
-        "without standbys: when the computer of this manager dies, what ran there is "
+        "without standbys: when the computer of this manager dies, its components are "
         f"away until the next `poise up`; `manager: [{', '.join(real)}]` in the robot "
         "file lets another one lead"
     )
