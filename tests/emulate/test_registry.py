@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Collection
 from pathlib import Path
 
@@ -64,3 +65,24 @@ def test_an_entry_of_another_version_is_an_error_that_names_it(
     (own_registry / "poise-1-2-0.emulation").write_text("{}")
     with pytest.raises(RunError, match=r"poise-1-2-0\.emulation: .*owner.*remove"):
         sweep()
+
+
+def test_two_processes_may_remove_the_same_emulation(
+    two_computers: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    host = Probe(
+        cpus=(0, 1), groups=Groups(), tools=frozenset(), may_make_namespaces=False
+    )
+    layout = lay_out(two_computers, tmp_path, host, 0)
+    for computer in layout.computers:
+        Path(computer.folder, "keys").mkdir(parents=True)
+    rmtree = shutil.rmtree
+
+    def raced(folder: str) -> None:
+        """Lose the first file to another process."""
+        monkeypatch.setattr(shutil, "rmtree", rmtree)
+        raise FileNotFoundError(folder)
+
+    monkeypatch.setattr(shutil, "rmtree", raced)
+    registry.remove(layout)
+    assert not any(Path(computer.folder).exists() for computer in layout.computers)

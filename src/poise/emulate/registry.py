@@ -6,6 +6,7 @@ the next run finds the entry, sees that its owner is dead, and removes what it l
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import os
 import shutil
@@ -114,6 +115,13 @@ def write(layout: EmulationLayout) -> None:
     draft.rename(_entry(layout.run))
 
 
+def _remove_folder(folder: str) -> None:
+    """Remove a folder with all in it; another process may do so at the same time."""
+    while Path(folder).is_dir():
+        with contextlib.suppress(FileNotFoundError):
+            shutil.rmtree(folder)
+
+
 def remove(layout: EmulationLayout) -> None:
     """Remove all of an emulation, and then its entry. Repeating it is harmless."""
     network, computers = layout.network, layout.computers
@@ -123,7 +131,7 @@ def remove(layout: EmulationLayout) -> None:
         (cgroup_files.bring_back, layout.aside),
         (emulated_network.unplug, [network.owner] if network else []),
         (emulated_network.remove, network.namespaces if network else []),
-        (shutil.rmtree, [c.folder for c in computers if Path(c.folder).is_dir()]),
+        (_remove_folder, [computer.folder for computer in computers]),
     )
     problems: list[str] = []
     for act, things in steps:
