@@ -294,7 +294,7 @@ def evaluate(
 
 BUSY = 4.0
 """On a busy machine a budget lasts this many times as long at most; `Stop` of the core
-(`plan/core/problem/stop.h`) has the same number."""
+(`plan/core/stop.h`) has the same number."""
 
 
 class Budget:

@@ -1,7 +1,7 @@
 // The paper's greedy, as tests/plan/reference/greedy.py specifies it.
 #pragma once
 
-#include "problem/times.h"
+#include "times.h"
 
 namespace poise {
 

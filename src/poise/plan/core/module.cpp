@@ -7,11 +7,11 @@
 #include <memory>
 #include <stdexcept>
 
-#include "exact/tree.h"
+#include "tree.h"
 #include "greedy.h"
-#include "problem/relaxation.h"
+#include "relaxation.h"
 #include "read_arrays.h"
-#include "search/search.h"
+#include "search.h"
 
 namespace nb = nanobind;
 using namespace poise;

@@ -6,7 +6,7 @@
 #include <numeric>
 
 #include "greedy.h"
-#include "problem/times.h"
+#include "times.h"
 
 namespace poise {
 namespace {

@@ -1,8 +1,8 @@
 // Placement of a fleet's worth of components: multilevel, in near-linear time.
 #pragma once
 
-#include "problem/stop.h"
-#include "problem/random.h"
+#include "stop.h"
+#include "random.h"
 
 namespace poise {
 

@@ -10,7 +10,7 @@
 
 #include <stdexcept>
 
-#include "problem/problem.h"
+#include "problem.h"
 
 namespace poise {
 

@@ -1,9 +1,9 @@
-#include "problem/time_limits.h"
+#include "time_limits.h"
 
 #include <algorithm>
 #include <utility>
 
-#include "problem/problem.h"
+#include "problem.h"
 
 namespace poise {
 namespace {

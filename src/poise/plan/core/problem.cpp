@@ -1,10 +1,10 @@
-#include "problem/problem.h"
+#include "problem.h"
 
 #include <algorithm>
 #include <numeric>
 #include <utility>
 
-#include "problem/times.h"
+#include "times.h"
 
 namespace poise {
 

@@ -2,7 +2,7 @@
 #include <algorithm>
 #include <utility>
 
-#include "search/search.h"
+#include "search.h"
 
 namespace poise {
 namespace {

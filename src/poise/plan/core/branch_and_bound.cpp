@@ -4,10 +4,10 @@
 #include <algorithm>
 #include <memory>
 
-#include "exact/frontier.h"
-#include "exact/tree.h"
-#include "problem/relaxation.h"
-#include "problem/times.h"
+#include "frontier.h"
+#include "tree.h"
+#include "relaxation.h"
+#include "times.h"
 
 namespace poise {
 namespace {

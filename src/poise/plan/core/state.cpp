@@ -1,4 +1,4 @@
-#include "search/state.h"
+#include "state.h"
 
 #include <algorithm>
 #include <cmath>

@@ -1,10 +1,10 @@
-#include "search/search.h"
+#include "search.h"
 
 #include <algorithm>
 
 #include "greedy.h"
 #include "multilevel.h"
-#include "problem/relaxation.h"
+#include "relaxation.h"
 
 namespace poise {
 namespace {

@@ -3,7 +3,7 @@
 
 #include <algorithm>
 
-#include "problem/problem.h"
+#include "problem.h"
 
 namespace poise {
 

@@ -7,7 +7,7 @@
 #include <cstdint>
 #include <functional>
 
-#include "problem/problem.h"
+#include "problem.h"
 
 namespace poise {
 

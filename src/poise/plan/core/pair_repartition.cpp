@@ -1,4 +1,4 @@
-#include "search/pair_repartition.h"
+#include "pair_repartition.h"
 
 #include <algorithm>
 #include <cmath>

@@ -1,4 +1,4 @@
-#include "exact/tree.h"
+#include "tree.h"
 
 #include <algorithm>
 #include <cmath>

@@ -1,12 +1,12 @@
 // How long things may take from end to end, by where their parts run.
 #pragma once
 
-#include "problem/lists.h"
+#include "lists.h"
 
 namespace poise {
 
 // A limit is about its runs, and about its hops where their ends are apart: see
-// `TimeLimit` in ../../problem/items.py.
+// `TimeLimit` in ../problem/items.py.
 struct TimeLimits {
   struct Run {
     std::int32_t unit, component;

@@ -1,7 +1,7 @@
 // How long things take on a placement that changes, kept up to date.
 #pragma once
 
-#include "problem/problem.h"
+#include "problem.h"
 
 namespace poise {
 

@@ -3,10 +3,10 @@
 
 #include <utility>
 
-#include "problem/stop.h"
-#include "problem/random.h"
-#include "search/pair_repartition.h"
-#include "search/state.h"
+#include "stop.h"
+#include "random.h"
+#include "pair_repartition.h"
+#include "state.h"
 
 namespace poise {
 

@@ -4,8 +4,8 @@
 
 #include <vector>
 
-#include "search/state.h"
-#include "problem/stop.h"
+#include "state.h"
+#include "stop.h"
 
 namespace poise {
 

@@ -3,7 +3,7 @@
 
 #include <memory>
 
-#include "problem/stop.h"
+#include "stop.h"
 
 namespace poise {
 

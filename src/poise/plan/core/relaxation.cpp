@@ -1,6 +1,6 @@
-#include "problem/relaxation.h"
+#include "relaxation.h"
 
-#include "problem/times.h"
+#include "times.h"
 
 namespace poise {
 namespace {

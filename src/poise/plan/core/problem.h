@@ -1,6 +1,6 @@
 // A problem in flat arrays, compiled once and solved many times.
 //
-// It is made from `Arrays` in ../../problem/arrays.py: "unit" is one or more components that
+// It is made from `Arrays` in ../problem/arrays.py: "unit" is one or more components that
 // share a computer. Arrays by resource and computer are (r, m), one resource after the other,
 // so that loops over computers run over consecutive memory.
 #pragma once
@@ -11,7 +11,7 @@
 #include <optional>
 #include <vector>
 
-#include "problem/time_limits.h"
+#include "time_limits.h"
 
 namespace poise {
 

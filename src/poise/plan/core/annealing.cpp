@@ -3,7 +3,7 @@
 #include <array>
 #include <cmath>
 
-#include "search/search.h"
+#include "search.h"
 
 namespace poise {
 namespace {

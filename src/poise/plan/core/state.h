@@ -3,7 +3,7 @@
 
 #include <vector>
 
-#include "problem/times.h"
+#include "times.h"
 
 namespace poise {
 

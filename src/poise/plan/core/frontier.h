@@ -2,7 +2,7 @@
 // open: the paper's own case, and the fastest.
 #pragma once
 
-#include "exact/tree.h"
+#include "tree.h"
 
 namespace poise {
 

@@ -1,4 +1,4 @@
-#include "exact/frontier.h"
+#include "frontier.h"
 
 #include <algorithm>
 #include <cmath>

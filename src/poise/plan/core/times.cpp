@@ -1,4 +1,4 @@
-#include "problem/times.h"
+#include "times.h"
 
 #include <algorithm>
 #include <cassert>
