@@ -176,6 +176,10 @@ class Workload(Struct, frozen=True, kw_only=True):
 Set = Annotated[tuple[Name, ...], note(min_length=2)]
 
 
+_LEAST_VOTES = 3
+"""Of fewer computers that have a vote each, no majority is left when one is lost."""
+
+
 class Robot(Struct, frozen=True, kw_only=True):
     """A robot: its computers, its software and its tasks.
 
@@ -259,12 +263,13 @@ class Robot(Struct, frozen=True, kw_only=True):
         ),
     ] = "stop"
     manager: Annotated[
-        tuple[Name, ...],
+        tuple[Name, ...] | None,
         says(
             "Computers where a standby waits to lead the robot when its manager is "
-            "gone, the first one first. Without it, a person starts the next manager."
+            "gone, the first one first; without it, all of three real ones or more. []: "
+            "a person starts the next manager."
         ),
-    ] = ()
+    ] = None
     keeps: Annotated[
         tuple[Name, ...],
         says(
@@ -331,6 +336,15 @@ class Robot(Struct, frozen=True, kw_only=True):
     def hosts(self) -> tuple[Computer, ...]:
         """The computers on which components may be placed."""
         return tuple(c for c in self.computers if not c.witness)
+
+    @property
+    def standbys(self) -> tuple[str, ...]:
+        """The computers where a standby waits, the first one to lead first."""
+        if self.manager is not None:
+            return self.manager
+        is_enough = len(self.computers) >= _LEAST_VOTES or self.keeps
+        may_lead = is_enough and not self.is_emulated
+        return tuple(c.name for c in self.hosts) if may_lead else ()
 
     @property
     def votes(self) -> dict[str, int]:

@@ -15,11 +15,11 @@ _ALONE = "leave `manager` out, or add a computer"
 def check_voting(robot: Robot) -> Iterator[Finding]:
     """Yield why no manager could follow, and what is placed on a witness."""
     computers = [computer.name for computer in robot.computers]
-    yield from each_known(("manager",), "computer", robot.manager, computers)
+    yield from each_known(("manager",), "computer", robot.manager or (), computers)
     devices = [device.name for device in robot.devices]
     yield from each_known(("keeps",), "device", robot.keeps, devices)
     yield from _witnesses(robot)
-    if robot.manager:
+    if robot.standbys:
         yield from _majority(robot)
     elif robot.keeps:
         yield Finding(
@@ -71,7 +71,7 @@ def _majority(robot: Robot) -> Iterator[Finding]:
 def _witnesses(robot: Robot) -> Iterator[Finding]:
     witnesses = {computer.name for computer in robot.computers if computer.witness}
     for name in sorted(witnesses):
-        if not robot.manager:
+        if not robot.standbys:
             yield Finding(
                 ("computers", name, "witness"),
                 f"'{name}' votes for the next manager, but no computer may lead: name "
@@ -88,7 +88,7 @@ def _witnesses(robot: Robot) -> Iterator[Finding]:
 
 def _placed(robot: Robot) -> Iterator[tuple[Path, str, str]]:
     """Yield each place in the file that needs a computer, with its name."""
-    for index, name in enumerate(robot.manager):
+    for index, name in enumerate(robot.manager or ()):
         yield ("manager", index), "no standby can wait on", name
     for device in robot.devices:
         path: Path = ("devices", device.name, "computer")

@@ -23,11 +23,11 @@ def election_of(robot: Robot, *, adapts: bool) -> Election | None:
     Its computers have to outlive each of them.
     """
     is_real = any(computer.address for computer in robot.computers)
-    if not robot.manager or not (is_real or set_for(robot) is not None):
+    if not robot.standbys or not (is_real or set_for(robot) is not None):
         return None
     return Election(
         votes=robot.votes,
-        managers=robot.manager,
+        managers=robot.standbys,
         setup=msgspec.msgpack.encode(StandbySetup(robot=robot, adapts=adapts)),
     )
 
@@ -35,10 +35,13 @@ def election_of(robot: Robot, *, adapts: bool) -> Election | None:
 def without_standbys(robot: Robot) -> str:
     """Return what a person should know of a real robot that has none; empty: it has."""
     real = [computer.name for computer in robot.hosts if computer.address]
-    if robot.manager or len(real) == 1 or not real:
+    if robot.standbys or len(real) == 1 or not real:
         return ""
+    if robot.manager is not None:
+        cure = "name some in `manager`, so that one of them leads then"
+    else:
+        cure = "a witness, or `keeps` in the robot file, lets the other one lead then"
     return (
         "without standbys: when the computer of this manager dies, its components are "
-        f"away until the next `poise up`; `manager: [{', '.join(real)}]` in the robot "
-        "file lets another one lead"
+        f"away until the next `poise up`; {cure}"
     )
