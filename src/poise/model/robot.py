@@ -266,8 +266,8 @@ class Robot(Struct, frozen=True, kw_only=True):
         tuple[Name, ...] | None,
         says(
             "Computers where a standby waits to lead the robot when its manager is "
-            "gone, the first one first; without it, all of three real ones or more. []: "
-            "a person starts the next manager."
+            "gone, the first one first; without it, all of three real ones or more; [] "
+            "none: a person starts the next manager."
         ),
     ] = None
     keeps: Annotated[
