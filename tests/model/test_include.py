@@ -82,7 +82,8 @@ def test_a_circle_is_told_with_the_files_on_it(tmp_path: Path) -> None:
     [
         ("missing.yaml", "include: 'missing.yaml' does not exist"),
         (".", "is a folder"),
-        ("[x]", "must be file names"),
+        ("[x]", "include: must be a single value, not a list of 1"),
+        ("{fil: x}", "include: the key 'file' is missing"),
         ('"a\\nb.yaml"', "does not exist"),
         ("x" * 5000, "cannot be read: File name too long"),
     ],

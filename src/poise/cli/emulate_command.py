@@ -12,7 +12,7 @@ from msgspec import Struct
 from rich.markup import escape
 
 from poise.cli.main import Interrupts
-from poise.cli.options import AsJson, RobotFile, parse_option, show
+from poise.cli.options import AsJson, RobotFile, Set, arguments_of, parse_option, show
 from poise.emulate import EmulatedSet, InjectedFault, all_sets, find_set
 from poise.errors import UsageError
 from poise.session.launch.computers import emulated
@@ -54,7 +54,7 @@ class ListedSet(Struct, frozen=True, kw_only=True):
     faults: tuple[InjectedFault, ...]
 
 
-def emulate_command(file: RobotFile) -> None:
+def emulate_command(file: RobotFile, set_: Set = None) -> None:
     """Keep a robot's emulated computers up until Ctrl-C or `poise emulate stop`.
 
     Meanwhile `run`, `up` and `demo` use them and leave them up, and `poise emulate
@@ -65,7 +65,7 @@ def emulate_command(file: RobotFile) -> None:
     """
     with Printer() as printer, log_printer():
         say = printer.print
-        robot = load(file, say=say)
+        robot = load(file, arguments_of(set_), say=say)
         with Interrupts() as interrupts, emulated(robot, say=say) as kept:
             names = ", ".join(f"{c.name} {c.address}" for c in kept.computers.values())
             say(f"the computers of robot '{robot.name}' are up ({names}); Ctrl-C ends")

@@ -84,7 +84,26 @@ _PLACEMENT = typer.Option(
 Method = Annotated[str, _PLACEMENT]
 AnyMethod = Annotated[str | None, _PLACEMENT]
 """None: what runs stays where it is, and Poise decides about the rest."""
+Set = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="NAME=VALUE",
+        help="A value for an argument of the robot file; may be repeated.",
+    ),
+]
 AsJson = Annotated[bool, typer.Option("--json", help="Print the outcome as JSON.")]
+
+
+def arguments_of(words: list[str] | None) -> dict[str, str]:
+    """Return what `--set` says: argument -> value."""
+    arguments = {}
+    for word in words or ():
+        name, equals, value = word.partition("=")
+        if not (name and equals):
+            raise UsageError(f"--set {word}: write NAME=VALUE, as in --set side=left")
+        arguments[name] = value
+    return arguments
 
 
 def print_json(outcome: object) -> None:

@@ -13,7 +13,7 @@ from rich.console import Console
 
 from poise import plan, units
 from poise.cli.main import Interrupts
-from poise.cli.options import AsJson, busy, in_file, print_json
+from poise.cli.options import AsJson, Set, arguments_of, busy, in_file, print_json
 from poise.errors import UsageError
 from poise.estimate.success_rates import Conditions, learned
 from poise.model import load
@@ -103,6 +103,7 @@ def plan_command(
         bool,
         typer.Option("--explore", help="Try alternatives by what they promise."),
     ] = False,
+    set_: Set = None,
     json: AsJson = False,
 ) -> None:
     """Decide where each component runs, say why, and ask what if.
@@ -123,7 +124,7 @@ def plan_command(
     _check_together(tasks, explain, phase, compare, smallest=smallest, at_once=at_once)
     _check_share(share=share, fewer=fewer, smallest=smallest)
     say = Console(stderr=True, highlight=False).print
-    robot = _robot(file, tasks, say, explore=explore)
+    robot = _robot(file, arguments_of(set_), tasks, say, explore=explore)
 
     def known(task: str | None) -> Robot | None:
         """Return the robot with what was learned of alternatives for a task."""
@@ -241,11 +242,16 @@ def _check_phases(
 
 
 def _robot(
-    file: Path, tasks: list[str], say: Callable[[str], None], *, explore: bool
+    file: Path,
+    arguments: dict[str, str],
+    tasks: list[str],
+    say: Callable[[str], None],
+    *,
+    explore: bool,
 ) -> Robot | None:
     """Return the robot in `file`; None when it is a plain problem."""
     if file.suffix != ".json":
-        measured = profiled(load(file))
+        measured = profiled(load(file, arguments))
         for sentence in measured.says:
             say(sentence)
         return measured.robot

@@ -14,7 +14,15 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
 from poise.cli.main import Interrupts
-from poise.cli.options import AsJson, RobotFile, parse_option, print_json, show
+from poise.cli.options import (
+    AsJson,
+    RobotFile,
+    Set,
+    arguments_of,
+    parse_option,
+    print_json,
+    show,
+)
 from poise.errors import RobotError, RunError
 from poise.estimate.demands import overheads
 from poise.estimate.profiles import Profile
@@ -55,6 +63,7 @@ def profile_command(
         int, typer.Option(min=1, help="How often to measure each architecture.")
     ] = 2,
     write: Write = False,
+    set_: Set = None,
     as_json: AsJson = False,
 ) -> None:
     """Measure what each component needs, every architecture alone on one computer.
@@ -67,7 +76,7 @@ def profile_command(
     Example: poise profile robot.yaml --for 30s
     """
     console = console_to(stderr=as_json)
-    robot = load_bare(file)
+    robot = load_bare(file, arguments_of(set_))
     with Interrupts() as interrupts:
         measured = profile(
             robot,
@@ -191,6 +200,7 @@ def calibrate_command(
     force: Annotated[
         bool, typer.Option("--force", help="Write the result of a busy machine, too.")
     ] = False,
+    set_: Set = None,
     as_json: AsJson = False,
 ) -> None:
     """Measure how fast the robot's computers are, and what its connectors cost.
@@ -203,7 +213,7 @@ def calibrate_command(
     Example: poise calibrate robot.yaml
     """
     console = console_to(stderr=as_json)
-    robot = load_bare(file)
+    robot = load_bare(file, arguments_of(set_))
     seconds = parse_option("--for", for_, SECONDS)
     console.print(f"calibrating for {2 * seconds:g} s, and a few more to start")
     with Interrupts() as interrupts, console.status("") as shown:

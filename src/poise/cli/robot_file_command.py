@@ -15,7 +15,16 @@ from rich.console import RenderableType
 from rich.markup import escape
 from rich.table import Table
 
-from poise.cli.options import AsJson, RobotFile, RobotTask, busy, parse_option, show
+from poise.cli.options import (
+    AsJson,
+    RobotFile,
+    RobotTask,
+    Set,
+    arguments_of,
+    busy,
+    parse_option,
+    show,
+)
 from poise.cli.plan_command import computer_of
 from poise.errors import FileProblem, RobotError, UsageError
 from poise.estimate.success_rates import beliefs_about, forget
@@ -41,6 +50,7 @@ def check_command(
     file: Annotated[
         Path | None, typer.Argument(help="The robot file.", envvar="POISE_ROBOT")
     ] = None,
+    set_: Set = None,
     as_json: AsJson = False,
     schema: Annotated[
         bool, typer.Option("--schema", help="Print the JSON Schema of robot files.")
@@ -59,8 +69,9 @@ def check_command(
     if file is None:
         raise UsageError("give a robot file, as in `poise check robot.yaml`")
     with busy("checking"):
-        problems = check(file)
-    notes = () if problems else notes_of(load(file))
+        arguments = arguments_of(set_)
+        problems = check(file, arguments)
+    notes = () if problems else notes_of(load(file, arguments))
     if as_json:
         _print_json(problems, notes)
     else:
@@ -276,6 +287,7 @@ def draw_command(
             help=f"The file; it ends in {', '.join(FORMATS)}. '-': Mermaid on stdout.",
         ),
     ] = None,
+    set_: Set = None,
 ) -> None:
     """Draw a robot as a UML diagram: its components, where they run, or how they move.
 
@@ -300,7 +312,7 @@ def draw_command(
     if chosen != "components" and not names:
         names = ["static", "auto"] if chosen == "transition" else ["auto"]
     console = console_to(stderr=True)
-    measured = profiled(load(file))
+    measured = profiled(load(file, arguments_of(set_)))
     for sentence in measured.says:
         console.print(sentence)
     robot = measured.robot

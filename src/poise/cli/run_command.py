@@ -21,6 +21,8 @@ from poise.cli.options import (
     Method,
     RobotFile,
     RobotTask,
+    Set,
+    arguments_of,
     parse_option,
 )
 from poise.cli.watch_command import check_dashboard, dashboard_beside
@@ -64,6 +66,7 @@ def run_command(
             "--allow-errors", help="Exit with 0 when components had errors, too."
         ),
     ] = False,
+    set_: Set = None,
     as_json: AsJson = False,
 ) -> None:
     """Run a task on the robot's computers; without addresses they are emulated.
@@ -86,7 +89,7 @@ def run_command(
         console.print(escape(sentence))
 
     with console.status("checking the robot file and its code ..."):
-        robot = load(file, say=say)
+        robot = load(file, arguments_of(set_), say=say)
     chosen = task_of(robot, task)
     placed = place(robot, chosen, method=placement, fewer=True)
     if report is not None:
@@ -171,6 +174,7 @@ def up_command(
             help="File for samples, and for the values of policies.", callback=to_write
         ),
     ] = None,
+    set_: Set = None,
 ) -> None:
     """Start a robot and keep it running until Ctrl-C or `poise stop`.
 
@@ -180,13 +184,17 @@ def up_command(
     prints each move, what its tasks do, and everything that is not as the robot file
     says.
 
-    Example: poise up robot.yaml --task fetch
+    Examples
+    --------
+    poise up robot.yaml --task fetch
+
+    poise up robot.yaml --set side=left --set speed=0.5
     """
     if dashboard:
         check_dashboard()
     with Printer() as printer, log_printer():
         say = printer.print
-        robot = load(file, say=say, meanwhile=_import_the_rest)
+        robot = load(file, arguments_of(set_), say=say, meanwhile=_import_the_rest)
         from poise.session.launch.detached import up_detached
         from poise.session.placing.placement import place
         from poise.session.up import up

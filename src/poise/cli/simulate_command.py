@@ -17,6 +17,8 @@ from poise.cli.options import (
     AsJson,
     RobotFile,
     RobotTask,
+    Set,
+    arguments_of,
     parse_option,
     print_json,
 )
@@ -67,6 +69,7 @@ def simulate_command(
         Path | None,
         typer.Option(help="File for a page with pictures.", callback=to_write),
     ] = None,
+    set_: Set = None,
     as_json: AsJson = False,
 ) -> None:
     """Simulate a task in virtual time: what is late, moves or stops, and for how long.
@@ -100,7 +103,7 @@ def simulate_command(
     def say(sentence: str) -> None:
         console.print(escape(sentence))
 
-    measured = profiled(with_code(load(file)))
+    measured = profiled(with_code(load(file, arguments_of(set_))))
     for sentence in measured.says:
         say(sentence)
     robot = measured.robot

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from os.path import realpath
 from pathlib import Path
 
 import msgspec
 from msgspec import Struct
 
-from poise.errors import FileProblem, RobotError
+from poise.errors import FileProblem, RobotError, UsageError
+from poise.model.arguments import Given, Include, as_given, fill, unknown_arguments
 from poise.model.check.allowed_computers import (
     check_allowed_computers,
     check_checkpoints,
@@ -31,6 +32,7 @@ from poise.model.check.task_checks import (
     check_workload,
 )
 from poise.model.check.voting import check_voting
+from poise.model.prefix import add_prefix
 from poise.model.repository import Repository, with_repository
 from poise.model.robot import Robot
 from poise.model.yaml_tree import Finding, Location, Node, Positions, Scalar, read_file
@@ -46,24 +48,28 @@ class Source(Struct, frozen=True):
     repository: Repository = Repository()
 
 
-def load(path: str | Path) -> Robot:
+def load(path: str | Path, arguments: Mapping[str, object] | None = None) -> Robot:
     """Return the robot that the file at `path` describes.
 
     Raises
     ------
     RobotError
         It contains every problem of the file and its included files.
+    UsageError
+        The file has no argument of such a name.
     """
-    return load_source(path).robot
+    return load_source(path, arguments).robot
 
 
-def load_source(path: str | Path) -> Source:
+def load_source(
+    path: str | Path, arguments: Mapping[str, object] | None = None
+) -> Source:
     """Return the robot and the positions of its parts; raises as `load` does."""
     problems: list[FileProblem] = []
     path = Path(path)
     if "\0" in str(path):
         raise RobotError(f"{quoted(path)} is not a file name")
-    root = read_tree(path, problems)
+    root = read_tree(path, problems, as_given(arguments or {}))
     if root is None:
         raise RobotError(problems=problems)
     # Names of a file that could not be included would seem unknown.
@@ -104,30 +110,42 @@ def check(robot: Robot, repository: Repository) -> Iterator[Finding]:
     yield from check_ends(robot, declared_ports(robot))
 
 
+_INCLUDE = msgspec.inspect.type_info(str | Include)
 MOST_FILES = 100
 """More included files than this are an error."""
 
 
-def read_tree(path: Path, problems: list[FileProblem]) -> Node | None:
+def read_tree(path: Path, problems: list[FileProblem], given: Given) -> Node | None:
     """Return the merged tree of a robot file; every problem is added to `problems`.
 
     Mappings are merged key by key and lists are joined. A single value that is defined
-    twice is a problem. A file that is included twice is read once.
+    twice is a problem. A file that is included twice is read once, unless it is
+    included with a prefix or arguments.
+
+    Raises
+    ------
+    UsageError
+        The file has no argument of a name in `given`.
     """
-    reader = _Reader(problems)
+    reader = _Reader(problems, [])
     reader.read(path, None, ())
+    if reader.root is not None and not problems:
+        for text in unknown_arguments(reader.root, given).values():
+            raise UsageError(f"{path}: {text}")
+        fill(reader.root, given, problems, is_top=True)
     return reader.root
 
 
 class _Reader:
-    def __init__(self, problems: list[FileProblem]) -> None:
+    def __init__(self, problems: list[FileProblem], reads: list[str]) -> None:
         self.root: Node | None = None
         self._problems = problems
+        self._reads = reads  # all files that were read, also by other readers
         self._done: set[str] = set()
 
     def read(self, path: Path, asked: Location | None, above: tuple[Path, ...]) -> None:
         """Merge `path` into the root; `above` are the files that led to it."""
-        if not self._is_new(path, asked, above):
+        if "\0" in str(path) or not self._is_new(path, asked, above):
             return
         root = read_file(path, asked, self._problems)
         if root is None:
@@ -144,14 +162,37 @@ class _Reader:
             root.value.pop("include", None)
             _merge(self.root, root, "", self._problems)
         if include is not None and isinstance(include.value, list):
-            for item in include.value:
-                self._include(path, item, above)
+            include.value = [
+                item for item in include.value if self._include(item, (*above, path))
+            ]
 
-    def _include(self, path: Path, item: Node, above: tuple[Path, ...]) -> None:
-        if isinstance(item.value, Scalar) and "\0" not in item.value.text:
-            self.read(path.parent / item.value.text, item.place, (*above, path))
-        else:
-            self._problems.append(item.place.problem("include: must be file names"))
+    def _include(self, item: Node, above: tuple[Path, ...]) -> bool:
+        """Merge the file that an item names; return whether the item is right."""
+        entry = validate(item, _INCLUDE, self._problems, name="include")
+        if isinstance(entry, dict):
+            self._include_as(item, msgspec.convert(entry, Include), above)
+        elif entry is not None:
+            self.read(above[-1].parent / entry, item.place, above)
+        return entry is not None
+
+    def _include_as(self, item: Node, entry: Include, above: tuple[Path, ...]) -> None:
+        """Merge a file with other names, and with values for its arguments."""
+        reader = _Reader(self._problems, self._reads)
+        reader.read(above[-1].parent / entry.file, item.place, above)
+        root = reader.root
+        if root is None:
+            return
+        assert isinstance(root.value, dict)  # noqa: S101 - it was read
+        root.value.pop("include", None)
+        given = as_given(entry.arguments)
+        for text in unknown_arguments(root, given).values():
+            self._problems.append(item.place.problem(f"include: {text}"))
+        fill(root, given, self._problems, is_top=False)
+        root.value.pop("arguments", None)
+        if entry.prefix:
+            add_prefix(root, entry.prefix, self._problems)
+        assert self.root is not None  # noqa: S101 - it includes
+        _merge(self.root, root, "", self._problems)
 
     def _is_new(
         self, path: Path, asked: Location | None, above: tuple[Path, ...]
@@ -163,11 +204,12 @@ class _Reader:
             self._problems.append(
                 asked.problem(f"include: the files include each other: {circle}")
             )
-        elif asked and len(self._done) == MOST_FILES and real not in self._done:
+        elif asked and len(self._reads) >= MOST_FILES and real not in self._done:
             text = f"include: more than {MOST_FILES} files"
             self._problems.append(asked.problem(text))
         elif real not in self._done:
             self._done.add(real)
+            self._reads.append(real)
             return True
         return False
 

@@ -12,6 +12,7 @@ from typing import Annotated, Literal, Protocol, TypeVar
 from msgspec import Struct
 from msgspec.structs import replace
 
+from poise.model.arguments import Include
 from poise.model.file_keys import (
     COMMAND,
     Amount,
@@ -189,9 +190,13 @@ class Robot(Struct, frozen=True, kw_only=True):
 
     name: Annotated[Name, says("The robot's name.", key="robot")]
     include: Annotated[
-        tuple[str, ...],
+        tuple[str | Include, ...],
         says("Further files, relative to this one; sections are merged."),
     ] = ()
+    arguments: Annotated[
+        Mapping[Name, str],
+        says("Name -> default of what $(name) stands for; `--set name=value` sets it."),
+    ] = {}
     computers: Annotated[
         tuple[Computer, ...],
         by_name(Computer),

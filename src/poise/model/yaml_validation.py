@@ -86,14 +86,16 @@ class Where(Struct, frozen=True):
         return _INVALID
 
 
-def validate(node: Node, kind: types.Type, problems: list[FileProblem]) -> Value:
+def validate(
+    node: Node, kind: types.Type, problems: list[FileProblem], name: str = ""
+) -> Value:
     """Return the plain SI value of `node`, whose type is `kind`.
 
     Every problem is added to `problems`. A wrong single value of an optional key is
     dropped, so that later checks find further problems. None is returned when
     something wrong cannot be dropped.
     """
-    value = _value(node, kind, Where("", node.place, problems))
+    value = _value(node, kind, Where(name, node.place, problems))
     return None if value is _INVALID else value
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from os import PathLike
 from pathlib import Path
 
@@ -21,20 +21,24 @@ from poise.session.profiling.stored_profiles import profiled
 from poise.units import format_seconds
 
 
-def check(file: str | PathLike[str]) -> tuple[FileProblem, ...]:
+def check(
+    file: str | PathLike[str], arguments: Mapping[str, object] | None = None
+) -> tuple[FileProblem, ...]:
     """Return what is wrong with a robot file; when nothing is, what is with its code.
 
     Parameters
     ----------
     file
         The robot file.
+    arguments
+        Values for arguments of the file.
 
     Returns
     -------
     Problems, each with file, line, column and what is wrong there.
     """
     try:
-        load_bare(file)
+        load_bare(file, arguments)
     except RobotError as error:
         return error.problems
     return ()
@@ -42,6 +46,7 @@ def check(file: str | PathLike[str]) -> tuple[FileProblem, ...]:
 
 def load(
     file: str | PathLike[str],
+    arguments: Mapping[str, object] | None = None,
     *,
     say: Say = log.info,
     meanwhile: Callable[[], object] = nothing,
@@ -52,6 +57,8 @@ def load(
     ----------
     file
         The robot file.
+    arguments
+        Values for arguments of the file.
     say
         Takes sentences: where demands are from, which are missing or stale, and which
         architectures of the repository do not fit.
@@ -62,23 +69,29 @@ def load(
     ------
     RobotError
         The file or its code is wrong; `problems` has all that was found.
+    UsageError
+        The file has no argument of such a name.
     """
-    source = _checked(file, meanwhile)
+    source = _checked(file, arguments, meanwhile)
     found = profiled(source.robot)
     for sentence in (*source.repository.passed_over, *found.says):
         say(sentence)
     return found.robot
 
 
-def load_bare(file: str | PathLike[str]) -> Robot:
+def load_bare(
+    file: str | PathLike[str], arguments: Mapping[str, object] | None = None
+) -> Robot:
     """Return the robot in a file, with the demands there only, or RobotError."""
-    return _checked(file).robot
+    return _checked(file, arguments).robot
 
 
 def _checked(
-    file: str | PathLike[str], meanwhile: Callable[[], object] = nothing
+    file: str | PathLike[str],
+    arguments: Mapping[str, object] | None,
+    meanwhile: Callable[[], object] = nothing,
 ) -> Source:
-    source = load_source(Path(file))
+    source = load_source(Path(file), arguments)
     found = check_code_isolated(source.robot, meanwhile=meanwhile)
     findings = found.findings or [*check_late_chains(source.robot)]
     if findings:
