@@ -5,14 +5,14 @@ BIN := .venv/bin
 export PYTHONDONTWRITEBYTECODE :=
 NATIVE := $(shell find src CMakeLists.txt -name '*.cpp' -o -name '*.h' -o -name '*.hpp' -o -name CMakeLists.txt)
 
-.PHONY: setup demo quick test exhaustive simulate soak coverage lint stubs sanitize docs clean
+.PHONY: setup demo quick test exhaustive simulate soak coverage lint stubs sanitize docs wheels lock clean
 setup: .venv/.ready
 
 .venv/.ready: pyproject.toml $(NATIVE)
 	@.ci/needs $(PYTHON)
 	@echo "setting up .venv (takes a minute or two; only after changes of native code)"
 	@test -x $(BIN)/python || $(PYTHON) -m venv .venv
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev,docs,ros2,trot]'
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[dev,docs,ros2,trot]'
 	@$(BIN)/python -m compileall -q src examples
 	@touch $@
 
@@ -95,6 +95,18 @@ docs: setup
 	  ln -sfn $(CURDIR)/$$part build/docs-source/$$part; done
 	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --config-file docs/mkdocs.yml 2>build/docs.log || { cat build/docs.log; exit 1; }
 
+# an sdist, wheels for x86_64 and aarch64, and a bill of materials in dist
+wheels: setup
+	@$(BIN)/python .ci/wheels.py
+
+# the versions of all packages here and of the tools of `make wheels`
+lock: setup
+	@$(BIN)/python .ci/wheels.py tools
+	@{ echo "# The versions that the tests ran with, for Python 3.11 to 3.13; \`make lock\` writes this."; \
+	  for python in $(BIN) build/wheels/tools/bin; do $$python/python -m pip freeze --exclude-editable; done \
+	    | LC_ALL=C sort -fu; } > build/constraints.txt
+	@mv build/constraints.txt constraints.txt
+
 clean:
-	rm -rf .venv build .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
+	rm -rf .venv build dist .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

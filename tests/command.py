@@ -58,7 +58,12 @@ def run_poise(
     """
     others = CpuOfOthers()
     texts = [str(word) for word in words]
-    is_starting = texts[0] in _STARTING and not {"show", "-h"} & {*texts}
+    is_starting = texts[0] in _STARTING and not {
+        "show",
+        "install",
+        "uninstall",
+        "-h",
+    } & {*texts}
     done = (_started if is_starting else called)(texts, cwd)
     if "--json" in texts and done.stdout:
         check_output(texts, done.stdout)

@@ -103,7 +103,7 @@ def agent_command(
             lifeline=lifeline,
             lease=lease,
             sample_every=parse_option("--sample-every", sample_every, SECONDS),
-            keys=_keys_for(robot, address, keys, is_insecure=insecure),
+            keys=keys_for(robot, address, keys, is_insecure=insecure),
             encrypts=not plain_connectors,
             allow=tuple(str(path.resolve()) for path in allow or ()),
         )
@@ -139,7 +139,7 @@ def witness_command(
             lifeline=lifeline,
             lease=lease,
             sample_every=0.0,
-            keys=_keys_for(robot, address, keys, is_insecure=insecure),
+            keys=keys_for(robot, address, keys, is_insecure=insecure),
             is_witness=True,
         )
     )
@@ -170,9 +170,9 @@ def _serve(setup: AgentSetup) -> None:
             raise typer.Exit(BROKEN) from None
 
 
-def _keys_for(robot: str, address: str, keys: Path | None, *, is_insecure: bool) -> str:
+def keys_for(robot: str, address: str, keys: Path | None, *, is_insecure: bool) -> str:
     """Return the folder of the agent's keys; empty: it goes without."""
-    _check_ip(address)
+    check_ip(address)
     if is_insecure:
         return ""
     own = find(robot, "agent", folder=keys)
@@ -193,7 +193,7 @@ def _say(sentence: str) -> None:
         sys.stdout.flush()
 
 
-def _check_ip(address: str) -> None:
+def check_ip(address: str) -> None:
     """Raise UsageError unless it is an IP address without a port."""
     try:
         endpoint = Endpoint.parse(address)

@@ -76,11 +76,16 @@ COMMANDS = {
     "journal": ("watch", "Show what a manager decided and why."),
     "stop": ("running_robot", "Stop a running robot."),
     "agent": ("agent", "Run what the manager wants on this computer."),
+    "agent install": ("agent_service", "Let systemd run this computer's agent."),
+    "agent uninstall": ("agent_service", "End that."),
     "witness": ("agent", "Vote for a robot's manager, and run nothing."),
     "standby": ("agent", "Wait to lead a robot; agents start it."),
 }
 """Command -> its file (`watch`: `watch_command.py`), and what it does. A second word
 makes a sub-command. Its function is named after its last word: `stop_command`."""
+
+_NAMING = {"agent"}
+"""Commands whose second word may also be a name: it is no mistake."""
 
 _EXIT_CODES = (
     "Exit codes: 0 done; 1 the robot file has problems, nothing can be placed, or "
@@ -119,6 +124,7 @@ def check_words(arguments: Sequence[str]) -> None:
     first, second, *_ = (*arguments, "", "")
     choices = [n.partition(" ")[2] for n in COMMANDS if n.startswith(f"{first} ")]
     is_word = second[:1].isalpha() and not {".", "/"} & {*second}
+    is_word &= first not in _NAMING
     if choices and is_word and second not in choices and not Path(second).exists():
         raise UsageError(
             f"there is no command '{first} {second}'{did_you_mean(second, choices)}, "

@@ -192,7 +192,7 @@ class Core {
   int resource_index(nb::handle resource, nb::handle component) {
     const auto resources = static_cast<int>(nb::len(resources_));
     for (int k = 0; k < resources; ++k) {  // columns of soft limits have no name
-      PyObject* known = PyTuple_GET_ITEM(resources_.ptr(), k);
+      PyObject* known = PyTuple_GetItem(resources_.ptr(), k);
       if (known == resource.ptr() || resource.equal(nb::handle(known))) return k;
     }
     throw std::invalid_argument("component " + text(component) + ": no resource is called " +
@@ -204,7 +204,7 @@ class Core {
     PyObject* list = PyList_New(static_cast<Py_ssize_t>(values.size()));
     if (list == nullptr) throw nb::python_error();
     for (std::size_t i = 0; i < values.size(); ++i) {
-      PyList_SET_ITEM(list, static_cast<Py_ssize_t>(i), make(values[i]));
+      PyList_SetItem(list, static_cast<Py_ssize_t>(i), make(values[i]));
     }
     return nb::steal<nb::list>(list);
   }

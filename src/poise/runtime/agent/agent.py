@@ -38,6 +38,7 @@ from poise.runtime.agent.agent_files import (
 from poise.runtime.agent.command_relay import CommandRelay
 from poise.runtime.agent.core import AgentCore
 from poise.runtime.agent.inbox import AgentInbox
+from poise.runtime.agent.service_notice import ServiceNotice
 from poise.runtime.agent.standby_process import StandbyProcess
 from poise.runtime.agent.surroundings import (
     AgentSetup,
@@ -78,6 +79,7 @@ class Agent:
         self._say = say
         self._clock = SystemClock()
         self._is_asked_to_end = False
+        self._service = ServiceNotice()
         try:
             socket_path(Path(setup.folder), "")
         except ValueError as error:
@@ -175,10 +177,13 @@ class Agent:
             working.callback(core.heartbeats.close)
             for thread in (sampler, disk):
                 thread.start()
+            self._service.start(self._clock.now())
             while not self._is_asked_to_end:
                 self._inbox.work()
                 core.tick()
-                self._take_news(core.moment())
+                self._take_news(min(core.moment(), self._service.due))
+                self._service.live(self._clock.now())
+        self._service.end()
         self._end_all()
         for token in self._tokens:
             token.undeclare()  # type: ignore[no-untyped-call]

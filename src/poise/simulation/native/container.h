@@ -3,6 +3,7 @@
 
 #include <deque>
 #include <limits>
+#include <list>
 #include <unordered_map>
 #include <vector>
 
@@ -78,7 +79,7 @@ class Container {
   std::vector<Action> late_;
   std::vector<Executor*> executors_;
   std::vector<Sender*> senders_;
-  std::deque<Executor> all_executors_;
+  std::list<Executor> all_executors_;
   std::deque<Sender> all_senders_;
   std::unordered_map<int, const Connector*> connectors_;  // by the numbers of their keys
 };

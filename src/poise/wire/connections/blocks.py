@@ -42,6 +42,8 @@ OWN = 0
 """The slot of a loan, which its own process has."""
 _FREE, _LENT = 0, 1
 _ALL_FREE = bytes(DATA)
+# qemu maps what is only to be written so that the kernel cannot read it: EFAULT
+_ACCESS = mmap.PROT_READ | mmap.PROT_WRITE
 _SEALS = fcntl.F_SEAL_SHRINK | fcntl.F_SEAL_GROW | fcntl.F_SEAL_SEAL
 
 
@@ -57,7 +59,7 @@ class Block:
         os.ftruncate(self.file, DATA + capacity)
         fcntl.fcntl(self.file, fcntl.F_ADD_SEALS, _SEALS)
         self._map = mmap.mmap(
-            self.file, 0, mmap.MAP_SHARED | mmap.MAP_POPULATE, mmap.PROT_WRITE
+            self.file, 0, mmap.MAP_SHARED | mmap.MAP_POPULATE, _ACCESS
         )
         self.memory = memoryview(self._map)
         self.address = _channel.address(self.memory) + DATA
@@ -161,7 +163,7 @@ def lender(file: int, slot: int) -> _channel.Lender:
     if not (0 < capacity <= MOST_BYTES and slot < DATA):
         raise WireError(f"a shared block of {capacity} B with slot {slot}")
     shared = mmap.MAP_SHARED | mmap.MAP_POPULATE
-    flags = mmap.mmap(file, DATA, shared, mmap.PROT_WRITE)
+    flags = mmap.mmap(file, DATA, shared, _ACCESS)
     data = mmap.mmap(file, capacity, shared, mmap.PROT_READ, offset=DATA)
     return _channel.Lender(data, flags, slot)
 

@@ -198,9 +198,9 @@ nb::object part(const nb::object& view, std::size_t start, std::size_t end) {
 nb::object parse(nb::object data, nb::object buffers) {
   const auto view = nb::steal(PyMemoryView_FromObject(data.ptr()));
   if (!view.is_valid()) throw nb::python_error();
-  const Py_buffer* bytes = PyMemoryView_GET_BUFFER(view.ptr());
-  const auto size = static_cast<std::size_t>(bytes->len);
-  const FrameHead head = check_head(static_cast<const char*>(bytes->buf), size);
+  const Memory bytes(data, PyBUF_SIMPLE);
+  const std::size_t size = bytes.size();
+  const FrameHead head = check_head(bytes.begin(), size);
   const std::size_t end = frame_head + head.length;
   if (buffers.is_none()) {
     const std::size_t start = (end + alignment - 1) / alignment * alignment;
@@ -216,8 +216,9 @@ nb::bytes zeros(std::size_t length) {
 
 nb::list segments(nb::handle codec, nb::handle value, int kind, std::uint16_t tag,
                   std::uint64_t number, std::uint64_t chain) {
-  const nb::object encoded = nb::steal(
-      PyObject_CallMethodOneArg(codec.ptr(), names().encode, value.ptr()));
+  PyObject* const arguments[] = {codec.ptr(), value.ptr()};
+  const nb::object encoded =
+      nb::steal(PyObject_VectorcallMethod(names().encode, arguments, 2, nullptr));
   if (!encoded.is_valid()) throw nb::python_error();
   const nb::object body = encoded[0], buffers = encoded[1];
   const std::size_t length = nb::len(body);
@@ -255,7 +256,7 @@ nb::bytes take(Channel& channel, std::size_t size, double deadline) {
   nb::bytes data = nb::steal<nb::bytes>(
       PyBytes_FromStringAndSize(nullptr, static_cast<Py_ssize_t>(size)));
   if (!data.is_valid()) throw nb::python_error();
-  char* target = PyBytes_AS_STRING(data.ptr());
+  char* target = PyBytes_AsString(data.ptr());
   std::size_t left = size;
   if (left <= channel.num_ahead())
     channel.take(target, left, deadline);

@@ -148,7 +148,7 @@ void translate_error(nb::handle translate) {
   PyErr_Fetch(&type, &value, &trace);
   PyErr_NormalizeException(&type, &value, &trace);
   if (trace) PyException_SetTraceback(value, trace);
-  Py_XDECREF(PyObject_CallOneArg(translate.ptr(), value));  // always raises
+  Py_XDECREF(PyObject_Vectorcall(translate.ptr(), &value, 1, nullptr));  // always raises
   Py_XDECREF(type);
   Py_XDECREF(value);
   Py_XDECREF(trace);

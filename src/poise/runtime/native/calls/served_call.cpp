@@ -180,7 +180,8 @@ void ServedCall::refuse(const nb::object& why) const {
 nb::object ServedCall::run(nb::handle values) {
   const auto result = nb::steal(PyObject_CallObject(method_.ptr(), values.ptr()));
   if (!result.is_valid()) return nb::object();
-  return nb::steal(PyObject_CallOneArg(encode_.ptr(), result.ptr()));
+  PyObject* const arguments[] = {result.ptr()};
+  return nb::steal(PyObject_Vectorcall(encode_.ptr(), arguments, 1, nullptr));
 }
 
 void ServedCall::raise_callee_error() {

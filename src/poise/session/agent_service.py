@@ -1,0 +1,117 @@
+"""The service of systemd that keeps an agent running."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from poise.errors import RunError, UsageError
+
+_SYSTEM = Path("/etc/systemd/system")
+_BOOTED = Path("/run/systemd/system")
+_LIMIT = 60.0
+"""An agent is ready, or has ended, within this time [s]."""
+_UNIT = """\
+# `poise agent install` wrote this, and `poise agent uninstall` removes it.
+[Unit]
+Description=Poise agent of computer {computer} of robot {robot}
+Documentation=man:systemd.service(5)
+Wants=network-online.target
+After=network-online.target
+StartLimitIntervalSec=0
+
+[Service]
+Type=notify
+NotifyAccess=main
+{user}ExecStart={command}
+Restart=on-failure
+RestartSec=100ms
+# the agent died, its containers go on: the next agent adopts them
+KillMode=process
+TimeoutStopSec=20
+WatchdogSec=10
+Delegate=yes
+DelegateSubgroup=agent
+LimitNICE=-10
+NoNewPrivileges=yes
+UMask=0077
+StandardOutput=journal
+StandardError=journal
+SyslogIdentifier=poise-{computer}
+
+[Install]
+WantedBy={target}
+"""
+
+
+class AgentService:
+    """The unit of one computer's agent: the machine's, or this user's."""
+
+    def __init__(
+        self, robot: str, computer: str, *, is_users: bool, folder: Path | None = None
+    ) -> None:
+        self.robot, self.computer, self._is_users = robot, computer, is_users
+        self.name = f"poise-{robot}-{computer}.service"
+        self._is_elsewhere = folder is not None
+        self.path = (folder or _folder(is_users=is_users)) / self.name
+
+    def text(self, arguments: Sequence[str], user: str = "") -> str:
+        """Return the unit that runs ``poise agent`` with these arguments."""
+        words = [sys.executable, "-m", "poise", "agent", self.computer, *arguments]
+        return _UNIT.format(
+            computer=self.computer,
+            robot=self.robot,
+            user=f"User={user}\n" if user else "",
+            command=shlex.join(words).replace("%", "%%"),
+            target="default.target" if self._is_users else "multi-user.target",
+        )
+
+    def install(self, text: str) -> bool:
+        """Write the unit and start it, now and at each boot; False: no systemd runs."""
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            written = self.path.with_suffix(".new")
+            written.write_text(text)
+            written.replace(self.path)
+        except OSError as error:
+            raise UsageError(f"{self.path}: {error.strerror}") from error
+        return self._tell(
+            ["daemon-reload"], ["enable", self.name], ["restart", self.name]
+        )
+
+    def uninstall(self) -> bool:
+        """Stop it, and remove the unit; False: no systemd runs."""
+        if not self.path.exists():
+            raise UsageError(f"there is no {self.path}: nothing is installed")
+        is_told = self._tell(["disable", "--now", self.name])
+        self.path.unlink()
+        return is_told and self._tell(["daemon-reload"])
+
+    def _tell(self, *commands: Sequence[str]) -> bool:
+        if self._is_elsewhere or not _BOOTED.exists():
+            return False
+        for words in commands:
+            command = ["systemctl", *(["--user"] if self._is_users else []), *words]
+            try:
+                done = subprocess.run(  # noqa: S603, no word comes from elsewhere
+                    command, capture_output=True, text=True, timeout=_LIMIT, check=False
+                )
+            except (OSError, subprocess.TimeoutExpired) as error:
+                raise RunError(f"`{shlex.join(command)}`: {error}") from error
+            if done.returncode:
+                raise RunError(
+                    f"`{shlex.join(command)}`: {done.stderr.strip()}; "
+                    f"`journalctl -u {self.name}` may say why"
+                )
+        return True
+
+
+def _folder(*, is_users: bool) -> Path:
+    if not is_users:
+        return _SYSTEM
+    place = os.environ.get("XDG_CONFIG_HOME") or Path.home() / ".config"
+    return Path(place) / "systemd/user"

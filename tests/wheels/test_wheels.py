@@ -1,0 +1,91 @@
+"""The wheels install where there is no compiler, and a robot runs there."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from tests.waiting import LONG
+
+pytestmark = [pytest.mark.slow, pytest.mark.exhaustive, pytest.mark.timeout(2400)]
+
+ROOT = Path(__file__).parents[2]
+COMPILER = re.compile(
+    r"(.*-)?(cc|[gc]\+\+|gcc|clang(\+\+)?|c[89]9|cpp|ld(\..*)?|as|make|cmake|ninja)"
+    r"(-[\d.]+)?"
+)
+
+
+def python_of(minor: int) -> str:
+    """Return a Python of this version, or skip the test."""
+    environment = dict(os.environ)
+    if shutil.which("pyenv"):
+        have = subprocess.run(
+            ["pyenv", "versions", "--bare"], capture_output=True, text=True, check=True
+        )
+        environment["PYENV_VERSION"] = ":".join(have.stdout.split())
+    found = (
+        subprocess.run(
+            [f"python3.{minor}", "-c", "import sys, ensurepip; print(sys.executable)"],
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        if shutil.which(f"python3.{minor}")
+        else None
+    )
+    if found is None or found.returncode:
+        pytest.skip(f"there is no Python 3.{minor} with venv")
+    return found.stdout.strip()
+
+
+def programs_without_compilers(folder: Path) -> Path:
+    """Return a folder with all programs of this machine but those that compile."""
+    folder.mkdir()
+    for place in ("/usr/bin", "/usr/sbin", "/bin", "/sbin"):
+        for program in Path(place).iterdir():
+            link = folder / program.name
+            if not COMPILER.fullmatch(program.name) and not link.is_symlink():
+                link.symlink_to(program)
+    return folder
+
+
+@pytest.mark.parametrize("minor", [11, 12, 13, 14])
+def test_a_robot_runs_where_there_is_no_compiler(
+    minor: int, dist: Path, tmp_path: Path
+) -> None:
+    tag = "cp311-cp311" if minor == 11 else "cp312-abi3"
+    (wheel,) = dist.glob(f"poise-*-{tag}-manylinux*_x86_64.whl")
+    subprocess.run([python_of(minor), "-m", "venv", tmp_path / "env"], check=True)
+    place = tmp_path / "env/bin"
+    path = f"{place}:{programs_without_compilers(tmp_path / 'programs')}"
+    assert [shutil.which(name, path=path) for name in ("cc", "g++", "cmake")] == [
+        None
+    ] * 3
+
+    def run(*words: str | Path) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            [place / words[0], *words[1:]],
+            env={**os.environ, "PATH": path, "PYTHONPATH": ""},
+            cwd=ROOT / "examples/hello",
+            capture_output=True,
+            text=True,
+            timeout=LONG,
+            check=False,
+        )
+
+    installed = run(
+        *("pip", "install", "--quiet", "--disable-pip-version-check"),
+        *("--only-binary", ":all:", wheel),
+    )
+    assert installed.returncode == 0, installed.stderr
+    assert run("poise", "--version").stdout == f"poise {wheel.name.split('-')[1]}\n"
+    assert run("poise", "check", "robot.yaml").returncode == 0
+    hello = run("poise", "run", "robot.yaml", "--task", "greet", "--for", "3s")
+    assert "printer has 20" in hello.stdout, hello.stdout + hello.stderr
