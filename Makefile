@@ -5,7 +5,7 @@ BIN := .venv/bin
 export PYTHONDONTWRITEBYTECODE :=
 NATIVE := $(shell find src CMakeLists.txt -name '*.cpp' -o -name '*.h' -o -name '*.hpp' -o -name CMakeLists.txt)
 
-.PHONY: setup demo quick test exhaustive simulate soak coverage lint stubs sanitize docs wheels lock clean
+.PHONY: setup demo quick test exhaustive simulate soak coverage lint stubs sanitize docs wheels test-wheels lock clean
 setup: .venv/.ready
 
 .venv/.ready: pyproject.toml $(NATIVE)
@@ -23,7 +23,7 @@ demo: setup
 # five at a time on two CPUs, for most tests wait for processes
 PYTEST := $(BIN)/python -m pytest -q -n 5 --dist loadgroup --no-loadscope-reorder
 test: setup
-	@$(PYTEST) -m "not exhaustive"
+	@$(PYTEST) -m "not exhaustive and not wheels"
 
 # what explores for long, and whole demos
 exhaustive: setup
@@ -49,7 +49,7 @@ simulate: setup
 # lines and branches of src/poise that no test reaches, in all processes; fails below the floor in pyproject.toml
 coverage: setup
 	@rm -rf build/coverage && mkdir -p build/coverage
-	@$(BIN)/coverage run -m pytest -q -n 2 --dist loadgroup --no-loadscope-reorder
+	@$(BIN)/coverage run -m pytest -q -n 2 --dist loadgroup --no-loadscope-reorder -m "not wheels"
 	@$(BIN)/coverage combine --quiet
 	@$(BIN)/coverage report
 
@@ -98,6 +98,10 @@ docs: setup
 # an sdist, wheels for x86_64 and aarch64, and a bill of materials in dist
 wheels: setup
 	@$(BIN)/python .ci/wheels.py
+
+# installs them where there is no compiler
+test-wheels: setup
+	@$(BIN)/python -m pytest -q -m wheels tests/wheels
 
 # the versions of all packages here and of the tools of `make wheels`
 lock: setup

@@ -12,7 +12,7 @@ import pytest
 
 from tests.waiting import LONG
 
-pytestmark = [pytest.mark.slow, pytest.mark.exhaustive, pytest.mark.timeout(2400)]
+pytestmark = [pytest.mark.slow, pytest.mark.wheels, pytest.mark.timeout(2400)]
 
 ROOT = Path(__file__).parents[2]
 COMPILER = re.compile(
