@@ -233,6 +233,23 @@ def test_what_was_fenced_on_two_computers_goes_on_where_it_is_later(
     assert not desired.held
 
 
+def test_an_architecture_on_two_computers_joins_from_one_after_the_other(
+    robot: Robot,
+) -> None:
+    middle = replace(robot.computers[0], name="middle")
+    robot = replace(robot, computers=(*robot.computers, middle))
+    plan = DeploymentPlan(robot, "/run", code_version=version_of)
+    heavy = Incarnation(component="heavy", computer="right")
+    told = plan.specs([GRABBER, heavy], 5, {})
+    desired, claimed = Desired(placed={}), {"middle"}
+    for computer in "left", "right":
+        found = found_in({computer: told[computer]})
+        missing = {"right"} - {computer}
+        desired = joined_by(desired, robot, found, claimed, missing, ())
+        claimed.add(computer)
+    assert desired.placed == {"grabber": GRABBER, "heavy": heavy}
+
+
 def test_what_an_earlier_manager_held_is_no_target_of_a_migration(robot: Robot) -> None:
     plan = DeploymentPlan(robot, "/run", code_version=version_of)
     desired = Desired(placed={"thinker": THINKER}, held=frozenset({"thinker"}))

@@ -21,7 +21,7 @@ from poise.manage.agent_connections.statuses import Statuses
 from poise.manage.deploy.deployment_plan import DeploymentPlan
 from poise.manage.deploy.desired import Desired, Incarnation
 from poise.model.check.allowed_computers import allowed_computers, leased_components
-from poise.model.robot import Robot
+from poise.model.robot import Architecture, Robot
 from poise.wire.records.deployment_records import ComponentSpec, Deployment, Goal
 
 
@@ -350,8 +350,8 @@ def joined_by(
     """
     placed, held = dict(desired.placed), set(desired.held)
     parameters = dict(desired.parameters)
-    provided = {
-        a.function
+    provider = {
+        a.function: a.name
         for a in robot.architectures
         if not placed.keys().isdisjoint(c.name for c in a.components)
     }
@@ -367,7 +367,7 @@ def joined_by(
         is_lacking = (
             before is None
             and reported.computer in allowed.get(reported.name, ())
-            and robot.architecture_of(reported.name).function not in provided
+            and _may_provide(robot.architecture_of(reported.name), provider)
         )
         if reported.goal == "active" and (is_later or is_lacking):
             placed[reported.name] = reported.incarnation
@@ -380,3 +380,11 @@ def joined_by(
     return replace(
         desired, placed=placed, held=frozenset(held - freed), parameters=parameters
     )
+
+
+def _may_provide(architecture: Architecture, provider: Mapping[str, str]) -> bool:
+    """Return whether no other architecture provides its function.
+
+    It may do so itself: a part of it joined before, from another computer.
+    """
+    return provider.get(architecture.function) in {None, architecture.name}
