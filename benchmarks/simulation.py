@@ -279,7 +279,7 @@ def events(name: str, robot: Robot, plan: RehearsalPlan) -> list[Compared]:
         computers.crash(lost)
         failing = until(lambda: works_without(running, lost), began)
         computers.boot(lost)
-        until(lambda: not running.status().out_of_reach, time.monotonic())
+        until(lambda: not running.status().deviations, time.monotonic())
     fault = SimulatedFault(5.0, "isolate computer", lost, lasts=15.0)
     adapting = msgspec.structs.replace(plan, faults=(fault,), adapts=True)
     outages = []

@@ -12,6 +12,7 @@ from statistics import mean
 import pytest
 
 from poise.model import load
+from tests.command import STARVED
 
 EXAMPLE = Path(__file__).parents[2] / "examples/ros2_navigation"
 NODES = {path.stem for path in (EXAMPLE / "nodes").glob("*.py")} - {"running"}
@@ -44,6 +45,8 @@ def test_poise_keeps_the_controllers_rate_where_one_computer_cannot() -> None:
             "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}",
         },
     )
+    if STARVED in done.stdout:
+        pytest.skip(f"{STARVED} what the example needs: {done.stdout}")
     before, after = (
         [float(rate) for rate in re.findall(r"controller ([\d.]+) Hz", part)]
         for part in done.stdout.split("--adapt:")
