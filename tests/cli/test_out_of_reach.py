@@ -319,7 +319,7 @@ def move_when_reached(field: Field, there: str) -> None:
 
     def is_answered() -> bool:
         reasons.append(refusal_of_move(field, there))
-        return not re.search("is cut|out of reach", reasons[-1])
+        return not re.search("is cut|out of reach|changed meanwhile", reasons[-1])
 
     wait_long(is_answered)
     assert not reasons[-1], reasons
