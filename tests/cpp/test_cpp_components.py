@@ -440,13 +440,17 @@ def test_moves_lose_no_message_no_call_and_no_state(built: Path) -> None:
             goal = measures(up).get("received", 0) + more
             wait_long(lambda: measures(up).get("received", 0) >= goal)
 
+        def sent() -> int:
+            wait_long(lambda: "sent" in measures(up))  # a moved one tells it soon
+            return int(measures(up)["sent"])
+
         received(more=100)
         for component, computer in MOVES:
-            before = measures(up)["sent"]
+            before = sent()
             up.move(component, computer)
             received(more=100)
             # with a fresh state it would count from 1 again
-            assert measures(up)["sent"] > before
+            assert sent() > before
         counts = measures(up)
     assert (counts["lost"], counts["doubled"], counts["reordered"]) == (0, 0, 0)
     assert counts["failed"] == 0
