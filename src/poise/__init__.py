@@ -40,6 +40,8 @@ if TYPE_CHECKING:
     from poise.runtime.component.ports import oneway as oneway
     from poise.runtime.component.ports import subscribed as subscribed
     from poise.runtime.component.started_calls import StartedCall as StartedCall
+    from poise.session.deploy.deploy import Deployed as Deployed
+    from poise.session.deploy.deploy import deploy as deploy
     from poise.session.diagrams.draw import Drawing as Drawing
     from poise.session.diagrams.draw import draw as draw
     from poise.session.launch.computers import emulated as emulated
@@ -87,6 +89,7 @@ else:
         "CalleeError": "errors",
         "CannotCross": "errors",
         "Component": "runtime.component.component",
+        "Deployed": "session.deploy.deploy",
         "Drawing": "session.diagrams.draw",
         "FileProblem": "errors",
         "JournalEntry": "manage.journal",
@@ -125,6 +128,7 @@ else:
         "check": "session.robot_file",
         "compare_simulations": "session.simulate",
         "connect": "session.running_robots.running",
+        "deploy": "session.deploy.deploy",
         "draw": "session.diagrams.draw",
         "emulated": "session.launch.computers",
         "every": "runtime.component.ports",

@@ -103,7 +103,7 @@ class Field:
             keys = authority.issue(name, "agent", folder / "keys" / name)
             argv = [*POISE, "agent", name, "--robot", self.name]
             argv += ["--address", addresses[name], "--keys", str(keys.folder)]
-            argv += ["--folder", str(self.computers[name].folder)]
+            argv += ["--folder", str(self.computers[name].folder), "--allow", "/"]
             self.computers[name].popen(argv)
         self.file = folder / "robot.yaml"
         computers = "\n".join(

@@ -60,7 +60,7 @@ class Field:
             keys = authority.issue(name, "agent", folder / "keys" / name)
             authority.issue(name, "manager", keys.to_lead)
             words = ["agent", name, "--robot", self.name, "--keys", str(keys.folder)]
-            words += ["--address", self.computers[name].address]
+            words += ["--address", self.computers[name].address, "--allow", "/"]
             self.popen(name, *words, "--folder", str(self.computers[name].folder))
         (folder / "any_computer.py").write_text(CODE)
         computers = "\n".join(

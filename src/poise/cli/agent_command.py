@@ -6,6 +6,7 @@ import contextlib
 import logging
 import sys
 import time
+from collections.abc import Sequence
 from ipaddress import ip_address
 from pathlib import Path
 from typing import Annotated
@@ -17,8 +18,8 @@ from poise.cli.options import parse_option
 from poise.endpoint import AGENT_PORT, Endpoint
 from poise.errors import PoiseError, UsageError
 from poise.runtime.agent.agent import Agent
-from poise.runtime.agent.surroundings import BROKEN, AgentSetup
-from poise.session.folders import agent_folder
+from poise.runtime.agent.surroundings import BROKEN, DEPLOYED, AgentSetup
+from poise.session.folders import agent_folder, state_folder
 from poise.units import SECONDS
 from poise.wire.control_session import LEASE
 from poise.wire.credentials import find, folders
@@ -78,7 +79,10 @@ def agent_command(
     insecure: _Insecure = False,
     allow: Annotated[
         list[Path] | None,
-        typer.Option(help="Run only code and programs in this folder; again for more."),
+        typer.Option(
+            help="Run only code and programs in this folder, or `deployed` ones; again "
+            "for more. Default: deployed ones; on loopback any, as by `/`."
+        ),
     ] = None,
     plain_connectors: Annotated[bool, typer.Option(hidden=True)] = False,
     lifeline: _Lifeline = None,
@@ -92,6 +96,7 @@ def agent_command(
     Example: poise agent main --robot t-rot --address 10.0.0.1
     """
     place = folder or agent_folder(f"{robot} {computer} {Endpoint(address, port)}")
+    code = folder or state_folder() / robot / f"agent-{computer}"
     _serve(
         AgentSetup(
             robot=robot,
@@ -99,13 +104,14 @@ def agent_command(
             address=address,
             port=port,
             gateway=gateway,
+            code=str((code / "code").resolve()),
             folder=str(place),
             lifeline=lifeline,
             lease=lease,
             sample_every=parse_option("--sample-every", sample_every, SECONDS),
             keys=keys_for(robot, address, keys, is_insecure=insecure),
             encrypts=not plain_connectors,
-            allow=tuple(str(path.resolve()) for path in allow or ()),
+            allow=allowed(address, allow),
         )
     )
 
@@ -184,6 +190,17 @@ def keys_for(robot: str, address: str, keys: Path | None, *, is_insecure: bool) 
         f"there are no keys for robot '{robot}' (looked in "
         f"{', '.join(map(str, folders(robot)))}): make them by `poise keys issue`, or "
         "write --insecure, with which whoever reaches the port runs code here"
+    )
+
+
+def allowed(address: str, places: Sequence[Path] | None) -> tuple[str, ...]:
+    """Return the code that an agent runs, as in `AgentSetup`."""
+    if not places:
+        return () if ip_address(address).is_loopback else (DEPLOYED,)
+    if Path("/") in places:
+        return ()
+    return tuple(
+        DEPLOYED if str(place) == DEPLOYED else str(place.resolve()) for place in places
     )
 
 

@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from poise.cli.agent_command import check_ip, keys_for
+from poise.cli.agent_command import allowed, check_ip, keys_for
 from poise.endpoint import AGENT_PORT
 from poise.session.agent_service import AgentService
 
@@ -65,8 +65,8 @@ def install_command(
         arguments += ["--keys", found] if found else []
     if insecure:
         arguments.append("--insecure")
-    for folder in allow or ():
-        arguments += ["--allow", str(folder.resolve())]
+    for place in (allowed(address, allow) or ("/",)) if allow else ():
+        arguments += ["--allow", place]
     service = AgentService(robot, computer, is_users=user, folder=unit_folder)
     is_started = service.install(service.text(arguments, run_as))
     _say(

@@ -46,6 +46,7 @@ COMMANDS = {
     "keys issue": ("keys", "Make or renew keys of computers or people."),
     "keys list": ("keys", "Show the keys that are here."),
     "keys rotate": ("keys", "Replace the authority, in two steps."),
+    "deploy": ("deploy", "Send a robot's code to its computers."),
     "up": ("run", "Start a robot and keep it running."),
     "top": ("watch", "Watch a running robot in the terminal."),
     "list": ("watch", "List running robots and their parts."),

@@ -26,6 +26,7 @@ from poise.manage.tasks.concurrent_tasks import TaskReport
 from poise.model.policy import Policy
 from poise.plan.phase_result import PlainPhases
 from poise.plan.result_records import PlainResult
+from poise.session.deploy.deploy import Deployed
 from poise.session.placing.first_phase import Described, Listed
 from poise.session.profiling.calibrate import Calibration
 from poise.session.run_report import RunReport
@@ -138,6 +139,7 @@ OUTPUTS: Mapping[str, Sequence[Any]] = {
     "run": [RunReport],
     "demo": demo_module().OUTPUTS,
     "emulate list": [list[ListedSet]],
+    "deploy": [Deployed],
     "keys": [list[KeysListed]],
     "keys list": [list[KeysListed]],
     "list": [Robots],

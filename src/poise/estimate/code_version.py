@@ -6,7 +6,7 @@ import ast
 import hashlib
 import importlib.util
 import shutil
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from functools import cache
 from itertools import islice
 from pathlib import Path
@@ -30,23 +30,41 @@ def version_of(component: ComponentEntry, *folders: str) -> str:
     digest = hashlib.sha256()
     digest.update(component.implementation.encode())
     digest.update(msgspec.json.encode([component.command, component.parameters]))
-    for folder in folders:
-        for file in sorted(_files(component, Path(folder))):
-            digest.update(file.read_bytes())
+    for _, file in sorted(files_of(component, folders)):
+        digest.update(file.read_bytes())
     return digest.hexdigest()[:16]
 
 
-def _files(component: ComponentEntry, folder: Path) -> set[Path]:
-    if component.command:
-        words = [shutil.which(component.command[0]) or "", *component.command[1:]]
-        return {folder / word for word in words if word and (folder / word).is_file()}
-    files: set[Path] = set()
-    waiting = [component.implementation.partition(":")[0]]
+def files_of(
+    component: ComponentEntry, folders: Iterable[str]
+) -> set[tuple[int, Path]]:
+    """Return the files of a component's code, each after the number of its folder."""
+    places = [Path(folder) for folder in folders]
+    if not component.command:
+        return files_of_modules([component.implementation.partition(":")[0]], places)
+    program, *words = component.command
+    words.append(program if "/" in program else shutil.which(program) or "")
+    return {
+        (number, folder / word)
+        for number, folder in enumerate(places)
+        for word in words
+        if word and (folder / word).is_file()
+    }
+
+
+def files_of_modules(
+    modules: Iterable[str], folders: Sequence[Path]
+) -> set[tuple[int, Path]]:
+    """Return the files of modules, and of all that they import from these folders."""
+    files: set[tuple[int, Path]] = set()
+    waiting = [*modules]
     while waiting and len(files) < _MOST_FILES:
-        for file in _sources(waiting.pop(), folder):
-            if file not in files:
-                files.add(file)
-                waiting += _imports(file, folder)
+        module = waiting.pop()
+        for number, folder in enumerate(folders):
+            for file in _sources(module, folder):
+                if (number, file) not in files:
+                    files.add((number, file))
+                    waiting += _imports(file, folder)
     return files
 
 

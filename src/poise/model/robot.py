@@ -301,6 +301,8 @@ class Robot(Struct, frozen=True, kw_only=True):
         Ros2Network()
     )
     folder: str = ""
+    deployed: str = ""
+    """The version of its code that its computers run; empty: what is in `folder`."""
     code: Mapping[str, ComponentCode] = {}
 
     def components(self) -> Iterator[ComponentEntry]:

@@ -20,6 +20,7 @@ from poise.manage.manager import Manager
 from poise.manage.observe.chains import chain_reports
 from poise.model.robot import Robot
 from poise.session.callbacks import Check, Say, log, nothing
+from poise.session.deploy.deploy import as_deployed
 from poise.session.last_seen import LastSeen
 from poise.session.launch.managed import journal_of, managed, planned
 from poise.session.launch.start import Started
@@ -88,6 +89,7 @@ def run(  # noqa: PLR0913 - each is a choice of the user
         again.
     """
     chosen, decided = task_of(robot, task), list[str]()
+    robot = as_deployed(robot)
     first = first_phase(robot, [chosen], placement, decided.append)
     placed, warnings = first.placed, Warnings(say)
     decided.insert(0, f"task '{chosen}', {placed.method} placement")

@@ -20,6 +20,7 @@ from poise.manage.manager import TICK, Manager
 from poise.manage.observe.sample_recording import RecordingFile
 from poise.model.robot import Robot
 from poise.session.callbacks import Check, Say, log, nothing
+from poise.session.deploy.deploy import as_deployed
 from poise.session.launch.managed import journal_of, managed, planned
 from poise.session.launch.standby_setup import election_of, without_standbys
 from poise.session.launch.start import Started
@@ -162,7 +163,7 @@ def up(  # noqa: PLR0913 - each is a choice of the user
         _check_outlives(robot)
     names = [task_of(robot, task)] if task is None or isinstance(task, str) else task
     actions = [each for name in names for each in robot.actions(name)]
-    robot = learned(robot, actions).robot
+    robot = as_deployed(learned(robot, actions).robot)
     decided: list[str] = []
     first = first_phase(robot, names, placement, decided.append)
     send = _telemetry() if otel is not None else None

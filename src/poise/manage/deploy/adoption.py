@@ -31,7 +31,7 @@ class ReportedIncarnation(Struct, frozen=True, kw_only=True):
     spec: ComponentSpec
     computer: str
     container: str
-    folder: str  # where its implementation is imported from
+    folder: str  # where its implementation is imported from, or a version of code
 
     @property
     def name(self) -> str:
@@ -77,7 +77,7 @@ def found_in(deployments: Mapping[str, Deployment]) -> list[ReportedIncarnation]
             spec=spec,
             computer=computer,
             container=container.name,
-            folder=container.folder,
+            folder=container.code or container.folder,
         )
         for computer, deployment in sorted(deployments.items())
         for container in deployment.containers
@@ -266,7 +266,7 @@ def _has_other_code(
         spec.implementation.partition(":")[0] for spec in (reported.spec, now)
     )
     is_changed = before == after and reported.spec.code != now.code
-    return is_changed or reported.folder != robot.folder
+    return is_changed or reported.folder != (robot.deployed or robot.folder)
 
 
 def _changes(

@@ -122,7 +122,7 @@ class DeploymentPlan:
             containers[computer].append(
                 ContainerSpec(
                     name=container,
-                    folder=self._robot.folder,
+                    folder="" if self._robot.deployed else self._robot.folder,
                     weight=self._weights[container].weight,
                     nice=self._weights[container].nice,
                     preparation_cpu=preparation_cpu.get(computer, 0.0)
@@ -131,7 +131,8 @@ class DeploymentPlan:
                         for incarnation in inside
                     )
                     else 0.0,
-                    repository=self._robot.repository,
+                    repository=() if self._robot.deployed else self._robot.repository,
+                    code=self._robot.deployed,
                     components=tuple(
                         self.component_spec(each, parameters.get(each.component, {}))
                         for each in inside
@@ -243,7 +244,9 @@ class DeploymentPlan:
             code = structs.replace(
                 component, implementation=implementation, parameters={}
             )
-            self._code[key] = self._code_version(code, *self._robot.folders)
+            self._code[key] = self._robot.deployed or self._code_version(
+                code, *self._robot.folders
+            )
         return ComponentSpec(
             name=component.name,
             epoch=incarnation.epoch,

@@ -211,7 +211,7 @@ def _recorded(run: RunningComponents, record: Desired) -> list[ReportedIncarnati
             ),
             computer=incarnation.computer,
             container=run.layout.container_of(incarnation.component),
-            folder=run.robot.folder,
+            folder=run.robot.deployed or run.robot.folder,
         )
         for incarnation in record.incarnations()
         if incarnation.computer not in run.claimed

@@ -35,6 +35,7 @@ from poise.runtime.agent.agent_files import (
     CheckpointFiles,
     DiskThread,
 )
+from poise.runtime.agent.code_folder import CodeFolder, this_platform
 from poise.runtime.agent.command_relay import CommandRelay
 from poise.runtime.agent.core import AgentCore
 from poise.runtime.agent.inbox import AgentInbox
@@ -46,6 +47,7 @@ from poise.runtime.agent.surroundings import (
     Surroundings,
 )
 from poise.runtime.container import zygote
+from poise.runtime.container.component_import import CODE_FOLDER
 from poise.runtime.container.descendants import kill_all
 from poise.runtime.supervision.adopted_containers import AdoptedContainers
 from poise.runtime.supervision.container_processes import ProcessEnd
@@ -89,6 +91,8 @@ class Agent:
         self._folder = AgentFolder(self._path)
         self._left = self._folder.left()
         self._keys = _keys(setup)
+        self._code = CodeFolder(Path(setup.code)) if setup.code else None
+        os.environ[CODE_FOLDER] = setup.code  # for its containers
         self._standby = StandbyProcess(setup.computer, self._path, self._keys)
         # before any thread, zenoh session or descriptor of the agent's own exists
         held = () if setup.lifeline is None else (setup.lifeline,)
@@ -211,6 +215,8 @@ class Agent:
             host=self._host,
             adoption=self._adoption,
             disk=disk,
+            code=self._code,
+            platform=this_platform(),
             standby=self._standby,
             heartbeats=self._heartbeats,
             usage=sampler.usage,

@@ -34,6 +34,8 @@ from poise.runtime.supervision.container_processes import (
 from poise.runtime.supervision.health import HealthRecords, Silence
 from poise.runtime.supervision.supervisor import Supervisor, part_of
 from poise.wire.heartbeats import Contacts
+from poise.wire.records.code_records import CodePart, InstallCode
+from poise.wire.records.deployment_records import Deployment
 from poise.wire.records.heartbeat_records import Clocks
 from poise.wire.records.migration_records import StepsFailed
 from poise.wire.records.request_records import (
@@ -93,7 +95,7 @@ class AgentCore:
         )
         if left.wanted is not None:
             self.supervisor.deploy(left.wanted, is_left=True)
-            world.disk.keep_only(left.wanted)
+            self._keep_only(left.wanted)
         self._relay = MigrationRelay(self.supervisor.processes)
         self.fence = Fence(
             setup.robot,
@@ -254,6 +256,8 @@ class AgentCore:
         wanted = self.supervisor.wanted
         if isinstance(request, Claim):
             reply(self._claimed(request, asked.token))
+        elif isinstance(request, CodePart | InstallCode):
+            self._take_code(request, reply)
         elif isinstance(request, ContainerRequest):
             if refusal:
                 reply(StepsFailed(request.number, refusal))
@@ -270,13 +274,35 @@ class AgentCore:
         elif request.containers and self._setup.is_witness:
             computer = self._setup.computer
             reply(Refused(f"'{computer}' is a witness: `poise agent` runs components"))
-        elif why := allowed_code.refusal(request.containers, self._setup.allow):
+        elif why := self._refusal_of_code(request):
             reply(Refused(why))
         else:
             self.supervisor.deploy(request)
             self.heartbeats.note_told()
-            self._world.disk.keep_only(request)
+            self._keep_only(request)
             reply(Accepted())
+
+    def _keep_only(self, wanted: Deployment) -> None:
+        self._world.disk.keep_only(wanted)
+        if self._world.code is not None:
+            self._world.code.keep({c.code for c in wanted.containers})
+
+    def _refusal_of_code(self, deployment: Deployment) -> str:
+        return allowed_code.refusal(
+            deployment.containers, self._setup.allow, self._versions()
+        )
+
+    def _take_code(self, request: CodePart | InstallCode, reply: Reply) -> None:
+        code = self._world.code
+        if code is None:
+            reply(Refused("it runs no components, and takes no code"))
+        elif why := allowed_code.refusal_of_code(self._setup.allow):
+            reply(Refused(why))
+        else:
+            code.serve(request, reply)
+
+    def _versions(self) -> tuple[str, ...]:
+        return self._world.code.versions() if self._world.code is not None else ()
 
     def _claimed(self, claim: Claim, token: int) -> Claimed | Refused:
         """Obey a manager from now on, or say why not."""
@@ -368,6 +394,8 @@ class AgentCore:
             notice=world.notice(),
             errors=self.supervised.errors(),
             cpu_weights=world.host.cpu_weights,
+            platform=world.platform,
+            code=self._versions(),
             containers=statuses,
             faults=supervisor.health.faults(),
             health=supervisor.records(usage),

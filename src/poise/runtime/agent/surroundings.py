@@ -7,7 +7,7 @@ All methods are called on the agent's own thread and return soon, unless said ot
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from random import Random
 from signal import Signals
 from typing import Protocol
@@ -18,6 +18,7 @@ from poise.clock import Clock
 from poise.runtime.supervision.health import Usage
 from poise.wire.control_session import LEASE
 from poise.wire.heartbeats import Address, Hear, NextBeat
+from poise.wire.records.code_records import CodePart, InstallCode
 from poise.wire.records.deployment_records import ContainerSpec, Deployment
 from poise.wire.records.request_records import (
     PROTOCOL,
@@ -28,6 +29,8 @@ from poise.wire.records.request_records import (
 )
 from poise.wire.records.status_records import SAMPLE_EVERY, AgentStatus, ToContainer
 
+DEPLOYED = "deployed"
+"""In `AgentSetup.allow`: the code that was sent by `poise deploy`."""
 BROKEN = os.EX_SOFTWARE
 """The exit code of an agent that an error of Poise ended: start it again."""
 
@@ -51,7 +54,9 @@ class AgentSetup(Struct, frozen=True, kw_only=True):
     # The folder of its keys; empty: whoever reaches its port may command it
     keys: str = ""
     encrypts: bool = True  # whether its containers speak TLS with other computers
-    allow: tuple[str, ...] = ()  # Folders of the code that it runs; empty: any
+    # Folders of the code that it runs, or `DEPLOYED`: what is sent to it; empty: any
+    allow: tuple[str, ...] = ()
+    code: str = ""  # The folder of code that is sent to it; empty: it takes none
     is_witness: bool = False  # It votes for managers, and runs nothing
 
 
@@ -167,6 +172,19 @@ class AgentDisk(Protocol):
         """Return what is wrong with it, in words; empty: nothing is."""
 
 
+class CodeStore(Protocol):
+    """The versions of the robot's code on this computer. No method waits for them."""
+
+    def versions(self) -> tuple[str, ...]:
+        """Return what is there, the last one first."""
+
+    def keep(self, in_use: Collection[str]) -> None:
+        """Remove no version that is to run from now on."""
+
+    def serve(self, request: CodePart | InstallCode, reply: Reply) -> None:
+        """Store or unpack; answers when that is done."""
+
+
 class StandbyControl(Protocol):
     """The process on this computer that leads when nobody else does."""
 
@@ -209,12 +227,14 @@ class Surroundings(Struct, frozen=True, kw_only=True):
     host: ContainerHost
     adoption: LeftContainers
     disk: AgentDisk
+    code: CodeStore | None = None  # None: it takes none
     standby: StandbyControl
     # Opens the transport of heartbeats; None: there is none
     heartbeats: Callable[[Hear, NextBeat], HeartbeatTransport | None]
     # What the agent and the containers use, and the agent's CPU time so far [s]
     usage: Callable[[], Usage]
     cpu: Callable[[], float]
+    platform: str = ""  # As in `AgentStatus`
     # Its address, and why it accepts no connection; empty: it does
     gateway: str
     gateway_trouble: Callable[[], str]

@@ -76,11 +76,17 @@ def search_also(folders: Iterable[str]) -> None:
         importlib.invalidate_caches()
 
 
-def load_module(name: str, folder: str) -> ModuleType:
-    """Import a module; RobotError, caused by what it raised, when that fails."""
-    if folder and folder not in sys.path:
+def search_first(folder: str) -> None:
+    """Put a folder first on ``sys.path`` for good, unless it is there."""
+    if folder not in sys.path:
         sys.path.insert(0, folder)
         importlib.invalidate_caches()
+
+
+def load_module(name: str, folder: str) -> ModuleType:
+    """Import a module; RobotError, caused by what it raised, when that fails."""
+    if folder:
+        search_first(folder)
     failed = f"the module '{name}' cannot be imported"
     try:
         return importlib.import_module(name)

@@ -2,18 +2,33 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from concurrent.futures import Future
+from pathlib import Path
 
 from poise import threads
 from poise.clock import ComponentClock
 from poise.priority import give_way
 from poise.runtime.component.component import Component
-from poise.runtime.component.implementation import find_for
+from poise.runtime.component.implementation import find_for, search_first
 from poise.runtime.hosting.command_line import CommandLine
 from poise.runtime.hosting.output import write_as
 from poise.runtime.hosting.runner import Runner
-from poise.wire.records.deployment_records import ComponentSpec
+from poise.wire.records.code_records import CODE, PACKAGES
+from poise.wire.records.deployment_records import ComponentSpec, ContainerSpec
+
+CODE_FOLDER = "POISE_CODE"
+"""Environment variable: the folder of the versions of code that were sent here."""
+
+
+def folder_of(spec: ContainerSpec) -> str:
+    """Return where a container's implementations are; search its wheels after that."""
+    if not spec.code:
+        return spec.folder
+    version = Path(os.environ.get(CODE_FOLDER, ""), spec.code)
+    search_first(str(version / PACKAGES))
+    return str(version / CODE)
 
 
 def implementation_of(spec: ComponentSpec, folder: str) -> type[Component]:

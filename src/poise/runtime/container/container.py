@@ -29,7 +29,7 @@ from poise.runtime.component.error_report import traceback_of
 from poise.runtime.component.implementation import search_also
 from poise.runtime.connectors.tap import Taps
 from poise.runtime.container.agent_link import AgentLink
-from poise.runtime.container.component_import import prepare
+from poise.runtime.container.component_import import folder_of, prepare
 from poise.runtime.container.descendants import Orphans
 from poise.runtime.execution.container_lease import LeaseEnd
 from poise.runtime.execution.counters import ComponentKey, StatsPage
@@ -272,6 +272,7 @@ class Container:
             self._link.send(outcome)
 
     def _apply(self, spec: ContainerSpec) -> None:
+        folder = folder_of(spec)
         search_also(spec.repository)
         wanted = {(c.name, c.epoch): c for c in spec.components}
         for key, (tried, _) in list(self._broken.items()):
@@ -280,7 +281,7 @@ class Container:
         known = {*self._runners, *self._preparing, *self._ending, *self._broken}
         for key, component in wanted.items():
             if key not in known:
-                self._add(key, component, spec.folder)
+                self._add(key, component, folder)
         self._connect(spec, [key for key in self._runners if key in wanted])
         for key, runner in list(self._runners.items()):
             if key not in wanted:

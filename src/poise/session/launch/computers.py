@@ -69,7 +69,7 @@ class EmulatedAgents:
         self._output = output
         self._lifeline = lifeline
         self._lease = f"{lease}"
-        self._options = ["--sample-every", f"{sample_every}"]
+        self._options = ["--sample-every", f"{sample_every}", "--allow", "/"]
         if not os.environ.get(ENCRYPT):
             self._options.append("--plain-connectors")
         self._say = say

@@ -124,6 +124,9 @@ class ContainerSpec(Struct, frozen=True, kw_only=True, tag=True):
     components: tuple[ComponentSpec, ...]
     connectors: tuple[ConnectorSpec, ...]
     repository: tuple[str, ...] = ()  # Folders where they are looked for last
+    # The version of deployed code that is imported instead of `folder` and
+    # `repository`, which are empty then; empty: none is
+    code: str = ""
 
     def without_lease(self, but: Collection[tuple[str, int]] = ()) -> ContainerSpec:
         """Return it with its leased components inactive, with their state.

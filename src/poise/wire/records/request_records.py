@@ -14,10 +14,11 @@ from msgspec import Struct
 
 from poise.clock import boot_time
 from poise.wire.codec import Packed
+from poise.wire.records.code_records import CodePart, CodeReceived, InstallCode
 from poise.wire.records.deployment_records import Deployment
 from poise.wire.records.migration_records import MigrationSteps, StepsDone, StepsFailed
 
-PROTOCOL = 12
+PROTOCOL = 13
 """Manager, agents and containers of different protocol versions refuse each other."""
 
 
@@ -250,6 +251,7 @@ Answer = (
     | TapReading
     | PortAnswer
     | OutputLines
+    | CodeReceived
 )
 
 Request = (
@@ -260,6 +262,8 @@ Request = (
     | Tap
     | PortRequest
     | ReadOutput
+    | CodePart
+    | InstallCode
 )
 """What a manager asks of an agent."""
 

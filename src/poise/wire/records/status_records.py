@@ -261,6 +261,9 @@ class AgentStatus(Struct, frozen=True, kw_only=True, dict=True):
     # Errors of its own code within the last minute: the part that is tried again later,
     # and the traceback. The rest goes on
     errors: tuple[ErrorCount, ...] = ()
+    # Its machine, Python and C library, as in ``aarch64 3.11 2.36``
+    platform: str = ""
+    code: tuple[str, ...] = ()  # The versions of code that are there, the last first
     # What gives containers their CPU weights: ``cgroup v2``, ``cgroup v1`` or ``nice``;
     # empty: all have the same
     cpu_weights: str = ""

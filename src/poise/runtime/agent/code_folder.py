@@ -1,0 +1,269 @@
+"""The versions of a robot's code on its computer, which are whole or not there.
+
+Files come in parts. An archive is unpacked beside the versions, written to the disk,
+and renamed as the last step, so that an agent that is killed leaves nothing half done.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import platform
+import re
+import shutil
+import sys
+import tarfile
+import zipfile
+from collections.abc import Collection
+from pathlib import Path, PurePosixPath
+from threading import Lock
+from typing import IO
+
+import msgspec
+
+from poise import threads
+from poise.errors import RunError
+from poise.runtime.agent.surroundings import Reply
+from poise.units import format_bytes
+from poise.wire.codec import MALFORMED
+from poise.wire.records.code_records import (
+    MANIFEST,
+    MOST_CODE,
+    PACKAGES,
+    CodePart,
+    CodeReceived,
+    InstallCode,
+    Manifest,
+)
+from poise.wire.records.request_records import Accepted, Answer, Refused
+
+KEPT = 3
+"""The last versions stay, whether or not they run."""
+_DIGEST = re.compile(r"[0-9a-f]{64}")
+_BUFFER = 1 << 20
+
+
+class CodeFolder:
+    """Stores what is sent, one request at a time, on threads of its own."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._one_at_a_time = Lock()
+        self._in_use: frozenset[str] = frozenset()
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        self._remove_files()  # that a killed agent left
+        self._versions = self._look()
+
+    def versions(self) -> tuple[str, ...]:
+        """Return what is there, the last one first. No disk is used."""
+        return self._versions
+
+    def keep(self, in_use: Collection[str]) -> None:
+        """Remove no version that is to run from now on."""
+        self._in_use = frozenset(in_use)
+
+    def serve(self, request: CodePart | InstallCode, reply: Reply) -> None:
+        """Store or unpack; answers when that is done."""
+        if self._one_at_a_time.acquire(blocking=False):
+            threads.daemon(self._work, "code", request, reply).start()
+        else:
+            reply(Refused("it is still busy with other code: try again in a minute"))
+
+    def _work(self, request: CodePart | InstallCode, reply: Reply) -> None:
+        try:
+            answer = self._done(request)
+        finally:
+            self._one_at_a_time.release()
+        reply(answer)
+
+    def _done(self, request: CodePart | InstallCode) -> Answer:
+        try:
+            if isinstance(request, CodePart):
+                return self._take(request)
+            self._install(request.version)
+        except OSError as error:
+            free = format_bytes(shutil.disk_usage(self._folder).free)
+            return Refused(
+                f"it cannot store the code: {error.strerror or error} ({free} are free "
+                f"in {self._folder}): make room there, or start the agent with "
+                "`--folder` on another disk"
+            )
+        except RunError as error:
+            return Refused(str(error))
+        return Accepted()
+
+    def _take(self, part: CodePart) -> Answer:
+        """Store a part; whatever goes wrong, nothing wrong stays."""
+        whole, path = self._whole(part.file), self._folder / f"{part.file}.part"
+        if whole.exists():
+            return CodeReceived(part.size)
+        others = (f for f in self._folder.glob("*.*") if f.is_file() and f != path)
+        if part.size + sum(f.stat().st_size for f in others) > MOST_CODE:
+            raise RunError(
+                f"over {format_bytes(MOST_CODE)} of code at once are not stored"
+            )
+        held = path.stat().st_size if path.exists() else 0
+        try:
+            if part.offset == held:
+                with path.open("ab") as file:
+                    file.write(part.data)
+                held += len(part.data)
+            if held >= part.size:
+                _check(path, part)
+                path.replace(whole)
+        except (OSError, RunError):
+            path.unlink(missing_ok=True)
+            raise
+        return CodeReceived(held)
+
+    def _install(self, version: str) -> None:
+        archive, new = self._whole(version), self._folder / f"{version}.new"
+        if version in self._versions:
+            return
+        if not archive.exists():
+            raise RunError(f"version {version[:12]} was not sent")
+        try:
+            new.mkdir()
+            left = unpack(archive, new)
+            for wheel in self._wheels(new / MANIFEST):
+                left = unpack_wheel(wheel, new / PACKAGES, left)
+            os.sync()
+            new.rename(self._folder / version)
+            _write_through(self._folder)
+        except BaseException:
+            shutil.rmtree(new, ignore_errors=True)
+            raise
+        self._remove_old()
+        self._remove_files()
+
+    def _wheels(self, manifest: Path) -> list[Path]:
+        """Return the wheels for this computer that were sent; RunError: some were not.
+
+        No manifest is no archive of code.
+        """
+        try:
+            wheels = msgspec.json.decode(manifest.read_bytes(), type=Manifest).wheels
+        except (FileNotFoundError, *MALFORMED) as error:
+            raise RunError(f"this is no robot's code: {error}") from error
+        if wheels and this_platform() not in wheels:
+            raise RunError(
+                f"there are no wheels for {this_platform()}, only for "
+                f"{', '.join(wheels)}: remove requirements.lock, and deploy again"
+            )
+        paths = {n: self._whole(d) for n, d in wheels.get(this_platform(), {}).items()}
+        if missing := [name for name, path in paths.items() if not path.exists()]:
+            raise RunError(f"wheels were not sent: {', '.join(missing)}")
+        return list(paths.values())
+
+    def _whole(self, digest: str) -> Path:
+        if not _DIGEST.fullmatch(digest):
+            raise RunError(f"{digest!r} is no SHA-256")
+        return self._folder / f"{digest}.whole"
+
+    def _look(self) -> tuple[str, ...]:
+        found = [f for f in self._folder.iterdir() if _DIGEST.fullmatch(f.name)]
+        found.sort(key=lambda folder: -folder.stat().st_mtime_ns)
+        return tuple(folder.name for folder in found)
+
+    def _remove_old(self) -> None:
+        self._versions = self._look()
+        for version in self._versions[KEPT:]:
+            if version not in self._in_use:
+                shutil.rmtree(self._folder / version, ignore_errors=True)
+        self._versions = self._look()
+
+    def _remove_files(self) -> None:
+        for path in self._folder.glob("*.*"):
+            if path.is_file():
+                path.unlink()
+            else:
+                shutil.rmtree(path, ignore_errors=True)
+
+
+def this_platform() -> str:
+    """Return this computer's machine, Python and C library, which wheels depend on."""
+    _, library = platform.libc_ver()
+    python = ".".join(map(str, sys.version_info[:2]))
+    return f"{platform.machine()} {python} {library}".strip()
+
+
+def unpack(archive: Path, into: Path, left: int = MOST_CODE) -> int:
+    """Unpack an archive of plain files; return how much more may come [bytes].
+
+    Raises RunError when anything in it is no plain file below `into`.
+    """
+    try:
+        with tarfile.open(archive, "r:") as tar:
+            for member in tar:
+                content = tar.extractfile(member) if member.isreg() else None
+                if content is None:
+                    raise RunError(f"{member.name!r} in the archive is no plain file")
+                is_program = bool(member.mode & 0o100)
+                place = _place(into, member.name)
+                left = _write(place, content, left, is_program=is_program)
+    except tarfile.TarError as error:
+        raise RunError(f"this is no archive of code: {error}") from error
+    return left
+
+
+def unpack_wheel(wheel: Path, into: Path, left: int) -> int:
+    """Unpack a wheel as `unpack` does; its scripts and headers are left out."""
+    try:
+        with zipfile.ZipFile(wheel) as archive:
+            for member in archive.infolist():
+                name = _name_in_wheel(member.filename)
+                if name and not member.is_dir():
+                    with archive.open(member) as content:
+                        left = _write(_place(into, name), content, left)
+    except (zipfile.BadZipFile, NotImplementedError) as error:
+        raise RunError(f"{wheel.name} is no wheel: {error}") from error
+    return left
+
+
+def _name_in_wheel(name: str) -> str:
+    """Return where a wheel's file goes among packages; empty: nowhere."""
+    first, _, rest = name.partition("/")
+    if not first.endswith(".data"):
+        return name
+    kind, _, rest = rest.partition("/")
+    return rest if kind in {"purelib", "platlib"} else ""
+
+
+def _place(into: Path, name: str) -> Path:
+    path = PurePosixPath(name)
+    if path.is_absolute() or ".." in path.parts or "\\" in name or not path.parts:
+        raise RunError(f"{name!r} in the archive leads out of its folder")
+    return into / path
+
+
+def _write(
+    place: Path, content: IO[bytes], left: int, *, is_program: bool = False
+) -> int:
+    """Write a new file of `left` bytes at most; return how many are left then."""
+    place.parent.mkdir(parents=True, exist_ok=True)
+    mode = 0o700 if is_program else 0o600
+    with os.fdopen(
+        os.open(place, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode), "wb"
+    ) as file:
+        while data := content.read(_BUFFER):
+            left -= len(data)
+            if left < 0:
+                raise RunError(f"over {format_bytes(MOST_CODE)} of code are not stored")
+            file.write(data)
+    return left
+
+
+def _check(path: Path, part: CodePart) -> None:
+    """Raise RunError when a file is not what was announced."""
+    with path.open("rb") as file:
+        digest = hashlib.file_digest(file, "sha256").hexdigest()
+    if (digest, path.stat().st_size) != (part.file, part.size):
+        raise RunError(f"the file is not {part.file[:12]}: send it again")
+
+
+def _write_through(folder: Path) -> None:
+    opened = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        os.fsync(opened)
+    finally:
+        os.close(opened)

@@ -1,0 +1,1 @@
+"""Robots' code on its way to their computers."""

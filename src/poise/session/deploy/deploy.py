@@ -1,0 +1,218 @@
+"""Sends a robot's code to its computers, and sees which of them have it."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator, Mapping
+
+from msgspec import Struct
+from msgspec.structs import replace
+
+from poise.clock import SystemClock
+from poise.errors import RunError, UsageError
+from poise.manage.agent_connections.reports import AgentReports
+from poise.manage.agent_connections.requests import AgentRequests
+from poise.model.robot import Robot
+from poise.session.callbacks import Check, Say, log, nothing
+from poise.session.deploy.pack import pack, version_of
+from poise.session.deploy.wheels import files_for, lock_wheels, manifest_of
+from poise.session.launch.computers import Computers, real_agents
+from poise.units import format_bytes
+from poise.wire.control_session import LEASE, close_session, open_session
+from poise.wire.records.code_records import CodePart, CodeReceived, InstallCode
+from poise.wire.records.request_records import Accepted, Answer, Refused, Request
+
+REACH_LIMIT = 5.0
+"""Agents are reached within this time [s]."""
+_FIRST_LIMIT = 2.0
+_OTHERS_LIMIT = 0.5
+"""To see what is there: the first agent, and all others after that [s]."""
+_PART = 256 << 10
+_PART_LIMIT = 15.0
+"""A part is sent and stored within this time [s]."""
+_INSTALL_LIMIT = 300.0
+SHOWN = 12
+"""People see so many digits of a version."""
+
+
+class Deployed(Struct, frozen=True, kw_only=True):
+    """The version of the code that a robot's computers have now."""
+
+    robot: str
+    version: str  # The SHA-256 of its archive
+    size: int  # Of the archive [bytes]
+    # Computer -> how much was sent to it, with wheels [bytes]; 0: it had all of it
+    sent: Mapping[str, int]
+
+    def __str__(self) -> str:
+        """Return what was done, for people."""
+        to = ", ".join(
+            f"{name} ({format_bytes(sent) if sent else 'had it'})"
+            for name, sent in self.sent.items()
+        )
+        return f"version {self.version[:SHOWN]} of robot '{self.robot}' is on {to}"
+
+
+def deploy(robot: Robot, *, say: Say = log.info, check: Check = nothing) -> Deployed:
+    """Send a robot's code to its computers, beside what is there.
+
+    Nothing that runs changes by it: the next `up` runs it, or `Running.replace`.
+
+    Parameters
+    ----------
+    say
+        Takes a sentence for each computer.
+    check
+        Called several times a second; may raise `KeyboardInterrupt`.
+
+    Raises
+    ------
+    UsageError
+        It has no computers with addresses, or no code of its own.
+    RunError
+        A computer is out of reach, has no room, or refuses it. The others have it, and
+        on that one nothing has changed. Or pip cannot fetch the wheels.
+    """
+    with _agents(robot) as (reports, requests, computers):
+        names = [computer.name for computer in robot.hosts if computer.address]
+        wanted = frozenset(names)
+        if not reports.wait_news(lambda: wanted <= reports.reached(), REACH_LIMIT):
+            missing = sorted(wanted - reports.reached())
+            why = {n: computers.why_silent(computers.endpoints[n]) for n in missing}
+            raise RunError(
+                "nothing was sent: out of reach within "
+                f"{REACH_LIMIT:g} s: "
+                f"{', '.join(f'{n} ({w})' if w else n for n, w in why.items())}"
+            )
+        statuses = reports.statuses()
+        platforms = {statuses[name].platform for name in names}
+        manifest = lock_wheels(robot.folder, platforms)
+        archive = pack(robot, manifest)
+        version = version_of(archive)
+        sent, failures = {}, []
+        for name in names:
+            try:
+                if version in statuses[name].code:
+                    sent[name] = 0
+                else:
+                    wheels = files_for(manifest, statuses[name].platform)
+                    files = {d: path.read_bytes() for d, path in wheels.items()}
+                    files[version] = archive
+                    sent[name] = _Sending(requests, name, files, check).send(version)
+            except RunError as error:
+                failures.append(str(error))
+            else:
+                say(f"{name} has version {version[:SHOWN]}")
+    if failures:
+        raise RunError("; ".join(failures))
+    return Deployed(robot=robot.name, version=version, size=len(archive), sent=sent)
+
+
+def as_deployed(robot: Robot) -> Robot:
+    """Return a robot that runs its deployed code, if its computers run such code.
+
+    Without agents that have deployed code, all import it from the robot file's folder.
+
+    Raises
+    ------
+    UsageError
+        The code was changed since it was deployed, or some computers lack it.
+    """
+    if robot.is_emulated:
+        return robot
+    with _agents(robot) as (reports, _, _):
+        names = {computer.name for computer in robot.hosts if computer.address}
+        reports.wait_news(lambda: bool(reports.reached()), _FIRST_LIMIT)
+        reports.wait_news(lambda: names <= reports.reached(), _OTHERS_LIMIT)
+        there = {n: s.code for n, s in reports.statuses().items() if n in names}
+    if not any(there.values()):
+        return robot
+    version = version_of(pack(robot, manifest_of(robot.folder)))
+    lacking = sorted(
+        name for name, versions in there.items() if version not in versions
+    )
+    if lacking:
+        raise UsageError(
+            f"version {version[:SHOWN]} of robot '{robot.name}', its code as it is "
+            f"here, is not on {', '.join(lacking)}: run `poise deploy FILE`"
+        )
+    return replace(robot, deployed=version)
+
+
+@contextlib.contextmanager
+def _agents(robot: Robot) -> Iterator[tuple[AgentReports, AgentRequests, Computers]]:
+    """Reach the agents of a robot's own computers, whoever manages them."""
+    if robot.is_emulated:
+        raise UsageError(
+            f"robot '{robot.name}' has no computer with an `address`: emulated ones "
+            "import its code from where it is"
+        )
+    addresses = real_agents(robot)
+    clock = SystemClock()
+    session = open_session(
+        connect=tuple(addresses.endpoints.values()),
+        lease=LEASE,
+        keys=addresses.credentials(),
+    )
+    try:
+        reports = AgentReports(robot.name, addresses.endpoints, clock)
+        kept = reports.subscribe(session)
+        requests = AgentRequests(session, f"poise/{robot.name}", reports, clock, {})
+        yield reports, requests, Computers(addresses)
+        del kept
+    finally:
+        close_session(session)
+
+
+class _Sending:
+    """Sends files to a computer; `files`: their contents by their SHA-256."""
+
+    def __init__(
+        self,
+        requests: AgentRequests,
+        computer: str,
+        files: Mapping[str, bytes],
+        check: Check,
+    ) -> None:
+        self._requests = requests
+        self._computer = computer
+        self._files = files
+        self._check = check
+        self._there = 0
+
+    def send(self, version: str) -> int:
+        """Return how much was sent [bytes]; RunError: the computer does not have it.
+
+        What an interrupted deployment has left there is not sent again.
+        """
+        sent = sum(self._send(digest, data) for digest, data in self._files.items())
+        self._ask(InstallCode(version), _INSTALL_LIMIT)
+        return sent
+
+    def _send(self, digest: str, content: bytes) -> int:
+        before, at, sent = self._there, 0, 0
+        while at < len(content):
+            data = content[at : at + _PART]
+            answer = self._ask(
+                CodePart(file=digest, size=len(content), offset=at, data=data),
+                _PART_LIMIT,
+            )
+            assert isinstance(answer, CodeReceived)  # noqa: S101, else it was refused
+            sent += len(data) if answer.size == at + len(data) else 0
+            at = answer.size
+            self._there = before + at
+        return sent
+
+    def _ask(self, request: Request, limit: float) -> Answer:
+        asked = {self._computer: (self._computer, request, limit)}
+        answer = dict(self._requests.answers(asked, self._check))[self._computer]
+        if isinstance(answer, Accepted | CodeReceived):
+            return answer
+        why = f"did not answer within {limit:g} s: deploy again once it is reached"
+        if answer is not None:
+            why = f"refused: {answer.reason if isinstance(answer, Refused) else answer}"
+        size = format_bytes(sum(map(len, self._files.values())))
+        raise RunError(
+            f"'{self._computer}' has {format_bytes(self._there)} of {size}, and runs "
+            f"what it ran: its agent {why}"
+        )

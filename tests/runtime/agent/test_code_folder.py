@@ -1,0 +1,240 @@
+"""A version of code is on a computer as a whole, or not at all."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import os
+import subprocess
+import tarfile
+import threading
+import zipfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from poise.errors import RunError
+from poise.runtime.agent import code_folder
+from poise.runtime.agent.code_folder import CodeFolder, this_platform, unpack
+from poise.wire.records.code_records import (
+    CodePart,
+    CodeReceived,
+    InstallCode,
+    Manifest,
+)
+from poise.wire.records.request_records import Accepted, Answer, Refused
+
+
+def archive_of(
+    *files: tuple[str, bytes], wheels: dict[str, str] | None = None
+) -> bytes:
+    """Return an archive of code; `wheels`: those for this platform."""
+    manifest = Manifest(wheels={this_platform(): wheels} if wheels else {})
+    packed = io.BytesIO()
+    with tarfile.open(fileobj=packed, mode="w") as tar:
+        for name, content in (("manifest.json", msgspec.json.encode(manifest)), *files):
+            member = tarfile.TarInfo(name)
+            member.size = len(content)
+            tar.addfile(member, io.BytesIO(content))
+    return packed.getvalue()
+
+
+def digest_of(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()
+
+
+def ask(folder: CodeFolder, request: CodePart | InstallCode) -> Answer:
+    answers: list[Answer] = []
+    is_done = threading.Event()
+
+    def reply(answer: Answer) -> None:
+        answers.append(answer)
+        is_done.set()
+
+    folder.serve(request, reply)
+    assert is_done.wait(20)
+    return answers[0]
+
+
+def send(folder: CodeFolder, data: bytes, digest: str = "") -> Answer:
+    part = CodePart(file=digest or digest_of(data), size=len(data), offset=0, data=data)
+    return ask(folder, part)
+
+
+def install(folder: CodeFolder, data: bytes) -> Answer:
+    assert send(folder, data) == CodeReceived(len(data))
+    return ask(folder, InstallCode(digest_of(data)))
+
+
+def refusal(answer: Answer) -> str:
+    assert isinstance(answer, Refused)
+    return answer.reason
+
+
+CODE = archive_of(("code/robot.py", b"X = 1\n"))
+VERSION = digest_of(CODE)
+
+
+def test_a_version_is_unpacked_and_nothing_else_stays(tmp_path: Path) -> None:
+    folder = CodeFolder(tmp_path / "code")
+    assert install(folder, CODE) == Accepted()
+    assert folder.versions() == (VERSION,)
+    assert (tmp_path / "code" / VERSION / "code/robot.py").read_bytes() == b"X = 1\n"
+    assert [path.name for path in (tmp_path / "code").iterdir()] == [VERSION]
+    assert (tmp_path / "code").stat().st_mode & 0o77 == 0
+    assert CodeFolder(tmp_path / "code").versions() == (VERSION,)
+
+
+def test_an_interrupted_file_goes_on_where_it_was(tmp_path: Path) -> None:
+    folder = CodeFolder(tmp_path)
+    first = CodePart(file=VERSION, size=len(CODE), offset=0, data=CODE[:100])
+    assert ask(folder, first) == CodeReceived(100)
+    assert ask(folder, first) == CodeReceived(100)  # it came twice
+    rest = CodePart(file=VERSION, size=len(CODE), offset=100, data=CODE[100:])
+    assert ask(folder, rest) == CodeReceived(len(CODE))
+    assert ask(folder, InstallCode(VERSION)) == Accepted()
+
+
+def test_a_killed_agents_left_over_parts_are_removed(tmp_path: Path) -> None:
+    folder = CodeFolder(tmp_path)
+    part = CodePart(file=VERSION, size=len(CODE), offset=0, data=CODE[:100])
+    ask(folder, part)
+    half = tmp_path / f"{VERSION}.new" / "code"
+    half.mkdir(parents=True)
+    again = CodeFolder(tmp_path)
+    assert again.versions() == ()
+    assert not [*tmp_path.iterdir()]
+    assert "was not sent" in refusal(ask(again, InstallCode(VERSION)))
+
+
+def test_other_bytes_than_announced_are_dropped(tmp_path: Path) -> None:
+    folder = CodeFolder(tmp_path)
+    assert "send it again" in refusal(send(folder, CODE, "0" * 64))
+    more = CodePart(file=VERSION, size=10, offset=0, data=CODE)
+    assert "send it again" in refusal(ask(folder, more))
+    assert "is no SHA-256" in refusal(send(folder, CODE, "../" + "0" * 61))
+    assert folder.versions() == ()
+    assert not [*tmp_path.iterdir()]
+
+
+def test_too_much_code_is_refused_before_it_is_stored(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(code_folder, "MOST_CODE", len(CODE) + 5)
+    folder = CodeFolder(tmp_path)
+    send(folder, CODE)
+    assert "of code at once are not stored" in refusal(send(folder, b"123456"))
+
+
+HOSTILE = {
+    "absolute": ("/tmp/evil", tarfile.REGTYPE),
+    "outside": ("code/../../evil", tarfile.REGTYPE),
+    "symlink": ("code/link", tarfile.SYMTYPE),
+    "hard link": ("code/link", tarfile.LNKTYPE),
+    "device": ("code/device", tarfile.CHRTYPE),
+    "fifo": ("code/fifo", tarfile.FIFOTYPE),
+    "folder": ("code/folder", tarfile.DIRTYPE),
+}
+
+
+@pytest.mark.parametrize("what", HOSTILE)
+def test_a_hostile_archive_is_refused_and_writes_nothing(
+    tmp_path: Path, what: str
+) -> None:
+    packed = io.BytesIO()
+    with tarfile.open(fileobj=packed, mode="w") as tar:
+        member = tarfile.TarInfo(HOSTILE[what][0])
+        member.type, member.linkname = HOSTILE[what][1], "/etc/passwd"
+        tar.addfile(member, io.BytesIO())
+    folder = CodeFolder(tmp_path / "code")
+    why = refusal(install(folder, packed.getvalue()))
+    assert "is no plain file" in why or "leads out of its folder" in why
+    assert not [*(tmp_path / "code").glob("*.new")]
+    assert [path.name for path in tmp_path.iterdir()] == ["code"]
+    assert folder.versions() == ()
+
+
+@pytest.mark.parametrize(
+    ("data", "why"),
+    [
+        (b"no archive", "this is no archive of code"),
+        (CODE[:700], "this is no archive of code"),
+        (archive_of(("code/a.py", b""), ("code/a.py", b"")), "File exists"),
+        (
+            archive_of(("code/a.py", b""), wheels={"tiny.whl": "1" * 64}),
+            "wheels were not sent: tiny.whl",
+        ),
+    ],
+)
+def test_a_wrong_archive_is_refused(tmp_path: Path, data: bytes, why: str) -> None:
+    folder = CodeFolder(tmp_path)
+    assert why in refusal(install(folder, data))
+    assert folder.versions() == ()
+    assert not [*tmp_path.glob("*.new")]
+
+
+def test_an_archive_that_grows_is_bounded(tmp_path: Path) -> None:
+    (tmp_path / "a.tar").write_bytes(archive_of(("code/a", bytes(2000))))
+    with pytest.raises(RunError, match="of code are not stored"):
+        unpack(tmp_path / "a.tar", tmp_path / "into", left=1500)
+
+
+def test_wheels_are_unpacked_beside_the_code(tmp_path: Path) -> None:
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w") as wheel:
+        wheel.writestr("tiny/__init__.py", "")
+        wheel.writestr("tiny-1.0.data/purelib/small.py", "")
+        wheel.writestr("tiny-1.0.data/scripts/run", "")
+    digest = digest_of(packed.getvalue())
+    folder = CodeFolder(tmp_path)
+    send(folder, packed.getvalue())
+    code = archive_of(("code/a.py", b""), wheels={"tiny.whl": digest})
+    assert install(folder, code) == Accepted()
+    packages = tmp_path / digest_of(code) / "packages"
+    found = {str(p.relative_to(packages)) for p in packages.rglob("*") if p.is_file()}
+    assert found == {"tiny/__init__.py", "small.py"}
+
+
+def test_the_last_versions_and_those_in_use_stay(tmp_path: Path) -> None:
+    folder = CodeFolder(tmp_path)
+    versions = []
+    for number in range(6):
+        code = archive_of(("code/a.py", b"%d" % number))
+        versions.append(digest_of(code))
+        install(folder, code)
+        os.utime(tmp_path / versions[-1], (number, number))
+        folder.keep({versions[0]})
+    assert set(folder.versions()) == {versions[0], *versions[3:]}
+    assert not (tmp_path / versions[1]).exists()
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    if os.getuid() != 0:
+        pytest.skip("only root mounts a file system")
+    place = tmp_path / "disk"
+    place.mkdir()
+    argv = ["mount", "-t", "tmpfs", "-o", "size=256k", "none", str(place)]
+    if subprocess.run(argv, check=False).returncode:
+        pytest.skip("no file system can be mounted here")
+    try:
+        yield place
+    finally:
+        subprocess.run(["umount", str(place)], check=True)
+
+
+@pytest.mark.slow
+def test_a_full_disk_changes_nothing(small_disk: Path) -> None:
+    folder = CodeFolder(small_disk)
+    assert install(folder, CODE) == Accepted()
+    why = refusal(send(folder, archive_of(("code/large", os.urandom(500_000)))))
+    assert "No space left on device" in why
+    assert f"are free in {small_disk}): make room there" in why
+    # there is room for the archive, but not to unpack it
+    large = archive_of(("code/large", os.urandom(150_000)))
+    assert "No space left on device" in refusal(install(folder, large))
+    assert folder.versions() == (VERSION,)
+    assert not [*small_disk.glob("*.new")]
+    assert CodeFolder(small_disk).versions() == (VERSION,)
