@@ -16,7 +16,7 @@ from rich.markup import escape
 
 import poise
 from poise import threads
-from poise.cli.options import AsJson, busy, running, show
+from poise.cli.options import AsJson, busy, parse_option, running, show
 from poise.errors import PoiseError, UsageError
 from poise.manage.tasks.concurrent_tasks import TaskReport
 from poise.model import load
@@ -30,6 +30,7 @@ from poise.session.render.tables import (
     what_if_lines,
 )
 from poise.session.running_robots.running import NoManager, RolledBack, Running, Status
+from poise.units import SECONDS
 
 TELL_EVERY = 1.0
 """How often it says what is under way [s]."""
@@ -152,7 +153,11 @@ def replace_command(
         ),
     ],
     by: Annotated[
-        str, typer.Argument(help="package.module:Class, or another architecture.")
+        str,
+        typer.Argument(
+            help="package.module:Class, or with @VERSION of deployed code; or another "
+            "architecture."
+        ),
     ],
     adapt: Annotated[
         str, typer.Option(help="package.module:function that maps the old state.")
@@ -160,6 +165,13 @@ def replace_command(
     fresh: Annotated[
         bool, typer.Option("--fresh", help="Drop the old state and begin without.")
     ] = False,
+    watch: Annotated[
+        str,
+        typer.Option(
+            help="For so long the old one comes back when the new one crashes or "
+            "misses more deadlines."
+        ),
+    ] = "0",
     robot: Robot = None,
     as_json: AsJson = False,
 ) -> None:
@@ -169,12 +181,17 @@ def replace_command(
     architecture is replaced by another that provides the same function: all its
     components take over at once, or none does.
 
-    Example: poise replace localiser trot.navigator.scan_matcher:ScanMatcher
+    Examples
+    --------
+    poise replace localiser trot.navigator.scan_matcher:ScanMatcher
+
+    poise replace localiser nav.localiser:Localiser@3fa2b1c04d11 --watch 30s
     """
+    seconds = parse_option("--watch", watch, SECONDS)
     running = Running(robot)
     with telling_progress(running):
         _act(
-            lambda: running.replace(what, by, adapt=adapt, fresh=fresh),
+            lambda: running.replace(what, by, adapt=adapt, fresh=fresh, watch=seconds),
             as_json=as_json,
         )
 

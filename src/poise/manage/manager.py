@@ -18,7 +18,7 @@ from typing import TypeVar
 
 from msgspec import structs
 
-from poise.errors import PoiseError, RunError, TakenOver
+from poise.errors import PoiseError, RunError, TakenOver, UsageError
 from poise.manage.adaptation.loop import Adaptation
 from poise.manage.adaptation.situation import Situation, SituationReader
 from poise.manage.control_socket.commands import (
@@ -43,6 +43,8 @@ from poise.manage.control_socket.read_commands import answer, status_of
 from poise.manage.deploy.deactivation import stop
 from poise.manage.deploy.lost_computers import LostComputers
 from poise.manage.deploy.running_components import RunningComponents
+from poise.manage.migration.canary import Canaries
+from poise.manage.migration.migration_report import MigrationReport
 from poise.manage.migration.move import move, replace, replace_architecture
 from poise.manage.migration.preparation import Preparation
 from poise.manage.observe.deviations import Deviation
@@ -111,6 +113,7 @@ class Manager:
         if suspended:
             self._suspensions.record()
         self._prefetch = Prefetcher(run)
+        self._canaries = Canaries(run)
         keep = recording.add_seen if recording else None
         self._adaptation = Adaptation(
             run, self._situation, self._suspensions, acts=adapts, keep=keep
@@ -169,7 +172,10 @@ class Manager:
         return structs.replace(
             known,
             deviations=(*known.deviations, *self._deviations()),
-            under_way=tuple(p.under_way() for _, p, _ in self._preparations.copy()),
+            under_way=(
+                *(p.under_way() for _, p, _ in self._preparations.copy()),
+                *self._canaries.under_way(),
+            ),
             faults=self._watch.num_faults,
             prefetch=self._prefetch.report(),
         )
@@ -196,7 +202,8 @@ class Manager:
         if not self.is_stopping:
             self._tick.run("look after tasks", self._look_after_tasks, changes=True)
             self._tick.run("prepare the next action", self._prepare_next, changes=True)
-            self._tick.run("adapt the placement", self._adaptation.adapt)
+            if not self._tick.run("watch new code", self._canaries.check, changes=True):
+                self._tick.run("adapt the placement", self._adaptation.adapt)
 
     def stop(self) -> None:
         """Stop the robot, and answer the clients that still wait."""
@@ -270,6 +277,7 @@ class Manager:
             *self._watch.code_errors.deviations(),
             *self._adaptation.deviations,
             *self._suspensions.deviations(),
+            *self._canaries.deviations(),
         )
 
     def _has_news_of_tasks(self) -> bool:
@@ -320,7 +328,11 @@ class Manager:
             command, preparation, future = waiting
             if not self.is_stopping and preparation.is_over():
                 self._preparations.remove(waiting)
-                result = self._carry_out(command, preparation.run)
+                migrate: Callable[[], MigrationReport] = preparation.run
+                if isinstance(command, ReplaceCommand) and command.watch:
+                    begin = self._canaries.begin
+                    migrate = partial(begin, command.what, command.watch, migrate)
+                result = self._carry_out(command, migrate)
                 self._answer_when_stored(future, result)
 
     def _carry_out(self, command: Command, do: Callable[[], T]) -> T | Refusal:
@@ -356,6 +368,13 @@ class Manager:
             case MoveCommand(component, computer, force):
                 self._adaptation.check_asked(component, computer, force=force)
                 planned = move(run, component, computer, force=force)
+            case ReplaceCommand(by=by, adapt=adapt, watch=watch) if watch and (
+                adapt or ":" not in by
+            ):
+                raise UsageError(
+                    "--watch is for a component's new code, and not with --adapt: a "
+                    "state that was mapped cannot be mapped back"
+                )
             case ReplaceCommand(component, by, adapt, fresh) if ":" in by:
                 planned = replace(run, component, by, adapt, fresh=fresh)
             case ReplaceCommand(what, by, adapt, fresh):

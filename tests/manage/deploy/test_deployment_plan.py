@@ -148,7 +148,8 @@ def test_no_two_containers_have_one_name(names: tuple[str, str]) -> None:
         computers=(Computer(name="c", capacity={"cpu": 1}),),
         architectures=(architecture,),
     )
-    assert DeploymentPlan(robot, "/").container_of(names[1]) == ".".join(names)
+    placed = Incarnation(component=names[1], computer="left")
+    assert DeploymentPlan(robot, "/").container_of(placed) == ".".join(names)
 
 
 def test_a_chain_goes_with_messages_and_with_answers(robot: Robot) -> None:

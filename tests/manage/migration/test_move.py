@@ -299,7 +299,7 @@ class MovingRobot:
     @contextlib.contextmanager
     def standing_still(self, component: str, seconds: float) -> Iterator[None]:
         """Stop a component's containers before some round, for so long [s]."""
-        container = self.run.layout.container_of(component)
+        container = self.run.layout.container_of(self.run.placed[component])
         stopped = [
             each.pid
             for status in self.run.agents.statuses().values()
@@ -337,7 +337,7 @@ class MovingRobot:
 
     def kill(self, computer: str, component: str) -> None:
         """Kill the container of a component, and wait until that is seen."""
-        container = self.run.layout.container_of(component)
+        container = self.run.layout.container_of(self.run.placed[component])
         before = self.faults(container)
         for each in self.run.agents.statuses()[computer].containers:
             if each.name == container:
@@ -541,7 +541,7 @@ def test_goes_on_in_its_container_when_a_snapshot_that_took_too_long_ends(
     assert (first.committed, second.committed) == (False, False)
     lingers.unlink()
     world.works()
-    assert not world.faults(run.layout.container_of("counter"))
+    assert not world.faults(run.layout.container_of(run.placed["counter"]))
     assert world.told("sink")[1] == 0
     monkeypatch.undo()
     move_counter(run, "right")
@@ -598,7 +598,7 @@ def test_a_move_into_a_frozen_container_is_not_begun(world: MovingRobot) -> None
 def test_a_move_away_from_a_frozen_container_fails_soon(world: MovingRobot) -> None:
     """It said nothing for 30 s: the source offered its state when it went on."""
     run = world.start("Counter", "right", isolated=True)
-    container = run.layout.container_of("counter")
+    container = run.layout.container_of(run.placed["counter"])
     (pid,) = (
         each.pid
         for each in run.agents.statuses()["left"].containers

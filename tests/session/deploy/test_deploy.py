@@ -40,7 +40,7 @@ class Ticker(Component):
         self.state = state
         print(f"{VERSION} goes on after {state.ticks > 0}")
 
-    @every(0.1)
+    @every(0.1, deadline=0.1)
     def tick(self):
         self.state.ticks += 1
 """
@@ -56,6 +56,16 @@ architectures:
 tasks:
   work: {{actions: [{{name: work, functions: [work]}}]}}
 """
+
+
+def crash_at(tick: int) -> str:
+    """Return code for the end of the timer, which ends the process some time."""
+    lines = (
+        "self.own_ticks = getattr(self, 'own_ticks', 0) + 1",
+        f"if self.own_ticks == {tick}:",
+        "    __import__('os')._exit(3)",
+    )
+    return "".join(f"        {line}\n" for line in lines)
 
 
 class Field:
@@ -129,7 +139,7 @@ class Field:
                 process.send_signal(signal.SIGTERM)
 
     def log(self) -> str:
-        return self.poise("log", "ticker")[1]
+        return self.poise("log")[1]
 
 
 @pytest.fixture
@@ -185,3 +195,63 @@ def test_a_computer_that_is_lost_meanwhile_keeps_what_it_has(field: Field) -> No
     assert [path.name for path in field.code("right").iterdir()] == [first]
     second = field.deploy()
     assert {path.name for path in field.code("right").iterdir()} == {first, second}
+
+
+def test_new_code_of_one_component_takes_its_state_and_comes_back_when_it_crashes(
+    field: Field,
+) -> None:
+    first = field.deploy()
+    with field.up():
+        field.write_code("second")
+        second = field.deploy()
+        by = f"deployed_ticker:Ticker@{second[:12]}"
+        code, said = field.poise("replace", "ticker", by, "--watch", "1s")
+        assert code == 0, said
+        assert "second goes on after True" in field.log()
+        wait_long(lambda: "worked for 1 s: it stays" in field.poise("journal")[1])
+
+        field.write_code("third", crash_at(40))
+        third = field.deploy()
+        by = f"deployed_ticker:Ticker@{third[:12]}"
+        code, said = field.poise("replace", "ticker", by, "--watch", "60s")
+        assert code == 0, said
+        watched = "new code of component 'ticker' is watched for 5"
+        wait_long(lambda: watched in field.poise("status")[1])
+        returned = "component 'ticker' returns to the code before: its container"
+        wait_long(lambda: returned in field.poise("status")[1])
+        wait_long(lambda: field.log().count("second of") == 2)
+        assert returned in field.poise("journal")[1]
+        assert {first, second, third} == {p.name for p in field.code("left").iterdir()}
+
+
+def test_new_code_that_crashes_at_once_comes_back(field: Field) -> None:
+    field.deploy()
+    with field.up():
+        field.write_code("second", crash_at(1))
+        by = f"deployed_ticker:Ticker@{field.deploy()[:12]}"
+        assert field.poise("replace", "ticker", by, "--watch", "60s")[0] == 0
+        wait_long(lambda: field.log().count("first of") == 2)
+        wait_long(lambda: "watched" not in field.poise("status")[1])
+        assert "returns to the code before" in field.poise("journal")[1]
+
+
+def test_new_code_that_misses_deadlines_comes_back_with_its_state(
+    field: Field,
+) -> None:
+    field.deploy()
+    with field.up():
+        field.write_code("slow", "        __import__('time').sleep(0.15)\n")
+        slow = field.deploy()
+        by = f"deployed_ticker:Ticker@{slow[:12]}"
+        assert field.poise("replace", "ticker", by, "--watch", "60s")[0] == 0
+        wait_long(lambda: "first goes on after True" in field.log())
+        assert "timer 'tick' missed" in field.poise("journal")[1]
+
+
+def test_a_version_that_is_not_there_is_refused(field: Field) -> None:
+    field.deploy()
+    with field.up():
+        by = "deployed_ticker:Ticker@0123"
+        code, said = field.poise("replace", "ticker", by)
+        assert code == 2
+        assert "has no version of the code that begins with" in said

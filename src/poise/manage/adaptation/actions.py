@@ -136,11 +136,12 @@ class Actions:
         self._suspensions.suspend([architecture.name], symptom.what, now)
 
     def _architecture(self, symptom: Symptom) -> Architecture:
-        layout, name = self._run.layout, symptom.values.name
+        placed, name = self._run.placed, symptom.values.name
         is_container = symptom.policy.for_each == "container"
         for architecture in self._run.robot.architectures:
             for component in architecture.components:
-                inside = layout.container_of(component.name) if is_container else ""
+                there = placed.get(component.name) if is_container else None
+                inside = there and self._run.layout.container_of(there)
                 if component.name == _component(symptom) or name == inside:
                     return architecture
         raise UsageError(f"no architecture has '{name}'")
@@ -273,7 +274,7 @@ def components_in(run: RunningComponents, symptom: Symptom) -> list[str]:
         name
         for name, incarnation in run.placed.items()
         if incarnation.computer == symptom.computer
-        and run.layout.container_of(name) == symptom.values.name
+        and run.layout.container_of(incarnation) == symptom.values.name
     )
 
 

@@ -58,14 +58,16 @@ class JournalCommand(Struct, frozen=True, tag=True):
 class ReplaceCommand(Struct, frozen=True, tag=True):
     """Swap a component's implementation, or put an architecture in another's place.
 
-    `by` is ``package.module:Class``, or the other architecture; `adapt` maps states;
-    `fresh`: what comes begins without state.
+    `by` is ``package.module:Class``, with ``@VERSION`` of deployed code, or the other
+    architecture; `adapt` maps states; `fresh`: what comes begins without state;
+    `watch`: for so long the component before comes back when the new one fails [s].
     """
 
     what: str
     by: str
     adapt: str = ""
     fresh: bool = False
+    watch: float = 0.0
 
 
 class RebalanceCommand(Struct, frozen=True, tag=True):

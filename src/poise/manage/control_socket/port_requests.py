@@ -8,6 +8,7 @@ from typing import Any
 from poise.errors import RunError, UsageError
 from poise.manage.agent_connections.statuses import components_of
 from poise.manage.control_socket.commands import ParametersCommand, PortCommand
+from poise.manage.deploy.desired import Incarnation
 from poise.manage.deploy.running_components import RunningComponents
 from poise.suggest import did_you_mean, listed
 from poise.units import format_bytes
@@ -125,7 +126,10 @@ def _ask(
     limit = max(0.0, until - run.clock.now())
     request = PortRequest(
         number=secrets.randbits(62),
-        container=run.layout.container_of(command.component),
+        container=run.layout.container_of(
+            run.placed.get(command.component)
+            or Incarnation(component=command.component, computer=computer)
+        ),
         component=command.component,
         port=command.port,
         method=command.method,

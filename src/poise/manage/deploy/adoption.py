@@ -32,6 +32,7 @@ class ReportedIncarnation(Struct, frozen=True, kw_only=True):
     computer: str
     container: str
     folder: str  # where its implementation is imported from, or a version of code
+    code: str = ""  # as of an `Incarnation`
 
     @property
     def name(self) -> str:
@@ -52,6 +53,7 @@ class ReportedIncarnation(Struct, frozen=True, kw_only=True):
             computer=self.computer,
             epoch=spec.epoch,
             implementation=spec.implementation if spec.instead_of else "",
+            code=self.code,
             adapt=spec.adapt,
             fresh=spec.fresh,
             gently=spec.gently,
@@ -78,6 +80,8 @@ def found_in(deployments: Mapping[str, Deployment]) -> list[ReportedIncarnation]
             computer=computer,
             container=container.name,
             folder=container.code or container.folder,
+            # the component's own is that of the robot
+            code=container.code if container.code != spec.code else "",
         )
         for computer, deployment in sorted(deployments.items())
         for container in deployment.containers
@@ -266,7 +270,8 @@ def _has_other_code(
         spec.implementation.partition(":")[0] for spec in (reported.spec, now)
     )
     is_changed = before == after and reported.spec.code != now.code
-    return is_changed or reported.folder != (robot.deployed or robot.folder)
+    here = reported.code or robot.deployed or robot.folder
+    return is_changed or reported.folder != here
 
 
 def _changes(
@@ -276,7 +281,7 @@ def _changes(
         before, after = getattr(reported.spec, what), getattr(now, what)
         if before != after:
             yield f"its {what} was {before!r}, and is {after!r} now"
-    container = layout.container_of(reported.name)
+    container = layout.container_of(reported.incarnation)
     if reported.container != container:
         yield f"its container was '{reported.container}', and is '{container}' now"
 

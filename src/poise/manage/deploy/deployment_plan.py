@@ -32,6 +32,8 @@ from poise.wire.records.deployment_records import (
     Deployment,
 )
 
+_DIGITS = 8
+"""A container's name tells versions of code apart by so many digits."""
 FILLS_INTERPRETER = 0.5
 """A component with a larger CPU demand [cores] gets a container of its own: threads of
 one Python process share one core."""
@@ -86,15 +88,21 @@ class DeploymentPlan:
         self._parts = _chain_parts(robot)
         self._carries, self._answers = _chains_over(robot, self._slots)
 
-    def container_of(self, component: str) -> str:
-        """Return the name of a component's container, the same on every computer."""
-        return self._containers[component]
+    def container_of(self, incarnation: Incarnation) -> str:
+        """Return the name of its container, the same on every computer.
+
+        Other code has a process of its own: Python knows one module of a name.
+        """
+        container = self._containers[incarnation.component]
+        # no name has a dot in it, so this is no other container's name
+        other = f"..{incarnation.code[:_DIGITS]}" if incarnation.code else ""
+        return container + other
 
     def address(
         self, target: Incarnation, computer: str, gateways: Mapping[str, str]
     ) -> str:
         """Return where a component's container is reached from a computer."""
-        container = self._containers[target.component]
+        container = self.container_of(target)
         if target.computer == computer:
             return container
         return f"{gateways.get(target.computer, _NOT_KNOWN)}/{container}"
@@ -119,20 +127,22 @@ class DeploymentPlan:
         }
         for at, inside in self._by_container(placed).items():
             computer, container = at
+            code = inside[0].code or self._robot.deployed
+            weight = self._weights[self._containers[inside[0].component]]
             containers[computer].append(
                 ContainerSpec(
                     name=container,
-                    folder="" if self._robot.deployed else self._robot.folder,
-                    weight=self._weights[container].weight,
-                    nice=self._weights[container].nice,
+                    folder="" if code else self._robot.folder,
+                    weight=weight.weight,
+                    nice=weight.nice,
                     preparation_cpu=preparation_cpu.get(computer, 0.0)
                     if all(
                         incarnation.unjoined and incarnation.gently
                         for incarnation in inside
                     )
                     else 0.0,
-                    repository=() if self._robot.deployed else self._robot.repository,
-                    code=self._robot.deployed,
+                    repository=() if code else self._robot.repository,
+                    code=code,
                     components=tuple(
                         self.component_spec(each, parameters.get(each.component, {}))
                         for each in inside
@@ -189,7 +199,7 @@ class DeploymentPlan:
         kind: ConnectorKind = "direct"
         if source.computer != target.computer:
             kind = "remote"
-        elif self._containers[source.component] != self._containers[target.component]:
+        elif self.container_of(source) != self.container_of(target):
             kind = "local"
         is_direct = kind == "direct"
         first, second = connector.between
@@ -226,7 +236,7 @@ class DeploymentPlan:
 
     def _home(self, incarnation: Incarnation) -> tuple[str, str]:
         """Return its computer and its container."""
-        return incarnation.computer, self._containers[incarnation.component]
+        return incarnation.computer, self.container_of(incarnation)
 
     def component_spec(
         self, incarnation: Incarnation, parameters: Mapping[str, Any] = {}

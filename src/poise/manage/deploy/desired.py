@@ -28,6 +28,8 @@ class Incarnation(Struct, frozen=True, kw_only=True):
     # one for this; empty: it is the same
     adapt: str = ""
     fresh: bool = False  # whether it begins without state
+    # the version of the code that it runs instead of the robot's; empty: the robot's
+    code: str = ""
     gently: bool = False  # whether it is prepared with the CPU time that others leave
     unjoined: bool = False
     held: bool = False  # whether it is inactive only because `Desired.held` names it

@@ -208,7 +208,7 @@ class RunningComponents(DesiredState):
         if not known:
             return []
         places = dict.fromkeys(
-            (incarnation.computer, self.layout.container_of(incarnation.component))
+            (incarnation.computer, self.layout.container_of(incarnation))
             for incarnation in incarnations
         )
         return [

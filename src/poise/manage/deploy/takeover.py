@@ -210,8 +210,9 @@ def _recorded(run: RunningComponents, record: Desired) -> list[ReportedIncarnati
                 incarnation, record.parameters.get(incarnation.component, {})
             ),
             computer=incarnation.computer,
-            container=run.layout.container_of(incarnation.component),
-            folder=run.robot.deployed or run.robot.folder,
+            container=run.layout.container_of(incarnation),
+            folder=incarnation.code or run.robot.deployed or run.robot.folder,
+            code=incarnation.code,
         )
         for incarnation in record.incarnations()
         if incarnation.computer not in run.claimed

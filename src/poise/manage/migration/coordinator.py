@@ -281,7 +281,7 @@ class Migration:
         """Send each container its steps; yield these and the outcome as it is known."""
         batches: dict[tuple[str, str], list[PlacedStep]] = {}
         for placed in steps:
-            container = self._run.layout.container_of(placed[0].component)
+            container = self._run.layout.container_of(placed[0])
             batches.setdefault((placed[0].computer, container), []).append(placed)
         by_number = {next(self._run.batch_numbers): key for key in batches}
         told = [
@@ -343,7 +343,7 @@ class Migration:
         return False
 
     def _why_not_active(self, source: Incarnation, found: ComponentStatus) -> str:
-        container = self._run.layout.container_of(source.component)
+        container = self._run.layout.container_of(source)
         status = self._run.current().get(source.computer)
         health = status.health if status is not None else ()
         of_container = next((h for h in health if h.name == container), None)

@@ -213,7 +213,7 @@ class MigrationPlan:
             sender = self._others[connector.between[0].component]
             if sender.computer in self._away:
                 continue
-            container = self._layout.container_of(sender.component)
+            container = self._layout.container_of(sender)
             key = (sender.computer, container)
             found.setdefault(key, (sender, []))[1].append(connector)
         return found.values()

@@ -26,6 +26,7 @@ from poise.manage.migration.migration_report import MigrationReport
 from poise.manage.migration.preparation import Preparation
 from poise.model.check.allowed_computers import allowed_computers
 from poise.model.robot import Architecture, Robot
+from poise.wire.records.code_records import SHOWN
 
 
 def move(
@@ -46,6 +47,7 @@ def move(
         epoch=run.next_epoch(component),
         goal="inactive",
         implementation=old.implementation,
+        code=old.code,
         gently=True,
     )
     return _preparation(run, old, new)
@@ -54,13 +56,14 @@ def move(
 def replace(
     run: RunningComponents,
     component: str,
-    implementation: str,
+    by: str,
     adapt: str = "",
     *,
     fresh: bool = False,
 ) -> Preparation:
     """Return the swap of an implementation for another, to be run.
 
+    `by`: ``package.module:Class``, or with ``@VERSION`` of deployed code.
     `adapt`: ``package.module:function`` that turns the old state into the new one;
     empty: the new implementation restores the old one's state as it is.
     """
@@ -74,16 +77,52 @@ def replace(
         raise UsageError(
             f"component '{component}' is a command line: it has no implementation"
         )
+    implementation, at, version = by.partition("@")
     new = structs.replace(
         old,
         epoch=run.next_epoch(component),
         goal="inactive",
         implementation=implementation,
+        code=_code(run, old.computer, version) if at else old.code,
         adapt=adapt,
         fresh=fresh,
         gently=True,
     )
-    return _preparation(run, old, new, implementation)
+    return _preparation(run, old, new, by)
+
+
+def return_to(run: RunningComponents, before: Incarnation) -> Preparation:
+    """Return the swap of a component's code for that of an earlier incarnation."""
+    old = _placed(run, before.component)
+    new = structs.replace(
+        old,
+        epoch=run.next_epoch(before.component),
+        goal="inactive",
+        implementation=before.implementation,
+        code=before.code,
+        adapt="",
+        fresh=False,
+        gently=True,
+    )
+    entry = run.robot.component(before.component)
+    code = (before.code or run.robot.deployed)[:SHOWN]
+    by = before.implementation or entry.implementation
+    return _preparation(run, old, new, f"{by}@{code}" if code else by)
+
+
+def _code(run: RunningComponents, computer: str, version: str) -> str:
+    """Return the version of code that begins so; empty: the robot's own."""
+    status = run.agents.statuses().get(computer)
+    there = status.code if status is not None else ()
+    found = [code for code in there if version and code.startswith(version)]
+    if len(found) != 1:
+        known = ", ".join(code[: max(SHOWN, len(version))] for code in there) or "none"
+        raise UsageError(
+            f"'{computer}' has {'more than one' if found else 'no'} version of the "
+            f"code that begins with '{version}' (there: {known}): `poise deploy FILE` "
+            "sends one"
+        )
+    return "" if found[0] == run.robot.deployed else found[0]
 
 
 def _preparation(

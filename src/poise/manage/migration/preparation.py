@@ -59,7 +59,7 @@ class Stall:
         """Return whether one is being started, imported or configured."""
         current, container_of = self._run.current(), self._run.layout.container_of
         keys = {(w.component, w.epoch) for w in wanted}
-        places = {(w.computer, container_of(w.component)) for w in wanted}
+        places = {(w.computer, container_of(w)) for w in wanted}
         states = {(c.name, c.epoch): c.state for c in components_of(current)}
         return any(states.get(key) == "unconfigured" for key in keys) or any(
             health.state == "starting" and (computer, health.name) in places

@@ -28,16 +28,22 @@ _LOOK_EVERY = 0.02
 
 
 def start_together(
-    run: RunningComponents, placement: Mapping[str, str], lost: Collection[str] = ()
+    run: RunningComponents,
+    placement: Mapping[str, str],
+    lost: Collection[str] = (),
+    instead: Mapping[str, Incarnation] = {},
 ) -> bool:
     """Start components from their checkpoints; return whether they work.
+
+    `instead`: component -> what it is like from now on; else it is as it was.
 
     Without a checkpoint they start without state. What is left of them where they ran
     is ended before; on a computer that is out of reach, once that is back.
     """
     new = [
         structs.replace(
-            run.placed.get(name, Incarnation(component=name, computer=computer)),
+            instead.get(name)
+            or run.placed.get(name, Incarnation(component=name, computer=computer)),
             computer=computer,
             epoch=run.next_epoch(name),
         )
@@ -147,7 +153,7 @@ class _Transition:
         self.moves: list[MigrationReport] = []
         self._run = run
         # what is started again may have been replaced since the robot began
-        self._implementations: dict[str, str] = {}
+        self._ended: dict[str, Incarnation] = {}
 
     def execute(self, step: TransitionStep) -> str:
         """Take a step; return why it failed, or an empty text."""
@@ -175,11 +181,13 @@ class _Transition:
 
     def _start(self, component: str, computer: str) -> None:
         run = self._run
+        before = self._ended.get(component)
         new = Incarnation(
             component=component,
             computer=computer,
             epoch=run.next_epoch(component),
-            implementation=self._implementations.get(component, ""),
+            implementation=before.implementation if before else "",
+            code=before.code if before else "",
         )
         try:
             inactive = [new.with_goal("inactive")]
@@ -193,7 +201,7 @@ class _Transition:
     def _stop(self, component: str) -> None:
         run = self._run
         old = run.placed[component]
-        self._implementations[component] = old.implementation
+        self._ended[component] = old
         run.commit(run.desired.without([component]), f"end '{component}'")
         try:
             run.wait_ended(old)

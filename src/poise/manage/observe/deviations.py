@@ -69,7 +69,7 @@ def find_deviations(
     for incarnation in settled:
         here[incarnation.computer].append(incarnation)
     for incarnation in wanted:
-        container = layout.container_of(incarnation.component)
+        container = layout.container_of(incarnation)
         names[incarnation.computer].add(container)
     for computer, status in sorted(statuses.items()):
         yield from _of_components(here[computer], layout, status, now)
@@ -110,7 +110,7 @@ def _of_components(
     for incarnation in settled:
         reported = there.get((incarnation.component, incarnation.epoch))
         if reported is None or reported.state != incarnation.goal:
-            container = health.get(layout.container_of(incarnation.component))
+            container = health.get(layout.container_of(incarnation))
             has_failed = reported is not None and reported.state == "failed"
             is_fault = container and container.last_fault and not has_failed
             yield Deviation(

@@ -109,9 +109,9 @@ class Watch:
         """Journal which containers run as they should again after a fault."""
         run = self._run
         deviating = {
-            run.layout.container_of(deviation.component)
+            run.layout.container_of(run.placed[deviation.component])
             for deviation in self.deviations
-            if deviation.component
+            if deviation.component in run.placed
         }
         for computer, status in statuses.items():
             for health in status.health:

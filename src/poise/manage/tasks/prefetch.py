@@ -294,7 +294,9 @@ class Prefetcher:
             if status is None or (name, incarnation.epoch) not in self._begun:
                 continue
             before = self._restarts.get((name, incarnation.epoch), 0)
-            why = _failure(status, incarnation, run.layout.container_of(name), before)
+            why = _failure(
+                status, incarnation, run.layout.container_of(incarnation), before
+            )
             if why:
                 failed[name] = why
         for name, why in failed.items():
@@ -346,9 +348,7 @@ class Prefetcher:
             run.journal.note("done", f"{names} prepared within {seconds:.2f} s")
 
     def _container(self, incarnation: Incarnation) -> tuple[str, str]:
-        return incarnation.computer, self._run.layout.container_of(
-            incarnation.component
-        )
+        return incarnation.computer, self._run.layout.container_of(incarnation)
 
     def _back_off(self, components: Iterable[str]) -> None:
         until = self._clock() + TRY_AGAIN

@@ -8,6 +8,7 @@ from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
 
 from poise.runtime.agent.surroundings import DEPLOYED
+from poise.wire.records.code_records import SHOWN
 from poise.wire.records.deployment_records import ContainerSpec
 
 
@@ -23,8 +24,8 @@ def refusal(
     for container in containers:
         if container.code and container.code not in there:
             return (
-                f"it does not have version {container.code[:12]} of the robot's code: "
-                "run `poise deploy FILE`"
+                f"it does not have version {container.code[:SHOWN]} of the robot's "
+                "code: run `poise deploy FILE`"
             )
     for name, path in _places(containers) if allowed else ():
         if not any(Path(path).is_relative_to(place) for place in allowed):

@@ -30,6 +30,7 @@ from poise.wire.records.code_records import (
     MANIFEST,
     MOST_CODE,
     PACKAGES,
+    SHOWN,
     CodePart,
     CodeReceived,
     InstallCode,
@@ -121,7 +122,7 @@ class CodeFolder:
         if version in self._versions:
             return
         if not archive.exists():
-            raise RunError(f"version {version[:12]} was not sent")
+            raise RunError(f"version {version[:SHOWN]} was not sent")
         try:
             new.mkdir()
             left = unpack(archive, new)
@@ -258,7 +259,7 @@ def _check(path: Path, part: CodePart) -> None:
     with path.open("rb") as file:
         digest = hashlib.file_digest(file, "sha256").hexdigest()
     if (digest, path.stat().st_size) != (part.file, part.size):
-        raise RunError(f"the file is not {part.file[:12]}: send it again")
+        raise RunError(f"the file is not {part.file[:SHOWN]}: send it again")
 
 
 def _write_through(folder: Path) -> None:

@@ -7,6 +7,7 @@ status and stops nothing else (`SupervisedParts`).
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from math import inf
 from typing import NamedTuple, TypeVar
 
@@ -40,6 +41,7 @@ from poise.wire.records.heartbeat_records import Clocks
 from poise.wire.records.migration_records import StepsFailed
 from poise.wire.records.request_records import (
     Accepted,
+    Answer,
     CheckpointCopy,
     Claim,
     Claimed,
@@ -299,7 +301,12 @@ class AgentCore:
         elif why := allowed_code.refusal_of_code(self._setup.allow):
             reply(Refused(why))
         else:
-            code.serve(request, reply)
+            code.serve(request, partial(self._tell_of_code, reply))
+
+    def _tell_of_code(self, reply: Reply, answer: Answer) -> None:
+        """Let managers know of a new version, and answer."""
+        self.wake()
+        reply(answer)
 
     def _versions(self) -> tuple[str, ...]:
         return self._world.code.versions() if self._world.code is not None else ()

@@ -19,7 +19,7 @@ from poise.session.deploy.wheels import files_for, lock_wheels, manifest_of
 from poise.session.launch.computers import Computers, real_agents
 from poise.units import format_bytes
 from poise.wire.control_session import LEASE, close_session, open_session
-from poise.wire.records.code_records import CodePart, CodeReceived, InstallCode
+from poise.wire.records.code_records import SHOWN, CodePart, CodeReceived, InstallCode
 from poise.wire.records.request_records import Accepted, Answer, Refused, Request
 
 REACH_LIMIT = 5.0
@@ -31,8 +31,6 @@ _PART = 256 << 10
 _PART_LIMIT = 15.0
 """A part is sent and stored within this time [s]."""
 _INSTALL_LIMIT = 300.0
-SHOWN = 12
-"""People see so many digits of a version."""
 
 
 class Deployed(Struct, frozen=True, kw_only=True):

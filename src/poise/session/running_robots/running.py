@@ -224,7 +224,13 @@ class Running:
         return ask(self.name, JournalCommand(after), JournalEntries).entries
 
     def replace(
-        self, what: str, by: str, *, adapt: str = "", fresh: bool = False
+        self,
+        what: str,
+        by: str,
+        *,
+        adapt: str = "",
+        fresh: bool = False,
+        watch: float = 0.0,
     ) -> MigrationReport:
         """Swap a component's implementation, or an architecture for another.
 
@@ -233,18 +239,22 @@ class Running:
         what
             A component, or an architecture.
         by
-            ``package.module:Class``, or another architecture of the same function.
+            ``package.module:Class``, ``package.module:Class@VERSION`` of deployed code,
+            or another architecture of the same function.
         adapt
             ``package.module:function`` that maps the old state to the new one.
         fresh
             Whether the old state is dropped.
+        watch
+            For how long the component before comes back by itself when the new one
+            crashes, or misses more deadlines [s].
 
         Raises
         ------
         RolledBack
             It failed; all goes on as before.
         """
-        return self._migrate(ReplaceCommand(what, by, adapt, fresh))
+        return self._migrate(ReplaceCommand(what, by, adapt, fresh, watch))
 
     def balance(self, *, cost: float = 0.01, dry_run: bool = False) -> Rebalanced:
         """Place the robot again, from what its components need now.

@@ -295,6 +295,7 @@ class AgentStatus(Struct, frozen=True, kw_only=True, dict=True):
             self.token,
             self.faults[-1].number if self.faults else 0,
             bool(self.cut_off),
+            self.code,
             [(error.where, error.count) for error in self.errors],
             [(health.name, health.state) for health in self.health],
             [container.states for container in self.containers],

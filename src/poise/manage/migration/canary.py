@@ -1,0 +1,155 @@
+"""Watches new code for a while, and lets the code before come back when it fails."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+
+from msgspec import Struct
+
+from poise.clock import wall_time
+from poise.manage.agent_connections.statuses import components_of
+from poise.manage.deploy.desired import Incarnation
+from poise.manage.deploy.running_components import RunningComponents
+from poise.manage.migration.migration_report import MigrationReport
+from poise.manage.migration.move import return_to
+from poise.manage.migration.transition_run import start_together
+from poise.manage.observe.chains import is_late
+from poise.manage.observe.deviations import Deviation
+from poise.wire.records.status_records import ComponentStatus, ContainerHealth
+
+_SEVERAL = 3
+"""New code fails by as many missed deadlines: a first one may be late by the move."""
+SHOWN_FOR = 60.0
+"""The status shows for this time that code came back [s]."""
+
+
+class _Trial(Struct, frozen=True, kw_only=True):
+    """New code that is watched."""
+
+    before: Incarnation  # What comes back
+    new: Incarnation
+    misses: Mapping[str, float]  # Timer -> share of deadlines that were missed before
+    restarts: int  # Of its container, before it came
+    seconds: float
+    until: float
+
+
+class Canaries:
+    """The components whose new code is watched; for the manager's thread."""
+
+    def __init__(self, run: RunningComponents) -> None:
+        self._run = run
+        self._trials: dict[str, _Trial] = {}
+        self._returned: dict[str, tuple[Deviation, float]] = {}
+
+    def begin(
+        self, component: str, seconds: float, migrate: Callable[[], MigrationReport]
+    ) -> MigrationReport:
+        """Replace a component, and watch it from then on if it was replaced."""
+        run, before = self._run, self._run.placed[component]
+        found = _reported(run, before)
+        timers = found.timers if found is not None else ()
+        misses = {t.name: t.missed / max(1, t.releases) for t in timers}
+        report = migrate()
+        if report.committed:
+            new = run.placed[component]
+            health = _health(run, new)
+            self._trials[component] = _Trial(
+                before=before,
+                new=new,
+                misses=misses,
+                restarts=health.restarts if health else 0,
+                seconds=seconds,
+                until=run.clock.now() + seconds,
+            )
+            self._returned.pop(component, None)
+            what = f"new code of component '{component}' is watched for {seconds:g} s"
+            run.journal.note("decided", what)
+        return report
+
+    def check(self) -> bool:
+        """End what was watched long enough, and what has failed; return whether any."""
+        for component, trial in list(self._trials.items()):
+            placed = self._run.placed.get(component)
+            if placed is None or _code_of(placed) != _code_of(trial.new):
+                del self._trials[component]  # it was replaced again, or stopped
+            elif why := self._failure(trial, placed):
+                del self._trials[component]
+                self._return(trial, placed, why)
+                return True
+            elif self._run.clock.now() >= trial.until:
+                del self._trials[component]
+                what = f"new code of component '{component}' has worked for "
+                self._run.journal.note("done", f"{what}{trial.seconds:g} s: it stays")
+        return False
+
+    def under_way(self) -> tuple[str, ...]:
+        """Return what is watched, in words; from any thread."""
+        now = self._run.clock.now()
+        return tuple(
+            f"new code of component '{name}' is watched for {trial.until - now:.0f} s "
+            "more"
+            for name, trial in self._trials.copy().items()
+        )
+
+    def deviations(self) -> Iterator[Deviation]:
+        """Yield which code came back lately; from any thread."""
+        now = self._run.clock.now()
+        for deviation, until in self._returned.copy().values():
+            if now < until:
+                yield deviation
+
+    def _failure(self, trial: _Trial, placed: Incarnation) -> str:
+        """Return why new code has failed; empty: it has not."""
+        health = _health(self._run, placed)
+        if health is not None and health.restarts > trial.restarts:
+            fault = health.last_fault
+            return f"its container crashed: {fault.message if fault else 'unknown'}"
+        if health is not None and health.state not in {"starting", "running"}:
+            return f"its container is {health.state}"
+        found = _reported(self._run, placed)
+        if found is not None and found.state == "failed":
+            return f"it failed: {found.error}"
+        for timer in found.timers if found is not None else ():
+            before, times = trial.misses.get(timer.name, 0.0), timer.releases
+            is_worse = timer.missed > max(_SEVERAL - 1, before * times)
+            if is_worse and is_late(times, timer.missed):
+                return (
+                    f"timer '{timer.name}' missed {timer.missed} of {times} deadlines, "
+                    f"and {before:.0%} before"
+                )
+        return ""
+
+    def _return(self, trial: _Trial, placed: Incarnation, why: str) -> None:
+        """Let the code before take over; what cannot give its state is restarted."""
+        run, name = self._run, placed.component
+        what = f"component '{name}' returns to the code before: {why}"
+        run.journal.note("decided", what)
+        until = run.clock.now() + SHOWN_FOR
+        shown = Deviation(
+            what=what, computer=placed.computer, component=name, since=wall_time()
+        )
+        self._returned[name] = shown, until
+        found = _reported(run, placed)
+        is_there = found is not None and found.state == "active"
+        if not (is_there and return_to(run, trial.before).run().committed):
+            start_together(run, {name: placed.computer}, instead={name: trial.before})
+
+
+def _code_of(incarnation: Incarnation) -> tuple[str, str]:
+    return incarnation.implementation, incarnation.code
+
+
+def _reported(
+    run: RunningComponents, incarnation: Incarnation
+) -> ComponentStatus | None:
+    key = incarnation.component, incarnation.epoch
+    components = components_of(run.current())
+    return next((c for c in components if (c.name, c.epoch) == key), None)
+
+
+def _health(run: RunningComponents, incarnation: Incarnation) -> ContainerHealth | None:
+    status = run.current().get(incarnation.computer)
+    name = run.layout.container_of(incarnation)
+    health = status.health if status is not None else ()
+    return next((h for h in health if h.name == name), None)
