@@ -15,6 +15,7 @@ from poise.manage.control_socket.control_server import ControlServer
 from poise.manage.deploy.takeover import start_or_take_over
 from poise.manage.journal import Journal
 from poise.manage.tasks.concurrent_tasks import Tasks
+from poise.runtime.container.component_import import folder_of_version
 from poise.session.callbacks import Say, nothing
 from poise.session.folders import make_journal
 from poise.session.launch.computers import Computers
@@ -51,6 +52,8 @@ def _lead(claim: Claim, say: Say) -> None:
     assert claim.election is not None  # noqa: S101, or there would be no standby
     setup = msgspec.msgpack.decode(claim.election.setup, type=StandbySetup)
     robot = replace(setup.robot, simulator=None)  # it ended with who started it
+    if robot.deployed:  # what its policies call
+        robot = replace(robot, folder=folder_of_version(robot.deployed))
     with contextlib.ExitStack() as stack:
         journal = Journal(make_journal(robot.name), lambda entry: say(str(entry)))
         stack.callback(journal.close)

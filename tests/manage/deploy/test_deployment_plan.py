@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 from msgspec.structs import replace
 
+from poise.manage.deploy.adoption import found_in
 from poise.manage.deploy.deployment_plan import DeploymentPlan
 from poise.manage.deploy.desired import Incarnation
 from poise.model.robot import Architecture, Chain, ComponentEntry, Computer, Robot
@@ -165,3 +166,27 @@ def test_a_chain_goes_with_messages_and_with_answers(robot: Robot) -> None:
     assert over["grabber.raw-filter.raw"] == (("c",), ())
     assert over["filter.clean-heavy.clean"] == (("c",), ("t",))
     assert over["filter.clean-thinker.seen"] == ((), ())
+
+
+def test_deployed_code_is_imported_instead_of_folders(robot: Robot) -> None:
+    told = deployments(replace(robot, deployed="a" * 64), **everything_on("left"))
+    assert {(c.folder, c.code) for c in told["left"].containers} == {("", "a" * 64)}
+    assert told["right"].code == ("a" * 64,)  # kept: components may move there
+
+
+def test_other_code_of_a_component_has_a_container_of_its_own(robot: Robot) -> None:
+    robot = replace(robot, deployed="a" * 64)
+    placed = [
+        Incarnation(component="grabber", computer="left", code="b" * 64),
+        Incarnation(component="filter", computer="left"),
+    ]
+    left = DeploymentPlan(robot, "/run").specs(placed, 3, GATEWAYS)["left"]
+    assert {c.name: c.code for c in left.containers} == {
+        "eye..bbbbbbbb": "b" * 64,
+        "eye": "a" * 64,
+    }
+    (joined,) = left.containers[0].connectors
+    assert (joined.kind, joined.address) == ("local", "eye")
+    # the next manager finds it so
+    found = {each.name: each.incarnation.code for each in found_in({"left": left})}
+    assert found == {"grabber": "b" * 64, "filter": ""}

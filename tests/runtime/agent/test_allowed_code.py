@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import pytest
+from msgspec.structs import replace
 
-from poise.runtime.agent.allowed_code import refusal
+from poise.runtime.agent.allowed_code import refusal, refusal_of_code
+from poise.runtime.agent.surroundings import DEPLOYED
 from poise.wire.records.deployment_records import ComponentSpec, ContainerSpec
 
 
@@ -54,3 +56,45 @@ def test_what_is_elsewhere_is_refused(refused: ContainerSpec, what: str) -> None
 
 def test_without_folders_everything_runs() -> None:
     assert not refusal([container("/tmp", "sh")], [])
+
+
+VERSION = "a" * 64
+
+
+def deployed(*command: str) -> ContainerSpec:
+    return replace(container("", *command), code=VERSION)
+
+
+@pytest.mark.parametrize("allowed", [[], [DEPLOYED], ["/opt/robot", DEPLOYED]])
+def test_deployed_code_runs_where_it_is(allowed: list[str]) -> None:
+    containers = [deployed(), deployed("./drive")]
+    assert not refusal(containers, allowed, [VERSION])
+    assert not refusal_of_code(allowed)
+    said = refusal(containers, allowed, ["b" * 64])
+    assert (
+        "it does not have version aaaaaaaaaaaa of the robot's code: run `poise" in said
+    )
+
+
+@pytest.mark.parametrize(
+    "refused",
+    [
+        deployed("../drive"),
+        deployed("/bin/sh"),
+        deployed("sh"),
+        container("/tmp"),
+        container(DEPLOYED),  # a folder of this name where the agent was started
+        container("", f"{DEPLOYED}/drive"),
+    ],
+)
+def test_other_code_is_refused_where_only_deployed_code_runs(
+    refused: ContainerSpec,
+) -> None:
+    said = refusal([refused], [DEPLOYED], [VERSION])
+    assert "only runs what is deployed (`poise agent --allow`); `poise deploy" in said
+
+
+def test_no_code_is_sent_where_only_folders_are_allowed() -> None:
+    said = refusal([deployed()], ["/opt/robot"], [VERSION])
+    assert "is at deployed, and this agent only runs what is in /opt/robot" in said
+    assert "`poise agent --allow deployed`, too" in refusal_of_code(["/opt/robot"])

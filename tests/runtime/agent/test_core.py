@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from functools import partial
 from math import inf
 from random import Random
@@ -20,6 +20,7 @@ from poise.runtime.supervision.container_processes import ProcessEnd
 from poise.runtime.supervision.supervisor import FENCE_GRACE
 from poise.testing import VirtualClock
 from poise.wire.heartbeats import UNCUT_LEASE, Address, Hear, NextBeat
+from poise.wire.records.code_records import CodePart, InstallCode
 from poise.wire.records.deployment_records import (
     ComponentSpec,
     ContainerSpec,
@@ -183,8 +184,12 @@ class World:
     """An agent and what it is in."""
 
     def __init__(
-        self, left: AgentState | None = None, transport: type[Transport] | None = None
+        self,
+        left: AgentState | None = None,
+        transport: type[Transport] | None = None,
+        code: Versions | None = None,
     ) -> None:
+        self.code = code
         self.clock = VirtualClock()
         self.asleep = 0.0
         self.transports: list[Transport] = []
@@ -204,6 +209,7 @@ class World:
             wake=lambda: None,
             host=self.host,
             adoption=self.adoption,
+            code=code,
             disk=self.disk,
             standby=Waiting(),
             heartbeats=partial(self._open, transport),
@@ -579,3 +585,43 @@ def test_a_container_whose_code_goes_on_without_lease_is_killed() -> None:
     world.core.tick()
     (fault,) = world.status.faults
     assert "'arm' still ran 0.5 s after the computer's lease ended" in fault.message
+
+
+class Versions:
+    """The code on a computer, in memory."""
+
+    def __init__(self) -> None:
+        self.there: tuple[str, ...] = ()
+        self.kept: tuple[str, ...] = ()
+
+    def versions(self) -> tuple[str, ...]:
+        return self.there
+
+    def keep(self, in_use: Collection[str]) -> None:
+        self.kept = tuple(in_use)
+
+    def serve(self, request: CodePart | InstallCode, reply: Reply) -> None:
+        assert isinstance(request, InstallCode)
+        self.there = (request.version, *self.there)
+        reply(Accepted())
+
+
+def test_code_comes_without_a_token_and_only_then_its_containers_run() -> None:
+    world = World(code=Versions())
+    assert isinstance(world.ask(Claim(MANAGER)), Claimed)
+    container = structs.replace(specs("see")[0], code="a" * 64)
+    wanted = Deployment(generation=1, containers=(container,), code=("a" * 64,))
+    refused = world.ask(wanted)
+    assert isinstance(refused, Refused)
+    assert "does not have version aaaaaaaaaaaa" in refused.reason
+    assert world.ask(InstallCode("a" * 64), token=0) == Accepted()
+    world.core.tick()
+    assert world.status.code == ("a" * 64,)
+    assert world.ask(wanted) == Accepted()
+    assert world.code is not None
+    assert world.code.kept == ("a" * 64,)
+
+
+def test_an_agent_without_a_place_for_code_takes_none() -> None:
+    answer = World().ask(InstallCode("a" * 64))
+    assert answer == Refused("it runs no components, and takes no code")

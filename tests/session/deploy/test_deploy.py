@@ -16,6 +16,7 @@ from poise.emulate import Emulation, probe_host
 from poise.model.robot import Computer, Robot
 from poise.session.keys import init_keys
 from tests.command import POISE
+from tests.tiny_wheel import make_wheel
 from tests.waiting import LONG, wait_long
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(LONG)]
@@ -111,6 +112,10 @@ class Field:
         home.mkdir(parents=True, exist_ok=True)
         env = {**os.environ, "XDG_RUNTIME_DIR": str(home), "XDG_STATE_HOME": str(home)}
         env["POISE_KEYS"] = str(self.folder / "owner")
+        if words[0] != "agent":  # what the developer has, the computers have not
+            env |= {"PYTHONPATH": str(self.folder / "installed"), "PIP_NO_INDEX": "1"}
+            env["PIP_FIND_LINKS"] = str(self.folder / "index")
+            env["XDG_CACHE_HOME"] = str(home)
         return self.computers[computer].popen(
             [*POISE, *words], env=env, stdout=stdout, stderr=stdout
         )
@@ -129,11 +134,11 @@ class Field:
         return version
 
     @contextlib.contextmanager
-    def up(self) -> Iterator[None]:
+    def up(self) -> Iterator[subprocess.Popen[bytes]]:
         with self.popen("left", "up", str(self.file), "--task", "work") as process:
             try:
                 wait_long(lambda: self.poise("status")[0] == 0)
-                yield
+                yield process
             finally:
                 self.poise("stop")
                 process.send_signal(signal.SIGTERM)
@@ -175,6 +180,21 @@ def test_computers_run_only_what_was_deployed(field: Field) -> None:
     code, said = field.poise("up", str(field.file))
     assert code == 2
     assert "is not on left, right: run `poise deploy FILE`" in said
+
+
+def test_wheels_come_along(field: Field) -> None:
+    (field.folder / "installed").mkdir()
+    (field.folder / "installed/tiny.py").write_text("VERSION = 'the developer has'")
+    (field.source / "requirements.txt").write_text("tiny")
+    make_wheel(field.folder / "index", "1.5")
+    field.write_code("first", "import tiny\nVERSION += tiny.VERSION")
+    version = field.deploy()
+    assert (
+        "tiny-1.5-py3-none-any.whl" in (field.source / "requirements.lock").read_text()
+    )
+    assert (field.code("right") / version / "packages/tiny.py").exists()
+    with field.up():
+        assert "first1.5 of " in field.log()
 
 
 def test_a_computer_that_is_lost_meanwhile_keeps_what_it_has(field: Field) -> None:
@@ -222,6 +242,20 @@ def test_new_code_of_one_component_takes_its_state_and_comes_back_when_it_crashe
         wait_long(lambda: field.log().count("second of") == 2)
         assert returned in field.poise("journal")[1]
         assert {first, second, third} == {p.name for p in field.code("left").iterdir()}
+
+
+def test_the_next_manager_goes_on_with_new_code(field: Field) -> None:
+    field.deploy()
+    with field.up() as manager:
+        field.write_code("second")
+        by = f"deployed_ticker:Ticker@{field.deploy()[:12]}"
+        assert field.poise("replace", "ticker", by)[0] == 0
+        manager.kill()
+        manager.wait()
+        field.write_code("first")  # what the robot runs but for one component
+        with field.up():
+            assert "1 component keep running" in field.poise("journal")[1]
+            assert field.log().count(" of /") == 2
 
 
 def test_new_code_that_crashes_at_once_comes_back(field: Field) -> None:

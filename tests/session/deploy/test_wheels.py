@@ -13,23 +13,9 @@ import pytest
 from poise.errors import RunError, UsageError
 from poise.session.deploy.wheels import LOCK, files_for, lock_wheels, manifest_of
 from poise.wire.records.code_records import Manifest
+from tests.tiny_wheel import make_wheel
 
 PLATFORMS = ("x86_64 3.11 2.36", "aarch64 3.12 2.31")
-
-
-def make_wheel(folder: Path, version: str, tag: str = "py3-none-any") -> Path:
-    """Write a wheel that pip takes."""
-    folder.mkdir(exist_ok=True)
-    about = f"Metadata-Version: 2.1\nName: tiny\nVersion: {version}\n"
-    kind = f"Wheel-Version: 1.0\nRoot-Is-Purelib: true\nTag: {tag}\n"
-    info = f"tiny-{version}.dist-info"
-    path = folder / f"tiny-{version}-{tag}.whl"
-    with zipfile.ZipFile(path, "w") as wheel:
-        wheel.writestr("tiny.py", f"VERSION = {version!r}\n")
-        wheel.writestr(f"{info}/METADATA", about)
-        wheel.writestr(f"{info}/WHEEL", kind)
-        wheel.writestr(f"{info}/RECORD", "")
-    return path
 
 
 @pytest.fixture

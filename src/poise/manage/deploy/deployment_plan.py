@@ -150,8 +150,12 @@ class DeploymentPlan:
                     connectors=tuple(connectors.get(at, ())),
                 )
             )
+        codes = {self._robot.deployed, *(incarnation.code for incarnation in placed)}
+        kept = tuple(sorted(codes - {""}))
         return {
-            computer: Deployment(generation=generation, containers=tuple(specs))
+            computer: Deployment(
+                generation=generation, containers=tuple(specs), code=kept
+            )
             for computer, specs in containers.items()
         }
 

@@ -46,7 +46,9 @@ class Canaries:
         self, component: str, seconds: float, migrate: Callable[[], MigrationReport]
     ) -> MigrationReport:
         """Replace a component, and watch it from then on if it was replaced."""
-        run, before = self._run, self._run.placed[component]
+        run, before = self._run, self._run.placed.get(component)
+        if before is None:  # it was stopped meanwhile: the migration says so
+            return migrate()
         found = _reported(run, before)
         timers = found.timers if found is not None else ()
         misses = {t.name: t.missed / max(1, t.releases) for t in timers}

@@ -91,7 +91,7 @@ class Agent:
         self._folder = AgentFolder(self._path)
         self._left = self._folder.left()
         self._keys = _keys(setup)
-        self._code = CodeFolder(Path(setup.code)) if setup.code else None
+        self._code = _code(setup)
         os.environ[CODE_FOLDER] = setup.code  # for its containers
         self._standby = StandbyProcess(setup.computer, self._path, self._keys)
         # before any thread, zenoh session or descriptor of the agent's own exists
@@ -409,6 +409,19 @@ class Agent:
                 self._take_news(self._clock.now() + _ENDING_EVERY)
         finally:
             core.kill_all()
+
+
+def _code(setup: AgentSetup) -> CodeFolder | None:
+    """Return the versions of the robot's code; UsageError: they have no place."""
+    if not setup.code:
+        return None
+    try:
+        return CodeFolder(Path(setup.code))
+    except OSError as error:
+        raise UsageError(
+            f"agent '{setup.computer}' cannot keep code in {setup.code}: "
+            f"{error.strerror}; choose another folder with --folder"
+        ) from error
 
 
 def _keys(setup: AgentSetup) -> Credentials | None:

@@ -62,7 +62,7 @@ def _places(containers: Sequence[ContainerSpec]) -> Iterator[tuple[str, str]]:
             yield code, DEPLOYED
         else:
             for folder in (container.folder, *container.repository):
-                yield code, os.path.normpath(folder)
+                yield code, _absolute(folder)
         for component in container.components:
             if component.command:
                 where = _place_of(component.command[0], container)
@@ -74,5 +74,10 @@ def _place_of(program: str, container: ContainerSpec) -> str:
         inside = os.path.normpath(program)
         return "" if inside.startswith("..") else DEPLOYED
     if "/" in program:
-        return os.path.normpath(Path(container.folder, program))
+        return _absolute(container.folder, program)
     return shutil.which(program) or ""
+
+
+def _absolute(*parts: str) -> str:
+    """Return a path that is never `DEPLOYED`; links stay as they are."""
+    return os.path.abspath(Path(*parts))  # noqa: PTH100

@@ -287,7 +287,7 @@ class AgentCore:
     def _keep_only(self, wanted: Deployment) -> None:
         self._world.disk.keep_only(wanted)
         if self._world.code is not None:
-            self._world.code.keep({c.code for c in wanted.containers})
+            self._world.code.keep(wanted.code)
 
     def _refusal_of_code(self, deployment: Deployment) -> str:
         return allowed_code.refusal(

@@ -23,12 +23,15 @@ CODE_FOLDER = "POISE_CODE"
 
 
 def folder_of(spec: ContainerSpec) -> str:
-    """Return where a container's implementations are; search its wheels after that."""
-    if not spec.code:
-        return spec.folder
-    version = Path(os.environ.get(CODE_FOLDER, ""), spec.code)
-    search_first(str(version / PACKAGES))
-    return str(version / CODE)
+    """Return where a container's implementations are."""
+    return folder_of_version(spec.code) if spec.code else spec.folder
+
+
+def folder_of_version(version: str) -> str:
+    """Return where the modules of a version are; search its wheels from now on."""
+    place = Path(os.environ.get(CODE_FOLDER, ""), version)
+    search_first(str(place / PACKAGES))
+    return str(place / CODE)
 
 
 def implementation_of(spec: ComponentSpec, folder: str) -> type[Component]:

@@ -151,6 +151,8 @@ class Deployment(Struct, frozen=True, kw_only=True, tag=True):
 
     generation: int
     containers: tuple[ContainerSpec, ...]
+    # The versions of code that the robot runs, here or on other computers
+    code: tuple[str, ...] = ()
     # What the next manager needs to go on with: the encoded `Desired`, which only
     # managers read
     desired: bytes = b""
