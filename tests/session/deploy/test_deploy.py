@@ -239,7 +239,7 @@ def test_new_code_of_one_component_takes_its_state_and_comes_back_when_it_crashe
         wait_long(lambda: watched in field.poise("status")[1])
         returned = "component 'ticker' returns to the code before: its container"
         wait_long(lambda: returned in field.poise("status")[1])
-        wait_long(lambda: field.log().count("second of") == 2)
+        wait_long(lambda: field.log().count("second of") >= 2)
         assert returned in field.poise("journal")[1]
         assert {first, second, third} == {p.name for p in field.code("left").iterdir()}
 
@@ -264,7 +264,7 @@ def test_new_code_that_crashes_at_once_comes_back(field: Field) -> None:
         field.write_code("second", crash_at(1))
         by = f"deployed_ticker:Ticker@{field.deploy()[:12]}"
         assert field.poise("replace", "ticker", by, "--watch", "60s")[0] == 0
-        wait_long(lambda: field.log().count("first of") == 2)
+        wait_long(lambda: field.log().count("first of") >= 2)
         wait_long(lambda: "watched" not in field.poise("status")[1])
         assert "returns to the code before" in field.poise("journal")[1]
 
