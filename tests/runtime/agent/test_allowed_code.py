@@ -46,6 +46,7 @@ def test_what_is_in_an_allowed_folder_runs(allowed: ContainerSpec) -> None:
         (container("/opt/robot", "sh", "-c", "id"), "the program of 'camera' is at /"),
         (container("/opt/robot", "../sh"), "the program of 'camera' is at /opt/sh"),
         (container("/opt/robot", "nosuch"), "at an unknown place"),
+        (container("/opt/robot", "ros2:package/nosuch"), "at an unknown place"),
     ],
 )
 def test_what_is_elsewhere_is_refused(refused: ContainerSpec, what: str) -> None:
@@ -82,6 +83,7 @@ def test_deployed_code_runs_where_it_is(allowed: list[str]) -> None:
         deployed("../drive"),
         deployed("/bin/sh"),
         deployed("sh"),
+        deployed("ros2:package/nosuch"),
         container("/tmp"),
         container(DEPLOYED),  # a folder of this name where the agent was started
         container("", f"{DEPLOYED}/drive"),

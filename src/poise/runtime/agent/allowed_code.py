@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import shutil
 from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
 
 from poise.runtime.agent.surroundings import DEPLOYED
+from poise.runtime.hosting import command_line
 from poise.wire.records.code_records import SHOWN
 from poise.wire.records.deployment_records import ContainerSpec
 
@@ -70,6 +72,10 @@ def _places(containers: Sequence[ContainerSpec]) -> Iterator[tuple[str, str]]:
 
 
 def _place_of(program: str, container: ContainerSpec) -> str:
+    if program.startswith("ros2:"):  # an installed one
+        with contextlib.suppress(OSError):
+            return command_line.program(program, "")
+        return ""
     if "/" in program and not program.startswith("/") and container.code:
         inside = os.path.normpath(program)
         return "" if inside.startswith("..") else DEPLOYED
