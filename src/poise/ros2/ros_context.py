@@ -5,14 +5,17 @@ from __future__ import annotations
 import functools
 import importlib
 import os
+import tempfile
 import threading
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
+from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 from poise.errors import RobotError
+from poise.ros2.shared_memory import remove_leftovers
 
 _arguments: ContextVar[Sequence[str] | None] = ContextVar("arguments", default=None)
 _changing = threading.Lock()
@@ -36,7 +39,8 @@ def join(environment: Mapping[str, str]) -> None:
     ros = rclpy()
     with _changing:
         if not _users:
-            os.environ.update(environment)
+            os.environ.update({**home(), **environment})
+            remove_leftovers()
             # Poise has signals; and arguments are those of each node
             no_signals = ros.signals.SignalHandlerOptions.NO
             ros.init(args=[], signal_handler_options=no_signals)
@@ -51,6 +55,16 @@ def leave() -> None:
         _users -= 1
         if not _users:
             rclpy().try_shutdown()
+
+
+def home() -> dict[str, str]:
+    """Return what tells ROS 2 where to log, which it refuses to start without."""
+    if {"HOME", "ROS_HOME", "ROS_LOG_DIR"} & os.environ.keys():
+        return {}
+    ours = Path("~").expanduser()  # as the list of users has it
+    if os.access(ours, os.W_OK):
+        return {"ROS_HOME": str(ours / ".ros")}
+    return {"ROS_LOG_DIR": tempfile.mkdtemp(prefix="poise-ros-")}
 
 
 @contextmanager

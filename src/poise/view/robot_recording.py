@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import base64
 import secrets
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from math import inf
 from pathlib import Path
 from typing import Any, get_args
@@ -20,6 +19,7 @@ from poise.errors import PoiseError, RunError
 from poise.session.callbacks import Check, Say, log, nothing
 from poise.session.running_robots.running import JournalEntry, Status, connect
 from poise.units import counted
+from poise.view.foxglove import LOG, base64_of, drawings, is_array, stamp
 from poise.view.robot_view import (
     ComponentRow,
     ComputerRow,
@@ -34,58 +34,6 @@ from poise.wire.records.request_records import TapReading
 
 MOST_LISTED = 1_000
 """Arrays of more values are written as bytes, with their type and shape."""
-_BYTES = {"type": "string", "contentEncoding": "base64"}
-_TEXT, _NUMBER = {"type": "string"}, {"type": "integer"}
-
-
-def _foxglove(title: str, **properties: Schema) -> Schema:
-    return {"type": "object", "title": title, "properties": properties}
-
-
-TIME = _foxglove("time", sec=_NUMBER, nsec=_NUMBER)
-_LOG = _foxglove(
-    "foxglove.Log",
-    timestamp=TIME,
-    level=_NUMBER,
-    message=_TEXT,
-    name=_TEXT,
-    file=_TEXT,
-    line=_NUMBER,
-)
-"""Foxglove's own schema of log messages. What the manager knew when it decided is no
-part of it, for Foxglove refuses schemas of objects whose parts are not known."""
-_RAW = _foxglove(
-    "foxglove.RawImage",
-    timestamp=TIME,
-    frame_id=_TEXT,
-    width=_NUMBER,
-    height=_NUMBER,
-    encoding=_TEXT,
-    step=_NUMBER,
-    data=_BYTES,
-)
-_COMPRESSED = _foxglove(
-    "foxglove.CompressedImage",
-    timestamp=TIME,
-    frame_id=_TEXT,
-    data=_BYTES,
-    format=_TEXT,
-)
-_ENCODINGS = {
-    ("uint8", 1): "mono8",
-    ("uint16", 1): "mono16",
-    ("float32", 1): "32FC1",
-    ("uint8", 3): "rgb8",
-    ("uint8", 4): "rgba8",
-}
-_SIGNATURES = {b"\xff\xd8\xff": "jpeg", b"\x89PNG": "png", b"RIFF": "webp"}
-_SMALLEST = 8
-"""A picture has at least so many pixels each way; what is smaller is a matrix."""
-
-
-def stamp(at: float) -> dict[str, int]:
-    """Return a moment [s since 1970] as Foxglove has it."""
-    return {"sec": int(at), "nsec": int((at - int(at)) * 1e9)}
 
 
 def as_json(value: Any) -> Any:  # noqa: ANN401, any message
@@ -95,60 +43,13 @@ def as_json(value: Any) -> Any:  # noqa: ANN401, any message
     if isinstance(value, list | tuple):
         return [as_json(part) for part in value]
     if isinstance(value, bytes | bytearray | memoryview):
-        return _base64(value)
-    if not _is_array(value):
+        return base64_of(value)
+    if not is_array(value):
         return value
     if value.size <= MOST_LISTED:
         return value.tolist()
-    shape, data = list(value.shape), _base64(value.tobytes())
+    shape, data = list(value.shape), base64_of(value.tobytes())
     return {"dtype": value.dtype.str, "shape": shape, "data": data}
-
-
-def pictures(
-    value: Any,  # noqa: ANN401, any message
-    at: float,
-    name: str = "",
-) -> Iterator[tuple[str, Schema, dict[str, Any]]]:
-    """Yield the pictures in a message: each's path in it, schema, and content."""
-    if isinstance(value, Mapping):
-        for part, inner in value.items():
-            yield from pictures(inner, at, f"{name}/{part}" if name else str(part))
-    elif isinstance(value, bytes):
-        for signature, format_ in _SIGNATURES.items():
-            if value.startswith(signature):
-                data = _base64(value)
-                content = {"timestamp": stamp(at), "frame_id": "", "data": data}
-                yield name, _COMPRESSED, content | {"format": format_}
-    elif _is_array(value) and (encoding := _encoding(value)):
-        yield (
-            name,
-            _RAW,
-            {
-                "timestamp": stamp(at),
-                "frame_id": "",
-                "width": value.shape[1],
-                "height": value.shape[0],
-                "encoding": encoding,
-                "step": value.nbytes // value.shape[0],
-                "data": _base64(value.tobytes()),
-            },
-        )
-
-
-def _encoding(array: Any) -> str:  # noqa: ANN401, NumPy need not be there
-    """Return how an array is a picture; empty: it is none."""
-    if array.ndim not in {2, 3} or min(array.shape[:2]) < _SMALLEST:
-        return ""
-    channels = array.shape[2] if array.ndim == len("hwc") else 1
-    return _ENCODINGS.get((array.dtype.name, channels), "")
-
-
-def _is_array(value: Any) -> bool:  # noqa: ANN401, NumPy need not be there
-    return hasattr(value, "dtype") and hasattr(value, "tobytes")
-
-
-def _base64(data: bytes | bytearray | memoryview) -> str:
-    return base64.b64encode(data).decode()
 
 
 _LOOK_EVERY = 0.25
@@ -407,7 +308,7 @@ class Recorder:
             "line": 0,
             "facts": entry.facts if isinstance(entry.facts, dict) else {},
         }
-        file.add("decisions", _LOG, entry.at, log)
+        file.add("decisions", LOG, entry.at, log)
 
     def _take_messages(self, file: McapFile, connector: str, say: Say) -> None:
         """Write its messages; say why there are none, and that there are some again."""
@@ -448,5 +349,6 @@ class Recorder:
         topic = f"{MESSAGES}/{reading.connector}"
         schema = {} if topic in file else schema_like(message, reading.carries)
         file.add(topic, schema, at, message)
-        for name, of_picture, picture in pictures(value, at):
-            file.add(f"pictures/{reading.connector}/{name}", of_picture, at, picture)
+        for drawn in drawings(value, at):
+            of_part = f"{drawn.kind}/{reading.connector}/{drawn.part}".rstrip("/")
+            file.add(of_part, drawn.schema, at, drawn.content)

@@ -1,0 +1,267 @@
+"""What Foxglove draws of a message: pictures, poses, transforms and point clouds."""
+
+from __future__ import annotations
+
+import base64
+import math
+from collections.abc import Iterator, Mapping
+from typing import Any, NamedTuple
+
+from poise.wire.recording_file import Schema
+
+_BYTES = {"type": "string", "contentEncoding": "base64"}
+_TEXT, _INTEGER, _NUMBER = {"type": "string"}, {"type": "integer"}, {"type": "number"}
+
+
+def _foxglove(title: str, **properties: Schema) -> Schema:
+    return {"type": "object", "title": title, "properties": properties}
+
+
+TIME = _foxglove("time", sec=_INTEGER, nsec=_INTEGER)
+LOG = _foxglove(
+    "foxglove.Log",
+    timestamp=TIME,
+    level=_INTEGER,
+    message=_TEXT,
+    name=_TEXT,
+    file=_TEXT,
+    line=_INTEGER,
+)
+"""Foxglove's own schema of log messages. What the manager knew when it decided is no
+part of it, for Foxglove refuses schemas of objects whose parts are not known."""
+_RAW = _foxglove(
+    "foxglove.RawImage",
+    timestamp=TIME,
+    frame_id=_TEXT,
+    width=_INTEGER,
+    height=_INTEGER,
+    encoding=_TEXT,
+    step=_INTEGER,
+    data=_BYTES,
+)
+_COMPRESSED = _foxglove(
+    "foxglove.CompressedImage",
+    timestamp=TIME,
+    frame_id=_TEXT,
+    data=_BYTES,
+    format=_TEXT,
+)
+_VECTOR = _foxglove("foxglove.Vector3", x=_NUMBER, y=_NUMBER, z=_NUMBER)
+_ROTATION = _foxglove("foxglove.Quaternion", x=_NUMBER, y=_NUMBER, z=_NUMBER, w=_NUMBER)
+_POSE = _foxglove("foxglove.Pose", position=_VECTOR, orientation=_ROTATION)
+_POSE_IN_FRAME = _foxglove(
+    "foxglove.PoseInFrame", timestamp=TIME, frame_id=_TEXT, pose=_POSE
+)
+_TRANSFORM = _foxglove(
+    "foxglove.FrameTransform",
+    timestamp=TIME,
+    parent_frame_id=_TEXT,
+    child_frame_id=_TEXT,
+    translation=_VECTOR,
+    rotation=_ROTATION,
+)
+_CLOUD = _foxglove(
+    "foxglove.PointCloud",
+    timestamp=TIME,
+    frame_id=_TEXT,
+    pose=_POSE,
+    point_stride=_INTEGER,
+    fields={
+        "type": "array",
+        "items": _foxglove(
+            "foxglove.PackedElementField", name=_TEXT, offset=_INTEGER, type=_INTEGER
+        ),
+    },
+    data=_BYTES,
+)
+_ENCODINGS = {
+    ("uint8", 1): "mono8",
+    ("uint16", 1): "mono16",
+    ("float32", 1): "32FC1",
+    ("uint8", 3): "rgb8",
+    ("uint8", 4): "rgba8",
+}
+_SIGNATURES = {b"\xff\xd8\xff": "jpeg", b"\x89PNG": "png", b"RIFF": "webp"}
+_SMALLEST = 8
+"""A picture has at least so many pixels each way; what is smaller is a matrix."""
+_CLOUD_NAMES = {"points", "cloud"}
+_CLOUD_FIELDS = ("x", "y", "z", "intensity")
+_CLOUD_TYPES = {"float32": 7, "float64": 8}
+"""NumPy's name of a type -> Foxglove's number of it."""
+_ANGLES = ("heading", "theta", "yaw")
+_ORIGIN = {
+    "position": {"x": 0.0, "y": 0.0, "z": 0.0},
+    "orientation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0},
+}
+
+Parts = Mapping[str, Any]
+Vector = dict[str, float]
+
+
+class Drawing(NamedTuple):
+    """What Foxglove draws of a part of a message; `kind`: the topic's first part."""
+
+    kind: str
+    part: str
+    schema: Schema
+    content: dict[str, Any]
+
+
+def stamp(at: float) -> dict[str, int]:
+    """Return a moment [s since 1970] as Foxglove has it."""
+    return {"sec": int(at), "nsec": int((at - int(at)) * 1e9)}
+
+
+def drawings(
+    value: Any,  # noqa: ANN401, any message
+    at: float,
+    part: str = "",
+    frame: str = "",
+) -> Iterator[Drawing]:
+    """Yield what Foxglove draws of a message that went out `at` [s since 1970]."""
+    if isinstance(value, Mapping):
+        frame = _frame(value) or frame
+        yield from _placed(value, at, part, frame)
+        for name, inner in value.items():
+            within = f"{part}/{name}" if part else str(name)
+            yield from drawings(inner, at, within, frame)
+    elif isinstance(value, list | tuple):
+        if part.rpartition("/")[2] == "transforms":
+            for inner in value:
+                yield from drawings(inner, at, part, frame)
+    elif isinstance(value, bytes):
+        for signature, format_ in _SIGNATURES.items():
+            if value.startswith(signature):
+                content = {"data": base64_of(value), "format": format_}
+                yield _drawing("pictures", part, _COMPRESSED, at, frame, content)
+    elif is_array(value):
+        yield from _of_array(value, at, part, frame)
+
+
+def is_array(value: Any) -> bool:  # noqa: ANN401, NumPy need not be there
+    """Return whether a value is an array of NumPy."""
+    return hasattr(value, "dtype") and hasattr(value, "tobytes")
+
+
+def base64_of(data: bytes | bytearray | memoryview) -> str:
+    """Return bytes in base64."""
+    return base64.b64encode(data).decode()
+
+
+def _drawing(
+    kind: str,
+    part: str,
+    schema: Schema,
+    at: float,
+    frame: str,
+    content: dict[str, Any],
+) -> Drawing:
+    common = {"timestamp": stamp(at), "frame_id": frame}
+    return Drawing(kind, part, schema, common | content)
+
+
+def _placed(value: Parts, at: float, part: str, frame: str) -> Iterator[Drawing]:
+    """Yield the pose or the transform that an object is."""
+    child = value.get("child_frame_id")
+    # ROS 2 has a `transform` within
+    moved = value.get("transform", value)
+    moved = moved if isinstance(moved, Mapping) else value
+    translation = _vector(moved.get("translation"))
+    rotation = _rotation(moved.get("rotation"))
+    if isinstance(child, str) and translation and rotation:
+        parent = value.get("parent_frame_id")
+        content = {
+            "timestamp": stamp(at),
+            "parent_frame_id": parent if isinstance(parent, str) else frame,
+            "child_frame_id": child,
+            "translation": translation,
+            "rotation": rotation,
+        }
+        yield Drawing("transforms", part, _TRANSFORM, content)
+    elif pose := _pose(value):
+        yield _drawing("poses", part, _POSE_IN_FRAME, at, frame, {"pose": pose})
+
+
+def _pose(value: Parts) -> dict[str, Vector]:
+    """Return the pose that an object is; empty: it is none."""
+    position = _vector(value.get("position"))
+    orientation = _rotation(value.get("orientation"))
+    if position and orientation:
+        return {"position": position, "orientation": orientation}
+    angle = next((value[name] for name in _ANGLES if name in value), None)
+    position = _vector(value)
+    if not position or not isinstance(angle, int | float):
+        return {}
+    turn = {"x": 0.0, "y": 0.0, "z": math.sin(angle / 2), "w": math.cos(angle / 2)}
+    return {"position": position, "orientation": turn}
+
+
+def _of_array(array: Any, at: float, part: str, frame: str) -> Iterator[Drawing]:  # noqa: ANN401, of NumPy
+    """Yield the picture or the point cloud that an array is."""
+    if fields := _cloud_fields(array, part):
+        size = array.dtype.itemsize
+        number = _CLOUD_TYPES[array.dtype.name]
+        content = {
+            "pose": _ORIGIN,
+            "point_stride": size * len(fields),
+            "fields": [
+                {"name": name, "offset": i * size, "type": number}
+                for i, name in enumerate(fields)
+            ],
+            "data": base64_of(array.tobytes()),
+        }
+        yield _drawing("clouds", part, _CLOUD, at, frame, content)
+    elif encoding := _encoding(array):
+        content = {
+            "width": array.shape[1],
+            "height": array.shape[0],
+            "encoding": encoding,
+            "step": array.nbytes // array.shape[0],
+            "data": base64_of(array.tobytes()),
+        }
+        yield _drawing("pictures", part, _RAW, at, frame, content)
+
+
+def _cloud_fields(array: Any, part: str) -> tuple[str, ...]:  # noqa: ANN401, of NumPy
+    """Return what the columns of a point cloud are; empty: it is none."""
+    is_named = part.rpartition("/")[2] in _CLOUD_NAMES
+    if not is_named or array.dtype.name not in _CLOUD_TYPES:
+        return ()
+    is_table = array.ndim == len(("point", "field")) and array.shape[1] in {3, 4}
+    return _CLOUD_FIELDS[: array.shape[1]] if is_table else ()
+
+
+def _encoding(array: Any) -> str:  # noqa: ANN401, of NumPy
+    """Return how an array is a picture; empty: it is none."""
+    if array.ndim not in {2, 3} or min(array.shape[:2]) < _SMALLEST:
+        return ""
+    channels = array.shape[2] if array.ndim == len("hwc") else 1
+    return _ENCODINGS.get((array.dtype.name, channels), "")
+
+
+def _frame(value: Parts) -> str:
+    """Return the frame that an object or its header names; empty: none."""
+    header = value.get("header")
+    named = value.get("frame_id") or (
+        header.get("frame_id") if isinstance(header, Mapping) else None
+    )
+    return named if isinstance(named, str) else ""
+
+
+def _vector(value: Any) -> Vector:  # noqa: ANN401, any part
+    """Return x, y and z, which may lack; empty: it is no vector."""
+    flat = _numbers(value, "xy")
+    return flat and {**flat, **(_numbers(value, "z") or {"z": 0.0})}
+
+
+def _rotation(value: Any) -> Vector:  # noqa: ANN401, any part
+    return _numbers(value, "xyzw")
+
+
+def _numbers(value: Any, names: str) -> Vector:  # noqa: ANN401, any part
+    """Return the named numbers of an object; empty: one lacks."""
+    if not isinstance(value, Mapping):
+        return {}
+    found = {name: value.get(name) for name in names}
+    is_whole = all(isinstance(number, int | float) for number in found.values())
+    return {name: float(found[name] or 0.0) for name in names} if is_whole else {}
