@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
@@ -22,6 +23,7 @@ from poise.cli.options import (
     Set,
     arguments_of,
     busy,
+    in_file,
     parse_option,
     show,
 )
@@ -342,13 +344,15 @@ def _placements(
 
 
 def ros2_command() -> None:
-    """Write ROS 2 nodes as a robot file.
+    """Write ROS 2 nodes as a robot file, or a robot file's nodes as launch files.
 
     Examples
     --------
     poise ros2 import --for 30s -o robot.yaml
+
+    poise ros2 export robot.yaml --task work -o launch
     """
-    raise UsageError("there is one command: poise ros2 import")
+    raise UsageError("which one: poise ros2 import, or poise ros2 export?")
 
 
 def import_command(
@@ -404,6 +408,57 @@ def import_command(
         sys.stderr.write(f"{problem}\n")
     if problems:
         raise typer.Exit(1)
+
+
+def export_command(
+    file: RobotFile,
+    task: Annotated[
+        str | None,
+        typer.Option(
+            help="The task. Default: all functions.", autocompletion=in_file("tasks")
+        ),
+    ] = None,
+    placement: Annotated[
+        str,
+        typer.Option(
+            help="Where components are: running, auto, static, another method of "
+            "`poise plan`, or a file with `component: computer`."
+        ),
+    ] = "auto",
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="The folder for the launch files.")
+    ] = Path(),
+    set_: Set = None,
+) -> None:
+    """Write launch files of ROS 2 that start a robot's nodes, one for each computer.
+
+    COMPUTER.launch.py starts each node as Poise would, and other executables, too.
+    Components of Poise and bridges are in none; they are named.
+
+    Examples
+    --------
+    poise ros2 export robot.yaml --task work -o launch
+    """
+    from poise.session.ros2_export import launch_files
+
+    robot = load(file, arguments_of(set_))
+    where = _placements(robot, task, [placement])[placement]
+    folder = os.path.relpath(robot.folder, output)
+    exported = launch_files(robot, where, folder)
+    paths = {
+        output / f"{computer}.launch.py": text
+        for computer, text in exported.texts.items()
+    }
+    if there := [str(path) for path in paths if path.exists()]:
+        raise UsageError(
+            f"{', '.join(there)} exists: remove it, or name another folder with -o"
+        )
+    output.mkdir(parents=True, exist_ok=True)
+    for path, text in paths.items():
+        path.write_text(text, encoding="utf-8")
+        sys.stdout.write(f"{path}\n")
+    for name in exported.left_out:
+        sys.stderr.write(f"left out: '{name}', which only Poise can start\n")
 
 
 def _keys(computers: Iterable[Computer]) -> dict[str, dict[str, str | float]]:
