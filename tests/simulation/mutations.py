@@ -19,7 +19,7 @@ from typing import Any, cast
 
 from msgspec import structs
 
-from poise.manage.agent_connections import agents
+from poise.manage.agent_connections import agents, manager_identity
 from poise.manage.agent_connections.agents import Agents
 from poise.manage.agent_connections.reports import AgentReports
 from poise.manage.deploy import desired_state, takeover
@@ -223,7 +223,7 @@ def _replaced_goes_on() -> None:
     def gives_way_to(manager: Any, claimed: Any, _: Any, statuses: Any) -> Any:
         return known(manager, claimed, {}, statuses)
 
-    known = agents.gives_way_to
+    known = manager_identity.gives_way_to
     setattr(agents, "gives_way_to", gives_way_to)
 
 

@@ -27,9 +27,9 @@ from poise.wire.credentials import find, folders
 log = logging.getLogger(__name__)
 
 _LAST = 65535
-_Computer = Annotated[str, typer.Argument(help="This computer's name.")]
-_Robot = Annotated[str, typer.Option(help="The robot's name.")]
-_Address = Annotated[
+ComputerName = Annotated[str, typer.Argument(help="This computer's name.")]
+RobotName = Annotated[str, typer.Option(help="The robot's name.")]
+AddressOption = Annotated[
     str, typer.Option(help="IP address by which the others reach this computer.")
 ]
 _Port = Annotated[
@@ -59,9 +59,9 @@ _Lease = Annotated[
 
 
 def agent_command(
-    computer: _Computer,
-    robot: _Robot,
-    address: _Address,
+    computer: ComputerName,
+    robot: RobotName,
+    address: AddressOption,
     port: _Port = AGENT_PORT,
     gateway: Annotated[
         int,
@@ -117,9 +117,9 @@ def agent_command(
 
 
 def witness_command(
-    computer: _Computer,
-    robot: _Robot,
-    address: _Address,
+    computer: ComputerName,
+    robot: RobotName,
+    address: AddressOption,
     port: _Port = AGENT_PORT,
     folder: _Folder = None,
     keys: _Keys = None,
@@ -189,7 +189,7 @@ def keys_for(robot: str, address: str, keys: Path | None, *, is_insecure: bool) 
     raise UsageError(
         f"there are no keys for robot '{robot}' (looked in "
         f"{', '.join(map(str, folders(robot)))}): make them by `poise keys issue`, or "
-        "write --insecure, with which whoever reaches the port runs code here"
+        "write --insecure: then all who reach the port may run code here"
     )
 
 
@@ -229,8 +229,8 @@ def standby_command(
 ) -> None:
     """Wait to lead a robot when its manager is gone.
 
-    Agents start it where the robot file says `manager`, and tell it when to lead, by a
-    line `lead` on its standard input.
+    Agents start it on computers that `manager` of the robot file names, and by default
+    on all where there are three. A line `lead` on its standard input lets it lead.
 
     Example: poise standby main --claim /tmp/poise-agent-0-1f2e/claim
     """

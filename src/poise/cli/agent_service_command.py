@@ -9,13 +9,18 @@ from typing import Annotated
 
 import typer
 
-from poise.cli.agent_command import allowed, check_ip, keys_for
+from poise.cli.agent_command import (
+    AddressOption,
+    ComputerName,
+    RobotName,
+    allowed,
+    check_ip,
+    keys_for,
+)
 from poise.endpoint import AGENT_PORT
 from poise.session.agent_service import AgentService
 
 _IS_NOT_ROOT = os.getuid() != 0
-_Computer = Annotated[str, typer.Argument(help="This computer's name.")]
-_Robot = Annotated[str, typer.Option(help="The robot's name.")]
 _OwnUser = Annotated[
     bool,
     typer.Option(
@@ -29,11 +34,9 @@ _Folder = Annotated[
 
 
 def install_command(
-    computer: _Computer,
-    robot: _Robot,
-    address: Annotated[
-        str, typer.Option(help="IP address by which the others reach this computer.")
-    ],
+    computer: ComputerName,
+    robot: RobotName,
+    address: AddressOption,
     port: Annotated[int, typer.Option(help="As of `poise agent`.")] = AGENT_PORT,
     gateway: Annotated[int, typer.Option(help="As of `poise agent`.")] = 0,
     keys: Annotated[Path | None, typer.Option(help="As of `poise agent`.")] = None,
@@ -81,8 +84,8 @@ def install_command(
 
 
 def uninstall_command(
-    computer: _Computer,
-    robot: _Robot,
+    computer: ComputerName,
+    robot: RobotName,
     user: _OwnUser = _IS_NOT_ROOT,
     unit_folder: _Folder = None,
 ) -> None:

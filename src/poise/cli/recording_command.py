@@ -103,7 +103,7 @@ def record_command(
         bool, typer.Option("--all", help="Messages and calls of all connectors.")
     ] = False,
     rate: Annotated[
-        float, typer.Option(help="At most so many messages of each connector a second.")
+        float, typer.Option(help="The most messages of each connector in a second.")
     ] = 400.0,
     seconds: Annotated[
         float, typer.Option("--for", help="End after this time [s].")

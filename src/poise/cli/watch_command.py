@@ -73,7 +73,7 @@ def list_command(
 def echo_command(
     connector: Connector,
     rate: Annotated[
-        float, typer.Option(help="Show at most so many messages a second.")
+        float, typer.Option(help="The most messages to show in a second.")
     ] = 10.0,
     count: Annotated[
         int | None, typer.Option(min=1, help="End after so many messages.")
@@ -213,7 +213,7 @@ def _sizes(running: Running, connector: str) -> str:
 
 def top_command(
     every: Annotated[
-        float, typer.Option(min=0.2, help="Refresh after so many seconds.")
+        float, typer.Option(min=0.2, help="Seconds from one refresh to the next.")
     ] = 1.0,
     robot: Robot = None,
 ) -> None:

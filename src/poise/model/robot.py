@@ -177,7 +177,7 @@ class Workload(Struct, frozen=True, kw_only=True):
 Set = Annotated[tuple[Name, ...], note(min_length=2)]
 
 
-_LEAST_VOTES = 3
+LEAST_VOTES = 3
 """Of fewer computers that have a vote each, no majority is left when one is lost."""
 
 
@@ -349,7 +349,7 @@ class Robot(Struct, frozen=True, kw_only=True):
         """The computers where a standby waits, the first one to lead first."""
         if self.manager is not None:
             return self.manager
-        is_enough = len(self.computers) >= _LEAST_VOTES or self.keeps
+        is_enough = len(self.computers) >= LEAST_VOTES or self.keeps
         may_lead = is_enough and not self.is_emulated
         return tuple(c.name for c in self.hosts) if may_lead else ()
 

@@ -66,7 +66,7 @@ class AgentService:
             computer=self.computer,
             robot=self.robot,
             user=f"User={user}\n" if user else "",
-            command=shlex.join(words).replace("%", "%%"),
+            command=shlex.join(words).replace("%", "%%").replace("$", "$$"),
             target="default.target" if self._is_users else "multi-user.target",
         )
 
@@ -92,7 +92,7 @@ class AgentService:
         return is_told and self._tell(["daemon-reload"])
 
     def _tell(self, *commands: Sequence[str]) -> bool:
-        if self._is_elsewhere or not _BOOTED.exists():
+        if self._is_elsewhere or not _runs(is_users=self._is_users):
             return False
         for words in commands:
             command = ["systemctl", *(["--user"] if self._is_users else []), *words]
@@ -108,6 +108,14 @@ class AgentService:
                     f"`journalctl -u {self.name}` may say why"
                 )
         return True
+
+
+def _runs(*, is_users: bool) -> bool:
+    """Return whether systemd runs, the machine's or this user's (`sd_booted(3)`)."""
+    if not is_users:
+        return _BOOTED.exists()
+    runtime = os.environ.get("XDG_RUNTIME_DIR")
+    return runtime is not None and Path(runtime, "systemd/private").exists()
 
 
 def _folder(*, is_users: bool) -> Path:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import select
 import socket
 import time
-from collections.abc import Iterator
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import TypeVar
 
@@ -25,25 +25,32 @@ from poise.manage.control_socket.commands import (
     Refusal,
     Response,
     Result,
-    RobotStatus,
     StatusCommand,
     TapCommand,
 )
 from poise.wire import frame
 from poise.wire.address import connect
 from poise.wire.codec import WireError
-from poise.wire.control_session import LEASE, close_session, open_session
-from poise.wire.robots_here import noted_of, path_of, peer_of, running_here
+from poise.wire.control_session import COMMAND_LIMIT, LEASE, close_session, open_session
+from poise.wire.robots_here import (
+    AgentAddresses,
+    noted,
+    noted_of,
+    path_of,
+    peer_of,
+    running_here,
+)
 
 _LOOKS = StatusCommand | JournalCommand | TapCommand | LogCommand
 """Commands that change nothing."""
 R = TypeVar("R", bound=Result)
 
-ANSWER_LIMIT = 60.0
-"""The manager answers within this time [s]; moves of large states take the longest."""
 STATUS_LIMIT = 10.0
 """It gives its status within this time [s], whatever it does: else it does not work."""
 _LOOK_EVERY = 1.0
+_REACH_LIMIT = 0.5
+"""A manager elsewhere answers within this time [s], or agents are asked why not."""
+_PROBE_LIMIT = 0.5
 _CHANGE_LIMIT = 5.0
 """A standby leads within this time [s], if one can."""
 _ASK_EVERY = 0.1
@@ -63,7 +70,7 @@ def send_command(robot: str | None, command: Command) -> Result:
             if isinstance(where, Path)
             else _told_elsewhere(where, command)
         )
-    except NoManager:
+    except (NoManager, UsageError):
         raise
     except BlockingIOError:  # its queue is full
         raise _no_answer(name) from None
@@ -83,32 +90,39 @@ def ask(robot: str | None, command: Command, type_: type[R]) -> R:
     return result
 
 
-def _find(robot: str | None) -> Path | RobotStatus:
+def _find(robot: str | None) -> Path | AgentAddresses:
     """Return the control socket of a running robot; None: of the only one.
 
-    A status: its manager is on another computer, or comes.
+    Where its manager is not here, return its agents.
     """
     managed = running_here()
+    noted_here = {addresses.robot: addresses for addresses in noted()}
+    if robot is None:
+        robot = _only_one(managed, noted_here)
     if robot in managed:
         return path_of(robot)
-    left = robots_without_manager(but=managed)
-    names = sorted([*managed, *left])
-    if robot is None and len(names) > 1:
-        said = ", ".join(n if n in managed else f"{n}, no manager" for n in names)
-        raise UsageError(f"several robots run ({said}): name one with --robot")
-    if robot is None and managed:
-        return path_of(managed[0])
-    status = left.get(robot or "".join(names))
-    if status is not None:
-        is_gone = all(agent.unmanaged for agent in status.computers.values())
-        if not is_gone or any(
-            agent.has_standbys for agent in status.computers.values()
-        ):
-            return status
-        addresses = noted_of(status.robot)
-        raise NoManager(status.deviations[0].what, status, addresses)
+    if robot not in noted_here:
+        raise _not_here(robot, managed)
+    return noted_here[robot]
+
+
+def _only_one(managed: Sequence[str], noted_here: Collection[str]) -> str:
+    """Return the name of the only robot that runs."""
+    names = {*managed, *noted_here}
+    if len(names) > 1:  # a note may be older than the end of its robot
+        names = {*managed, *robots_without_manager(but=managed)}
+    if len(names) > 1:
+        said = (n if n in managed else f"{n}, no manager here" for n in sorted(names))
+        raise UsageError(
+            f"several robots run ({', '.join(said)}): name one with --robot"
+        )
+    return next(iter(names), "")
+
+
+def _not_here(robot: str, managed: Sequence[str]) -> UsageError:
+    names = sorted({*managed, *robots_without_manager(but=managed)})
     which = f"robot '{robot}' does not run" if robot else "no robot runs"
-    raise UsageError(
+    return UsageError(
         f"{which} here (running: {', '.join(names) or 'none'}); `poise up FILE` starts "
         "one, and `poise status --file FILE` asks the agents of one that was started "
         "elsewhere"
@@ -124,43 +138,72 @@ def _told_here(path: Path, command: Command) -> Response:
         return told
 
 
-def _told_elsewhere(status: RobotStatus, command: Command) -> Response:
+def _told_elsewhere(addresses: AgentAddresses, command: Command) -> Response:
     """Return what a manager says that runs beside another agent, once one does."""
-    robot, until = status.robot, time.monotonic() + _CHANGE_LIMIT
-    addresses = noted_of(robot)
-    if addresses is None:  # it has just stopped
-        raise RunError("it has stopped")
     keys = addresses.credentials()
+    if keys is not None and keys.role == "viewer":
+        raise _no_manager(addresses, f"the keys in {keys.folder} only let look")
     session = open_session(
         connect=tuple(addresses.endpoints.values()), lease=LEASE, keys=keys
     )
     try:
-        while True:
-            for key, _ in _replies(session, f"poise/{robot}/control/*", b"", 1.0):
-                limit = STATUS_LIMIT if _is_quick(command) else ANSWER_LIMIT
-                packet = frame.pack_record(command)
-                for _, told in _replies(session, key, packet, limit):
-                    return frame.unpack_record(told, Response)  # type: ignore[no-any-return]
-                raise RunError("its manager has ended, or is too busy")
-            if time.monotonic() >= until:
-                why = status.deviations[0].what
-                if keys is not None and keys.role == "viewer":
-                    why += f" (the keys in {keys.folder} only let look at its agents)"
-                raise NoManager(why, status)
-            time.sleep(_ASK_EVERY)
+        key = _manager_key(session, addresses.robot, _REACH_LIMIT)
+        if not key:
+            missing = _no_manager(addresses)
+            if missing.left is None:  # a standby leads soon
+                key = _manager_key(session, addresses.robot, _CHANGE_LIMIT)
+            if not key:
+                raise missing
+        limit = STATUS_LIMIT if _is_quick(command) else COMMAND_LIMIT
+        told = _answers(session, key, frame.pack_record(command), limit)
     finally:
         close_session(session)
+    if not told:
+        raise RunError("its manager has ended, or is too busy")
+    return frame.unpack_record(told[key], Response)  # type: ignore[no-any-return]
 
 
-def _replies(
+def _manager_key(session: zenoh.Session, robot: str, limit: float) -> str:
+    """Return where a manager takes commands; empty: nowhere within a limit [s]."""
+    until = time.monotonic() + limit
+    while not (
+        beside := _answers(session, f"poise/{robot}/control/*", b"", _PROBE_LIMIT)
+    ):
+        if time.monotonic() >= until:
+            return ""
+        time.sleep(_ASK_EVERY)
+    return next(iter(beside))
+
+
+def _answers(
     session: zenoh.Session, key: str, packet: bytes, limit: float
-) -> Iterator[tuple[str, bytes]]:
-    """Yield what agents answer, by key, but for those that have no manager."""
+) -> dict[str, bytes]:
+    """Return the first answer of an agent that has a manager, by its key."""
+    refused = ""
     for reply in session.get(key, payload=packet, timeout=limit):
         if reply.ok is None:
-            raise RunError(reply.err.payload.to_string() if reply.err else "no answer")
-        if data := reply.ok.payload.to_bytes():
-            yield str(reply.ok.key_expr), data
+            refused = reply.err.payload.to_string() if reply.err else "no answer"
+        elif data := reply.ok.payload.to_bytes():
+            return {str(reply.ok.key_expr): data}
+    if refused:
+        raise RunError(refused)
+    return {}
+
+
+def _no_manager(addresses: AgentAddresses, denied: str = "") -> NoManager:
+    """Return what agents say; `left`: that their manager is gone, and none will follow.
+
+    `denied`: why they take no command; UsageError when none says that something runs.
+    """
+    status = ask_agents(addresses)
+    if status is None:
+        raise _not_here(addresses.robot, running_here())
+    why, agents = status.deviations[0].what, status.computers.values()
+    is_over = all(agent.unmanaged for agent in agents) and not any(
+        agent.has_standbys for agent in agents
+    )
+    why += f" ({denied})" if denied else ""
+    return NoManager(why, status, addresses if is_over else None)
 
 
 def _is_quick(command: Command) -> bool:
@@ -178,9 +221,9 @@ def _wait(connection: socket.socket, path: Path, command: Command) -> None:
             continue
         if _is_quick(command) or not _gives_status(path):
             raise _no_answer(path.stem, manager, waited)
-        if waited >= ANSWER_LIMIT:
+        if waited >= COMMAND_LIMIT:
             raise Timeout(
-                f"the manager has been busy for {ANSWER_LIMIT:g} s; its work "
+                f"the manager has been busy for {COMMAND_LIMIT:g} s; its work "
                 "continues, and `poise status` shows the outcome"
             )
         patience = waited + STATUS_LIMIT

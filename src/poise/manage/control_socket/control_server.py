@@ -31,6 +31,8 @@ Submit = Callable[[Command], "Future[Result | Refusal]"]
 MOST_CLIENTS = 64
 """At most this many clients are served at a time; further ones wait to connect."""
 _LOOK_EVERY = 0.1
+_START_PATIENCE = 1.0
+"""A status waits for so long [s] for a robot that starts, or for the next leader."""
 _CLOSE_LIMIT = 2.0
 """Clients that have their result take it within this time at the end [s]."""
 
@@ -121,7 +123,8 @@ class ControlServer:
         self, connection: socket.socket, command: Command
     ) -> Result | Refusal | None:
         """Return the result once it is there; None when the client has left."""
-        if self._submit is None and isinstance(command, StatusCommand):
+        is_status = isinstance(command, StatusCommand)
+        if is_status and not self._is_up.wait(_START_PATIENCE):
             since = time.strftime("%H:%M:%S", time.localtime(self._since))
             text = f"robot '{self._robot}' has been starting since {since}"
             return Refusal(text, "RunError")

@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from poise.model.check.names import components, each_known
-from poise.model.robot import Robot
+from poise.model.robot import LEAST_VOTES, Robot
 from poise.model.yaml_tree import Finding, Path
 
-_LEAST_VOTES = 3
 _ALONE = "leave `manager` out, or add a computer"
 
 
@@ -46,7 +45,7 @@ def notes_of(robot: Robot) -> tuple[str, ...]:
 def _majority(robot: Robot) -> Iterator[Finding]:
     count = len(robot.computers)
     if not robot.keeps:
-        if count < _LEAST_VOTES:
+        if count < LEAST_VOTES:
             yield Finding(
                 ("manager",),
                 "a manager is followed by a vote of most computers, and of "

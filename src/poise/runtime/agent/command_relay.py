@@ -19,11 +19,10 @@ from poise.runtime.waker import wait_readable
 from poise.wire import frame
 from poise.wire.address import connect
 from poise.wire.codec import WireError
+from poise.wire.control_session import COMMAND_LIMIT
 from poise.wire.records.request_records import ManagerId
 from poise.wire.robots_here import peer_of
 
-ANSWER_LIMIT = 60.0
-"""The manager answers within this time [s]; moves of large states take the longest."""
 HERE = b"here"
 """The answer to an empty command, where the manager runs."""
 _MOST = 16
@@ -72,8 +71,8 @@ class CommandRelay:
             if not command:
                 return HERE
             frame.send_packet(connection, command)
-            if not wait_readable([connection.fileno()], ANSWER_LIMIT):
-                raise RunError(f"it has been busy for {ANSWER_LIMIT:g} s")
+            if not wait_readable([connection.fileno()], COMMAND_LIMIT):
+                raise RunError(f"it has been busy for {COMMAND_LIMIT:g} s")
             return frame.receive_packet(connection)
 
 

@@ -1,4 +1,4 @@
-"""What systemd is told of an agent: it is ready, it lives, it ends."""
+"""Tells systemd that the agent is ready, that it works, and that it ends."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ import socket
 from collections.abc import MutableMapping
 from math import inf
 
-_TIMES_A_LIMIT = 4
-"""An agent says so often, within the limit of its watchdog, that it lives."""
+_NOTICES_PER_LIMIT = 4
+"""Notices within the time after which systemd's watchdog restarts the agent."""
 
 
 class ServiceNotice:
@@ -22,7 +22,7 @@ class ServiceNotice:
         is_own = environment.pop("WATCHDOG_PID", str(os.getpid())) == str(os.getpid())
         self._address = "\0" + path[1:] if path.startswith("@") else path
         is_watched = bool(path and limit and is_own)
-        self._every = 1e-6 * float(limit) / _TIMES_A_LIMIT if is_watched else inf
+        self._every = 1e-6 * float(limit) / _NOTICES_PER_LIMIT if is_watched else inf
         self.due = inf
         """When `live` is to be called next [s, the caller's clock]."""
 
