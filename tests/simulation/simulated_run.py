@@ -286,6 +286,8 @@ class _Run:
 
         def look() -> None:
             process = manager.process
+            if manager is not self.robot.manager:  # it is replaced, or is about to be
+                return
             if process.is_dead or process.is_paused or process.awake_since > at:
                 return
             if self.robot.agents.get(fault.target) not in {agent, None}:

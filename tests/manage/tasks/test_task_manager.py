@@ -339,6 +339,7 @@ def test_the_next_manager_goes_on_where_this_one_was() -> None:
     asked = Tasks(robot)
     asked.start("t", 0.0)
     asked.start("u", 0.0)
+    rig.run.has_taken_over = True
     saved = goes_on_with(rig.run, asked, rig.journal)
     assert "task 't' goes on with 'b'" in rig.said()
     states = [(each.name, each.state) for each in saved.records]
@@ -371,6 +372,7 @@ def test_the_limit_of_an_action_goes_on_under_the_next_manager(boot: str) -> Non
     rig.manager.tasks.saved.boot = boot_id() if boot == "this" else boot
     kept = msgspec.msgpack.encode(rig.manager.tasks.saved)
     rig.run.commit(replace(rig.run.desired, tasks=kept), "kept")
+    rig.run.has_taken_over = True
     saved = goes_on_with(rig.run, Tasks(rig.robot), rig.journal)
     tasks = Tasks(rig.robot, saved=saved)
     (again,) = tasks.tries(tasks.records[0])

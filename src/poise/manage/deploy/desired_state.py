@@ -60,7 +60,7 @@ class DesiredState:
                     component=name, computer=computer, epoch=self.next_epoch(name)
                 )
                 for name, computer in placement.items()
-            }
+            },
         )
         """What should run; any thread may read it, and only `commit` replaces it."""
         self.tick = SupervisedTick(
@@ -90,6 +90,13 @@ class DesiredState:
     def placement(self) -> dict[str, str]:
         """Return component -> computer, as it is now; from any thread."""
         return self.desired.placement()
+
+    def begin_with(self, tasks: bytes) -> None:
+        """Let the first commit say the tasks: this manager may be killed right after.
+
+        `tasks`: as in `Desired`.
+        """
+        self.desired = structs.replace(self.desired, tasks=tasks)
 
     def commit(self, desired: Desired, why: str, *, tell_later: bool = False) -> None:
         """Let something else run from now on; the only place that changes that.

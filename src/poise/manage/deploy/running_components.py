@@ -165,6 +165,21 @@ class RunningComponents(DesiredState):
             missing = "; ".join(self.missing(wanted))
             raise RunError(f"not ready within {limit:g} s: {missing}")
 
+    def commit_lastingly(self, desired: Desired, why: str) -> None:
+        """Let something else run, and wait until each later manager will know of it.
+
+        Raises RunError: no majority of agents has stored it.
+        """
+        self.commit(desired, why)
+        generation = self.desired.generation
+
+        def is_stored() -> bool:
+            self._raise_on_trouble()
+            return self.agents.has_stored(generation)
+
+        if not self.agents.wait_news(is_stored, READY_LIMIT):
+            raise RunError(f"no majority of agents has stored what runs: {why}")
+
     def current(self) -> dict[str, AgentStatus]:
         """Return the statuses that speak of what the agents were told last."""
         return {

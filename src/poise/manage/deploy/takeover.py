@@ -69,7 +69,12 @@ def start_or_take_over(
     record = newest_record(deployments.values())
     found = [*found_in(deployments), *_recorded(run, record)]
     reported = as_committed(found, run.agents.statuses())
-    if not reported:
+    if record.is_stopped:
+        run.end_all("the robot was stopped, and some agents did not know")
+        run.leave()
+        raise RunError("the robot was stopped")
+    was_idle = record.generation > 0 and not run.placed
+    if not reported and not was_idle:
         away = {computer.name for computer in run.robot.computers} - run.claimed
         if away:
             run.leave()  # their components may be another manager's

@@ -62,11 +62,18 @@ def start_together(
         for incarnation in ends:
             run.wait_ended(incarnation)
         _revoke_leases(run, lost)
+        if run.agents.election is not None:
+            # else a later leader would let what ran before go on beside them
+            run.commit_lastingly(run.desired.placing(inactive), "they belong there")
     except RunError as error:
         run.journal.note("failed", f"components did not start: {error}")
         # computers may have been joined meanwhile: what is desired then stays
-        back = run.desired.starting(()).placing(ends)
-        run.commit(back, "components did not start: all is as it was")
+        mine = {None, *inactive}
+        back = [each for each in old if run.placed.get(each.component) in mine]
+        run.commit(
+            run.desired.starting(()).placing(back),
+            "components did not start: all is as it was",
+        )
         return False
     # where they were, they have no lease any more
     run.commit(run.desired.placing(new), "components start together")

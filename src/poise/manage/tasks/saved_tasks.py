@@ -20,7 +20,7 @@ def goes_on_with(run: RunningComponents, asked: Tasks, journal: Journal) -> Save
 
     `asked`: what this manager was to start; what runs already goes on where it was.
     """
-    if not run.desired.tasks:
+    if not run.has_taken_over or not run.desired.tasks:
         return asked.saved
     note = journal.note
     try:

@@ -37,7 +37,7 @@ class ContainerProcess:
         self, spec: ContainerSpec, control: ContainerControl, pid: int = 0
     ) -> None:
         self.name = spec.name
-        self._is_adopted = bool(pid)
+        self.is_adopted = bool(pid)
         self.spec = spec
         self._control = control
         self.pid = 0
@@ -74,7 +74,7 @@ class ContainerProcess:
         if wanted is None:
             return False
         if self.status is None:  # one that was adopted may run anything
-            return not self._is_adopted
+            return not self.is_adopted
         known = {(component.name, component.epoch) for component in wanted.components}
         return all(
             (component.name, component.epoch) in known

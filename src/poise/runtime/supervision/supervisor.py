@@ -93,8 +93,8 @@ class Supervisor:
     def deploy(self, wanted: Deployment, *, is_left: bool = False) -> None:
         """Work towards a deployment from now on.
 
-        `is_left`: an earlier agent left it on its disk, which may be late: a leased
-        component that is not active may run elsewhere by now.
+        `is_left`: an earlier agent left it on its disk, which may be late. Containers
+        that go on know better, and what starts may run elsewhere by now.
         """
         self.wanted, self._is_left = wanted, is_left
         names = self._specs().keys()
@@ -240,19 +240,9 @@ class Supervisor:
 
     def _specs(self) -> dict[str, ContainerSpec]:
         containers = self.wanted.containers if self.wanted else ()
-        if self.is_cut_off:
+        if self.is_cut_off or self._is_left:
             containers = tuple(container.without_lease() for container in containers)
-        elif self._is_left:
-            containers = tuple(map(self._left, containers))
         return {container.name: container for container in containers}
-
-    def _left(self, spec: ContainerSpec) -> ContainerSpec:
-        """Return what goes on of what an earlier agent left."""
-        process = self.processes.get(spec.name)
-        status = process.status if process else None
-        here = status.components if status else ()
-        at_work = {(c.name, c.epoch) for c in here if c.state == "active"}
-        return spec.without_lease(at_work)
 
     def _moments(self) -> Iterator[float]:
         again_at = self._supervised.again_at
@@ -268,11 +258,12 @@ class Supervisor:
     def _step(self, name: str, spec: ContainerSpec | None) -> None:
         now, process = self._clock.now(), self.processes.get(name)
         if process is not None:
-            if spec is None and self.wanted is not None:
+            knows_better = self._is_left and process.is_adopted
+            if spec is None and self.wanted is not None and not knows_better:
                 process.stop(now)
             process.keep_limits(now)
             self._fence(process, now)
-            if spec is not None and (process.status or not self._is_left):
+            if spec is not None and (self.is_cut_off or not knows_better):
                 self._tell(process, spec)
         elif spec is not None and not self.trouble and not self._awaits(name):
             backoff = self._backoffs.get(name)

@@ -7,6 +7,8 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+from msgspec.msgpack import encode
+
 from poise import threads
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.journal import Journal, JournalEntry, check_journal
@@ -100,6 +102,7 @@ def managed(
         check,
         use_kept=True,
         begin=begin,
+        tasks=encode(what.tasks.saved),
         election=what.election,
         found=what.computers,
     ) as up:

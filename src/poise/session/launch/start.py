@@ -228,11 +228,13 @@ def started(  # noqa: PLR0913 - each is a choice of the caller
     *,
     use_kept: bool = False,
     begin: Callable[[RunningComponents], object] | None = None,
+    tasks: bytes = b"",
     election: Election | None = None,
     found: Computers | None = None,
 ) -> Iterator[Started]:
     """Start a robot's components on its computers; stop and remove all afterwards.
 
+    `tasks`: what it is to do, as in `Desired`.
     `election`: how its managers follow each other; None: they do not.
     `found`: its computers, which are up already; None: they are found or emulated.
     """
@@ -276,6 +278,7 @@ def started(  # noqa: PLR0913 - each is a choice of the caller
         run = RunningComponents(
             robot, placement, agents, journal, str(folder), weigh=look.weigh
         )
+        run.begin_with(tasks)
         if begin is None:
             say(f"starting {counted(len(placement), 'component')}")
         if computers.outlive_manager:

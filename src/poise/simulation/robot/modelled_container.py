@@ -55,7 +55,7 @@ class SimulatedContainer:
         self.process = process
         self.name = name
         self.tell_agent: Callable[[FromContainer], object] | None = None
-        self.lease_end = inf
+        self.lease_end = 0.0  # as that of a page that its agent has not written to
         self.components: dict[Key, SimulatedComponent] = {}
         self.is_new = True
         self.senders: dict[str, Sender] = {}
@@ -72,6 +72,7 @@ class SimulatedContainer:
             self.look_again,
             lambda: process.after(_MISSED_WITHIN, self._report),
         )
+        self.extend_lease(self.lease_end)
         process.on_pause = self.execution.pause
         process.on_end.append(self._close)
 

@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 
 from msgspec import Struct
+from msgspec.msgpack import encode
 
 from poise.clock import SystemClock
 from poise.errors import PoiseError, TakenOver
@@ -144,15 +145,16 @@ class SimulatedManager:
             if not agents.wait_at_work(_MISSING_LIMIT):
                 agents.wait_alive(self._endpoints, _AGENT_LIMIT)
             placement = {} if self._is_standby else setup.placement
-            run = self.run = RunningComponents(
-                robot, placement, agents, journal, "/robot"
-            )
-            run.solve_steps = SOLVE_STEPS
-            start_or_take_over(run, by_force=self._takes_over)
             asked = Tasks(robot, lambda text: journal.note("decided", text))
             for name in () if self._is_standby else setup.tasks:
                 asked.start(name, self.process.computer.wall())
             asked.arbitrate(self.process.computer.wall())
+            run = self.run = RunningComponents(
+                robot, placement, agents, journal, "/robot"
+            )
+            run.begin_with(encode(asked.saved))
+            run.solve_steps = SOLVE_STEPS
+            start_or_take_over(run, by_force=self._takes_over)
             self.manager = Manager(
                 run,
                 goes_on_with(run, asked, journal),

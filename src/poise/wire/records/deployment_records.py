@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from typing import Any, Literal
 
 from msgspec import Struct
@@ -128,15 +128,10 @@ class ContainerSpec(Struct, frozen=True, kw_only=True, tag=True):
     # `repository`, which are empty then; empty: none is
     code: str = ""
 
-    def without_lease(self, but: Collection[tuple[str, int]] = ()) -> ContainerSpec:
-        """Return it with its leased components inactive, with their state.
-
-        `but`: the names and epochs of those that stay as they are.
-        """
+    def without_lease(self) -> ContainerSpec:
+        """Return it with its leased components inactive, with their state."""
         components = (
-            replace(component, goal="inactive")
-            if component.leased and (component.name, component.epoch) not in but
-            else component
+            replace(component, goal="inactive") if component.leased else component
             for component in self.components
         )
         return replace(self, components=tuple(components))
