@@ -20,7 +20,13 @@ from poise.model.robot import (
     Robot,
 )
 from poise.wire.records.deployment_records import Deployment
-from poise.wire.records.request_records import Accepted, Claimed, ManagerId, Refused
+from poise.wire.records.request_records import (
+    Accepted,
+    Claimed,
+    Election,
+    ManagerId,
+    Refused,
+)
 from poise.wire.records.status_records import (
     AgentStatus,
     ComponentStatus,
@@ -89,7 +95,8 @@ class FakeAgents:
 
     def __init__(self, *computers: str, generation: int = 0) -> None:
         self.manager = ManagerId(key="k", user="ann", host="desk", pid=7, since=0.0)
-        self.election = None
+        self.election: Election | None = None
+        self.stored: Deployment | None = None
         self.checkpoints = CheckpointCopies()
         self.gone: set[str] = set()
         self.lasting: set[str] = set()
@@ -120,6 +127,16 @@ class FakeAgents:
             )
             for name in computers
         }
+
+    def vote(self, stored: Deployment) -> None:
+        """Vote for who asks from now on, and say what all of them have stored."""
+        self.election = Election(votes=dict.fromkeys(self._statuses, 1))
+        self.stored = stored
+
+    def elect(self, *, take_over: bool) -> dict[str, Claimed]:
+        """Let all agents obey, with what they have stored."""
+        self.is_forced = take_over
+        return {name: Claimed(self.stored) for name in self._statuses}
 
     def has_stored(self, _generation: int) -> bool:
         """Need no votes."""

@@ -8,7 +8,7 @@ import pytest
 from msgspec import structs
 from msgspec.msgpack import encode
 
-from poise.errors import TakenOver
+from poise.errors import RunError, TakenOver
 from poise.estimate.code_version import version_of
 from poise.manage.agent_connections.agents import Agents
 from poise.manage.deploy.deployment_plan import DeploymentPlan
@@ -168,3 +168,35 @@ def test_the_newest_record_is_that_of_the_latest_term() -> None:
     found = [stored(1, 9, "old"), stored(2, 3, "new"), stored(2, 2, "before")]
     assert newest_record(found).held == {"new"}
     assert newest_record([]) == Desired()
+
+
+def standby_of(
+    robot: Robot, record: Desired
+) -> tuple[RunningComponents, FakeAgents, Journal]:
+    """Return a standby's run, whose agents stored a record, and run nothing."""
+    _, agents, journal = run_of(robot)
+    stored = Deployment(generation=6, containers=(), term=3, desired=encode(record))
+    agents.vote(stored)
+    return (
+        RunningComponents(robot, {}, cast("Agents", agents), journal, "/run"),
+        agents,
+        journal,
+    )
+
+
+def test_a_standby_leads_a_robot_that_runs_nothing(robot: Robot) -> None:
+    """Its tasks have ended: the next one is started by a command."""
+    run, _, journal = standby_of(robot, Desired(generation=6))
+    start_or_take_over(run, by_force=False)
+    assert not run.placement()
+    assert run.has_taken_over
+    assert "took over" in sentences(journal)
+
+
+def test_a_standby_that_does_not_know_of_a_stop_finishes_it(robot: Robot) -> None:
+    run, agents, _ = standby_of(robot, Desired(generation=6, is_stopped=True))
+    with pytest.raises(RunError, match="the robot was stopped"):
+        start_or_take_over(run, by_force=False)
+    told = dict(agents.deployed)
+    assert told.keys() == {"left", "right"}
+    assert all(deployment.is_last for deployment in told.values())

@@ -194,13 +194,15 @@ class Agents(AgentReports):
         """Store what an agent reported.
 
         One that obeys another manager answers the heartbeats of that one only: for this
-        one it would be out of reach for ever, also once that manager is gone.
+        one it would be out of reach for ever, also once that manager is gone. When the
+        lease of one ends that did not vote for this one is known, and stays so.
         """
         manager = status.manager
         if manager is not None and manager.key != self.manager.key:
             with self._changed:
                 self._silent.pop(status.computer, None)
-                self._heartbeats.forget(status.computer)
+                if status.computer in self._claimed:
+                    self._heartbeats.forget(status.computer)
         super().take_status(status)
 
     def obey(self, computer: str) -> bool:
