@@ -178,7 +178,7 @@ class RunningComponents(DesiredState):
             return self.agents.has_stored(generation)
 
         if not self.agents.wait_news(is_stored, READY_LIMIT):
-            raise RunError(f"no majority of agents has stored what runs: {why}")
+            raise RunError(f"no majority of agents has stored that {why}")
 
     def current(self) -> dict[str, AgentStatus]:
         """Return the statuses that speak of what the agents were told last."""
