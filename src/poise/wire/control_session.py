@@ -25,7 +25,7 @@ sends again after waits that double, so a cut of 0.5 s may silence it for 1.5 s.
 
 COMMAND_LIMIT = 60.0
 """A manager answers within this time [s]; moves of large states take the longest."""
-_CLOSE_LIMIT = 0.5
+_CLOSE_LIMIT = 0.1
 _NO_LINGER = struct.pack("ii", 0, 0)
 
 
