@@ -73,7 +73,7 @@ def _lead(claim: Claim, say: Say) -> None:
                 nothing,
                 adapts=setup.adapts,
                 recorder=None,
-                begin=lambda run: start_or_take_over(run, by_force=False),
+                begin=lambda run: start_or_take_over(run, follows=True),
             )
         )
         server = stack.enter_context(ControlServer(robot.name, takes_over=True))

@@ -187,7 +187,7 @@ def standby_of(
 def test_a_standby_leads_a_robot_that_runs_nothing(robot: Robot) -> None:
     """Its tasks have ended: the next one is started by a command."""
     run, _, journal = standby_of(robot, Desired(generation=6))
-    start_or_take_over(run, by_force=False)
+    start_or_take_over(run, follows=True)
     assert not run.placement()
     assert run.has_taken_over
     assert "took over" in sentences(journal)
@@ -196,7 +196,15 @@ def test_a_standby_leads_a_robot_that_runs_nothing(robot: Robot) -> None:
 def test_a_standby_that_does_not_know_of_a_stop_finishes_it(robot: Robot) -> None:
     run, agents, _ = standby_of(robot, Desired(generation=6, is_stopped=True))
     with pytest.raises(RunError, match="the robot was stopped"):
-        start_or_take_over(run, by_force=False)
+        start_or_take_over(run, follows=True)
     told = dict(agents.deployed)
     assert told.keys() == {"left", "right"}
     assert all(deployment.is_last for deployment in told.values())
+
+
+def test_a_robot_that_was_stopped_starts_again(robot: Robot) -> None:
+    _, agents, journal = standby_of(robot, Desired(generation=6, is_stopped=True))
+    run = RunningComponents(robot, PLACEMENT, cast("Agents", agents), journal, "/run")
+    start_or_take_over(run)
+    assert run.placement() == PLACEMENT
+    assert sentences(journal)[-1] == "all components run"

@@ -53,12 +53,17 @@ HALT_LIMIT = 1.0
 
 
 def start_or_take_over(
-    run: RunningComponents, *, is_rule: bool = False, by_force: bool
+    run: RunningComponents,
+    *,
+    is_rule: bool = False,
+    by_force: bool = False,
+    follows: bool = False,
 ) -> None:
     """Bring a robot up: what runs as it should goes on, and the rest is started.
 
     `is_rule`: whether the user asked for the placement; else what runs stays where it
-    is.
+    is. `follows`: a standby has no plan of its own, and goes on with the robot as it
+    was.
     """
     statuses = run.agents.statuses()
     before = [status.manager for status in statuses.values()]
@@ -69,11 +74,11 @@ def start_or_take_over(
     record = newest_record(deployments.values())
     found = [*found_in(deployments), *_recorded(run, record)]
     reported = as_committed(found, run.agents.statuses())
-    if record.is_stopped:
+    if record.is_stopped and follows:
         run.end_all("the robot was stopped, and some agents did not know")
         run.leave()
         raise RunError("the robot was stopped")
-    was_idle = record.generation > 0 and not run.placed
+    was_idle = record.generation > 0 and follows
     if not reported and not was_idle:
         away = {computer.name for computer in run.robot.computers} - run.claimed
         if away:
@@ -81,9 +86,9 @@ def start_or_take_over(
             names = ", ".join(f"'{name}'" for name in sorted(away - unclaimed.keys()))
             lost = f"nothing runs yet, and no agent answers on {names}: start it there"
             raise RunError("; ".join([*unclaimed.values(), *([lost] if names else [])]))
-        if not run.placed:
+        if follows:
             run.leave()
-            raise RunError("nothing runs that a standby could go on with")
+            raise RunError("nobody has started the robot")
         run.start_all()
         return
     said = next((f" of {manager}" for manager in before if manager), "")

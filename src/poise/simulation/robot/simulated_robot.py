@@ -154,7 +154,7 @@ class SimulatedManager:
             )
             run.begin_with(encode(asked.saved))
             run.solve_steps = SOLVE_STEPS
-            start_or_take_over(run, by_force=self._takes_over)
+            start_or_take_over(run, by_force=self._takes_over, follows=self._is_standby)
             self.manager = Manager(
                 run,
                 goes_on_with(run, asked, journal),
