@@ -90,6 +90,10 @@ class Field:
             said, error = process.communicate(timeout=LONG)
         return process.returncode, (said + error).decode()
 
+    def has_socket(self) -> bool:
+        """Return whether the manager on `left` takes commands."""
+        return any(self.runtime("left").rglob("*.sock"))
+
     def crash(self, computer: str) -> None:
         for pid in self.computers[computer].running():
             with contextlib.suppress(ProcessLookupError):
@@ -112,6 +116,8 @@ def test_commands_find_the_leader_from_each_computer(field: Field) -> None:
     words = ["up", str(field.file), "--task", "work"]
     with field.popen("left", *words, keys=keys), contextlib.ExitStack() as ends:
         ends.callback(field.crash, "left")
+        # each `status` takes a computer of half a core most of a second
+        wait_long(field.has_socket)
         wait_long(lambda: all(field.poise(name, "status")[0] == 0 for name in NAMES))
         assert field.poise("third", "move", "ticker", "third")[0] == 0
         code, said = field.poise("third", "move", "tickler", "left")
