@@ -35,3 +35,11 @@ def test_refuses_costs_of_an_older_kind(profile: Profile) -> None:
     older = text.replace("costs: {}", "costs: {remote: {call: 1.0e-3}}")
     with pytest.raises(RobotError, match="unknown field `call`"):
         profile_file.from_text(older, "p.yaml")
+
+
+def test_a_profile_of_a_newer_poise_is_refused_with_its_version(
+    profile: Profile,
+) -> None:
+    newer = profile_file.to_text(msgspec.structs.replace(profile, poise="99.1.0"))
+    with pytest.raises(RobotError, match=r"p\.yaml: it needs Poise 99\.1\.0, and this"):
+        profile_file.from_text(f"{newer}later: 1\n", "p.yaml")

@@ -221,3 +221,17 @@ def test_a_nul_is_in_no_file_name() -> None:
 def test_a_link_without_limit_is_read_back_as_it_was_written() -> None:
     link = Link(between=("a", "b"), bandwidth=float("1e999"))
     assert msgspec.json.decode(msgspec.json.encode(link), type=Link) == link
+
+
+def test_a_file_for_a_newer_poise_is_refused_by_that_alone(find: Find) -> None:
+    """Its other keys may be new, too."""
+    (problem,) = find(f"poise: 99.1\nwarp: 9\n{ROBOT}")
+    assert problem.line == 1
+    assert "it needs Poise 99.1, and this is" in problem.message
+    (problem,) = find(f"poise: soon\n{ROBOT}")
+    assert "'soon' is no version, such as 0.2" in problem.message
+
+
+def test_a_file_for_this_poise_or_an_older_one_is_read(robot_file: Path) -> None:
+    robot_file.write_text(f"poise: 0.1\n{robot_file.read_text()}")
+    assert load(robot_file).poise == "0.1"

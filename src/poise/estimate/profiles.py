@@ -6,6 +6,7 @@ in cores of the reference computer.
 
 from __future__ import annotations
 
+import contextlib
 import math
 import sqlite3
 from collections.abc import Iterator, Mapping, Sequence
@@ -17,6 +18,7 @@ import yaml
 from msgspec import Struct
 
 from poise.errors import RobotError, UsageError
+from poise.versions import why_too_old
 
 
 class SqliteFile:
@@ -313,13 +315,24 @@ def to_text(profile: Profile) -> str:
 def from_text(text: str, file: str) -> Profile:
     """Return the profile in a YAML text."""
     try:
-        return msgspec.convert(yaml.load(text, _LOADER), Profile)  # noqa: S506 - both are safe
+        plain = yaml.load(text, _LOADER)  # noqa: S506 - both are safe
+        if why := _too_old(plain):
+            raise RobotError(f"{file}: {why}")
+        return msgspec.convert(plain, Profile)
     except yaml.YAMLError as error:
         raise RobotError(f"{file}: not YAML: {error}") from error
     except msgspec.ValidationError as error:
         raise RobotError(
             f"{file}: not a profile: {error}. Write it again with `poise profile`"
         ) from error
+
+
+def _too_old(plain: object) -> str:
+    """Return why a newer Poise has to read a profile; empty: this one tries."""
+    by = plain.get("poise") if isinstance(plain, dict) else None
+    with contextlib.suppress(ValueError):  # then it is no profile
+        return why_too_old(str(by)) if by else ""
+    return ""
 
 
 def read(path: Path) -> Profile:

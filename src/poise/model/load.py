@@ -38,6 +38,7 @@ from poise.model.robot import Robot
 from poise.model.yaml_tree import Finding, Location, Node, Positions, Scalar, read_file
 from poise.model.yaml_validation import validate
 from poise.units import quoted
+from poise.versions import why_too_old
 
 
 class Source(Struct, frozen=True):
@@ -72,6 +73,8 @@ def load_source(
     root = read_tree(path, problems, as_given(arguments or {}))
     if root is None:
         raise RobotError(problems=problems)
+    if too_old := _too_old(root):
+        raise RobotError(problems=[too_old])
     # Names of a file that could not be included would seem unknown.
     is_whole = not problems
     values = validate(root, msgspec.inspect.type_info(Robot), problems)
@@ -90,6 +93,19 @@ def load_source(
     folders = tuple(str(Path(folder).resolve()) for folder in robot.repository)
     robot = msgspec.structs.replace(robot, repository=folders)
     return Source(robot, positions, repository)
+
+
+def _too_old(root: Node) -> FileProblem | None:
+    """Return what is wrong when a file is for a newer Poise: all else follows."""
+    keys = root.value if isinstance(root.value, dict) else {}
+    node = keys.get("poise")
+    if node is None or not isinstance(node.value, Scalar):
+        return None
+    try:
+        why = why_too_old(node.value.text)
+    except ValueError as error:
+        return node.place.problem(f"poise: {error}")
+    return node.place.problem(f"poise: {why}") if why else None
 
 
 def check(robot: Robot, repository: Repository) -> Iterator[Finding]:

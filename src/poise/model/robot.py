@@ -193,6 +193,9 @@ class Robot(Struct, frozen=True, kw_only=True):
         tuple[str | Include, ...],
         says("Further files, relative to this one; sections are merged."),
     ] = ()
+    poise: Annotated[
+        str, says("The oldest version of Poise that understands it, as in `0.2`.")
+    ] = ""
     arguments: Annotated[
         Mapping[Name, str],
         says("Name -> default of what $(name) stands for; `--set name=value` sets it."),

@@ -98,7 +98,7 @@ Parts = Mapping[str, Any]
 Vector = dict[str, float]
 
 
-class Drawing(NamedTuple):
+class FoxglovePart(NamedTuple):
     """What Foxglove draws of a part of a message; `kind`: the topic's first part."""
 
     kind: str
@@ -117,7 +117,7 @@ def drawings(
     at: float,
     part: str = "",
     frame: str = "",
-) -> Iterator[Drawing]:
+) -> Iterator[FoxglovePart]:
     """Yield what Foxglove draws of a message that went out `at` [s since 1970]."""
     if isinstance(value, Mapping):
         frame = _frame(value) or frame
@@ -155,12 +155,12 @@ def _drawing(
     at: float,
     frame: str,
     content: dict[str, Any],
-) -> Drawing:
+) -> FoxglovePart:
     common = {"timestamp": stamp(at), "frame_id": frame}
-    return Drawing(kind, part, schema, common | content)
+    return FoxglovePart(kind, part, schema, common | content)
 
 
-def _placed(value: Parts, at: float, part: str, frame: str) -> Iterator[Drawing]:
+def _placed(value: Parts, at: float, part: str, frame: str) -> Iterator[FoxglovePart]:
     """Yield the pose or the transform that an object is."""
     child = value.get("child_frame_id")
     # ROS 2 has a `transform` within
@@ -177,7 +177,7 @@ def _placed(value: Parts, at: float, part: str, frame: str) -> Iterator[Drawing]
             "translation": translation,
             "rotation": rotation,
         }
-        yield Drawing("transforms", part, _TRANSFORM, content)
+        yield FoxglovePart("transforms", part, _TRANSFORM, content)
     elif pose := _pose(value):
         yield _drawing("poses", part, _POSE_IN_FRAME, at, frame, {"pose": pose})
 
@@ -196,7 +196,7 @@ def _pose(value: Parts) -> dict[str, Vector]:
     return {"position": position, "orientation": turn}
 
 
-def _of_array(array: Any, at: float, part: str, frame: str) -> Iterator[Drawing]:  # noqa: ANN401, of NumPy
+def _of_array(array: Any, at: float, part: str, frame: str) -> Iterator[FoxglovePart]:  # noqa: ANN401, of NumPy
     """Yield the picture or the point cloud that an array is."""
     if fields := _cloud_fields(array, part):
         size = array.dtype.itemsize
