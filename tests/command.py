@@ -67,7 +67,7 @@ def run_poise(
     done = (_started if is_starting else called)(texts, cwd)
     if "--json" in texts and done.stdout:
         check_output(texts, done.stdout)
-    for line in done.stderr.splitlines():
+    for line in (done.stdout + done.stderr).splitlines():
         if done.returncode and STARVED in line:
             skip_as_starved(line, others)
     return done

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import re
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
+from tests.command import run_poise
 from tests.waiting import LONG
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(LONG)]
@@ -27,16 +26,9 @@ def test_the_example_runs(tmp_path: Path) -> None:
         *("nodes.py", "parts.py", "robot.yaml"),
     ]
     (command,) = re.findall(r"\$ poise (run .*)", text)
-    done = subprocess.run(
-        [sys.executable, "-m", "poise", *command.split()],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        timeout=LONG,
-        check=False,
-    )
+    done = run_poise(*command.split(), cwd=tmp_path)
     shutil.rmtree(tmp_path / "__pycache__", ignore_errors=True)
-    assert done.returncode == 0, done.stderr
     said = done.stdout + done.stderr
+    assert done.returncode == 0, said
     assert "ear has 20" in said
     assert "printer has 20" in said
