@@ -296,6 +296,7 @@ def _is_committed(
         asked = set(unknown)
         if not asked or run.clock.now() >= until:
             break
+        _raise_on_ended_leases(run, asked)
         run.clock.sleep(LOOK_EVERY)
     asked &= _targets(reported)
     for where in sorted(asked):
@@ -304,6 +305,17 @@ def _is_committed(
     if asked:
         _end_containers(run, asked, deployments)
     return False
+
+
+def _raise_on_ended_leases(
+    run: RunningComponents, asked: Iterable[tuple[str, str]]
+) -> None:
+    """Let another leader try, whose claim an agent obeys that was cut off amid it."""
+    if run.agents.election is None:
+        return
+    for computer in sorted({computer for computer, _ in asked}):
+        if run.agents.is_cut_off(computer):
+            raise RunError(f"the lease of '{computer}' has ended amid the take-over")
 
 
 def _halted(
