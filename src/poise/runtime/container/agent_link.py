@@ -88,7 +88,6 @@ class AgentLink:
         except Unavailable:
             self._lose()
             return None
-        self._lost_at = float("inf")
         return record
 
     def send(self, record: FromContainer) -> None:
@@ -108,8 +107,7 @@ class AgentLink:
             if self._connection is not None:
                 self._connection.close()
             self._connection = None
-        self._lost_at = min(self._lost_at, now)
-        self._ask_at = now
+        self._lost_at = self._ask_at = now
 
     def _ask(self) -> None:
         orphan = Orphan(container=self._container, pid=os.getpid())

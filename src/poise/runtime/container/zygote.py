@@ -45,6 +45,8 @@ log = logging.getLogger(__name__)
 PATIENCE = 2.0
 """Containers end within this time after they should have by themselves [s]."""
 _LARGEST = 1 << 16
+_LOOK_EVERY = 10.0
+"""Without its agent it looks this often [s] whether there is another one."""
 _KILL_LIMIT = 1.0
 _LOOK_AT_ENDED = os.WEXITED | os.WNOHANG | os.WNOWAIT
 
@@ -248,14 +250,14 @@ class _Zygote:
         ).run()
 
     def _outlive_agent(self) -> None:
-        """Reap the containers until there are none, or no agent wants them."""
+        """Reap the containers until there are none, or no agent comes for long."""
         self._agent.close()
-        look_at = time.monotonic() + ORPHAN_LIMIT + PATIENCE
+        seen_at = time.monotonic()
         while self._containers:
-            wait_readable([self._waker.fileno()], max(0, look_at - time.monotonic()))
+            wait_readable([self._waker.fileno()], _LOOK_EVERY)
             self._waker.clear()
             self._ended()
-            if time.monotonic() >= look_at:
-                if not is_adopting(self._folder):
-                    return
-                look_at += ORPHAN_LIMIT
+            if is_adopting(self._folder):  # one that was just killed is replaced soon
+                seen_at = time.monotonic()
+            elif time.monotonic() - seen_at >= ORPHAN_LIMIT + PATIENCE:
+                return
