@@ -83,7 +83,7 @@ _ENCODINGS = {
 }
 _SIGNATURES = {b"\xff\xd8\xff": "jpeg", b"\x89PNG": "png", b"RIFF": "webp"}
 _SMALLEST = 8
-"""A picture has at least so many pixels each way; what is smaller is a matrix."""
+"""The least width and height of a picture [pixels]; a smaller array is a matrix."""
 _CLOUD_NAMES = {"points", "cloud"}
 _CLOUD_FIELDS = ("x", "y", "z", "intensity")
 _CLOUD_TYPES = {"float32": 7, "float64": 8}

@@ -12,10 +12,10 @@ from pathlib import Path
 
 import pytest
 
-from poise.emulate import Emulation, probe_host
-from poise.model.robot import Computer, Robot
+from poise.emulate import Emulation
 from poise.session.keys import init_keys
 from tests.command import POISE
+from tests.session.conftest import bare_computers
 from tests.tiny_wheel import make_wheel
 from tests.waiting import LONG, wait_long
 
@@ -149,12 +149,7 @@ class Field:
 
 @pytest.fixture
 def field(tmp_path: Path) -> Iterator[Field]:
-    if reasons := probe_host().without_network():
-        pytest.skip("; ".join(reasons))
-    computers = tuple(
-        Computer(name=name, capacity={"cpu": 0.5, "memory": 512e6}) for name in NAMES
-    )
-    with Emulation(Robot(name="field", computers=computers), tmp_path) as emulation:
+    with bare_computers(NAMES, tmp_path) as emulation:
         yield Field(emulation, tmp_path)
 
 

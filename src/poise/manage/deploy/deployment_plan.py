@@ -33,7 +33,7 @@ from poise.wire.records.deployment_records import (
 )
 
 _DIGITS = 8
-"""A container's name tells versions of code apart by so many digits."""
+"""Digits of the version of its code in a container's name."""
 FILLS_INTERPRETER = 0.5
 """A component with a larger CPU demand [cores] gets a container of its own: threads of
 one Python process share one core."""

@@ -131,7 +131,7 @@ class CodeFolder:
             os.sync()
             new.rename(self._folder / version)
             _write_through(self._folder)
-        except BaseException:
+        except BaseException:  # nothing half done stays, whatever ends it
             shutil.rmtree(new, ignore_errors=True)
             raise
         self._remove_old()

@@ -139,7 +139,7 @@ def as_deployed(robot: Robot) -> Robot:
 
 @contextlib.contextmanager
 def _agents(robot: Robot) -> Iterator[tuple[AgentReports, AgentRequests, Computers]]:
-    """Reach the agents of a robot's own computers, whoever manages them."""
+    """Reach the agents of a robot's own computers; they may have a manager."""
     if robot.is_emulated:
         raise UsageError(
             f"robot '{robot.name}' has no computer with an `address`: emulated ones "

@@ -10,7 +10,7 @@ CODE, PACKAGES, MANIFEST = "code", "packages", "manifest.json"
 """In a version: the robot's own modules, the wheels that they need, what there is."""
 
 SHOWN = 12
-"""People see so many digits of a version."""
+"""Digits of a version that people are shown."""
 MOST_CODE = 2 << 30
 """No more is stored or unpacked for one version [bytes]."""
 
