@@ -168,7 +168,7 @@ def replace_command(
     watch: Annotated[
         str,
         typer.Option(
-            help="For so long the old one comes back when the new one crashes or "
+            help="The time in which the old one comes back if the new one crashes or "
             "misses more deadlines."
         ),
     ] = "0",
