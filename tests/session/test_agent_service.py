@@ -159,7 +159,9 @@ def test_systemd_restarts_an_agent_that_dies_or_hangs(
         machine.signal(first, signal.SIGKILL)
         second = machine.wait_for_agent(first)
         machine.signal(second, signal.SIGSTOP)
-        machine.wait_for_agent(second)
+        third = machine.wait_for_agent(second)
         assert machine.systemctl("show", "-P", "NRestarts", UNIT) == "2"
+        assert not machine.systemctl("restart", UNIT)
+        machine.wait_for_agent(third)
         machine.systemctl("stop", UNIT)
         assert machine.systemctl("show", "-P", "Result", UNIT) == "success"

@@ -30,8 +30,9 @@ NotifyAccess=main
 {user}ExecStart={command}
 Restart=on-failure
 RestartSec=100ms
-# the agent died, its containers go on: the next agent adopts them
+# the agent died or is restarted, its containers go on: the next agent adopts them
 KillMode=process
+RestartKillSignal=SIGUSR1
 TimeoutStopSec=20
 WatchdogSec=10
 Delegate=yes

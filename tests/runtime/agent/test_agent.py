@@ -35,6 +35,7 @@ from poise.wire.records.deployment_records import (
 )
 from poise.wire.records.migration_records import MigrationSteps, Step, StepsFailed
 from poise.wire.records.request_records import (
+    LEAST_PROTOCOL,
     PROTOCOL,
     Accepted,
     Answer,
@@ -42,6 +43,7 @@ from poise.wire.records.request_records import (
     Claimed,
     ManagerId,
     ManagerRequest,
+    ReadOutput,
     Refused,
     Request,
 )
@@ -668,12 +670,33 @@ def test_a_slow_import_holds_up_nobody(manager: Manager) -> None:
     manager.wait_for(lambda s: states(s).get("slow") == "active")
 
 
-def test_refuses_another_protocol_whatever_it_looks_like(manager: Manager) -> None:
-    foreign = {"type": "Deployment", "protocol": 99, "new": "field"}
+@pytest.mark.parametrize(
+    ("protocol", "older"),
+    [(PROTOCOL + 2, "agent"), (LEAST_PROTOCOL - 1, "manager")],
+)
+def test_refuses_protocols_far_from_its_own_whatever_they_look_like(
+    manager: Manager, protocol: int, older: str
+) -> None:
+    versions = {"protocol": protocol, "least": protocol - 1}
+    foreign = {"type": "Deployment", **versions, "new": "field"}
     answer = manager.ask_raw(msgspec.msgpack.encode(foreign))
     assert isinstance(answer, Refused)
-    said = f"manager speaks protocol 99, agent 'main' speaks {PROTOCOL}"
-    assert said in answer.reason
+    said = f"manager speaks protocol {protocol - 1} to {protocol}, agent 'main' (Poise "
+    assert answer.reason.startswith(said)
+    spoken = f"speaks {LEAST_PROTOCOL} to {PROTOCOL}: upgrade the {older}"
+    assert spoken in answer.reason
+
+
+@pytest.mark.parametrize("protocol", [PROTOCOL + 1, PROTOCOL, LEAST_PROTOCOL])
+def test_takes_requests_of_the_releases_before_and_after(
+    manager: Manager, protocol: int
+) -> None:
+    request = ManagerRequest(token=9, request=ReadOutput())
+    versions = {"protocol": protocol, "least": protocol - 1}
+    said = msgspec.to_builtins(request) | versions | {"new": "field"}
+    answer = manager.ask_raw(msgspec.msgpack.encode(said))
+    assert isinstance(answer, Refused)
+    assert "protocol" not in answer.reason  # but obeys another manager
 
 
 def test_refuses_what_is_no_request(manager: Manager) -> None:

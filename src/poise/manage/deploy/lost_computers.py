@@ -19,6 +19,10 @@ _MOMENT = 1.0
 """A command waits so long for a computer that has just been cut off [s]."""
 
 
+_REPLACED = 10.0
+"""The next agent of a computer is there within this time after one has left [s]."""
+
+
 class LostComputers:
     """The computers of a running robot that do not obey its manager."""
 
@@ -62,15 +66,24 @@ class LostComputers:
     def computers(self) -> frozenset[str]:
         """Return those that nobody hears: what ran there may be started elsewhere.
 
-        Their leases have ended, or end within a second.
+        Their leases have ended, or end within a second. What an agent has left for the
+        next one stays for a while.
         """
         agents = self._run.agents
         away = self._lost_at.keys() & agents.out_of_reach().keys() & self._run.claimed
         return frozenset(
             name
             for name in sorted(away)
-            if not agents.heard_by(name) and agents.ends_soon(name)
+            if not agents.heard_by(name)
+            and agents.ends_soon(name)
+            and not self._is_replaced(name)
         )
+
+    def _is_replaced(self, computer: str) -> bool:
+        """Return whether the next agent of a computer is awaited."""
+        run, status = self._run, self._run.agents.statuses().get(computer)
+        since = run.clock.now() - self._lost_moments[computer]
+        return status is not None and status.is_leaving and since < _REPLACED
 
     def deviations(self) -> list[Deviation]:
         """Return what is known of each; from any thread."""
@@ -133,7 +146,10 @@ class LostComputers:
         self._lost_at[computer] = wall_time()
         self._lost_moments[computer] = run.clock.now()
         back = f"computer '{computer}' was cut off, or its agent was restarted"
-        run.journal.note("wrong", run.unreached().get(computer, back))
+        away = run.unreached().get(computer, back)
+        if self._is_replaced(computer):
+            away = f"the agent of '{computer}' ends for another one to follow"
+        run.journal.note("wrong", away)
 
     def _note_back(self, computer: str, status: AgentStatus) -> None:
         run = self._run

@@ -68,6 +68,8 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 
+LEAVE = signal.SIGUSR1
+"""Ends an agent whose containers go on, for the next agent to adopt them."""
 _ORPHANS = "requests for adoption"
 _ENDING_EVERY = 0.1
 """While containers end, the agent looks this often [s]."""
@@ -80,7 +82,7 @@ class Agent:
         self._setup = setup
         self._say = say
         self._clock = SystemClock()
-        self._is_asked_to_end = False
+        self._is_asked_to_end = self._is_leaving = False
         self._service = ServiceNotice()
         try:
             socket_path(Path(setup.folder), "")
@@ -111,14 +113,14 @@ class Agent:
 
     def run(self) -> None:
         """Work until a signal or the end of the lifeline."""
-        for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
+        for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP, LEAVE):
             if signal.getsignal(number) != signal.SIG_IGN:  # as under `nohup`
                 signal.signal(number, self._on_signal)
         try:
             with ahead():  # zenoh's threads inherit that
                 self._run_in(self._setup)
         finally:
-            if self._is_asked_to_end:
+            if self._is_asked_to_end and not self._is_leaving:
                 zygote.end(self._zygote, self._zygote_pid)
             else:  # it stays until the containers have ended
                 self._zygote.close()
@@ -188,7 +190,10 @@ class Agent:
                 self._take_news(min(core.moment(), self._service.due))
                 self._service.live(self._clock.now())
         self._service.end()
-        self._end_all()
+        if self._is_leaving:
+            self._core.leave()
+        else:
+            self._end_all()
         for token in self._tokens:
             token.undeclare()  # type: ignore[no-untyped-call]
 
@@ -216,6 +221,7 @@ class Agent:
             adoption=self._adoption,
             disk=disk,
             code=self._code,
+            version=version("poise"),
             platform=this_platform(),
             standby=self._standby,
             heartbeats=self._heartbeats,
@@ -300,8 +306,8 @@ class Agent:
         self._core.supervised.report(f"thread '{name}'", error)
         self._core.wake()
 
-    def _on_signal(self, _signal: int, _frame: FrameType | None) -> None:
-        self._is_asked_to_end = True
+    def _on_signal(self, number: int, _frame: FrameType | None) -> None:
+        self._is_asked_to_end, self._is_leaving = True, number == LEAVE
         self._waker.wake()
 
     def _take_news(self, until: float) -> None:
@@ -389,7 +395,9 @@ class Agent:
                 orphan, connection, stats_page = adopted
                 name, pid = orphan.container, orphan.pid
                 link = self._host.link(name, connection, stats_page)
-                if not self._core.on_orphan(name, pid, link):
+                if not orphan.is_understood or not self._core.on_orphan(
+                    name, pid, link
+                ):
                     log.warning("container '%s' (process %d) is not adopted", name, pid)
                     link.close()
                     kill_all({pid})

@@ -24,7 +24,6 @@ from poise.runtime.hosting.output import forget_output, read_output
 from poise.wire.codec import MALFORMED
 from poise.wire.records.deployment_records import Deployment
 from poise.wire.records.request_records import (
-    PROTOCOL,
     Accepted,
     Answer,
     CheckpointCopy,
@@ -71,7 +70,7 @@ class AgentFolder:
                 error,
             )
             return AgentState()
-        is_valid = state.boot == self._boot and state.protocol == PROTOCOL
+        is_valid = state.boot == self._boot and state.is_understood
         return state if is_valid else AgentState()
 
     def keep(self, state: AgentState) -> None:

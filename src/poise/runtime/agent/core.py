@@ -220,6 +220,11 @@ class AgentCore:
         self.supervised.attempt("leader", self.standby.close)
         self.supervisor.end()
 
+    def leave(self) -> None:
+        """Say that the next agent starts soon here, and adopts the containers."""
+        self._keep_state()
+        self._world.publish(structs.replace(self._status(), is_leaving=True))
+
     def has_ended(self) -> bool:
         """Return whether no container runs any more, or they had time enough."""
         is_late = self._clock.now() >= self._end_limit
@@ -384,6 +389,7 @@ class AgentCore:
         # a lack of descriptors, say, is the cause of both
         trouble = world.gateway_trouble() or world.disk.trouble()
         return AgentStatus(
+            version=world.version,
             computer=self._setup.computer,
             pid=world.pid,
             adopted=world.adoption.num_adopted,

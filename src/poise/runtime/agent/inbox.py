@@ -7,18 +7,26 @@ import traceback
 from collections import deque
 from collections.abc import Callable
 from functools import partial
+from importlib.metadata import version
 from threading import Lock
 from typing import TypeVar
 
 import msgspec
 import zenoh
-from msgspec import Struct, structs
+from msgspec import structs
 
 from poise.back_off import BackOff
 from poise.clock import Clock
 from poise.runtime.agent.surroundings import Reply
 from poise.wire.codec import MALFORMED
-from poise.wire.records.request_records import PROTOCOL, Answer, ManagerRequest, Refused
+from poise.wire.records.request_records import (
+    LEAST_PROTOCOL,
+    PROTOCOL,
+    Answer,
+    ManagerRequest,
+    Refused,
+    Versioned,
+)
 from poise.wire.records.status_records import ErrorCount
 
 log = logging.getLogger(__name__)
@@ -117,11 +125,9 @@ class AgentInbox:
         data = query.payload.to_bytes() if query.payload is not None else b""
         try:
             # first, for what another protocol asks may look different
-            spoken = msgspec.msgpack.decode(data, type=_Spoken).protocol
-            if spoken != PROTOCOL:
-                text = f"manager speaks protocol {spoken}, agent '{self._computer}' "
-                text += f"speaks {PROTOCOL}: install the same Poise"
-                answer(query, Refused(text))
+            asker = msgspec.msgpack.decode(data, type=Versioned)
+            if not asker.is_understood:
+                answer(query, Refused(self._not_understood(asker)))
                 return
             request = msgspec.msgpack.decode(data, type=ManagerRequest)
         except MALFORMED as error:
@@ -132,16 +138,18 @@ class AgentInbox:
             return
         self.put(partial(self._attend, request, partial(answer, query)))
 
+    def _not_understood(self, asker: Versioned) -> str:
+        older = "agent" if asker.protocol > PROTOCOL else "manager"
+        return (
+            f"manager speaks protocol {asker.least} to {asker.protocol}, agent "
+            f"'{self._computer}' (Poise {version('poise')}) speaks {LEAST_PROTOCOL} to "
+            f"{PROTOCOL}: upgrade the {older}, one release after the other"
+        )
+
     def work(self) -> None:
         """Do all that waits."""
         while self._waiting:
             self._supervised.attempt("requests", self._waiting.popleft())
-
-
-class _Spoken(Struct, frozen=True):
-    """The part that the requests of all protocols share."""
-
-    protocol: int = PROTOCOL
 
 
 def answer(query: zenoh.Query, reply: Answer) -> None:

@@ -21,11 +21,11 @@ from poise.wire.heartbeats import Address, Hear, NextBeat
 from poise.wire.records.code_records import CodePart, InstallCode
 from poise.wire.records.deployment_records import ContainerSpec, Deployment
 from poise.wire.records.request_records import (
-    PROTOCOL,
     Answer,
     CheckpointCopy,
     Claim,
     ReadOutput,
+    Versioned,
 )
 from poise.wire.records.status_records import SAMPLE_EVERY, AgentStatus, ToContainer
 
@@ -60,15 +60,14 @@ class AgentSetup(Struct, frozen=True, kw_only=True):
     is_witness: bool = False  # It votes for managers, and runs nothing
 
 
-class AgentState(Struct, frozen=True, kw_only=True):
-    """What an agent must know after it was killed."""
+class AgentState(Versioned, frozen=True, kw_only=True):
+    """What an agent must know of the one before it."""
 
     gateway: str = ""  # Its IP address and TCP port
     claim: Claim | None = None  # Of the manager that it obeys
     token: int = 0
     wanted: Deployment | None = None
     boot: str = ""  # When the computer has started since, nothing of it holds
-    protocol: int = PROTOCOL
 
 
 Reply = Callable[[Answer], object]
@@ -234,7 +233,8 @@ class Surroundings(Struct, frozen=True, kw_only=True):
     # What the agent and the containers use, and the agent's CPU time so far [s]
     usage: Callable[[], Usage]
     cpu: Callable[[], float]
-    platform: str = ""  # As in `AgentStatus`
+    version: str = ""  # As in `AgentStatus`
+    platform: str = ""
     # Its address, and why it accepts no connection; empty: it does
     gateway: str
     gateway_trouble: Callable[[], str]

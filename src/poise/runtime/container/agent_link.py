@@ -21,6 +21,7 @@ from poise.errors import Unavailable
 from poise.runtime.waker import is_writable
 from poise.wire import frame
 from poise.wire.address import agent_path, keep_private
+from poise.wire.records.request_records import Versioned
 from poise.wire.records.status_records import FromContainer, ToContainer
 
 ORPHAN_LIMIT = 60.0
@@ -32,7 +33,7 @@ _PAUSE = 0.2
 _INBOX = 1 << 16
 
 
-class Orphan(Struct, frozen=True, kw_only=True):
+class Orphan(Versioned, frozen=True, kw_only=True):
     """A container without an agent asks to be adopted."""
 
     container: str

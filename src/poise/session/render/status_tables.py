@@ -171,9 +171,12 @@ def container_lines(answer: RobotStatus) -> Iterator[str]:
 
 
 def _notices(answer: RobotStatus) -> Iterator[str]:
+    versions = {report.version for report in answer.computers.values()}
     for name, report in sorted(answer.computers.items()):
         if report.notice:
             yield f"{name}: {report.notice}"
+        if len(versions) > 1:
+            yield f"{name}: Poise {report.version}"
 
 
 def _clock(moment: float) -> str:

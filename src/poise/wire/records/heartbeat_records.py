@@ -6,8 +6,6 @@ from collections.abc import Mapping
 
 from msgspec import Struct
 
-from poise.wire.records.request_records import PROTOCOL
-
 
 class Echo(Struct, frozen=True, array_like=True, gc=False):
     """The last heartbeat that the sender has heard of another participant."""
@@ -39,7 +37,6 @@ class Heartbeat(Struct, frozen=True, array_like=True):
     # Computer -> fencing token that has no effect any more: leased components were
     # started elsewhere. Agents repeat what their manager says.
     revoked: Mapping[str, int] = {}
-    protocol: int = PROTOCOL
 
 
 MANAGER = ""

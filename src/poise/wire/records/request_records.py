@@ -19,7 +19,25 @@ from poise.wire.records.deployment_records import Deployment
 from poise.wire.records.migration_records import MigrationSteps, StepsDone, StepsFailed
 
 PROTOCOL = 13
-"""Manager, agents and containers of different protocol versions refuse each other."""
+"""The version of all records here and beside, higher where one of them has changed."""
+LEAST_PROTOCOL = 12
+"""The oldest version whose programs this one understands, and that understand it.
+
+Such records differ in fields alone: a new one has a default, and an unknown one is
+ignored. Requests and answers of a new kind go only to programs that have it.
+"""
+
+
+class Versioned(Struct, frozen=True, kw_only=True):
+    """What a program says that may be of another version than its reader."""
+
+    protocol: int = PROTOCOL
+    least: int = LEAST_PROTOCOL
+
+    @property
+    def is_understood(self) -> bool:
+        """Whether writer and reader understand each other."""
+        return self.least <= PROTOCOL and self.protocol >= LEAST_PROTOCOL
 
 
 class ManagerId(Struct, frozen=True, kw_only=True):
@@ -268,9 +286,8 @@ Request = (
 """What a manager asks of an agent."""
 
 
-class ManagerRequest(Struct, frozen=True, kw_only=True):
+class ManagerRequest(Versioned, frozen=True, kw_only=True):
     """A request with its manager's fencing token: agents refuse any other."""
 
-    protocol: int = PROTOCOL
     token: int
     request: Request

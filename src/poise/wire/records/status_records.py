@@ -12,7 +12,6 @@ from poise.wire.records.deployment_records import ConnectorKind, ContainerSpec
 from poise.wire.records.heartbeat_records import Clocks, ClockStatus, LinkQuality
 from poise.wire.records.migration_records import MigrationSteps, StepsDone, StepsFailed
 from poise.wire.records.request_records import (
-    PROTOCOL,
     ManagerId,
     PortAnswer,
     PortRequest,
@@ -236,7 +235,7 @@ class ContainerHealth(Struct, frozen=True, kw_only=True):
 class AgentStatus(Struct, frozen=True, kw_only=True, dict=True):
     """A computer as its agent sees it."""
 
-    protocol: int = PROTOCOL
+    version: str = ""  # Of Poise
     computer: str
     pid: int = 0  # The agent's process
     # How many containers of an earlier agent, which was killed, it took over
@@ -258,6 +257,8 @@ class AgentStatus(Struct, frozen=True, kw_only=True, dict=True):
     trouble: str = ""
     # What is to be known though nothing is wrong, as of its keys
     notice: str = ""
+    # Whether the next agent starts soon here, and adopts the containers
+    is_leaving: bool = False
     # Errors of its own code within the last minute: the part that is tried again later,
     # and the traceback. The rest goes on
     errors: tuple[ErrorCount, ...] = ()
