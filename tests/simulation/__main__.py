@@ -4,6 +4,7 @@
     python -m tests.simulation 2h          # for so long
     python -m tests.simulation --seed 71   # one, with its trace
     python -m tests.simulation 200 --elects   # standbys follow a manager that is gone
+    python -m tests.simulation 200 --virtual 40s   # instead of two minutes each
 
 Two processes work at a time. The first failures are shrunk and printed with their
 traces; the exit code is 1 when there are any.
@@ -42,12 +43,15 @@ def main() -> int:
     parser.add_argument(
         "--elects", action="store_true", help="standbys follow a manager that is gone"
     )
+    parser.add_argument("--virtual", default=f"{SECONDS:g}s", help="of each seed")
     asked = parser.parse_args()
+    seconds = parse(asked.virtual, UNIT)
     if asked.seed is not None:
-        return replay(asked.seed, elects=asked.elects)
+        return replay(asked.seed, seconds, elects=asked.elects)
     failures: list[int] = []
     virtual, runs, began = 0.0, 0, time.monotonic()
-    for outcome in in_parallel(asked.extent, asked.first, elects=asked.elects):
+    seeds = in_parallel(asked.extent, asked.first, seconds, elects=asked.elects)
+    for outcome in seeds:
         runs, virtual = runs + 1, virtual + outcome.virtual
         if outcome.failure:
             failures.append(outcome.seed)
@@ -59,11 +63,13 @@ def main() -> int:
         f"{virtual / took:.0f} times real time; {len(failures)} failed"
     )
     for seed in failures[:SHRUNK]:
-        replay(seed, elects=asked.elects)
+        replay(seed, seconds, elects=asked.elects)
     return bool(failures)
 
 
-def in_parallel(extent: str, first: int, *, elects: bool) -> Iterator[RunOutcome]:
+def in_parallel(
+    extent: str, first: int, seconds: float, *, elects: bool
+) -> Iterator[RunOutcome]:
     """Yield outcomes as they come, until so many seeds or so much time are over."""
     most = int(extent) if extent.isdigit() else None
     until = time.monotonic() + (0.0 if most is not None else parse(extent, UNIT))
@@ -75,7 +81,7 @@ def in_parallel(extent: str, first: int, *, elects: bool) -> Iterator[RunOutcome
             while is_due and len(waiting) < 2 * WORKERS:
                 if not (part := list(islice(seeds, CHUNK))):
                     break
-                waiting.add(pool.submit(chunk, part, elects=elects))
+                waiting.add(pool.submit(chunk, part, seconds, elects=elects))
             if not waiting:
                 return
             done, waiting = wait(waiting, return_when=FIRST_COMPLETED)
@@ -83,11 +89,11 @@ def in_parallel(extent: str, first: int, *, elects: bool) -> Iterator[RunOutcome
                 yield from each.result()
 
 
-def replay(seed: int, *, elects: bool) -> int:
+def replay(seed: int, seconds: float, *, elects: bool) -> int:
     """Run a seed again, and print the shortest way to its failure."""
-    outcome = run(seed, elects=elects)
+    outcome = run(seed, seconds, elects=elects)
     if outcome.failure:
-        shrunk = Shrunk(small_scenario(SECONDS, elects=elects), outcome)
+        shrunk = Shrunk(small_scenario(seconds, elects=elects), outcome)
         shrunk.shrink()
         outcome = shrunk.outcome
     print(f"--- seed {seed}: {outcome.failure or 'all held'} {outcome.message}")

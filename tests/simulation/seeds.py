@@ -12,16 +12,18 @@ SECONDS = 120.0
 """Of faults in each run [virtual s]."""
 
 
-def chunk(seeds: Iterable[int], *, elects: bool = False) -> list[RunOutcome]:
+def chunk(
+    seeds: Iterable[int], seconds: float = SECONDS, *, elects: bool = False
+) -> list[RunOutcome]:
     """Run some seeds; what a replay needs is left out of what went well."""
-    return [run(seed, elects=elects) for seed in seeds]
+    return [run(seed, seconds, elects=elects) for seed in seeds]
 
 
-def run(seed: int, *, elects: bool = False) -> RunOutcome:
+def run(seed: int, seconds: float = SECONDS, *, elects: bool = False) -> RunOutcome:
     """Run one seed; what agents log about their containers is in the trace."""
     before = logging.root.manager.disable
     logging.disable(logging.CRITICAL)
     try:
-        return simulate(small_scenario(SECONDS, elects=elects), seed)
+        return simulate(small_scenario(seconds, elects=elects), seed)
     finally:
         logging.disable(before)

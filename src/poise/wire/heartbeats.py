@@ -123,10 +123,9 @@ class Contacts:
         if beat.robot != self._robot or beat.sender == self.name:
             return False
         contact = self._contacts.get(beat.sender)
-        is_same = contact is not None and contact.last.key == beat.key
-        if (beat.sender, beat.key) in self._ended:
-            return False  # of a start before, and recorded by somebody
-        if contact is None or not is_same:
+        if contact is None or contact.last.key != beat.key:
+            if (beat.sender, beat.key) in self._ended:
+                return False  # of a start before, and recorded by somebody
             if contact is not None and beat.sender != MANAGER:  # there may be several
                 self._ended.append((beat.sender, contact.last.key))
             contact = self._contacts[beat.sender] = Contact(beat, now)

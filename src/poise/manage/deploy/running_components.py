@@ -20,7 +20,8 @@ from poise.manage.agent_connections.statuses import (
     containers_left,
     cut_links,
     located,
-    missing,
+    not_at_goals,
+    not_joined,
     unreached,
     unresponsive_containers,
 )
@@ -236,6 +237,15 @@ class RunningComponents(DesiredState):
         """Return what `wait` still waits for, in words."""
         statuses = self.current()
         silent = self._involved(wanted) & (self.computers() - statuses.keys())
+        unmet = not_at_goals(wanted, statuses, silent)
+        # which are to be joined takes long to find out on a large robot
+        unmet = unmet or not_joined(statuses, self._joins(wanted))
+        unmet += self.unresponsive(wanted) if unmet else []
+        faults = faults_after(self._faults_before_commit, statuses) if unmet else ()
+        return unmet + [fault_sentence(computer, fault) for computer, fault in faults]
+
+    def _joins(self, wanted: Iterable[Incarnation]) -> set[str]:
+        """Return the keys of the connectors of incarnations that reach each other."""
         new = {
             incarnation.component: incarnation
             for incarnation in wanted
@@ -243,15 +253,11 @@ class RunningComponents(DesiredState):
         }
         placed = {**self.placed, **new}
         unreached = self.unreached_connectors(placed)
-        joins = {
+        return {
             self.layout.key_of(connector, placed)
             for connector in self.layout.connectors_at(new, placed)
             if str(connector) not in unreached
         }
-        unmet = missing(wanted, statuses, silent, joins)
-        unmet += self.unresponsive(wanted) if unmet else []
-        faults = faults_after(self._faults_before_commit, statuses) if unmet else ()
-        return unmet + [fault_sentence(computer, fault) for computer, fault in faults]
 
     def unreached_connectors(self, placed: Mapping[str, Incarnation]) -> dict[str, str]:
         """Return the connectors whose ends do not reach each other, and why."""
