@@ -11,13 +11,14 @@ from __future__ import annotations
 import queue
 import threading
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from functools import partial
 from typing import TypeVar
 
 from msgspec import structs
 
+from poise.clock import wall_time
 from poise.errors import PoiseError, RunError, TakenOver, UsageError
 from poise.manage.adaptation.loop import Adaptation
 from poise.manage.adaptation.situation import Situation, SituationReader
@@ -171,7 +172,11 @@ class Manager:
         known = status_of(self._run, self.tasks.reports, self._estimates)
         return structs.replace(
             known,
-            deviations=(*known.deviations, *self._deviations()),
+            deviations=(
+                *self._superseded(),
+                *known.deviations,
+                *self._deviations(),
+            ),
             under_way=(
                 *(p.under_way() for _, p, _ in self._preparations.copy()),
                 *self._canaries.under_way(),
@@ -386,12 +391,25 @@ class Manager:
     def _situation(self) -> Situation:
         return self._reader.read(self.tasks.now())
 
+    def _why_superseded(self) -> str:
+        """Return why this manager does not lead the robot any more; empty: it does."""
+        agents = self._run.agents
+        if (successor := agents.successor()) is not None:
+            return f"{successor} has taken over the robot, which keeps running"
+        why = agents.why_not_leading()
+        return f"{why}: this manager leaves the robot to another one" if why else ""
+
+    def _superseded(self) -> Iterator[Deviation]:
+        """Yield what to know of a status while this manager ends what it had begun."""
+        if why := self._why_superseded():
+            yield Deviation(
+                what=f"{why}: what an earlier manager says here may be out of date",
+                computer=self._run.agents.manager.host,
+                since=wall_time(),
+            )
+
     def _raise_on_successor(self) -> None:
-        successor = self._run.agents.successor()
-        why = self._run.agents.why_not_leading()
-        text = f"{why}: this manager leaves the robot to another one" if why else ""
-        if successor is not None:
-            text = f"{successor} has taken over the robot, which keeps running"
+        text = self._why_superseded()
         if text and not self._why_over:
             self._run.journal.note("seen", text)
             self._run.leave()

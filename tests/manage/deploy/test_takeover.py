@@ -148,7 +148,10 @@ def test_a_manager_that_has_a_successor_leaves_the_robot_as_it_is(
     run.start()
     estimates = Estimates(robot, None, emulated=True)
     manager = Manager(run, Saved(), estimates, Recording())
+    assert not manager.status().deviations
     agents.later = LATER
+    # it says so from then on, also while it waits for something
+    assert "may be out of date" in manager.status().deviations[0].what
     with pytest.raises(TakenOver, match=r"user bob on desk \(process 8\) since"):
         manager.work(0.0)
     manager.stop()
