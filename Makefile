@@ -103,13 +103,16 @@ wheels: setup
 test-wheels: setup
 	@$(BIN)/python -m pytest -q -m wheels tests/wheels
 
-# the versions of all packages here and of the tools of `make wheels`
+# the versions of all packages here and of the tools of `make wheels`; and of what Poise itself needs, with hashes
 lock: setup
 	@$(BIN)/python .ci/wheels.py tools
 	@{ echo "# The versions that the tests ran with, for Python 3.11 to 3.13; \`make lock\` writes this."; \
 	  for python in $(BIN) build/wheels/tools/bin; do $$python/python -m pip freeze --exclude-editable; done \
 	    | LC_ALL=C sort -fu; } > build/constraints.txt
 	@mv build/constraints.txt constraints.txt
+	@build/wheels/tools/bin/pip-compile --quiet --generate-hashes --no-header --no-annotate --strip-extras \
+	  --no-emit-index-url --no-emit-find-links --no-emit-trusted-host \
+	  --constraint constraints.txt --output-file dependencies.txt pyproject.toml
 
 clean:
 	rm -rf .venv build dist .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis

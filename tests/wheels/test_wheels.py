@@ -6,11 +6,13 @@ import os
 import re
 import shutil
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
 from tests.waiting import LONG
+from tests.wheels.arm64 import Arm64
 
 pytestmark = [pytest.mark.slow, pytest.mark.wheels, pytest.mark.timeout(2400)]
 
@@ -80,12 +82,55 @@ def test_a_robot_runs_where_there_is_no_compiler(
             check=False,
         )
 
-    installed = run(
-        *("pip", "install", "--quiet", "--disable-pip-version-check"),
-        *("--only-binary", ":all:", wheel),
-    )
-    assert installed.returncode == 0, installed.stderr
+    install = ("pip", "install", "--quiet", "--disable-pip-version-check")
+    for what in (
+        ("--only-binary", ":all:", "--require-hashes", "-r", dist / "dependencies.txt"),
+        ("--no-deps", wheel),
+        ("--no-index", wheel),  # its dependencies are all there
+    ):
+        installed = run(*install, *what)
+        assert installed.returncode == 0, installed.stderr
     assert run("poise", "--version").stdout == f"poise {wheel.name.split('-')[1]}\n"
     assert run("poise", "check", "robot.yaml").returncode == 0
     hello = run("poise", "run", "robot.yaml", "--task", "greet", "--for", "3s")
     assert "printer has 20" in hello.stdout, hello.stdout + hello.stderr
+
+
+def test_the_same_commit_gives_the_same_files_at_another_time_and_place(
+    dist: Path, tmp_path: Path
+) -> None:
+    git = ["git", "-C", str(ROOT)]
+    changed = subprocess.run(
+        [*git, "status", "--porcelain"], capture_output=True, text=True, check=False
+    )
+    if changed.returncode or changed.stdout:
+        pytest.skip(f"what is here is no commit: {changed.stdout}{changed.stderr}")
+    clone = tmp_path / "elsewhere"
+    subprocess.run([*git, "clone", "--quiet", ROOT, clone], check=True)
+    (clone / "build/wheels").mkdir(parents=True)
+    for tools in ("tools", "cp311", "zig-cache"):
+        (clone / "build/wheels" / tools).symlink_to(ROOT / "build/wheels" / tools)
+    script = [sys.executable, str(clone / ".ci/wheels.py"), "cp311-x86_64"]
+    subprocess.run(script, umask=0o077, timeout=1800, check=True)
+    again = {file.name: file.read_bytes() for file in (clone / "dist").iterdir()}
+    assert sorted(Path(name).suffix for name in again) == [
+        *(".gz", ".json", ".txt", ".whl")
+    ]
+    differ = [n for n, data in again.items() if (dist / n).read_bytes() != data]
+    assert differ == []
+
+
+def test_a_robot_runs_and_moves_on_aarch64(dist: Path, tmp_path: Path) -> None:
+    (wheel,) = dist.glob("poise-*-cp311-cp311-manylinux*_aarch64.whl")
+    arm64 = Arm64(tmp_path / "arm64")
+    arm64.install(Path(sys.executable), dist / "dependencies.txt", wheel)
+    hello = tmp_path / "hello"
+    shutil.copytree(ROOT / "examples/hello", hello)
+    try:
+        words = ("poise", "up", "robot.yaml", "--task", "greet", "--detach")
+        assert "robot 'hello' is up" in arm64.run(*words, cwd=hello)
+        said = arm64.run("poise", "move", "printer", "left", cwd=hello)
+        assert "printer runs on left now" in said
+        arm64.run("poise", "stop", cwd=hello)
+    finally:
+        arm64.run("poise", "emulate", "stop", cwd=hello)

@@ -70,6 +70,7 @@ def emulate_command(file: RobotFile, set_: Set = None) -> None:
             names = ", ".join(f"{c.name} {c.address}" for c in kept.computers.values())
             say(f"the computers of robot '{robot.name}' are up ({names}); Ctrl-C ends")
             while not interrupts.has_come():
+                kept.state()  # raises when another process has removed it
                 time.sleep(_POLL_EVERY)
             say("stopping")
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from msgspec import Struct
 
 from poise.errors import RunError
-from poise.kernel_counters import process_stat
+from poise.kernel_counters import stat_of
 
 PREFIX = "poise"
 
@@ -40,7 +40,8 @@ class Owner(Struct, frozen=True):
 
 
 def _started(pid: int) -> int | None:
-    stat = process_stat(pid)
+    # qemu-user makes up the times of `/proc/PID/stat` for a process itself
+    stat = stat_of(Path(f"/proc/{pid}/task/{pid}"))
     return None if stat is None or stat.state in "ZX" else stat.started
 
 

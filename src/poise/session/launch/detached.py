@@ -20,6 +20,8 @@ from poise.session.folders import state_folder
 from poise.session.running_robots.running import Running
 
 _LOOK_EVERY = 0.05
+_LIMIT = 300.0
+"""Computers and robots are up within this time, or something is wrong [s]."""
 _LARGE_LOG = 1_000_000
 """A log does not grow beyond this when a manager starts [bytes]."""
 _END_LIMIT = 30.0
@@ -101,8 +103,12 @@ def _wait(
     check: Check,
 ) -> None:
     """Wait until it is done or has ended; the log had `size` bytes before."""
+    until = time.monotonic() + _LIMIT
     while not is_done():
         check()
+        if time.monotonic() > until:
+            text = f"process {process.pid} has not brought all up within {_LIMIT:g} s"
+            raise RunError(f"{text}, and is ended; log: {log}")
         code = process.poll()
         if code is not None:
             said = log.read_bytes()[size:].decode(errors="replace").strip()
