@@ -40,7 +40,8 @@ class Arm64:
         """Install a wheel and what it needs, by the pip of another Python."""
         tags = ("2014", "_2_17", "_2_28", "_2_31", "_2_34")
         platforms = [f"--platform=manylinux{tag}_aarch64" for tag in tags]
-        argv: list[str | Path] = [python, *"-m pip install --quiet --no-deps".split()]
+        argv: list[str | Path] = [python, "-m", "pip", "install"]
+        argv += ["--quiet", "--no-deps"]
         argv += ["--target", self._site, "--python-version=3.11", "--only-binary=:all:"]
         argv += platforms
         _run([*argv, "--require-hashes", "-r", requirements])
