@@ -13,6 +13,7 @@ traces; the exit code is 1 when there are any.
 from __future__ import annotations
 
 import argparse
+import logging
 import sys
 import time
 from collections.abc import Iterator
@@ -93,6 +94,7 @@ def replay(seed: int, seconds: float, *, elects: bool) -> int:
     """Run a seed again, and print the shortest way to its failure."""
     outcome = run(seed, seconds, elects=elects)
     if outcome.failure:
+        logging.disable(logging.CRITICAL)  # it is in the trace
         shrunk = Shrunk(small_scenario(seconds, elects=elects), outcome)
         shrunk.shrink()
         outcome = shrunk.outcome
