@@ -119,8 +119,7 @@ class Site:
 
     def start_agent(self, name: str, python: Path) -> None:
         words = ["agent", name, "--robot", self.robot, "--address", "127.0.0.1"]
-        folder = self._folder / "agents" / name
-        words += ["--port", str(self._ports[name]), "--folder", str(folder)]
+        words += ["--port", str(self._ports[name])]
         self.agents[name] = self.popen(python, *words)
 
     def up(self, python: Path, *options: str) -> subprocess.Popen[bytes]:

@@ -8,6 +8,7 @@ runs on a transport's thread.
 
 from __future__ import annotations
 
+import contextlib
 import queue
 import threading
 import traceback
@@ -401,7 +402,10 @@ class Manager:
 
     def _superseded(self) -> Iterator[Deviation]:
         """Yield what to know of a status while this manager ends what it had begun."""
-        if why := self._why_superseded():
+        why = ""
+        with contextlib.suppress(Exception):  # the tick reports a bug in it
+            why = self._why_superseded()
+        if why:
             yield Deviation(
                 what=f"{why}: what an earlier manager says here may be out of date",
                 computer=self._run.agents.manager.host,
