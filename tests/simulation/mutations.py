@@ -272,7 +272,7 @@ DEFECTS: Defects = {
     ),
     "no-witness": (
         "a take-over rolls back each half-done move, and asks no container",
-        _put(takeover, "_is_committed", lambda *_: False),
+        _put(takeover, "_committed", lambda *_: frozenset()),
     ),
     "stale-disk": (
         "an agent starts what its disk says, however old that is",

@@ -201,3 +201,11 @@ def test_switches_of_tasks_grow_with_the_computers_not_with_their_pairs() -> Non
 def test_standbys_follow_each_other_and_nothing_is_active_twice(seed: int) -> None:
     """These failed for as many different defects (docs/design/simulation.md)."""
     assert run(seed, elects=True).message == ""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [4149, 4413, 4905, 6319])
+def test_half_done_moves_and_late_heartbeats_make_nothing_active_twice(
+    seed: int,
+) -> None:
+    assert run(seed, 40.0, elects=True).message == ""

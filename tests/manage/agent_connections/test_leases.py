@@ -292,3 +292,20 @@ def test_agents_whose_manager_has_ended_leave_the_lease_as_it_is() -> None:
     world.obeys |= dict.fromkeys(AGENTS, "")
     world.run(2.0)
     assert world.is_held("left")
+
+
+def test_a_lost_connection_ends_no_lease_that_another_agent_extends() -> None:
+    """Nothing answered the manager since it claimed the agent again."""
+    world = World()
+    world.run(1.0)
+    world.manager.forget("left")
+    world.sever(MANAGER, "left")
+    world.manager.note_ended("left", world.now)
+    world.run(2 * SURELY_ENDED)
+    assert world.leases["left"].until(world.now + AHEAD["left"]) > world.now
+    assert not world.manager.have_leases_ended(["left"], world.now)
+    assert world.manager.heard_by("left", world.now) in {"right", "third"}
+    world.isolate("left")
+    world.run(2 * SURELY_ENDED)
+    assert world.manager.have_leases_ended(["left"], world.now)
+    assert not world.manager.heard_by("left", world.now)

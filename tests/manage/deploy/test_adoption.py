@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 from msgspec.structs import replace
 
 from poise.manage.deploy.adoption import Adoption, adopt, found_in, is_half_done
@@ -24,7 +26,7 @@ def adopted(
     robot: Robot,
     *incarnations: Incarnation,
     now: Robot | None = None,
-    is_committed: bool = False,
+    committed: Collection[tuple[str, int]] = (),
     version: str = "",
 ) -> Adoption:
     robot_now = now or robot
@@ -33,7 +35,7 @@ def adopted(
         robot_now,
         DeploymentPlan(robot_now, "/run", code_version=lambda *_: version),
         PLANNED,
-        is_committed=is_committed,
+        committed=committed,
     )
 
 
@@ -65,9 +67,16 @@ def test_a_migration_that_was_not_committed_is_rolled_back(robot: Robot) -> None
 
 def test_a_migration_that_was_committed_is_finished(robot: Robot) -> None:
     found = (GRABBER, THINKER.with_goal("stay"), target(3))
-    adoption = adopted(robot, *found, is_committed=True)
+    adoption = adopted(robot, *found, committed={("thinker", 3)})
     assert adoption.kept["thinker"] == target(3, "active")
     assert "is finished" in adoption.half_done[0]
+
+
+def test_the_commit_of_another_migration_finishes_none(robot: Robot) -> None:
+    """An agent that was cut off has not heard that the one before has ended."""
+    found = (GRABBER, THINKER.with_goal("stay"), target(3))
+    adoption = adopted(robot, *found, committed={("grabber", 0)})
+    assert adoption.kept["thinker"] == THINKER
 
 
 def test_a_target_that_was_to_be_active_counts_in_any_case(robot: Robot) -> None:
@@ -170,7 +179,7 @@ def test_an_architecture_is_replaced_as_a_whole_or_not(robot: Robot) -> None:
     assert is_half_done(found_in(told(both, *found)), both)
     before = adopted(both, *found)
     assert set(before.kept) == {"grabber", "thinker"}
-    after = adopted(both, *found, is_committed=True)
+    after = adopted(both, *found, committed={("reflex", 0)})
     assert set(after.kept) == {"grabber", "reflex"}
     assert after.ends == ("thinker",)
 

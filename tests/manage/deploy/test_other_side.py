@@ -256,5 +256,5 @@ def test_what_an_earlier_manager_held_is_no_target_of_a_migration(robot: Robot) 
     old = replace(THINKER, computer="left", epoch=3)
     found = found_in(plan.specs([old, *desired.incarnations()], 5, {}))
     assert {each.spec.goal for each in found} == {"active", "inactive"}
-    counts = authoritative(found, robot, is_committed=False)
+    counts = authoritative(found, robot)
     assert counts["thinker"].incarnation == THINKER

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from unittest.mock import Mock
 
 import pytest
+from msgspec import structs
 
 from poise import Component
 from poise.clock import SystemClock
@@ -180,6 +181,18 @@ def test_a_halt_says_that_a_step_after_the_commit_was_begun(
     assert executor.halt(batch(HALT)).is_committed  # as often as it is asked
     executor.note_deployment(TOLD)
     assert not executor.halt(batch(HALT)).is_committed
+
+
+def test_a_halt_says_of_which_migration_the_last_step_was(
+    executor: MigrationExecutor,
+) -> None:
+    first, second = (("component", 1),), (("component", 2),)
+    executor.receive(structs.replace(batch(RESUME), targets=first))()
+    done = executor.halt(batch(HALT))
+    assert (done.targets, done.is_committed) == (first, True)
+    executor.receive(structs.replace(batch(OFFER), targets=second))()
+    done = executor.halt(batch(HALT))
+    assert (done.targets, done.is_committed) == (second, False)
 
 
 def test_the_end_of_a_lease_does_not_hide_that_a_step_after_the_commit_was_begun(

@@ -161,10 +161,14 @@ class Reachability:
         """Return another agent that hears this one; empty when none does."""
         agent = self._agents.get(computer)
         relayed = self._contacts.relayed(computer, now)
-        if agent is None or relayed is None or agent.any.seconds >= DETECTED:
+        if relayed is None:
             return ""
         other, at = relayed
-        return other if at - agent.direct.last > _LATER else ""
+        if agent is None:  # it is not judged
+            last, silent = self._ended_at.get(computer, now), now - at
+        else:
+            last, silent = agent.direct.last, agent.any.seconds
+        return other if silent < DETECTED and at - last > _LATER else ""
 
     def have_leases_ended(self, computers: Collection[str], now: float) -> bool:
         """Return whether the leases of lost agents have surely ended at `now` [s]."""
@@ -175,9 +179,18 @@ class Reachability:
         return all(
             self._agents[name].any.seconds - (now - known_until) >= self._surely_ended
             if name in self._agents
-            else now - self._ended_at.get(name, now) >= self._surely_ended
+            else now - self._last_sign(name, now) >= self._surely_ended
             for name in computers
         )
+
+    def _last_sign(self, computer: str, now: float) -> float:
+        """Return when an agent that is not judged seems to have ended [s].
+
+        Its connection may only be cut: what others hear of it later counts.
+        """
+        relayed = self._contacts.relayed(computer, now)
+        ended_at = self._ended_at.get(computer, now)
+        return max(ended_at, relayed[1]) if relayed else ended_at
 
 
 class AgentHeartbeats:

@@ -141,11 +141,11 @@ def adopt(
     layout: DeploymentPlan,
     wanted: Mapping[str, str],
     *,
-    is_committed: bool = False,
+    committed: Collection[tuple[str, int]] = (),
     keeps: bool = True,
 ) -> Adoption:
     """Return what of it goes on, and what starts."""
-    counts = authoritative(found, robot, is_committed=is_committed)
+    counts = authoritative(found, robot, committed)
     if keeps:
         wanted = _with_providers(robot, wanted, counts)
     restarts = dict(_differences(counts, robot, layout, wanted))
@@ -164,31 +164,39 @@ def adopt(
 
 
 def authoritative(
-    found: Sequence[ReportedIncarnation], robot: Robot, *, is_committed: bool
+    found: Sequence[ReportedIncarnation],
+    robot: Robot,
+    committed: Collection[tuple[str, int]] = (),
 ) -> dict[str, ReportedIncarnation]:
     """Return the one incarnation of each component that counts.
 
     The source of a migration counts until that is committed, and the target from then
     on. A source is to `stay` or is active; a target is inactive, and active only when
     its manager knew of the commit.
+
+    `committed`: component and epoch of targets whose migration was committed.
     """
-    gone = _replaced(found, robot, is_committed=is_committed)
+    gone = _replaced(found, robot, committed)
     counts: dict[str, ReportedIncarnation] = {}
     for reported in sorted(found, key=lambda f: f.spec.epoch):
         before = counts.get(reported.name)
         is_target = before is not None and reported.goal == "inactive"
+        is_committed = (reported.name, reported.spec.epoch) in committed
         if reported.name not in gone and (not is_target or is_committed):
             counts[reported.name] = reported
     return counts
 
 
 def _replaced(
-    found: Sequence[ReportedIncarnation], robot: Robot, *, is_committed: bool
+    found: Sequence[ReportedIncarnation],
+    robot: Robot,
+    committed: Collection[tuple[str, int]],
 ) -> set[str]:
     """Return the components of architectures whose function another one provides."""
     goals: dict[str, set[str]] = {}
     for reported in found:
         goals.setdefault(reported.name, set()).add(reported.goal)
+    targets = {name for name, _ in committed}
     best: dict[str, int] = {}
     providers: dict[str, set[str]] = {}
     gone: set[str] = set()
@@ -196,7 +204,8 @@ def _replaced(
         names = {c.name for c in architecture.components if c.name in goals}
         reached = set[str]().union(*(goals[name] for name in names))
         # only sources stay, and only targets are inactive beside them
-        rank = 2 if "active" in reached else int(("stay" in reached) != is_committed)
+        rank = 2 if "active" in reached else int("stay" in reached)
+        rank = 3 if names & targets else rank
         function = architecture.function
         if names and rank > best.get(function, -1):
             gone |= providers.get(function, set())

@@ -73,7 +73,9 @@ def start_or_take_over(
         deployments, unclaimed = _elected(run, by_force=by_force), {}
     record = newest_record(deployments.values())
     found = [*found_in(deployments), *_recorded(run, record)]
-    reported = as_committed(found, run.agents.statuses())
+    reported = found
+    if run.agents.election is None:  # no record says what is on computers out of reach
+        reported = as_committed(found, run.agents.statuses())
     if record.is_stopped and follows:
         run.end_all("the robot was stopped, and some agents did not know")
         run.leave()
@@ -128,15 +130,15 @@ def _take_over(
     elif record.tasks and not is_rule:
         # the tasks go on where they are, and say themselves what they need
         wanted = _at_work(run, reported)
-    is_committed = is_half_done(reported, run.robot) and _is_committed(
-        run, reported, deployments
-    )
+    committed = frozenset[tuple[str, int]]()
+    if is_half_done(reported, run.robot):
+        committed = _committed(run, reported, deployments)
     adoption = adopt(
         reported,
         run.robot,
         run.layout,
         wanted,
-        is_committed=is_committed,
+        committed=committed,
         keeps=not is_rule,
     )
     _note(run, adoption)
@@ -266,24 +268,29 @@ def _at_work(
     return {name: may[0] for name, may in homes.items()}
 
 
-def _is_committed(
+def _committed(
     run: RunningComponents,
     reported: Sequence[ReportedIncarnation],
     deployments: Mapping[str, Deployment],
-) -> bool:
-    """Return whether a half-done migration was committed; nothing of it goes on then.
+) -> frozenset[tuple[str, int]]:
+    """Return the targets of half-done migrations that count; none goes on then.
 
-    A container that began a step after the commit knows. When none did, the migration
-    can be rolled back. A target that does not answer may have begun it: it is asked
-    again, and ended when it still does not. Unknown is never taken for "no": a target
-    on a computer that is gone counts as committed.
+    There may be two: an agent that was cut off may not know of the end of the one
+    before. A container that began a step after the commit knows of that. When none did,
+    the migration can be rolled back. A target that does not answer may have begun it:
+    it is asked again, and ended when it still does not. Unknown is never taken for
+    "no": a target on a computer that is gone counts as committed, with all others of
+    its migration.
     """
-    if any(at not in deployments for at, _ in _targets(reported)):
-        return True
     asked = {
         (computer, container.name)
         for computer, deployment in deployments.items()
         for container in deployment.containers
+    }
+    committed = {
+        (each.name, each.spec.epoch)
+        for each in reported
+        if each.goal == "inactive" and each.computer not in deployments
     }
     until = run.clock.now() + WITNESS_LIMIT
     while True:
@@ -291,20 +298,22 @@ def _is_committed(
         for where, outcome in _halted(run, asked):
             if not isinstance(outcome, StepsDone):
                 unknown[where] = outcome.reason
-            elif outcome.is_committed:
-                return True
-        asked = set(unknown)
+            elif outcome.is_committed or not committed.isdisjoint(outcome.targets):
+                committed |= set(outcome.targets)
+        asked = {
+            where for where in unknown if not _targets(reported, where) <= committed
+        }
         if not asked or run.clock.now() >= until:
             break
         _raise_on_ended_leases(run, asked)
         run.clock.sleep(LOOK_EVERY)
-    asked &= _targets(reported)
+    asked = {where for where in asked if _targets(reported, where)}
     for where in sorted(asked):
         why = f"{unknown[where]}: it is ended, for it may have gone on with the move"
         run.journal.note("decided", f"amid a migration, {why}")
     if asked:
         _end_containers(run, asked, deployments)
-    return False
+    return frozenset(committed)
 
 
 def _raise_on_ended_leases(
@@ -332,9 +341,15 @@ def _halted(
         yield by_number[outcome.number], outcome
 
 
-def _targets(reported: Sequence[ReportedIncarnation]) -> set[tuple[str, str]]:
-    """Return the containers of targets: nothing goes on there before the commit."""
-    return {(e.computer, e.container) for e in reported if e.goal == "inactive"}
+def _targets(
+    reported: Sequence[ReportedIncarnation], where: tuple[str, str]
+) -> set[tuple[str, int]]:
+    """Return the targets in a container: nothing goes on there before the commit."""
+    return {
+        (each.name, each.spec.epoch)
+        for each in reported
+        if each.goal == "inactive" and (each.computer, each.container) == where
+    }
 
 
 def _end_containers(

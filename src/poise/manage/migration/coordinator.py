@@ -293,6 +293,7 @@ class Migration:
                     container,
                     tuple(step for _, step in batches[computer, container]),
                     limit,
+                    tuple((each.component, each.epoch) for each in self._targets),
                 ),
             )
             for number, (computer, container) in by_number.items()

@@ -158,6 +158,7 @@ class MigrationExecutor:
         self._participants: dict[Runner, Participant] = {}
         self._beginning = threading.Lock()
         self._num_deployments = 0
+        self._targets: tuple[tuple[str, int], ...] = ()
         self._is_committed = False
         self._deployed: ContainerSpec | None = None
 
@@ -166,13 +167,15 @@ class MigrationExecutor:
         with self._beginning:
             self._num_deployments += 1
             if self._deployed is None or not self._deployed.agrees_with(spec):
-                self._deployed, self._is_committed = spec, False
+                self._deployed, self._targets, self._is_committed = spec, (), False
 
     def halt(self, batch: MigrationSteps) -> StepsDone:
         """Refuse the steps that were received until now; return how far they got."""
         with self._beginning:
             self._num_deployments += 1
-            return StepsDone(batch.number, is_committed=self._is_committed)
+            return StepsDone(
+                batch.number, targets=self._targets, is_committed=self._is_committed
+            )
 
     def receive(self, batch: MigrationSteps) -> Callable[[], StepsOutcome]:
         """Return what takes steps that came just now."""
@@ -190,7 +193,7 @@ class MigrationExecutor:
         taken: list[StepTaken] = []
         try:
             for step in batch.steps:
-                self._begin(step, deployment)
+                self._begin(step, deployment, batch.targets)
                 began = time.monotonic()
                 self._take(step, batch.migration, deadline)
                 ended = time.monotonic()
@@ -203,12 +206,16 @@ class MigrationExecutor:
             return StepsFailed(batch.number, brief_traceback(error), tuple(taken))
         return StepsDone(batch.number, tuple(taken))
 
-    def _begin(self, step: Step, deployment: int) -> None:
+    def _begin(
+        self, step: Step, deployment: int, targets: tuple[tuple[str, int], ...]
+    ) -> None:
         """Note whether there is a way back; raise RunError when the step is late."""
         with self._beginning:
             if deployment != self._num_deployments:
                 text = f"'{step.name}' is late: a deployment came before it"
                 raise RunError(text)
+            if targets != self._targets:
+                self._targets, self._is_committed = targets, False
             if step.phase in {"commit", "resume"}:
                 self._is_committed = True
 

@@ -136,6 +136,7 @@ class MigrationModel:
     def __init__(self, container: SimulatedContainer) -> None:
         self._container = container
         self._num_deployments = 0
+        self._targets: tuple[tuple[str, int], ...] = ()
         self._is_committed = False
         self._deployed: ContainerSpec | None = None
         self._phases: dict[tuple[str, int], tuple[int, MigrationPhases]] = {}
@@ -145,7 +146,7 @@ class MigrationModel:
         """Refuse the steps that were received until now."""
         self._num_deployments += 1
         if self._deployed is None or not self._deployed.agrees_with(spec):
-            self._deployed, self._is_committed = spec, False
+            self._deployed, self._targets, self._is_committed = spec, (), False
 
     def give_back(self, component: SimulatedComponent) -> None:
         """Let a source go on with all that waited for it: the real one keeps it."""
@@ -156,7 +157,9 @@ class MigrationModel:
         """Take steps on a task of their own, and answer; `halt` at once."""
         if batch.steps and batch.steps[0].name == "halt":
             self._num_deployments += 1
-            done = StepsDone(batch.number, is_committed=self._is_committed)
+            done = StepsDone(
+                batch.number, targets=self._targets, is_committed=self._is_committed
+            )
             self._container.answer(done)
             return
         world, computer = self._container.world, self._container.process.computer
@@ -178,7 +181,7 @@ class MigrationModel:
         taken: list[StepTaken] = []
         try:
             for step in batch.steps:
-                self._begin(step, deployment)
+                self._begin(step, deployment, batch.targets)
                 began = self._now
                 self._take(step, batch.migration, deadline)
                 who = f"{step.component}/{step.epoch}" if step.component else ""
@@ -193,9 +196,13 @@ class MigrationModel:
         else:
             self._container.answer(StepsDone(batch.number, tuple(taken)))
 
-    def _begin(self, step: Step, deployment: int) -> None:
+    def _begin(
+        self, step: Step, deployment: int, targets: tuple[tuple[str, int], ...]
+    ) -> None:
         if deployment != self._num_deployments:
             raise RunError(f"'{step.name}' is late: a deployment came before it")
+        if targets != self._targets:
+            self._targets, self._is_committed = targets, False
         if step.phase in {"commit", "resume"}:
             self._is_committed = True
 

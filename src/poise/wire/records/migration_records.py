@@ -200,6 +200,7 @@ class MigrationSteps(Struct, frozen=True, tag=True):
     steps: tuple[Step, ...]
     # They are answered within this time [s], but may still be taken afterwards
     limit: float
+    targets: tuple[tuple[str, int], ...] = ()  # Component and epoch of all its targets
 
 
 class StepTaken(Struct, frozen=True):
@@ -218,8 +219,10 @@ class StepsDone(Struct, frozen=True, tag=True):
 
     number: int
     taken: tuple[StepTaken, ...] = ()
-    # Whether the container began a step that follows the commit, since its latest
-    # deployment that a manager made
+    # Of `halt`: the targets of the migration of which the container began the last
+    # step, since its latest deployment that a manager made; whether a step that follows
+    # the commit was among them
+    targets: tuple[tuple[str, int], ...] = ()
     is_committed: bool = False
 
 
