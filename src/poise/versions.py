@@ -9,10 +9,7 @@ _MINOR = re.compile(r"(\d+)\.(\d+)(\.\w+)*")
 
 
 def why_too_old(least: str) -> str:
-    """Return why this Poise cannot read what needs a version; empty: it can.
-
-    Only major and minor version count. ValueError: `least` is no version.
-    """
+    """Return why this Poise cannot read what needs a version; empty: it can."""
     own = version("poise")
     if _minor(least) <= _minor(own):
         return ""

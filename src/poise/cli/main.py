@@ -65,10 +65,7 @@ def _fail(error: PoiseError, code: int) -> NoReturn:
 
 
 def _say_last(text: str) -> None:
-    """Print to stderr; drop what is not taken within a second or two.
-
-    A command whose stderr is a full pipe that nobody reads would hang for ever.
-    """
+    """Print to stderr, for a second or two at most: it may be a full pipe."""
     from poise.session.launch.printer import Printer
 
     with Printer(sys.stderr.fileno()) as printer:
@@ -105,10 +102,7 @@ _ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 def end_at_once() -> None:
-    """Let each signal end this process with its exit code: nothing has begun.
-
-    SIGHUP stays ignored where it is, as under `nohup`.
-    """
+    """Let each signal end this process with its exit code: nothing has begun."""
     for number in _ENDING:
         if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:
             signal.signal(number, _end)

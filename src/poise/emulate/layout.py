@@ -1,7 +1,4 @@
-"""The layout of an emulation: all that it makes on the host, decided before.
-
-The registry keeps it on disk, so that another process can find or remove it.
-"""
+"""The layout of an emulation: all that it makes on the host, decided before."""
 
 from __future__ import annotations
 

@@ -127,10 +127,7 @@ def distribution_of(values: Sequence[float], window: float = WINDOW) -> Distribu
 
 
 def rolling_means(values: Sequence[float], size: int) -> list[float]:
-    """Return the mean of every `size` values that follow each other.
-
-    The mean of all when there are fewer.
-    """
+    """Return the mean of every `size` values that follow each other."""
     size = max(1, min(size, len(values)))
     total = sum(values[:size])
     means = [total / size]

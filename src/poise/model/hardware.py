@@ -1,8 +1,4 @@
-"""The computers of a robot, their devices and links; in SI units.
-
-Resources have any names; ``cpu`` [cores of the reference computer] and ``memory``
-[bytes] always exist.
-"""
+"""The computers of a robot, their devices and links; in SI units."""
 
 from __future__ import annotations
 

@@ -165,10 +165,7 @@ class PhaseSearch:
     def _search(
         self, names: Sequence[str], held: Solution, left: float, seed: int
     ) -> dict[str, Result]:
-        """Search for better placements of some phases; empty when one breaks a limit.
-
-        That may be, as the bandwidth of links is left out.
-        """
+        """Search for better placements of phases; empty when one breaks a limit."""
         others = {n: h.placement for n, h in held.items() if n not in names}
         parts = []
         for name in names:
@@ -332,11 +329,7 @@ def weighted(part: Arrays, weight: float) -> Arrays:
 
 
 def merged(parts: Sequence[Arrays], moves: Mapping[tuple[Unit, Unit], float]) -> Arrays:
-    """Return the arrays of several phases as those of one problem.
-
-    Its F is the sum over the phases, and of `moves` (pairs of units -> what being apart
-    costs). The bandwidth of links is left out; distances count for moves, too.
-    """
+    """Return the arrays of several phases as those of one problem."""
     begin = [0, *accumulate(part.n for part in parts)]
     start = [0, *accumulate(len(part.unit_of) for part in parts)]
     a, count = parts[0], len(parts)

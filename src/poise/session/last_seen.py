@@ -165,10 +165,7 @@ class LastSeen:
         }
 
     def connectors(self) -> Iterator[ConnectorStatus]:
-        """Yield each end of each connector, with the counts of all its stays.
-
-        What a container did after its last status is not known.
-        """
+        """Yield each end of each connector, with the counts of all its stays."""
         with self._lock:
             before: dict[tuple[str, Side], ConnectorStatus] = {}
             for end in (*self.ended, *self._joined):

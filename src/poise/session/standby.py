@@ -28,10 +28,7 @@ from poise.wire.robots_here import AgentAddresses
 
 
 def stand_by(path: Path, words: Iterable[str], say: Say) -> None:
-    """Lead as the claim in a file says, at each word ``lead``; else until the end.
-
-    `words`: an agent's, one a line; its end is the agent's.
-    """
+    """Lead as the claim in a file says, at each word ``lead``; else until the end."""
     for word in words:
         if word.strip() == "end":
             return

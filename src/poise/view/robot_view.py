@@ -1,8 +1,4 @@
-"""What there is to see of a running robot, in rows: for `top` and whatever shows more.
-
-A status has totals. Differences over the last seconds make rates of them, on the time
-of each container, so that nothing on the way distorts them.
-"""
+"""What there is to see of a running robot, in rows: for `top` and the dashboard."""
 
 from __future__ import annotations
 

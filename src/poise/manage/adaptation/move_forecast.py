@@ -80,10 +80,7 @@ class Alternative(Struct, frozen=True, kw_only=True):
 
 
 def alternatives(situation: Situation) -> tuple[Alternative, ...]:
-    """Return what could be done now: first nothing, then single moves, the best first.
-
-    None when some component can run nowhere.
-    """
+    """Return what could be done now: nothing, then single moves, the best first."""
     situation = situation.of_running_components()
     robot, now = situation.robot_now, situation.placement
     try:
@@ -153,10 +150,7 @@ def _load(
 
 
 def check_move(situation: Situation, component: str, computer: str) -> None:
-    """Raise UsageError when a component does not fit on a computer with all others.
-
-    Limits that are broken without it do not count.
-    """
+    """Raise UsageError when a component does not fit on a computer with all others."""
     allowed = allowed_computers(situation.robot, layers_stay=False)
     if component not in situation.placement or computer not in allowed[component]:
         return  # the move itself says so

@@ -191,12 +191,7 @@ class Agents(AgentReports):
         close_session(self._session)
 
     def take_status(self, status: AgentStatus) -> None:
-        """Store what an agent reported.
-
-        One that obeys another manager answers the heartbeats of that one only: for this
-        one it would be out of reach for ever, also once that manager is gone. When the
-        lease of one ends that did not vote for this one is known, and stays so.
-        """
+        """Store what an agent reported."""
         manager = status.manager
         if manager is not None and manager.key != self.manager.key:
             with self._changed:
@@ -241,11 +236,7 @@ class Agents(AgentReports):
         check: Callable[[], None] = nothing,
         why_silent: Callable[[str], str] = lambda _: "",
     ) -> None:
-        """Wait until the agents of all `computers` are there and reported.
-
-        `check`: called now and then; may raise to end the waiting; `why_silent`: finds
-        out why the agent at an endpoint may let nobody in.
-        """
+        """Wait until the agents of all `computers` are there and reported."""
         wanted, deadline = set(computers), self._clock.now() + limit
         while not self.wait_news(lambda: wanted <= self.reached(), LOOK_EVERY):
             check()
@@ -292,11 +283,7 @@ class Agents(AgentReports):
     def claim(
         self, computers: Collection[str], *, take_over: bool = False
     ) -> dict[str, Deployment]:
-        """Let the agents of `computers` obey this manager, and no other.
-
-        One after the other in the order of their names: of two managers that start at
-        the same time, one gets the first agent, and the other none.
-        """
+        """Let the agents of `computers` obey this manager, and no other."""
         deployments = {}
         self._begin_term()
         for computer in sorted(computers):
@@ -464,11 +451,7 @@ class Agents(AgentReports):
         return self._heartbeats.is_cut_off(computer)
 
     def revoke(self, computers: Iterable[str]) -> bool:
-        """Obtain that components of lost computers may be started elsewhere.
-
-        From then on the agents of these computers are to be claimed again. It fails,
-        and changes nothing, while the lease of one may not have ended yet.
-        """
+        """Obtain that components of lost computers may be started elsewhere."""
         tokens = {name: self._tokens.get(name, 0) for name in computers}
         if not self._heartbeats.revoke(tokens):
             return False
@@ -500,10 +483,7 @@ class Agents(AgentReports):
         batches: Iterable[tuple[str, MigrationSteps]],
         check: Callable[[], object] = nothing,
     ) -> Iterator[StepsOutcome]:
-        """Let containers take steps, all at once; yield each outcome as it is known.
-
-        `check`: called now and then; may raise to end the waiting.
-        """
+        """Let containers take steps, all at once; yield each outcome as it is known."""
         began = self._clock.now()
         asked = {
             steps.number: (computer, steps, steps.limit + MARGIN)

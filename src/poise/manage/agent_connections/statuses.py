@@ -130,10 +130,7 @@ def unreached(
     heard_by: Mapping[str, str],
     leased: Collection[str],
 ) -> dict[str, str]:
-    """Return what is known of each computer that is out of reach, in words.
-
-    `heard_by`: computer -> another one that still hears it; empty: none does.
-    """
+    """Return what is known of each computer that is out of reach, in words."""
     sentences = {}
     for computer, since in sorted(out_of_reach.items()):
         began = time.strftime("%H:%M:%S", time.localtime(since))

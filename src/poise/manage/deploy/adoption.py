@@ -336,10 +336,7 @@ def where_held(
     held: Collection[str],
     claimed: Collection[str],
 ) -> dict[str, str]:
-    """Return component -> computer of what starts.
-
-    What is held counts as placed on a computer that is not claimed.
-    """
+    """Return component -> computer of what starts."""
     allowed = allowed_computers(robot)
     return {
         name: min(set(allowed[name]) - set(claimed)) if name in held else at
@@ -397,8 +394,5 @@ def joined_by(
 
 
 def _may_provide(architecture: Architecture, provider: Mapping[str, str]) -> bool:
-    """Return whether no other architecture provides its function.
-
-    It may do so itself: a part of it joined before, from another computer.
-    """
+    """Return whether no other architecture provides its function."""
     return provider.get(architecture.function) in {None, architecture.name}

@@ -1,8 +1,4 @@
-"""What should run on a robot: the one owner of that record.
-
-Every change is a `commit`, which journals it; a reconciler brings the agents there.
-Nothing here waits for an agent.
-"""
+"""What should run on a robot: the one owner of that record."""
 
 from __future__ import annotations
 
@@ -92,10 +88,7 @@ class DesiredState:
         return self.desired.placement()
 
     def begin_with(self, tasks: bytes) -> None:
-        """Let the first commit say the tasks: this manager may be killed right after.
-
-        `tasks`: as in `Desired`.
-        """
+        """Let the first commit say the tasks: the manager may be killed right after."""
         self.desired = structs.replace(self.desired, tasks=tasks)
 
     def commit(self, desired: Desired, why: str, *, tell_later: bool = False) -> None:
@@ -157,10 +150,7 @@ class DesiredState:
         self.is_left = True
 
     def gateways(self) -> dict[str, str]:
-        """Return where other computers reach each computer's containers.
-
-        It is known also of a computer that is out of reach, or back without a report.
-        """
+        """Return where other computers reach each computer's containers."""
         self._gateways |= gateways(self.agents.statuses())
         return self._gateways
 

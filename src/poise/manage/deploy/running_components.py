@@ -1,8 +1,4 @@
-"""A robot's components, running: started, watched, moved, stopped.
-
-What should run is one record (`Desired`), which `commit` replaces; a reconciler brings
-the agents there. What does run is what they observed.
-"""
+"""A robot's components, running: started, watched, moved, stopped."""
 
 from __future__ import annotations
 

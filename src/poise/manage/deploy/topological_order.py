@@ -6,13 +6,7 @@ from collections.abc import Collection, Iterable
 
 
 def levels(names: Collection[str], leads: Iterable[tuple[str, str]]) -> list[list[str]]:
-    """Return `names` so that each comes before all to which it leads.
-
-    Those that lead to each other are in one level.
-
-    `leads`: pairs of which the first leads to the second, such as caller and callee;
-    also over others than `names`.
-    """
+    """Return `names` so that each comes before all to which it leads."""
     following: dict[str, set[str]] = {}
     for source, target in leads:
         following.setdefault(source, set()).add(target)

@@ -1,9 +1,4 @@
-"""Faults of the manager itself: exceptions in its loop, its files, threads and clock.
-
-Each part of the loop fails by itself: its exception is journalled with a traceback,
-and is a deviation until the part works again. Only that part backs off. No bug of Poise
-ends a robot.
-"""
+"""Faults of the manager itself, none of which ends a robot: loop, files, threads."""
 
 from __future__ import annotations
 
@@ -190,10 +185,7 @@ def _raised(component: ComponentStatus, computer: str) -> _Counts:
 
 
 def refused(container: ContainerStatus) -> Iterator[tuple[str, int]]:
-    """Yield connectors whose targets refused messages, and how many.
-
-    A call that fails is an error of its caller, who may expect it.
-    """
+    """Yield connectors whose targets refused messages, and how many."""
     failing = [e for e in container.connectors if e.errors and e.end != "source"]
     if not failing:
         return

@@ -38,11 +38,7 @@ class Watch:
         return self._faults.count
 
     def record(self) -> None:
-        """Journal each deviation, fault and error when it begins, and when it ends.
-
-        The entry of a container's fault covers the deviation that it caused. A move
-        judges the components that it moves.
-        """
+        """Journal each deviation, fault and error when it begins, and when it ends."""
         run = self._run
         run.note_refused()
         self._note_faults()

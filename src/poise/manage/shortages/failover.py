@@ -143,10 +143,7 @@ def _by_priority(
     stranded: Homes,
     missing: Mapping[str, str],
 ) -> Failover:
-    """Return what fits of the stranded, the highest priority first.
-
-    Architectures that run are suspended for higher ones only.
-    """
+    """Return what fits of the stranded, the highest priority first."""
     placement: dict[str, str] = {}
     suspended: tuple[str, ...] = ()
     missing = dict(missing)

@@ -22,11 +22,7 @@ def choose(
     *,
     explore: bool = False,
 ) -> int:
-    """Return which step of a choice promises most; of equals the first.
-
-    A step promises what the best architectures for its first action do: their quality
-    times their success in this conditions, as learned.
-    """
+    """Return which step of a choice promises most; of equals the first."""
     promises = []
     for step in choice.steps:
         action = first_action(robot, step)

@@ -179,10 +179,7 @@ class _Sending:
         self._there = 0
 
     def send(self, version: str) -> int:
-        """Return how much was sent [bytes]; RunError: the computer does not have it.
-
-        What an interrupted deployment has left there is not sent again.
-        """
+        """Return how much was sent [bytes]; RunError: the computer does not have it."""
         sent = sum(self._send(digest, data) for digest, data in self._files.items())
         self._ask(InstallCode(version), _INSTALL_LIMIT)
         return sent

@@ -1,7 +1,4 @@
-"""The wheels of a robot's `requirements.txt`, for each platform of its computers.
-
-They are chosen once, and written with their hashes into `requirements.lock` beside it.
-"""
+"""The wheels of a robot's `requirements.txt`, for each platform of its computers."""
 
 from __future__ import annotations
 
