@@ -29,11 +29,11 @@ from benchmarks.experiment.results import (
 from poise.clock import wall_time
 from poise.emulate.cpu_load import background_load
 from poise.errors import PoiseError, RunError
-from poise.manage.agent_connections.statuses import Statuses, components_of
+from poise.manage.agent_connections.reports import Statuses, components_of
 from poise.manage.observe.chains import chain_reports
 from poise.manage.tasks.task_progress import OVER
 from poise.model.robot import Robot
-from poise.session.callbacks import Check, nothing
+from poise.session import Check, nothing
 from poise.session.last_seen import LastSeen
 from poise.session.placing.placement import Placement, place
 from poise.session.profiling.stored_profiles import as_when_profiled, loops

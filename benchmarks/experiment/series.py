@@ -27,7 +27,7 @@ from benchmarks.experiment.results import (
 from benchmarks.experiment.summary import ExperimentReport, summarised
 from poise.errors import UsageError
 from poise.model.robot import Robot
-from poise.session.callbacks import Check, Say
+from poise.session import Check, Say
 from poise.session.folders import to_write
 from poise.session.profiling.stored_profiles import steady
 from poise.units import counted

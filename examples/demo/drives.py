@@ -17,12 +17,12 @@ from rich.console import Console
 from rich.markup import escape
 
 from poise.errors import RunError
-from poise.manage.agent_connections.statuses import components_of
+from poise.manage.agent_connections.reports import components_of
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.migration.migration_report import MigrationReport
 from poise.manage.migration.move import move
 from poise.model.robot import Robot
-from poise.session.callbacks import Check, nothing
+from poise.session import Check, nothing
 from poise.session.placing.placement import Placement, place
 from poise.session.profiling.stored_profiles import as_when_profiled
 from poise.session.render.run_progress import progress

@@ -11,7 +11,7 @@ from msgspec import Struct
 
 from examples.demo.waiting import WARM_UP, active_components, wait, wait_until
 from poise.model.robot import Robot
-from poise.session.callbacks import Check, Say
+from poise.session import Check, Say
 from poise.session.launch.computers import emulated
 from poise.session.placing.placement import place
 from poise.session.running_robots.running import Running

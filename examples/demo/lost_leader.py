@@ -24,7 +24,7 @@ from poise.errors import PoiseError
 from poise.manage.tasks.task_progress import OVER
 from poise.model.load import load
 from poise.model.robot import Robot
-from poise.session.callbacks import Check, Say
+from poise.session import Check, Say
 from poise.session.launch.computers import emulated
 from poise.session.running_robots.running import Running
 

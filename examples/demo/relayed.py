@@ -15,7 +15,7 @@ from examples.demo.overlaps import overlaps, read_handler_log
 from examples.demo.waiting import WARM_UP, measures, wait, wait_until
 from poise.emulate import EmulatedSet
 from poise.model.robot import Robot
-from poise.session.callbacks import Check, Say
+from poise.session import Check, Say
 from poise.session.launch.computers import emulated
 from poise.session.placing.placement import place
 from poise.session.running_robots.running import Running

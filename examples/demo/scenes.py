@@ -15,7 +15,7 @@ from examples.demo.overload import OverloadScene, overload
 from examples.demo.relayed import RelayScene, cut_one_link, freeze_agent
 from examples.demo.task_scene import TasksScene, tasks
 from poise.model.robot import Robot
-from poise.session.callbacks import Check, Say
+from poise.session import Check, Say
 
 Played = (
     OverloadScene

@@ -16,7 +16,7 @@ from examples.demo.waiting import wait_until
 from poise.manage.tasks.prefetch_report import PrefetchReport
 from poise.model.robot import Robot
 from poise.model.steps import Prefetch
-from poise.session.callbacks import Check, Say
+from poise.session import Check, Say
 from poise.session.running_robots.running import Running
 from poise.session.up import up
 

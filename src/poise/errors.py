@@ -1,4 +1,4 @@
-"""The errors that Poise raises, sorted by what a caller can do about them.
+"""The errors that Poise raises, sorted by what a caller can do, and words for them.
 
 ::
 
@@ -16,7 +16,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import difflib
+import re
+from collections.abc import Iterable, Sequence
+from importlib.metadata import version
+from itertools import islice
 
 from msgspec import Struct
 
@@ -112,3 +116,51 @@ class CalleeError(CallError):
         self.type_name = type_name
         self.message = message
         self.traceback = traceback
+
+
+_MOST = 12
+"""More choices than this are not listed in a message."""
+_MOST_COMPARED = 500
+"""More choices than this are not compared with a name: it takes 10 us for each."""
+
+
+def did_you_mean(word: str, choices: Iterable[str]) -> str:
+    """Return ``" (did you mean 'x'?)"`` for the closest choice, or nothing."""
+    compared = list(islice(choices, _MOST_COMPARED))
+    close = difflib.get_close_matches(word, compared, n=1)
+    return f" (did you mean '{close[0]}'?)" if close else ""
+
+
+def listed(choices: Iterable[str]) -> str:
+    """Return the choices as a list for people, shortened if it is long."""
+    names = [f"'{choice}'" for choice in choices]
+    if len(names) > _MOST:
+        names = [*names[:_MOST], f"and {len(names) - _MOST} more"]
+    return ", ".join(names) or "none"
+
+
+def unknown(kind: str, word: str, choices: Iterable[str]) -> str:
+    """Return the message for a name that is not in `choices`."""
+    choices = tuple(dict.fromkeys(choices))
+    return (
+        f"there is no {kind} '{word}'{did_you_mean(word, choices)}; "
+        f"{kind}s: {listed(choices)}"
+    )
+
+
+_MINOR = re.compile(r"(\d+)\.(\d+)(\.\w+)*")
+
+
+def why_too_old(least: str) -> str:
+    """Return why this Poise cannot read what needs a version; empty: it can."""
+    own = version("poise")
+    if _minor(least) <= _minor(own):
+        return ""
+    return f"it needs Poise {least}, and this is {own}: install the newer one"
+
+
+def _minor(text: str) -> tuple[int, int]:
+    found = _MINOR.fullmatch(text)
+    if found is None:
+        raise ValueError(f"{text!r} is no version, such as 0.2")
+    return int(found[1]), int(found[2])

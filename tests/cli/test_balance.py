@@ -8,10 +8,10 @@ import pytest
 import typer
 
 from poise.cli.running_robot_command import balance_command, move_command
-from poise.manage.adaptation.proposals import Proposal
 from poise.manage.control_socket.commands import Rebalanced
 from poise.manage.migration.migration_report import (
     MigrationReport,
+    Proposal,
     TransitionReport,
     TransitionStep,
 )

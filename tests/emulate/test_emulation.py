@@ -15,9 +15,8 @@ import pytest
 
 from poise.emulate import Emulation, probe_host, sweep
 from poise.emulate.cgroups import V2, Group, Groups, Probe
-from poise.emulate.layout import EmulationLayout
 from poise.emulate.limits import Limits
-from poise.emulate.registry import FOLDER, registered
+from poise.emulate.registry import FOLDER, EmulationLayout, registered
 from poise.errors import RobotError, RunError, UsageError
 from poise.kernel_counters import mounts
 from poise.model.robot import Computer, Robot

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from poise.emulate import InjectedFault, emulated_set
-from poise.emulate.layout import FaultKind
+from poise.emulate.registry import FaultKind
 
 
 @pytest.mark.parametrize(

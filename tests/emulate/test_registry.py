@@ -11,7 +11,7 @@ from msgspec.structs import replace
 
 from poise.emulate import registry, sweep
 from poise.emulate.cgroups import Groups, Probe
-from poise.emulate.layout import EmulationLayout, lay_out
+from poise.emulate.registry import EmulationLayout, lay_out
 from poise.errors import RunError
 from poise.model.robot import Robot
 

@@ -11,8 +11,7 @@ from typing import Annotated
 
 import typer
 
-from poise.errors import UsageError
-from poise.suggest import did_you_mean, listed
+from poise.errors import UsageError, did_you_mean, listed
 
 COMMANDS = {
     "check": ("robot_file", "Check a robot file and the code that it names."),
@@ -46,7 +45,7 @@ COMMANDS = {
     "keys issue": ("keys", "Make or renew keys of computers or people."),
     "keys list": ("keys", "Show the keys that are here."),
     "keys rotate": ("keys", "Replace the authority, in two steps."),
-    "deploy": ("deploy", "Send a robot's code to its computers."),
+    "deploy": ("run", "Send a robot's code to its computers."),
     "up": ("run", "Start a robot and keep it running."),
     "top": ("watch", "Watch a running robot in the terminal."),
     "list": ("watch", "List running robots and their parts."),
@@ -78,8 +77,8 @@ COMMANDS = {
     "journal": ("watch", "Show what a manager decided and why."),
     "stop": ("running_robot", "Stop a running robot."),
     "agent": ("agent", "Run what the manager wants on this computer."),
-    "agent install": ("agent_service", "Let systemd run this computer's agent."),
-    "agent uninstall": ("agent_service", "End that."),
+    "agent install": ("agent", "Let systemd run this computer's agent."),
+    "agent uninstall": ("agent", "End that."),
     "witness": ("agent", "Vote for a robot's manager, and run nothing."),
     "standby": ("agent", "Wait to lead a robot; agents start it."),
 }

@@ -17,10 +17,9 @@ from poise.cli.keys_command import KeysListed
 from poise.cli.run_command import demo_module
 from poise.errors import FileProblem
 from poise.estimate.profiles import Profile
-from poise.manage.adaptation.proposals import WhatIf
 from poise.manage.control_socket.commands import Rebalanced, RobotStatus
 from poise.manage.journal import JournalEntry
-from poise.manage.migration.migration_report import MigrationReport
+from poise.manage.migration.migration_report import MigrationReport, WhatIf
 from poise.manage.observe.estimates import DemandEstimate
 from poise.manage.tasks.concurrent_tasks import TaskReport
 from poise.model.policy import Policy

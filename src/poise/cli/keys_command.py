@@ -11,10 +11,9 @@ import typer
 from msgspec import Struct
 
 from poise.cli.options import AsJson, show
-from poise.errors import UsageError
+from poise.errors import UsageError, did_you_mean
 from poise.session.keys import DAYS, authority_of, init_keys
 from poise.session.render.tables import table
-from poise.suggest import did_you_mean
 from poise.wire.credentials import Credentials, Role, folders
 
 RobotName = Annotated[str, typer.Argument(help="The robot's name.", show_default=False)]

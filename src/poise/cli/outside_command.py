@@ -13,11 +13,10 @@ import yaml
 
 from poise.cli.options import AsJson, print_json, running
 from poise.cli.running_robot_command import Robot
-from poise.errors import PoiseError, UsageError
+from poise.errors import PoiseError, UsageError, did_you_mean, listed
 from poise.runtime.connectors.tap import Plain
 from poise.session.running_robots.running import connect
 from poise.session.running_robots.running_component import RunningComponent
-from poise.suggest import did_you_mean, listed
 from poise.units import counted
 
 _NAMED = re.compile(r"([A-Za-z_]\w*)=(.*)", re.DOTALL)

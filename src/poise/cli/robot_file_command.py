@@ -28,9 +28,9 @@ from poise.cli.options import (
     show,
 )
 from poise.cli.plan_command import computer_of
-from poise.errors import FileProblem, RobotError, UsageError
+from poise.errors import FileProblem, RobotError, UsageError, unknown
 from poise.estimate.success_rates import beliefs_about, forget
-from poise.model.check.voting import notes_of
+from poise.model.check.allowed_computers import notes_of
 from poise.model.hardware import Computer
 from poise.model.load import load
 from poise.model.policy import Policy, policies_of
@@ -44,7 +44,6 @@ from poise.session.render.printable import console_to
 from poise.session.render.tables import table
 from poise.session.robot_file import check
 from poise.session.running_robots.running import Running
-from poise.suggest import unknown
 from poise.units import SECONDS, counted, format_bytes, format_seconds
 
 

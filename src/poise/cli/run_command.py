@@ -1,4 +1,4 @@
-"""`poise run`, `up` and `demo`: start a robot, and watch it or keep it up."""
+"""`poise deploy`, `run`, `up` and `demo`: send code, start a robot, and watch it."""
 
 from __future__ import annotations
 
@@ -24,10 +24,12 @@ from poise.cli.options import (
     Set,
     arguments_of,
     parse_option,
+    show,
 )
 from poise.cli.watch_command import check_dashboard, dashboard_beside
 from poise.errors import UsageError
 from poise.model.steps import Prefetch
+from poise.session.deploy.deploy import deploy
 from poise.session.folders import to_write
 from poise.session.launch.printer import Printer, log_printer
 from poise.session.placing.placement import place
@@ -307,3 +309,22 @@ def demo_module() -> ModuleType:
         "the demo is in the folder `examples` of Poise's repository, which is not "
         f"installed with Poise: clone it, and run `poise demo` there (not {Path.cwd()})"
     )
+
+
+def deploy_command(file: RobotFile, as_json: AsJson = False, set_: Set = None) -> None:
+    """Send a robot's code to its computers, beside the code that is there.
+
+    It packs what components import from the folders of the robot file and of its
+    `repository`. Nothing that runs changes: the next `poise up` runs the new version.
+    A computer that lacks room, or that is lost meanwhile, keeps what it has.
+
+    Example: poise deploy robot.yaml
+    """
+    robot = load(file, arguments_of(set_), say=_say)
+    with Interrupts() as interrupts:
+        deployed = deploy(robot, say=_say, check=interrupts.check)
+    show(deployed, [str(deployed)], as_json=as_json)
+
+
+def _say(sentence: str) -> None:
+    sys.stderr.write(f"{sentence}\n")

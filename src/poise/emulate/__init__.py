@@ -4,9 +4,8 @@ from poise.emulate.cgroups import Probe, probe_host
 from poise.emulate.cpu_load import full_speed
 from poise.emulate.emulated_set import EmulatedSet, all_sets, find_set, set_for
 from poise.emulate.emulation import EmulatedComputer, Emulation
-from poise.emulate.layout import InjectedFault
 from poise.emulate.limits import StarvationWatch, Usage, is_starved
-from poise.emulate.registry import sweep
+from poise.emulate.registry import InjectedFault, sweep
 
 __all__ = [
     "EmulatedComputer",

@@ -23,7 +23,7 @@ from poise.emulate import emulated_network, processes, registry
 from poise.emulate.cpu_load import background_load
 from poise.emulate.emulated_network import NetworkPlan, Shape
 from poise.emulate.emulation import EmulatedComputer
-from poise.emulate.layout import EmulationLayout, FaultKind, InjectedFault, KeptSet
+from poise.emulate.registry import EmulationLayout, FaultKind, InjectedFault, KeptSet
 from poise.errors import RunError, UsageError
 from poise.kernel_counters import process_stat
 from poise.model.robot import Robot

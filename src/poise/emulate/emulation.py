@@ -18,10 +18,18 @@ from poise.emulate import cgroups as cgroup_files
 from poise.emulate import emulated_network, processes
 from poise.emulate.cgroups import Files, Group, Groups, Probe, probe_host
 from poise.emulate.emulated_network import NAMESPACES, NetworkPlan
-from poise.emulate.layout import ComputerLayout, EmulationLayout, KeptSet, lay_out
 from poise.emulate.limits import Usage, is_starved, shortages
 from poise.emulate.processes import MARK, stop
-from poise.emulate.registry import addresses, register, remove, sweep
+from poise.emulate.registry import (
+    ComputerLayout,
+    EmulationLayout,
+    KeptSet,
+    addresses,
+    lay_out,
+    register,
+    remove,
+    sweep,
+)
 from poise.errors import RunError
 from poise.kernel_counters import stolen_time
 from poise.model.robot import Robot

@@ -17,8 +17,7 @@ import msgspec
 import yaml
 from msgspec import Struct
 
-from poise.errors import RobotError, UsageError
-from poise.versions import why_too_old
+from poise.errors import RobotError, UsageError, why_too_old
 
 
 class SqliteFile:

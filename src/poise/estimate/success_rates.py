@@ -20,12 +20,11 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from poise.clock import wall_time
-from poise.errors import UsageError
+from poise.errors import UsageError, unknown
 from poise.estimate.code_version import hash_of
 from poise.estimate.profiles import SqliteFile
 from poise.model.robot import Architecture, Robot
 from poise.model.steps import Action
-from poise.suggest import unknown
 
 STORE = Path(".poise") / "success.sqlite"
 DISCOUNT = 0.98

@@ -40,8 +40,7 @@ from poise.manage.control_socket.commands import (
     TaskCommand,
     TaskDone,
 )
-from poise.manage.control_socket.port_requests import set_parameters
-from poise.manage.control_socket.read_commands import answer, status_of
+from poise.manage.control_socket.read_commands import answer, set_parameters, status_of
 from poise.manage.deploy.deactivation import stop
 from poise.manage.deploy.lost_computers import LostComputers
 from poise.manage.deploy.running_components import RunningComponents

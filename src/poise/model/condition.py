@@ -20,8 +20,8 @@ from msgspec import Struct
 from msgspec import inspect as types
 
 from poise import units
+from poise.errors import did_you_mean, listed
 from poise.model.file_keys import keys_of
-from poise.suggest import did_you_mean, listed
 from poise.units import Dimension, quoted
 
 LONGEST = 500

@@ -9,13 +9,13 @@ from pathlib import Path
 import msgspec
 from msgspec import Struct
 
-from poise.errors import FileProblem, RobotError, UsageError
-from poise.model.arguments import Given, Include, as_given, fill, unknown_arguments
+from poise.errors import FileProblem, RobotError, UsageError, why_too_old
 from poise.model.check.allowed_computers import (
     check_allowed_computers,
     check_checkpoints,
     check_demands,
     check_together_apart,
+    check_voting,
 )
 from poise.model.check.connectors import (
     check_chains,
@@ -31,14 +31,19 @@ from poise.model.check.task_checks import (
     check_tasks,
     check_workload,
 )
-from poise.model.check.voting import check_voting
-from poise.model.prefix import add_prefix
+from poise.model.includes import (
+    Given,
+    Include,
+    add_prefix,
+    as_given,
+    fill,
+    unknown_arguments,
+)
 from poise.model.repository import Repository, with_repository
 from poise.model.robot import Robot
 from poise.model.yaml_tree import Finding, Location, Node, Positions, Scalar, read_file
 from poise.model.yaml_validation import validate
 from poise.units import quoted
-from poise.versions import why_too_old
 
 
 class Source(Struct, frozen=True):

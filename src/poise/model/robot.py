@@ -8,7 +8,6 @@ from typing import Annotated, Literal, Protocol, TypeVar
 from msgspec import Struct
 from msgspec.structs import replace
 
-from poise.model.arguments import Include
 from poise.model.file_keys import (
     COMMAND,
     Amount,
@@ -25,6 +24,7 @@ from poise.model.file_keys import (
     says,
 )
 from poise.model.hardware import Computer, Device, Link
+from poise.model.includes import Include
 from poise.model.policy import POLICIES, Policy
 from poise.model.software import (
     Architecture,

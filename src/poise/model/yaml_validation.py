@@ -10,10 +10,9 @@ from typing import Any, TypeAlias
 from msgspec import Struct
 from msgspec import inspect as types
 
-from poise.errors import FileProblem
+from poise.errors import FileProblem, did_you_mean, listed
 from poise.model.file_keys import FileKey, form_of, keys_of
 from poise.model.yaml_tree import Location, Node, Scalar
-from poise.suggest import did_you_mean, listed
 from poise.units import parse, quoted
 
 NULLS = ("", "~", "null")

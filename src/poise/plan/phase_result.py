@@ -7,13 +7,12 @@ from typing import TypedDict
 
 from msgspec import Struct, to_builtins
 
-from poise.errors import UsageError
+from poise.errors import UsageError, unknown
 from poise.plan.explanation import Explanation, Rejection, explain
 from poise.plan.phase_problem import NEVER, PhasedProblem, with_moves
 from poise.plan.problem.problem import Problem
 from poise.plan.result import Result
 from poise.plan.result_records import PlainResult, Stopped
-from poise.suggest import unknown
 
 
 class PhaseMove(Struct, frozen=True, kw_only=True):

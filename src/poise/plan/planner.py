@@ -9,7 +9,7 @@ from typing import Literal, NamedTuple, cast, get_args
 
 from msgspec.structs import replace
 
-from poise.errors import UsageError
+from poise.errors import UsageError, unknown
 from poise.plan import alternatives
 from poise.plan._core import Core
 from poise.plan.conflict import is_hopeless
@@ -19,7 +19,6 @@ from poise.plan.problem.items import Item
 from poise.plan.problem.problem import Problem
 from poise.plan.result import Result, Snapshot
 from poise.plan.result_records import Answer, Ask, Stopped
-from poise.suggest import unknown
 
 LONGEST = 1e9
 """A budget beyond this is as good as none [s]."""

@@ -16,7 +16,14 @@ import msgspec
 from msgspec import Struct
 
 from poise.clock import ComponentClock, SystemClock
-from poise.errors import CallError, RobotError, Timeout, Unavailable
+from poise.errors import (
+    CallError,
+    RobotError,
+    Timeout,
+    Unavailable,
+    did_you_mean,
+    listed,
+)
 from poise.ros2 import ros_context
 from poise.ros2.conversion import Conversion, Conversions, Convert
 from poise.ros2.executor_source import ExecutorSource
@@ -32,7 +39,6 @@ from poise.runtime.component.ports import (
     ports_of,
     subscribed,
 )
-from poise.suggest import did_you_mean, listed
 
 _LONGEST = 3600.0
 """A call without a limit waits this long for ROS 2 [s]."""

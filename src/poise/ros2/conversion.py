@@ -15,8 +15,7 @@ from typing import Any, Literal, NamedTuple, get_args, get_origin, get_type_hint
 import msgspec
 
 from poise.clock import ComponentClock, Stamp, wall_time
-from poise.errors import RobotError
-from poise.suggest import did_you_mean, listed
+from poise.errors import RobotError, did_you_mean, listed
 
 _CODES = {
     "float": "f",

@@ -9,8 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from poise.errors import RobotError
-from poise.suggest import did_you_mean, listed
+from poise.errors import RobotError, did_you_mean, listed
 
 
 def interface(name: str) -> Any:  # noqa: ANN401, a generated class

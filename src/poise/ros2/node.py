@@ -10,13 +10,12 @@ import inspect
 from collections.abc import Callable, Mapping
 from typing import Any, get_type_hints
 
-from poise.errors import RobotError, UsageError
+from poise.errors import RobotError, UsageError, did_you_mean, listed
 from poise.model.ros2_node import as_arguments, flat
 from poise.ros2 import ros_context
 from poise.ros2.executor_source import ExecutorSource
 from poise.runtime.component.component import Component
 from poise.runtime.component.implementation import find_function
-from poise.suggest import did_you_mean, listed
 
 
 class RosNode(Component):

@@ -9,6 +9,7 @@ import textwrap
 from collections.abc import Iterator
 from pathlib import Path
 
+from poise.errors import did_you_mean, listed
 from poise.model.check.names import components
 from poise.model.robot import Architecture, ComponentEntry, Robot
 from poise.model.yaml_tree import Finding
@@ -16,7 +17,6 @@ from poise.model.yaml_tree import Path as Place
 from poise.runtime.component.component import Component
 from poise.runtime.component.parameters import parameters_type, problems
 from poise.runtime.hosting.command_line import program
-from poise.suggest import did_you_mean, listed
 
 
 def check_origin(

@@ -11,7 +11,7 @@ from typing import Annotated, TypeAlias
 import msgspec
 from msgspec import Struct
 
-from poise.errors import FileProblem, RobotError, UsageError
+from poise.errors import FileProblem, RobotError, UsageError, unknown
 from poise.model.file_keys import Name, Seconds, Share, says
 from poise.model.robot import Robot
 from poise.model.yaml_tree import Finding, Positions, read_file
@@ -19,7 +19,6 @@ from poise.model.yaml_tree import Path as KeyPath
 from poise.model.yaml_validation import validate
 from poise.simulation.choices import Choices
 from poise.simulation.faults import KINDS, LINK_KINDS, Kind, SimulatedFault, plan_faults
-from poise.suggest import unknown
 
 
 def fault_findings(

@@ -16,7 +16,7 @@ from poise.manage.observe.sample_recording import RecordingFile
 from poise.model.robot import ConnectorEnd, Robot
 from poise.runtime.component.implementation import find, search_also
 from poise.runtime.component.ports import ports_of
-from poise.session.callbacks import Say
+from poise.session import Say
 from poise.wire.recording_file import inputs_folder, left_inputs
 
 

@@ -17,7 +17,7 @@ from poise.manage.adaptation.policies import Policies
 from poise.manage.observe.estimates import DemandEstimate, Estimates
 from poise.model.policy import Do, Seen, Values, policies_of
 from poise.model.robot import Robot
-from poise.session.callbacks import Say, log
+from poise.session import Say, log
 from poise.session.profiling.stored_profiles import read_profile
 from poise.wire.recording_file import SEEN, messages_of, robot_of, samples_of
 from poise.wire.records.status_records import (

@@ -16,7 +16,7 @@ from poise.model.yaml_tree import Finding
 from poise.plan import keep_components, problem_of
 from poise.plan.conflict import conflict
 from poise.runtime.code_check import check_code_isolated
-from poise.session.callbacks import Say, log, nothing
+from poise.session import Say, log, nothing
 from poise.session.profiling.stored_profiles import profiled
 from poise.units import format_seconds
 

@@ -19,7 +19,7 @@ from poise.manage.journal import JournalEntry
 from poise.manage.manager import Manager
 from poise.manage.observe.chains import chain_reports
 from poise.model.robot import Robot
-from poise.session.callbacks import Check, Say, log, nothing
+from poise.session import Check, Say, log, nothing
 from poise.session.deploy.deploy import as_deployed
 from poise.session.last_seen import LastSeen
 from poise.session.launch.managed import journal_of, managed, planned

@@ -16,7 +16,7 @@ from rich.console import RenderableType
 
 from poise.errors import RobotError, RunError, UsageError
 from poise.model.robot import Robot
-from poise.session.callbacks import Check, Say, log, nothing
+from poise.session import Check, Say, log, nothing
 from poise.session.fault_file import Faults, faults_of
 from poise.session.placing.first_phase import first_phase
 from poise.session.placing.placement import Placement, place

@@ -16,11 +16,10 @@ from poise.manage.deploy.takeover import start_or_take_over
 from poise.manage.journal import Journal
 from poise.manage.tasks.concurrent_tasks import Tasks
 from poise.runtime.container.component_import import folder_of_version
-from poise.session.callbacks import Say, nothing
+from poise.session import Say, nothing
 from poise.session.folders import make_journal
 from poise.session.launch.computers import Computers
-from poise.session.launch.managed import ToManage, managed
-from poise.session.launch.standby_setup import StandbySetup
+from poise.session.launch.managed import StandbySetup, ToManage, managed
 from poise.session.up import Up
 from poise.wire.address import KEYS
 from poise.wire.records.request_records import Claim

@@ -19,10 +19,15 @@ from poise.manage.deploy.takeover import start_or_take_over
 from poise.manage.manager import TICK, Manager
 from poise.manage.observe.sample_recording import RecordingFile
 from poise.model.robot import Robot
-from poise.session.callbacks import Check, Say, log, nothing
+from poise.session import Check, Say, log, nothing
 from poise.session.deploy.deploy import as_deployed
-from poise.session.launch.managed import journal_of, managed, planned
-from poise.session.launch.standby_setup import election_of, without_standbys
+from poise.session.launch.managed import (
+    election_of,
+    journal_of,
+    managed,
+    planned,
+    without_standbys,
+)
 from poise.session.launch.start import Started
 from poise.session.placing.first_phase import first_phase
 from poise.session.placing.placement import Placement

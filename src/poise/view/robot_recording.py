@@ -16,7 +16,7 @@ from msgspec.structs import asdict
 
 from poise.clock import wall_time
 from poise.errors import PoiseError, RunError
-from poise.session.callbacks import Check, Say, log, nothing
+from poise.session import Check, Say, log, nothing
 from poise.session.running_robots.running import JournalEntry, Status, connect
 from poise.units import counted
 from poise.view.foxglove import LOG, base64_of, drawings, is_array, stamp

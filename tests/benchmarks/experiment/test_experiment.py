@@ -18,7 +18,7 @@ from benchmarks.experiment.results import (
 )
 from benchmarks.experiment.series import PAGE, RAW, experiment
 from benchmarks.experiment.summary import ArmSummary
-from poise.session.callbacks import nothing
+from poise.session import nothing
 from tests.session.emulated_robot import written
 from tests.waiting import LONG
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from poise.manage.deploy.topological_order import levels
+from poise.manage.deploy.deactivation import levels
 
 
 def test_each_comes_before_all_to_which_it_leads() -> None:

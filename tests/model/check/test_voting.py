@@ -6,8 +6,7 @@ from pathlib import Path
 import pytest
 
 from poise.errors import FileProblem
-from poise.model.check.allowed_computers import allowed_computers
-from poise.model.check.voting import notes_of
+from poise.model.check.allowed_computers import allowed_computers, notes_of
 from poise.model.load import load
 from poise.plan import problem_of
 

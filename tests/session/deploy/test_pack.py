@@ -14,7 +14,7 @@ from msgspec.structs import replace
 from poise.errors import UsageError
 from poise.model import load
 from poise.model.robot import Robot
-from poise.session.deploy.pack import pack, version_of
+from poise.session.deploy.deploy import pack, version_of
 from poise.wire.records.code_records import Manifest
 
 NONE = Manifest()

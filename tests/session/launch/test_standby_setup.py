@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from poise.model.robot import Computer, Robot
-from poise.session.launch.standby_setup import without_standbys
+from poise.session.launch.managed import without_standbys
 
 
 def robot(*addresses: str | None, manager: tuple[str, ...] | None = None) -> Robot:

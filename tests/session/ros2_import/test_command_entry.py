@@ -6,14 +6,14 @@ from typing import Any
 
 import pytest
 
-from poise.session.ros2_import.command_entry import (
+from poise.session.ros2_import.graph_records import NodeProcess
+from poise.session.ros2_import.node_processes import (
     WhereImported,
     component_name,
     name_of,
     parameters_in,
     start_of,
 )
-from poise.session.ros2_import.graph_records import NodeProcess
 
 PARAMETERS = """
 /**:

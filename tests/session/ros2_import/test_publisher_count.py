@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from poise.session.ros2_import.graph_records import Flow
-from poise.session.ros2_import.publisher_count import PublisherCount, stamp_of
+from poise.session.ros2_import.graph_records import Flow, PublisherCount, stamp_of
 
 SECOND = 1_000_000_000
 

@@ -11,7 +11,6 @@ from msgspec.structs import replace
 from poise import plan
 from poise.model import load
 from poise.plan import problem_of
-from poise.session.ros2_import.command_entry import WhereImported
 from poise.session.ros2_import.graph_records import (
     Age,
     Call,
@@ -21,6 +20,7 @@ from poise.session.ros2_import.graph_records import (
     NodeProcess,
     Topic,
 )
+from poise.session.ros2_import.node_processes import WhereImported
 from poise.session.ros2_import.robot_text import RobotText, hardware_keys
 
 STAMPS = tuple(range(20))

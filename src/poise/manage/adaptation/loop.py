@@ -21,12 +21,11 @@ from poise.manage.adaptation.bad_links import check_links
 from poise.manage.adaptation.move_forecast import alternatives, check_move, what_if
 from poise.manage.adaptation.policies import Key, Policies, Symptom, saw
 from poise.manage.adaptation.policy_values import values_of
-from poise.manage.adaptation.proposals import Proposal, WhatIf
 from poise.manage.adaptation.replan import propose
 from poise.manage.adaptation.situation import Responder, Situation
 from poise.manage.adaptation.transitions import Replan, Transitions, UseAgain
 from poise.manage.deploy.running_components import RunningComponents
-from poise.manage.migration.migration_report import TransitionReport
+from poise.manage.migration.migration_report import Proposal, TransitionReport, WhatIf
 from poise.manage.observe.deviations import Deviation
 from poise.manage.shortages.failover import FailOver
 from poise.manage.shortages.suspension import (

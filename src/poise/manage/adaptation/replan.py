@@ -21,8 +21,8 @@ from msgspec.structs import replace
 from poise import plan
 from poise.errors import RobotError
 from poise.estimate.demands import CPU_HEADROOM
-from poise.manage.adaptation.proposals import Proposal
 from poise.manage.adaptation.situation import WANTS_MORE, Situation
+from poise.manage.migration.migration_report import Proposal
 from poise.manage.migration.transition_plan import plan_transition
 from poise.manage.observe.chains import ChainAge
 from poise.manage.observe.estimates import Load

@@ -9,9 +9,13 @@ from msgspec import Struct
 
 from poise.errors import PoiseError, RobotError, RunError, UsageError
 from poise.estimate.profiles import ConnectorProfile
-from poise.manage.adaptation.proposals import Proposal, WhatIf
 from poise.manage.journal import JournalEntry
-from poise.manage.migration.migration_report import MigrationReport, TransitionReport
+from poise.manage.migration.migration_report import (
+    MigrationReport,
+    Proposal,
+    TransitionReport,
+    WhatIf,
+)
 from poise.manage.observe.chains import ChainReport
 from poise.manage.observe.deviations import Deviation
 from poise.manage.observe.estimates import DemandEstimate, Load

@@ -1,4 +1,4 @@
-"""Deactivates components in an order, so that calls and messages still arrive."""
+"""In which order components become idle, so that calls and messages still arrive."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Collection, Iterable, Iterator, Sequence
 from functools import partial
 
 from poise.errors import RunError
-from poise.manage.agent_connections.statuses import (
+from poise.manage.agent_connections.reports import (
     Statuses,
     calling_ports,
     components_of,
@@ -15,8 +15,39 @@ from poise.manage.agent_connections.statuses import (
 )
 from poise.manage.deploy.desired import Incarnation
 from poise.manage.deploy.running_components import RunningComponents
-from poise.manage.deploy.topological_order import levels
 from poise.wire.records.status_records import ConnectorStatus
+
+
+def levels(names: Collection[str], leads: Iterable[tuple[str, str]]) -> list[list[str]]:
+    """Return `names` so that each comes before all to which it leads."""
+    following: dict[str, set[str]] = {}
+    for source, target in leads:
+        following.setdefault(source, set()).add(target)
+    reached = {name: _reached(name, following) for name in names}
+    left, ordered = list(names), []
+    while left:
+        level = [
+            name
+            for name in left
+            if all(
+                name not in reached[other] or other in reached[name] for other in left
+            )
+        ]
+        ordered.append(level)
+        left = [name for name in left if name not in level]
+    return ordered
+
+
+def _reached(name: str, following: dict[str, set[str]]) -> set[str]:
+    reached: set[str] = set()
+    waiting = [name]
+    while waiting:
+        for target in following.get(waiting.pop(), ()):
+            if target not in reached:
+                reached.add(target)
+                waiting.append(target)
+    return reached
+
 
 Leads = list[tuple[str, str]]
 """Pairs of components of which the first calls the second, or publishes to it."""

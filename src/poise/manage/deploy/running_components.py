@@ -11,7 +11,7 @@ from msgspec import structs
 from poise.clock import Clock
 from poise.errors import RunError
 from poise.manage.agent_connections.agents import Agents
-from poise.manage.agent_connections.statuses import (
+from poise.manage.agent_connections.reports import (
     components_of,
     containers_left,
     cut_links,

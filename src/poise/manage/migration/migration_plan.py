@@ -10,9 +10,9 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from typing import Any
 
+from poise.manage.deploy.deactivation import levels
 from poise.manage.deploy.deployment_plan import DeploymentPlan
 from poise.manage.deploy.desired import Incarnation
-from poise.manage.deploy.topological_order import levels
 from poise.model.robot import Connector
 from poise.wire.records.migration_records import Step, StepName
 

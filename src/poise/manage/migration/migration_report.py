@@ -1,4 +1,4 @@
-"""How a move, a replacement or a transition went."""
+"""What a move, a replacement or a transition would change, and how it went."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 from msgspec import Struct
 
+from poise.manage.observe.estimates import PresentDemand
+from poise.plan.result_records import Terms
 from poise.wire.records.migration_records import StepTaken
 
 if TYPE_CHECKING:
@@ -117,3 +119,71 @@ class TransitionReport(Struct, frozen=True, kw_only=True):
     committed: bool  # whether the new placement holds; else the old one does again
     reason: str = ""  # why not; also when the roll back failed
     moves: tuple[MigrationReport, ...] = ()
+
+
+class Proposal(Struct, frozen=True, kw_only=True):
+    """Where components should run now.
+
+    Parameters
+    ----------
+    shifted
+        Component -> what it needs now, where that has shifted or is more than was
+        counted with.
+    now, then
+        F of the placement that is, and of the one proposed, for the same demands.
+    trouble
+        Which limits the placement that is breaks; empty when it keeps all.
+    steps
+        From the one to the other; none when it is best to stay.
+    proven
+        Whether no placement is better.
+    suspended
+        The architectures that are suspended: not all fits.
+    """
+
+    shifted: Mapping[str, PresentDemand]
+    now: Terms
+    then: Terms
+    placement: Mapping[str, str]
+    trouble: str = ""
+    steps: tuple[TransitionStep, ...] = ()
+    proven: bool = False
+    suspended: tuple[str, ...] = ()
+
+
+class WhatIf(Struct, frozen=True, tag=True, kw_only=True):
+    """What a move would change, for the demands that components have now.
+
+    Parameters
+    ----------
+    now, then
+        F before and after the move.
+    breaks
+        The limits that it would break: then it is refused, unless it is forced.
+    trouble
+        Which limits are broken as it is; empty: none.
+    loads
+        Computer -> the CPU that its components need, before and after [cores].
+    usable
+        Computer -> the CPU that there is for them [cores].
+    downtime
+        For how long the component would be paused [s]: as in its last move, else a
+        guess.
+    cost
+        Work that the move would cost [core-seconds].
+    state
+        Size of its snapshot, if that was ever taken [bytes].
+    """
+
+    component: str
+    source: str
+    target: str
+    now: Terms
+    then: Terms
+    breaks: tuple[str, ...] = ()
+    trouble: str = ""
+    loads: Mapping[str, tuple[float, float]] = {}
+    usable: Mapping[str, float] = {}
+    downtime: float
+    cost: float = 0.0
+    state: int = 0

@@ -9,7 +9,7 @@ from typing import Self
 from msgspec import Struct, structs
 
 from poise.errors import RunError
-from poise.manage.agent_connections.statuses import (
+from poise.manage.agent_connections.reports import (
     components_of,
     cut_links,
     keeping_ports,

@@ -17,9 +17,8 @@ from poise.manage.adaptation.situation import Situation
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.migration.migration_report import TransitionStep
 from poise.manage.migration.transition_plan import plan_transition, residue
-from poise.manage.tasks.component_reports import Serving
+from poise.manage.tasks.component_reports import Serving, conditions_of
 from poise.manage.tasks.concurrent_tasks import Tasks
-from poise.manage.tasks.learned_choice import conditions_of
 from poise.manage.tasks.task_progress import Attempt, TaskRecord
 from poise.model.robot import Robot
 

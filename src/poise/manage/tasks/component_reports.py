@@ -1,15 +1,22 @@
-"""What components say of actions, and which architectures serve which functions."""
+"""What components say of actions, and what is learned of architectures from them."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from collections.abc import Set as AbstractSet
 
 from msgspec import Struct
 
-from poise.manage.agent_connections.statuses import components_of
+from poise.errors import PoiseError
+from poise.estimate.success_rates import Conditions, Ending, learned, note_outcome
+from poise.manage.adaptation.decision import shortages_of
+from poise.manage.adaptation.situation import Situation
+from poise.manage.agent_connections.reports import components_of
 from poise.manage.deploy.running_components import RunningComponents
-from poise.model.robot import Architecture, ConnectorEnd
+from poise.manage.journal import Journal
+from poise.model.phases import first_action, promise_of
+from poise.model.robot import Architecture, ConnectorEnd, Robot
+from poise.model.steps import Choice
 from poise.wire.records.status_records import TaskRequest
 
 
@@ -119,3 +126,51 @@ class Serving:
             self._placed = frozenset(placed)
             self._whole_then = [a for a in run.robot.whole(placed) if a.components]
         return self._whole_then
+
+
+def choose(
+    robot: Robot,
+    choice: Choice,
+    conditions: Conditions,
+    note: Callable[[str], object],
+    *,
+    explore: bool = False,
+) -> int:
+    """Return which step of a choice promises most; of equals the first."""
+    promises = []
+    for step in choice.steps:
+        action = first_action(robot, step)
+        known = learned(robot, [action], conditions=conditions, explore=explore).robot
+        promises.append((action.name, promise_of(known, action)))
+    best = max(range(len(promises)), key=lambda index: promises[index][1])
+    said = ", ".join(f"'{name}' {promise:.0%}" for name, promise in promises)
+    note(f"choice of '{promises[best][0]}': promised are {said}")
+    return best
+
+
+def conditions_of(situation: Situation) -> Conditions:
+    """Return the conditions of a robot, for which success is learned."""
+    return Conditions(
+        lost=tuple(situation.lost),
+        cpu_is_short=any(short > 0 for short in shortages_of(situation).values()),
+    )
+
+
+def note_ending(
+    robot: Robot,
+    journal: Journal,
+    action: str,
+    architectures: Iterable[str],
+    conditions: Conditions,
+    *,
+    done: bool,
+) -> None:
+    """Note how an action ended, with what served it; say so when it cannot be kept."""
+    names = tuple(architectures)
+    if not robot.folder or not names:
+        return
+    ending: Ending = "done" if done else "failed"
+    try:
+        note_outcome(robot, action, ending, names, conditions=conditions)
+    except PoiseError as error:
+        journal.note("failed", f"the outcome of '{action}' is not learned: {error}")

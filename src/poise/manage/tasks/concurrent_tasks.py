@@ -11,7 +11,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from poise.clock import wall_time_at
-from poise.errors import UsageError
+from poise.errors import UsageError, did_you_mean
 from poise.manage.tasks.task_progress import (
     OVER,
     ActionEnded,
@@ -26,7 +26,6 @@ from poise.manage.tasks.task_progress import (
 from poise.model.phases import clashes
 from poise.model.robot import Robot
 from poise.model.steps import Until
-from poise.suggest import did_you_mean
 
 _SAYINGS = {
     "paused": "is paused",

@@ -27,9 +27,15 @@ from poise.manage.tasks.action_placement import (
     beyond_memory,
     likely_next,
 )
-from poise.manage.tasks.component_reports import ComponentReports, EndReport, Serving
+from poise.manage.tasks.component_reports import (
+    ComponentReports,
+    EndReport,
+    Serving,
+    choose,
+    conditions_of,
+    note_ending,
+)
 from poise.manage.tasks.concurrent_tasks import TaskReport, Tasks, task_reports
-from poise.manage.tasks.learned_choice import choose, conditions_of, note_ending
 from poise.manage.tasks.switch import IdleComponents, switch
 from poise.manage.tasks.task_progress import (
     OVER,

@@ -14,6 +14,7 @@ from itertools import pairwise
 
 from msgspec import Struct
 
+from poise.errors import did_you_mean, unknown
 from poise.model.check.names import (
     check_components_known,
     component_names,
@@ -23,7 +24,6 @@ from poise.model.check.names import (
 from poise.model.check.ros2_components import bridge_of
 from poise.model.robot import Architecture, Connector, ConnectorEnd, PortKind, Robot
 from poise.model.yaml_tree import Finding, Path
-from poise.suggest import did_you_mean, unknown
 
 
 def check_connectors(robot: Robot) -> Iterator[Finding]:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 
 from poise.endpoint import Endpoint
+from poise.errors import listed, unknown
 from poise.model.robot import Architecture, ComponentEntry, Connector, Robot
 from poise.model.yaml_tree import Finding, Path
-from poise.suggest import listed, unknown
 
 
 def check_addresses(robot: Robot) -> Iterator[Finding]:

@@ -8,11 +8,11 @@ from msgspec import to_builtins
 from msgspec.structs import replace
 
 from poise.endpoint import Endpoint
+from poise.errors import unknown
 from poise.model.check.names import component_names, components, connectors
 from poise.model.robot import ComponentEntry, Connector, ConnectorEnd, Robot
 from poise.model.software import ComponentCode, Ros2Bridge
 from poise.model.yaml_tree import Finding
-from poise.suggest import unknown
 
 NODE = "poise.ros2.node:RosNode"
 BRIDGE = "poise.ros2.bridge:Bridge"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 
+from poise.errors import did_you_mean, listed, unknown
 from poise.model.check.connectors import KnownPort, Ports, no_such_port
 from poise.model.check.names import component_names
 from poise.model.condition import check_sentence, parse_condition
@@ -13,7 +14,6 @@ from poise.model.repository import Repository
 from poise.model.robot import ConnectorEnd, Robot
 from poise.model.steps import Action, Repeat, Subtask, Task, Until, walk
 from poise.model.yaml_tree import Finding, Path
-from poise.suggest import did_you_mean, listed, unknown
 
 
 def check_policies(robot: Robot) -> Iterator[Finding]:

@@ -16,13 +16,12 @@ from typing import NamedTuple
 
 from msgspec.structs import replace
 
-from poise.errors import UsageError
+from poise.errors import UsageError, unknown
 from poise.model.robot import Computer
 from poise.model.software import importance
 from poise.plan.problem.arrays import Arrays, arrays_of, overhead_scale
 from poise.plan.problem.items import Item, SoftLimit
 from poise.plan.problem.problem import Problem
-from poise.suggest import unknown
 
 
 def keep_components(

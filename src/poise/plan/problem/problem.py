@@ -17,10 +17,9 @@ from typing import get_args
 import msgspec
 from msgspec import Struct, ValidationError, convert, structs, to_builtins
 
-from poise.errors import RobotError
+from poise.errors import RobotError, unknown
 from poise.model.robot import Computer, Link, Objective, Scale, Spread
 from poise.plan.problem.items import Bundle, Edge, Item, SoftLimit, TimeLimit
-from poise.suggest import unknown
 
 
 class Problem(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

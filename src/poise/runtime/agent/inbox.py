@@ -15,9 +15,9 @@ import msgspec
 import zenoh
 from msgspec import structs
 
-from poise.back_off import BackOff
 from poise.clock import Clock
 from poise.runtime.agent.surroundings import Reply
+from poise.threads import BackOff
 from poise.wire.codec import MALFORMED
 from poise.wire.records.request_records import (
     LEAST_PROTOCOL,

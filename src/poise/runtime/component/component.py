@@ -13,7 +13,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from poise.clock import ComponentClock
-from poise.errors import UsageError
+from poise.errors import UsageError, did_you_mean, listed
 from poise.runtime import _calls
 from poise.runtime.component.parameters import (
     Values,
@@ -27,7 +27,6 @@ from poise.runtime.component.started_calls import (
     StartedCalls,
 )
 from poise.runtime.execution.mailbox import WorkSource
-from poise.suggest import did_you_mean, listed
 from poise.wire.connections import connection
 
 Verb = Literal["start", "pause", "resume", "cancel"]

@@ -11,11 +11,10 @@ from typing import Any, get_args, get_origin, get_type_hints
 
 from msgspec import Struct
 
-from poise.errors import RobotError
+from poise.errors import RobotError, did_you_mean, listed
 from poise.runtime.component.component import Component
 from poise.runtime.component.error_report import brief_traceback
 from poise.runtime.component.ports import is_oneway, methods_of
-from poise.suggest import did_you_mean, listed
 
 
 def find(implementation: str, folder: str) -> type[Component]:

@@ -10,8 +10,7 @@ from typing import Any, Union, get_args, get_origin, get_type_hints
 import msgspec
 from msgspec import Struct
 
-from poise.errors import UsageError
-from poise.suggest import did_you_mean, listed
+from poise.errors import UsageError, did_you_mean, listed
 from poise.units import DIMENSIONS, parse
 
 Values = Mapping[str, Any]

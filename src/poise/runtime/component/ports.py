@@ -39,8 +39,7 @@ from typing import (
 import msgspec
 from msgspec import Struct, StructMeta
 
-from poise.errors import UsageError
-from poise.suggest import did_you_mean, listed
+from poise.errors import UsageError, did_you_mean, listed
 
 I = TypeVar("I")  # noqa: E741, an interface
 M = TypeVar("M")

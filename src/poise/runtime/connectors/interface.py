@@ -10,10 +10,9 @@ from typing import Any, NoReturn, get_type_hints
 
 from msgspec import Struct
 
-from poise.errors import Unavailable, UsageError
+from poise.errors import Unavailable, UsageError, did_you_mean, listed
 from poise.runtime.component.implementation import fingerprint
 from poise.runtime.component.ports import Port, is_oneway, methods_of
-from poise.suggest import did_you_mean, listed
 from poise.wire.codec import Codec, codec
 
 

@@ -12,11 +12,10 @@ from math import inf
 from queue import Empty, SimpleQueue
 from typing import Any, Protocol
 
-from poise.errors import UsageError
+from poise.errors import UsageError, did_you_mean, listed
 from poise.runtime._calls import ComponentCounters
 from poise.runtime.component.ports import Queue
 from poise.runtime.execution.counters import Counts
-from poise.suggest import did_you_mean, listed
 
 log = logging.getLogger(__name__)
 

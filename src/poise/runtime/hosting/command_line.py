@@ -21,10 +21,9 @@ from typing import TYPE_CHECKING, ClassVar
 import msgspec
 
 from poise import threads
-from poise.errors import RobotError
+from poise.errors import RobotError, did_you_mean, listed
 from poise.runtime.component.component import Component
 from poise.runtime.hosting.output import LONGEST, write_as
-from poise.suggest import did_you_mean, listed
 
 if TYPE_CHECKING:
     from poise.runtime.hosting.runner import Runner

@@ -15,7 +15,14 @@ from typing import Any, NoReturn, get_args
 from msgspec import Struct, structs
 
 from poise import threads
-from poise.errors import CalleeError, PoiseError, Timeout, UsageError
+from poise.errors import (
+    CalleeError,
+    PoiseError,
+    Timeout,
+    UsageError,
+    did_you_mean,
+    listed,
+)
 from poise.runtime.component.component import set_parameters, within
 from poise.runtime.component.parameters import plain
 from poise.runtime.component.ports import Port
@@ -26,7 +33,6 @@ from poise.runtime.execution.exclusion import Redirected, new_chain
 from poise.runtime.execution.mailbox import Feed
 from poise.runtime.hosting.output import write_as
 from poise.runtime.hosting.runner import Runner
-from poise.suggest import did_you_mean, listed
 from poise.wire.codec import Packed, WireError, pack, unpack
 from poise.wire.records.request_records import (
     MOST_PACKED,

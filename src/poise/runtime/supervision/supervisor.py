@@ -13,13 +13,13 @@ from random import Random
 
 from msgspec import structs
 
-from poise.back_off import BackOff
 from poise.clock import Clock
 from poise.errors import Unavailable
 from poise.runtime.agent.inbox import SupervisedParts
 from poise.runtime.agent.surroundings import ContainerControl, ContainerHost
 from poise.runtime.supervision.container_processes import ContainerProcess, ProcessEnd
 from poise.runtime.supervision.health import HealthRecords, Silence, Usage
+from poise.threads import BackOff
 from poise.wire.records.deployment_records import ContainerSpec, Deployment
 from poise.wire.records.heartbeat_records import Clocks
 from poise.wire.records.status_records import (

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Self
 
 from poise import threads
-from poise.back_off import BackOff
 from poise.clock import SystemClock
 from poise.emulate import (
     EmulatedComputer,
@@ -29,9 +28,10 @@ from poise.errors import PoiseError, RunError, UsageError
 from poise.model.robot import Robot
 from poise.runtime.agent.surroundings import BROKEN
 from poise.runtime.waker import Waker, wait_readable
-from poise.session.callbacks import Say, log
+from poise.session import Say, log
 from poise.session.folders import scratch_folder
 from poise.session.launch.printer import STDERR, Printer, relay
+from poise.threads import BackOff
 from poise.units import counted
 from poise.wire.control_session import LEASE, endpoint_of, locator
 from poise.wire.credentials import Credentials, find

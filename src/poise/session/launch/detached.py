@@ -15,7 +15,7 @@ from msgspec import Struct
 from poise.emulate import set_for
 from poise.errors import PoiseError, RunError
 from poise.model.robot import Robot
-from poise.session.callbacks import Check, Say
+from poise.session import Check, Say
 from poise.session.folders import state_folder
 from poise.session.running_robots.running import Running
 

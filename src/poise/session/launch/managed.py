@@ -1,4 +1,4 @@
-"""A robot that runs, with its manager and its journal: what `run` and `up` share."""
+"""A robot that runs, with its manager and journal, and what standbys have to know."""
 
 from __future__ import annotations
 
@@ -7,9 +7,12 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+import msgspec
+from msgspec import Struct
 from msgspec.msgpack import encode
 
 from poise import threads
+from poise.emulate import set_for
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.journal import Journal, JournalEntry, check_journal
 from poise.manage.manager import Manager
@@ -18,13 +21,47 @@ from poise.manage.observe.sample_recording import Recording, RecordingFile
 from poise.manage.tasks.concurrent_tasks import Tasks
 from poise.manage.tasks.saved_tasks import goes_on_with
 from poise.model.robot import Robot
-from poise.session.callbacks import Check, Say
+from poise.session import Check, Say
 from poise.session.folders import make_journal
 from poise.session.launch.computers import Computers
 from poise.session.launch.start import Sampling, Started, started
 from poise.session.placing.first_phase import FirstPhase, note_architectures
 from poise.session.profiling.stored_profiles import read_profile
 from poise.wire.records.request_records import Election
+
+
+class StandbySetup(Struct, frozen=True, kw_only=True):
+    """What a standby has to know of the robot that it may lead."""
+
+    robot: Robot
+    adapts: bool = True
+
+
+def election_of(robot: Robot, *, adapts: bool) -> Election | None:
+    """Return how managers of a robot follow each other; None: they do not."""
+    is_real = any(computer.address for computer in robot.computers)
+    if not robot.standbys or not (is_real or set_for(robot) is not None):
+        return None
+    return Election(
+        votes=robot.votes,
+        managers=robot.standbys,
+        setup=msgspec.msgpack.encode(StandbySetup(robot=robot, adapts=adapts)),
+    )
+
+
+def without_standbys(robot: Robot) -> str:
+    """Return what a person should know of a real robot that has none; empty: it has."""
+    real = [computer.name for computer in robot.hosts if computer.address]
+    if robot.standbys or len(real) == 1 or not real:
+        return ""
+    if robot.manager is not None:
+        cure = "name some in `manager`, so that one of them leads then"
+    else:
+        cure = "a witness, or `keeps` in the robot file, lets the other one lead then"
+    return (
+        "without standbys: when the computer of this manager dies, its components are "
+        f"away until the next `poise up`; {cure}"
+    )
 
 
 @contextlib.contextmanager

@@ -19,14 +19,14 @@ from poise import threads
 from poise.clock import SystemClock
 from poise.errors import RobotError, RunError
 from poise.manage.agent_connections.agents import Agents
-from poise.manage.agent_connections.statuses import containers_left
+from poise.manage.agent_connections.reports import containers_left
 from poise.manage.deploy.deactivation import stop
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.journal import Journal
 from poise.model.robot import Robot
 from poise.runtime.hosting.command_line import die_with_parent, program
 from poise.runtime.waker import wait_readable
-from poise.session.callbacks import Check, Say, log, nothing
+from poise.session import Check, Say, log, nothing
 from poise.session.folders import scratch_folder
 from poise.session.launch.computers import Computers, computers_of
 from poise.units import counted

@@ -13,13 +13,13 @@ from poise.errors import FileProblem, RobotError
 from poise.estimate.code_version import hash_of
 from poise.estimate.success_rates import WELL, Belief
 from poise.manage.journal import Journal
+from poise.manage.tasks.component_reports import choose
 from poise.manage.tasks.concurrent_tasks import Tasks
-from poise.manage.tasks.learned_choice import choose
 from poise.model.load import load_source
 from poise.model.repository import search
 from poise.model.robot import Architecture, Layer, Robot
 from poise.plan.planner import METHODS as SOLVERS
-from poise.session.callbacks import Say
+from poise.session import Say
 from poise.session.placing.placement import Placement, place
 
 

@@ -14,7 +14,7 @@ from msgspec import Struct
 from poise.errors import RunError, UsageError
 from poise.estimate import profiles as profile_file
 from poise.estimate.profiles import Costs, KindCosts
-from poise.manage.agent_connections.statuses import Statuses, located
+from poise.manage.agent_connections.reports import Statuses, located
 from poise.manage.journal import Journal
 from poise.manage.observe.sample_recording import Recording
 from poise.model.robot import (
@@ -25,7 +25,7 @@ from poise.model.robot import (
     Robot,
 )
 from poise.runtime.calibration import SCORES
-from poise.session.callbacks import Check, nothing
+from poise.session import Check, nothing
 from poise.session.launch.start import Sampling, started
 from poise.session.profiling.stored_profiles import (
     check_keepable,

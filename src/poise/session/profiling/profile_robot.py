@@ -16,12 +16,12 @@ from poise.errors import RunError, UsageError
 from poise.estimate import profiles as profile_file
 from poise.estimate.code_version import version_of
 from poise.estimate.profiles import WINDOW, Profile
-from poise.manage.agent_connections.statuses import components_of
+from poise.manage.agent_connections.reports import components_of
 from poise.manage.deploy.running_components import ACTIVE_LIMIT
 from poise.manage.journal import Journal
 from poise.manage.observe.sample_recording import Recording
 from poise.model.robot import Robot
-from poise.session.callbacks import Check, Say, log, nothing
+from poise.session import Check, Say, log, nothing
 from poise.session.launch.start import Sampling, Started, started
 from poise.session.profiling.figures import (
     Figures,

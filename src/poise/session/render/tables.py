@@ -12,9 +12,13 @@ from rich.markup import escape
 from rich.segment import Segment
 from rich.table import Table
 
-from poise.manage.adaptation.proposals import Proposal, WhatIf
 from poise.manage.control_socket.commands import Rebalanced
-from poise.manage.migration.migration_report import MigrationReport, TransitionReport
+from poise.manage.migration.migration_report import (
+    MigrationReport,
+    Proposal,
+    TransitionReport,
+    WhatIf,
+)
 from poise.manage.observe.chains import ChainReport
 from poise.manage.tasks.concurrent_tasks import ActionReport, TaskReport
 from poise.manage.tasks.task_progress import OVER

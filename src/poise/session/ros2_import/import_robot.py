@@ -11,9 +11,8 @@ from typing import Any
 from msgspec import Struct
 
 from poise.errors import RunError
-from poise.session.ros2_import.command_entry import WhereImported
 from poise.session.ros2_import.graph_records import Graph
-from poise.session.ros2_import.node_processes import relevant
+from poise.session.ros2_import.node_processes import WhereImported, relevant
 from poise.session.ros2_import.robot_text import RobotText, hardware_keys
 from poise.units import counted
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from msgspec import Struct
 
 from poise.errors import UsageError
-from poise.session.callbacks import Check, Say, log, nothing
+from poise.session import Check, Say, log, nothing
 from poise.session.running_robots.running import Running, connect
 from poise.wire.recording_file import Said, said_in
 

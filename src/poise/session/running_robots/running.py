@@ -11,7 +11,6 @@ from msgspec.structs import asdict
 from rich.console import RenderableType
 
 from poise.errors import RunError, Timeout, UsageError
-from poise.manage.adaptation.proposals import WhatIf
 from poise.manage.control_socket.agents_without_manager import NoManager
 from poise.manage.control_socket.commands import (
     JournalCommand,
@@ -32,7 +31,7 @@ from poise.manage.control_socket.commands import (
 )
 from poise.manage.control_socket.control_client import ask
 from poise.manage.journal import JournalEntry
-from poise.manage.migration.migration_report import MigrationReport
+from poise.manage.migration.migration_report import MigrationReport, WhatIf
 from poise.manage.observe.chains import ChainReport
 from poise.manage.tasks.concurrent_tasks import TaskReport
 from poise.manage.tasks.task_progress import OVER
