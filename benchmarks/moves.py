@@ -24,7 +24,7 @@ from threading import Timer
 
 from poise.clock import SystemClock
 from poise.manage.agent_connections.agents import Agents
-from poise.manage.agent_connections.reports import components_of
+from poise.manage.agent_connections.statuses import components_of
 from poise.manage.deploy.deactivation import stop
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.journal import Journal

@@ -29,7 +29,7 @@ from benchmarks.experiment.results import (
 from poise.clock import wall_time
 from poise.emulate.cpu_load import background_load
 from poise.errors import PoiseError, RunError
-from poise.manage.agent_connections.reports import Statuses, components_of
+from poise.manage.agent_connections.statuses import Statuses, components_of
 from poise.manage.observe.chains import chain_reports
 from poise.manage.tasks.task_progress import OVER
 from poise.model.robot import Robot

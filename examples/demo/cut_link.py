@@ -11,7 +11,7 @@ from collections import Counter
 from msgspec import Struct
 
 from examples.demo.waiting import WARM_UP, measures, wait, wait_until
-from poise.manage.agent_connections.reports import located
+from poise.manage.agent_connections.statuses import located
 from poise.model.robot import Robot
 from poise.session import Check, Say
 from poise.session.launch.computers import emulated

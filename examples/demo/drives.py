@@ -17,7 +17,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from poise.errors import RunError
-from poise.manage.agent_connections.reports import components_of
+from poise.manage.agent_connections.statuses import components_of
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.migration.migration_report import MigrationReport
 from poise.manage.migration.move import move

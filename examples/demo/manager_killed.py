@@ -18,7 +18,7 @@ from msgspec import Struct
 from examples.demo.waiting import WARM_UP, active_components, measures, wait, wait_until
 from poise import threads
 from poise.errors import PoiseError
-from poise.manage.agent_connections.reports import components_of
+from poise.manage.agent_connections.statuses import components_of
 from poise.model.robot import Robot
 from poise.session import Check, Say
 from poise.session.launch.computers import emulated

@@ -14,7 +14,7 @@ from msgspec.structs import replace
 from examples.adapt.grid import shortest
 from examples.demo.waiting import LOOK_EVERY, WARM_UP, wait
 from poise.emulate.cpu_load import background_load
-from poise.manage.agent_connections.reports import components_of
+from poise.manage.agent_connections.statuses import components_of
 from poise.model.robot import ComponentEntry, Robot
 from poise.session import Check, Say
 from poise.session.placing.placement import place

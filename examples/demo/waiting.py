@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable
 
 from poise.errors import RunError
-from poise.manage.agent_connections.reports import components_of, located
+from poise.manage.agent_connections.statuses import components_of, located
 from poise.session.running_robots.running import Running
 
 WARM_UP = 4.0

@@ -14,7 +14,7 @@ import pytest
 
 from poise.emulate import Emulation, probe_host
 from poise.errors import UsageError
-from poise.manage.agent_connections.reports import connectors_of
+from poise.manage.agent_connections.statuses import connectors_of
 from poise.manage.control_socket.commands import MoveCommand, RobotStatus, StatusCommand
 from poise.manage.control_socket.control_client import send_command
 from poise.manage.migration.migration_report import MigrationReport

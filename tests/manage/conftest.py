@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from msgspec.structs import replace
 
-from poise.manage.agent_connections.agents import CheckpointCopies
+from poise.manage.agent_connections.reports import CheckpointCopies
 from poise.manage.agent_connections.requests import Reply
 from poise.model.robot import (
     Architecture,
@@ -98,6 +98,7 @@ class FakeAgents:
         self.election: Election | None = None
         self.stored: Deployment | None = None
         self.checkpoints = CheckpointCopies()
+        self.heartbeats = self
         self.gone: set[str] = set()
         self.lasting: set[str] = set()
         self.hearers: dict[str, str] = {}

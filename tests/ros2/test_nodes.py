@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import poise
-from poise.manage.agent_connections.reports import components_of
+from poise.manage.agent_connections.statuses import components_of
 from poise.wire.records.status_records import ComponentStatus
 from tests.session.emulated_robot import written
 from tests.waiting import LONG, wait_long

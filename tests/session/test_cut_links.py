@@ -13,7 +13,7 @@ import pytest
 import poise
 from examples.demo.waiting import measures
 from poise.emulate import EmulatedSet
-from poise.manage.agent_connections.reports import connectors_of
+from poise.manage.agent_connections.statuses import connectors_of
 from poise.manage.migration.migration_report import MigrationReport
 from poise.session.placing.placement import place
 from poise.session.running_robots.running import RolledBack, Running

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from msgspec.structs import replace
 
-from poise.manage.agent_connections.reports import Statuses, connectors_of, located
+from poise.manage.agent_connections.statuses import Statuses, connectors_of, located
 from poise.session.last_seen import LastSeen
 from poise.wire.records.status_records import (
     AgentStatus,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from msgspec.structs import replace
 
-from poise.manage.agent_connections.reports import connectors_of
+from poise.manage.agent_connections.statuses import connectors_of
 from poise.model.robot import Computer, Robot
 from poise.session.run_records import (
     ComponentError,

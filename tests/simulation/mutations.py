@@ -19,7 +19,7 @@ from typing import Any, cast
 
 from msgspec import structs
 
-from poise.manage.agent_connections import agents, manager_identity
+from poise.manage.agent_connections import claims
 from poise.manage.agent_connections.agents import Agents
 from poise.manage.agent_connections.reports import AgentReports
 from poise.manage.deploy import desired_state, takeover
@@ -110,7 +110,7 @@ def _put(owner: object, name: str, value: object) -> Callable[[], None]:
 def _key_error_for_missing_status() -> None:
     def obey(self: Any, computer: str) -> Any:
         with self._changed:
-            return self._statuses[computer].token == self._claimed.get(computer)
+            return self._claims.is_obeyed(self._statuses[computer])
 
     setattr(Agents, "obey", obey)
 
@@ -223,8 +223,8 @@ def _replaced_goes_on() -> None:
     def gives_way_to(manager: Any, claimed: Any, _: Any, statuses: Any) -> Any:
         return known(manager, claimed, {}, statuses)
 
-    known = manager_identity.gives_way_to
-    setattr(agents, "gives_way_to", gives_way_to)
+    known = claims.gives_way_to
+    setattr(claims, "gives_way_to", gives_way_to)
 
 
 def _lease_of_first_heartbeat() -> None:

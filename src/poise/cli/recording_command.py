@@ -16,7 +16,7 @@ from poise.cli.main import Interrupts
 from poise.cli.options import AsJson, print_json, running, show
 from poise.cli.running_robot_command import Robot
 from poise.errors import UsageError
-from poise.manage.agent_connections.reports import connectors_of
+from poise.manage.agent_connections.statuses import connectors_of
 from poise.manage.observe.estimates import DemandEstimate
 from poise.session.folders import to_write
 from poise.session.recorded_run import RecordedRun

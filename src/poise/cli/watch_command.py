@@ -22,7 +22,7 @@ from rich.markup import escape
 from poise.cli.options import AsJson, print_json, running, show
 from poise.cli.running_robot_command import Robot
 from poise.errors import UsageError
-from poise.manage.agent_connections.reports import connectors_of
+from poise.manage.agent_connections.statuses import connectors_of
 from poise.manage.journal import KINDS, JournalEntry, read_journal
 from poise.runtime.hosting.command_line import die_with_parent
 from poise.session.folders import find_journal

@@ -10,7 +10,7 @@ from typing import TypeVar
 
 from msgspec.structs import replace
 
-from poise.manage.agent_connections.reports import Statuses
+from poise.manage.agent_connections.statuses import Statuses
 from poise.wire.records.status_records import (
     AgentStatus,
     ChainStatus,

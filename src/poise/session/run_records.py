@@ -9,7 +9,7 @@ from typing import Any
 
 from msgspec import Struct, structs
 
-from poise.manage.agent_connections.reports import (
+from poise.manage.agent_connections.statuses import (
     Statuses,
     components_of,
     connectors_of,

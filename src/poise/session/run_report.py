@@ -10,7 +10,7 @@ from msgspec import Struct
 from rich.console import RenderableType
 
 from poise.errors import RunError
-from poise.manage.agent_connections.reports import Statuses
+from poise.manage.agent_connections.statuses import Statuses
 from poise.manage.deploy.deactivation import unprocessed
 from poise.manage.journal import JournalEntry
 from poise.manage.observe.chains import ChainReport

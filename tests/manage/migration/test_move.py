@@ -17,8 +17,8 @@ import pytest
 
 from poise.errors import RunError, UsageError
 from poise.manage.agent_connections.agents import Agents
-from poise.manage.agent_connections.reports import components_of, connectors_of
 from poise.manage.agent_connections.requests import AgentRequests, Reply
+from poise.manage.agent_connections.statuses import components_of, connectors_of
 from poise.manage.deploy.deactivation import stop
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.journal import Journal

@@ -10,7 +10,7 @@ import pytest
 
 from poise.errors import UsageError
 from poise.manage.agent_connections.agents import Agents
-from poise.manage.agent_connections.reports import components_of
+from poise.manage.agent_connections.statuses import components_of
 from poise.manage.deploy.deactivation import stop
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.journal import Journal

@@ -14,7 +14,7 @@ from msgspec.structs import replace
 
 from poise.errors import UsageError
 from poise.manage.adaptation.situation import Situation
-from poise.manage.agent_connections.reports import CUT
+from poise.manage.agent_connections.statuses import CUT
 from poise.model.policy import LinkValues
 from poise.model.robot import Connector, Link, Robot
 

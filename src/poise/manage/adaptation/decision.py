@@ -30,7 +30,7 @@ from poise.manage.adaptation.bad_links import (
 )
 from poise.manage.adaptation.replan import late, nothing_helps, propose
 from poise.manage.adaptation.situation import Situation
-from poise.manage.agent_connections.reports import components_of
+from poise.manage.agent_connections.statuses import components_of
 from poise.manage.migration.migration_report import Proposal, TransitionStep
 from poise.manage.migration.transition_plan import missing_cpu
 from poise.model.check.allowed_computers import allowed_computers

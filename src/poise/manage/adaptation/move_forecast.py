@@ -17,7 +17,7 @@ from poise.manage.adaptation.decision import (
 )
 from poise.manage.adaptation.replan import share_what_is_left, with_costs
 from poise.manage.adaptation.situation import Situation
-from poise.manage.agent_connections.reports import components_of
+from poise.manage.agent_connections.statuses import components_of
 from poise.manage.migration.migration_report import TransitionStep, WhatIf
 from poise.manage.migration.transition_plan import residue
 from poise.model.check.allowed_computers import allowed_computers

@@ -2,31 +2,28 @@
 
 from __future__ import annotations
 
-import threading
-import time
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Self, TypeGuard
 
-from msgspec import structs
 from msgspec.structs import replace
 
 from poise.clock import Clock
 from poise.errors import RunError
-from poise.manage.agent_connections.manager_identity import (
-    gives_way_to,
-    has_ended,
-    manager_id,
-)
+from poise.manage.agent_connections.claims import Claims, has_ended, manager_id
 from poise.manage.agent_connections.reachability import AgentHeartbeats
-from poise.manage.agent_connections.reports import AgentReports, reading
+from poise.manage.agent_connections.reports import (
+    LOOK_EVERY,
+    AgentReports,
+    CheckpointCopies,
+    nothing,
+    reading,
+)
 from poise.manage.agent_connections.requests import (
     ANSWER_LIMIT,
-    LOOK_EVERY,
     LOSS_DELAY,
     SEND_LIMIT,
     AgentRequests,
     Reply,
-    nothing,
 )
 from poise.priority import ahead
 from poise.wire.control_session import LEASE, close_session, endpoint_of, open_session
@@ -54,45 +51,11 @@ from poise.wire.records.request_records import (
     ManagerId,
     Refused,
     Request,
-    majority_at,
 )
 from poise.wire.records.status_records import AgentSample, AgentStatus
 
 if TYPE_CHECKING:
     from poise.wire.credentials import Credentials
-
-
-class CheckpointCopies:
-    """The last checkpoint of each component, as its agent sent it. Any thread may ask.
-
-    `clock`: returns the time [s].
-    """
-
-    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
-        self._clock = clock
-        self._lock = threading.Lock()
-        self._copies: dict[str, tuple[CheckpointCopy, float]] = {}
-
-    def note(self, copy: CheckpointCopy) -> None:
-        """Keep a copy; one without data says that the one before still holds."""
-        now = self._clock()
-        with self._lock:
-            before, _ = self._copies.get(copy.component, (copy, now))
-            if before.epoch > copy.epoch:
-                return
-            if copy.data is None:
-                if before.data is None or before.epoch != copy.epoch:
-                    return
-                copy = structs.replace(copy, data=before.data)
-            self._copies[copy.component] = copy, now
-
-    def get(self, component: str, epoch: int) -> CheckpointCopy | None:
-        """Return the last state of an incarnation, with its age now, if it is known."""
-        with self._lock:
-            copy, at = self._copies.get(component, (None, 0.0))
-        if copy is None or copy.epoch != epoch:
-            return None
-        return structs.replace(copy, age=copy.age + self._clock() - at)
 
 
 _LATE = LEASE + 1.0
@@ -106,8 +69,6 @@ _OTHERS = 0.1
 """When a majority of agents is there, the others have this time [s]."""
 _UNCONFIRMED = 2.0
 """A manager that no majority has heard for so long ends [s]."""
-_REVOKED = 2
-"""A token that was revoked counts as one so much higher, which no agent has."""
 _LEAST_BANDWIDTH = 1e6
 """A state that is sent takes no longer than with this [bytes/s]."""
 
@@ -136,11 +97,13 @@ class Agents(AgentReports):
         control: str = "",
     ) -> None:
         super().__init__(robot, endpoints, clock)
-        self.manager = manager_id(control)
         self.election = election
         self._is_leased = lease <= LEASE
+        self._claims = Claims(
+            manager_id(control), endpoints, election, is_leased=self._is_leased
+        )
         heard = endpoints if self._is_leased else {}
-        self._heartbeats = AgentHeartbeats(
+        self.heartbeats = AgentHeartbeats(
             robot,
             self.manager.key,
             heard,
@@ -148,18 +111,17 @@ class Agents(AgentReports):
             self.on_silent,
             SURELY_ENDED if self._is_leased else UNCUT_SURELY_ENDED,
             datagrams or _datagrams(heard, clock, keys),
-            votes=election.votes if election is not None else {},
+            votes=self._claims.votes,
         )
-        self._tokens: dict[str, int] = {}
-        self._claimed: dict[str, int] = {}
-        self._told: dict[str, int] = {}
         self.checkpoints = CheckpointCopies()
         with ahead():  # zenoh's threads do nothing but carry messages
             self._session = open_session(
                 connect=tuple(endpoints.values()), lease=lease, keys=keys
             )
         prefix = f"poise/{robot}"
-        self._requests = AgentRequests(self._session, prefix, self, clock, self._tokens)
+        self._requests = AgentRequests(
+            self._session, prefix, self, clock, self._claims.tokens
+        )
         self._declared = [
             *self.subscribe(self._session),
             self._session.declare_subscriber(
@@ -185,9 +147,14 @@ class Agents(AgentReports):
     def __exit__(self, *_: object) -> None:
         self.close()
 
+    @property
+    def manager(self) -> ManagerId:
+        """Who this manager is."""
+        return self._claims.manager
+
     def close(self) -> None:
         """Leave the agents as they are."""
-        self._heartbeats.close()
+        self.heartbeats.close()
         close_session(self._session)
 
     def take_status(self, status: AgentStatus) -> None:
@@ -196,60 +163,27 @@ class Agents(AgentReports):
         if manager is not None and manager.key != self.manager.key:
             with self._changed:
                 self._silent.pop(status.computer, None)
-                if status.computer in self._claimed:
-                    self._heartbeats.forget(status.computer)
+                if status.computer in self._claims.accepted:
+                    self.heartbeats.forget(status.computer)
         super().take_status(status)
 
     def obey(self, computer: str) -> bool:
         """Return whether an agent is reached and obeys this manager."""
         with self._changed:
             status = self._statuses.get(computer)
-            token = self._tokens.get(computer)
             return (
                 status is not None
                 and computer not in self._lost
                 and computer not in self._silent
-                and status.token == token
-                and self._claimed.get(computer) == token
+                and self._claims.is_obeyed(status)
             )
 
     def successor(self) -> ManagerId | None:
         """Return the manager to which this one gives way; None: there is none."""
         with self._changed:
             away = self._lost.keys() | self._silent.keys()
-            reached = [s for name, s in self._statuses.items() if name not in away]
-            if self.election is not None and self._claimed:
-                # its agent takes none of this term any more, whoever leads
-                voted = [s.manager for s in reached if s.manager is not None]
-                later = [m for m in voted if self._is_overtaken_by(m)]
-                if later:
-                    return max(later, key=lambda manager: manager.rank)
-            return gives_way_to(self.manager, self._claimed, self._told, reached)
-
-    def _is_overtaken_by(self, other: ManagerId) -> bool:
-        return other.key != self.manager.key and other.term >= self.manager.term
-
-    def wait_alive(
-        self,
-        computers: Iterable[str],
-        limit: float,
-        check: Callable[[], None] = nothing,
-        why_silent: Callable[[str], str] = lambda _: "",
-    ) -> None:
-        """Wait until the agents of all `computers` are there and reported."""
-        wanted, deadline = set(computers), self._clock.now() + limit
-        while not self.wait_news(lambda: wanted <= self.reached(), LOOK_EVERY):
-            check()
-            self.raise_on_other_agents(wanted - self.reached())
-            if self._clock.now() < deadline:
-                continue
-            missing = sorted(wanted - self.reached())
-            reasons = {c: why_silent(self._endpoints[c]) for c in missing}
-            said = [f"{c}: {why}" for c, why in reasons.items() if why]
-            raise RunError(
-                f"no agent answered within {limit:g} s on: {', '.join(missing)}. Is "
-                "`poise agent` running there, and can this computer reach it?"
-                + "".join(f"\n{refusal}" for refusal in [*said, *self.take_refused()])
+            return self._claims.successor(
+                [s for name, s in self._statuses.items() if name not in away]
             )
 
     def wait_at_work(self, limit: float, check: Callable[[], object] = nothing) -> bool:
@@ -259,16 +193,14 @@ class Agents(AgentReports):
 
         `limit`: all are there within this time, or missing [s].
         """
-        everyone = set(self._endpoints)
-        votes = self.election.votes if self.election is not None else {}
+        everyone, votes = set(self._endpoints), self._claims.votes
 
         def is_there() -> bool:
             check()
             return self.reached() >= everyone
 
         def is_majority() -> bool:
-            there = dict.fromkeys(self.reached(), 0.0)
-            return is_there() or majority_at(votes, there) == 0.0
+            return is_there() or self._claims.has_majority(self.reached())
 
         until = self._clock.now() + limit
         if votes and self.wait_news(is_majority, limit):
@@ -285,11 +217,11 @@ class Agents(AgentReports):
     ) -> dict[str, Deployment]:
         """Let the agents of `computers` obey this manager, and no other."""
         deployments = {}
-        self._begin_term()
+        self._claims.begin_term(self.statuses().values())
         for computer in sorted(computers):
             answer = self._claim(computer, take_over=take_over)
             if self._is_leased:
-                self._heartbeats.start()
+                self.heartbeats.start()
             if isinstance(answer, Claimed) and answer.deployment is not None:
                 deployments[computer] = answer.deployment
             self.wait_news(
@@ -304,8 +236,8 @@ class Agents(AgentReports):
         They are only asked first: nothing changes while a majority obeys another one.
         Raises RunError: not enough agents accept this manager.
         """
-        self._begin_term()
-        votes = self.election.votes if self.election is not None else {}
+        self._claims.begin_term(self.statuses().values())
+        votes = self._claims.votes
 
         def claimed(computers: Collection[str], *, is_poll: bool) -> dict[str, Claimed]:
             claims: dict[str, Request] = {
@@ -316,7 +248,7 @@ class Agents(AgentReports):
             }
             answers = self.ask_all(claims, _VOTE_LIMIT)
             accepted = {n: a for n, a in answers.items() if isinstance(a, Claimed)}
-            if majority_at(votes, dict.fromkeys(accepted, 0.0)) < 0.0:
+            if not self._claims.has_majority(accepted):
                 said = sorted({a.reason for a in answers.values() if is_refused(a)})
                 away = sorted(votes.keys() - computers)
                 said += [f"not reached: {', '.join(away)}"] if away else []
@@ -328,17 +260,17 @@ class Agents(AgentReports):
         )
         answers = claimed(agreed.keys(), is_poll=False)
         for name in answers:
-            self._claimed[name] = self._tokens[name]
-        self._heartbeats.start()
+            self._claims.accept(name)
+        self.heartbeats.start()
         for name in votes.keys() - answers.keys():
             heard = [
                 min(a.silent.get(n, 0.0) for n in (name, MANAGER))
                 for a in answers.values()
             ]
-            self._heartbeats.forget(name)
-            self._heartbeats.note_ended(name, min(heard))
+            self.heartbeats.forget(name)
+            self.heartbeats.note_ended(name, min(heard))
         until = self._clock.now() + _VOTE_LIMIT
-        while not self._heartbeats.leads():
+        while not self.heartbeats.leads():
             if self._clock.now() >= until:
                 raise RunError("a majority of agents voted, and does not confirm that")
             self._clock.sleep(_LOOK_AT_VOTES)
@@ -356,39 +288,21 @@ class Agents(AgentReports):
                     raise
             self._clock.sleep(LOOK_EVERY)
 
-    def leads(self) -> bool:
-        """Return whether a majority obeys this manager, where that matters."""
-        return self._heartbeats.leads()
-
-    def have_leases_ended(self, computers: Collection[str]) -> bool:
-        """Return whether the leases of lost computers have surely ended."""
-        return self._heartbeats.have_leases_ended(computers)
-
     def has_stored(self, generation: int) -> bool:
         """Return whether a majority has stored a commit; so it does without votes."""
         if self.election is None:
             return True
-        stored = {
-            name: 0.0
+        return self._claims.has_majority(
+            name
             for name, status in self.statuses().items()
             if self.obey(name) and status.generation >= generation
-        }
-        return majority_at(self.election.votes, stored) == 0.0
+        )
 
     def why_not_leading(self) -> str:
         """Return why this manager has to end, as it does not lead; empty: it does."""
-        if not self._claimed or self._heartbeats.unconfirmed() < _UNCONFIRMED:
+        if not self._claims.accepted or self.heartbeats.unconfirmed() < _UNCONFIRMED:
             return ""
         return f"no majority of agents has heard it for {_UNCONFIRMED:g} s"
-
-    def _begin_term(self) -> None:
-        """Take a term that is higher than those of all managers that agents obey."""
-        if not self._claimed:
-            seen = [
-                status.manager for status in self.statuses().values() if status.manager
-            ]
-            last = max((manager.term for manager in seen), default=0)
-            self.manager = replace(self.manager, term=last + 1)
 
     def _claim(self, computer: str, *, take_over: bool) -> Answer:
         """Claim an agent; one that was cut off learns late that its manager ended."""
@@ -396,13 +310,15 @@ class Agents(AgentReports):
             raise RunError(f"the agent of '{computer}' has not reported yet")
         status = self.statuses().get(computer)
         before = status.manager if status is not None else None
-        is_late = bool(self._claimed) or (before is not None and has_ended(before))
+        is_late = bool(self._claims.accepted) or (
+            before is not None and has_ended(before)
+        )
         until = self._clock.now() + (_LATE if is_late else 0.0)
         while True:
             claim = self._new_claim(computer, take_over=take_over)
             answers, refusals = self._requests.send({computer: claim})
             if not refusals:
-                self._claimed[computer] = self._tokens[computer]
+                self._claims.accept(computer)
                 return answers[computer]
             if self._clock.now() >= until:
                 raise RunError(refusals[computer])
@@ -414,48 +330,31 @@ class Agents(AgentReports):
 
     def end_claim(self, computer: str, reply: Reply) -> None:
         """Take note that an agent accepted a claim."""
-        self._claimed[computer] = reply.token
+        self._claims.accept(computer, reply.token)
         if self._is_leased:
-            self._heartbeats.start()
+            self.heartbeats.start()
 
     def begin_deploy(self, computer: str, deployment: Deployment) -> Reply:
         """Tell an agent what should run; do not wait for its answer."""
         with self._changed:
-            last = self._told.get(computer, 0)
-            self._told[computer] = max(last, deployment.generation)
+            self._claims.note_told(computer, deployment.generation)
         return self._requests.begin(computer, deployment)
 
     def _new_claim(self, computer: str, *, take_over: bool = False) -> Claim:
-        """Return a claim with a token that its agent has not seen."""
         status = self.statuses().get(computer)
-        known = status.token if status is not None else 0
-        self._tokens[computer] = max(known, self._tokens.get(computer, 0)) + 1
-        return Claim(
-            self.manager, take_over, self._endpoints, self._is_leased, self.election
-        )
-
-    def heard_by(self, computer: str) -> str:
-        """Return a computer that still hears one out of reach; empty when none does."""
-        return self._heartbeats.heard_by(computer)
+        return self._claims.new(computer, status, take_over=take_over)
 
     def ends_soon(self, computer: str) -> bool:
         """Return whether the lease of a lost computer has ended, or does soon."""
-        return self._is_leased or self._heartbeats.have_leases_ended({computer})
-
-    def is_sure(self, computer: str) -> bool:
-        """Return whether an agent was heard just now and its lease holds."""
-        return self._heartbeats.is_sure(computer)
-
-    def is_cut_off(self, computer: str) -> bool:
-        """Return whether an agent says that its lease has ended."""
-        return self._heartbeats.is_cut_off(computer)
+        return self._is_leased or self.heartbeats.have_leases_ended({computer})
 
     def revoke(self, computers: Iterable[str]) -> bool:
         """Obtain that components of lost computers may be started elsewhere."""
-        tokens = {name: self._tokens.get(name, 0) for name in computers}
-        if not self._heartbeats.revoke(tokens):
+        names = tuple(computers)
+        tokens = {name: self._claims.tokens.get(name, 0) for name in names}
+        if not self.heartbeats.revoke(tokens):
             return False
-        self._tokens |= {name: token + _REVOKED for name, token in tokens.items()}
+        self._claims.revoke(names)
         return True
 
     def ask(self, computer: str, request: Request, limit: float) -> Answer | None:
@@ -502,10 +401,10 @@ class Agents(AgentReports):
             yield StepsFailed(steps.number, f"the agent of '{computer}' {why}")
 
     def _on_new_agent(self, computer: str) -> None:
-        self._heartbeats.forget(computer)
+        self.heartbeats.forget(computer)
 
     def _on_ended_agent(self, computer: str) -> None:
-        self._heartbeats.note_ended(computer)
+        self.heartbeats.note_ended(computer)
 
 
 def is_refused(answer: Answer | None) -> TypeGuard[Refused]:

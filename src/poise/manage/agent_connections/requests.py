@@ -13,7 +13,7 @@ import zenoh
 from zenoh.handlers import Callback
 
 from poise.clock import Clock
-from poise.manage.agent_connections.reports import AgentReports
+from poise.manage.agent_connections.reports import LOOK_EVERY, AgentReports, nothing
 from poise.wire.codec import MALFORMED
 from poise.wire.records.request_records import (
     Accepted,
@@ -26,7 +26,6 @@ from poise.wire.records.request_records import (
 
 K = TypeVar("K")
 
-LOOK_EVERY = 0.1
 ANSWER_LIMIT = 2.0
 """An agent answers a claim or deployment within this time [s]."""
 SEND_LIMIT = 2 * ANSWER_LIMIT
@@ -36,10 +35,6 @@ _LAST_REPLY = 1.0
 """zenoh reports within this time after the steps' limit that no answer came [s]."""
 LOSS_DELAY = 0.5
 """The loss of an agent is known this long [s] after its connection ends, at most."""
-
-
-def nothing() -> None:
-    """Raise nothing: the default of what is checked while one waits."""
 
 
 class Reply:

@@ -11,7 +11,8 @@ from msgspec.structs import replace
 
 from poise.clock import SystemClock, wall_time
 from poise.errors import RunError
-from poise.manage.agent_connections.reports import AgentReports, Statuses, located
+from poise.manage.agent_connections.reports import AgentReports
+from poise.manage.agent_connections.statuses import Statuses, located
 from poise.manage.control_socket.commands import RobotStatus
 from poise.manage.observe.deviations import Deviation
 from poise.wire.control_session import LEASE, close_session, endpoint_of, open_session

@@ -11,7 +11,7 @@ from msgspec.structs import replace
 from poise.clock import wall_time
 from poise.errors import PoiseError, RunError, UsageError, did_you_mean, listed
 from poise.manage.agent_connections.agents import Agents
-from poise.manage.agent_connections.reports import Statuses, components_of
+from poise.manage.agent_connections.statuses import Statuses, components_of
 from poise.manage.control_socket.commands import (
     STALE,
     Command,

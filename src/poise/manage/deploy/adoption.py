@@ -17,7 +17,7 @@ from typing import Any
 from msgspec import Struct, structs
 from msgspec.structs import replace
 
-from poise.manage.agent_connections.reports import Statuses
+from poise.manage.agent_connections.statuses import Statuses
 from poise.manage.deploy.deployment_plan import DeploymentPlan
 from poise.manage.deploy.desired import Desired, Incarnation
 from poise.model.check.allowed_computers import allowed_computers, leased_components

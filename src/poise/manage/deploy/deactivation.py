@@ -7,7 +7,7 @@ from collections.abc import Collection, Iterable, Iterator, Sequence
 from functools import partial
 
 from poise.errors import RunError
-from poise.manage.agent_connections.reports import (
+from poise.manage.agent_connections.statuses import (
     Statuses,
     calling_ports,
     components_of,

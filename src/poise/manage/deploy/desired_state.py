@@ -13,7 +13,7 @@ from msgspec.msgpack import encode
 from poise.clock import Clock, SystemClock
 from poise.estimate.code_version import version_of
 from poise.manage.agent_connections.agents import Agents
-from poise.manage.agent_connections.reports import gateways
+from poise.manage.agent_connections.statuses import gateways
 from poise.manage.deploy.adoption import as_committed, found_in, joined_by
 from poise.manage.deploy.deployment_plan import DeploymentPlan
 from poise.manage.deploy.desired import Desired, Incarnation, difference

@@ -55,7 +55,9 @@ class LostComputers:
         for computer in sorted(self._obeying - obeying | restarted):
             self._note_lost(computer)
         self._was_cut_off |= {
-            c for c in self._lost_at if c not in obeying and run.agents.is_cut_off(c)
+            c
+            for c in self._lost_at
+            if c not in obeying and run.agents.heartbeats.is_cut_off(c)
         }
         for computer in sorted(self._lost_at.keys() & obeying):
             status = run.agents.statuses().get(computer)
@@ -74,7 +76,7 @@ class LostComputers:
         return frozenset(
             name
             for name in sorted(away)
-            if not agents.heard_by(name)
+            if not agents.heartbeats.heard_by(name)
             and agents.ends_soon(name)
             and not self._is_replaced(name)
         )

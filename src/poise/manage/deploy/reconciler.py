@@ -14,8 +14,8 @@ from typing import Protocol
 from msgspec import structs
 
 from poise.clock import Clock
-from poise.manage.agent_connections.reports import Statuses
 from poise.manage.agent_connections.requests import ANSWER_LIMIT, Reply
+from poise.manage.agent_connections.statuses import Statuses
 from poise.wire.records.deployment_records import Deployment
 from poise.wire.records.request_records import Accepted, Claimed, ManagerId, Refused
 from poise.wire.records.status_records import AgentStatus

@@ -11,7 +11,7 @@ from msgspec import structs
 from poise.clock import Clock
 from poise.errors import RunError
 from poise.manage.agent_connections.agents import Agents
-from poise.manage.agent_connections.reports import (
+from poise.manage.agent_connections.statuses import (
     components_of,
     containers_left,
     cut_links,
@@ -101,7 +101,9 @@ class RunningComponents(DesiredState):
     def unreached(self) -> dict[str, str]:
         """Return what is known of each computer that is out of reach, in words."""
         out_of_reach = self.agents.out_of_reach()
-        heard_by = {name: self.agents.heard_by(name) for name in out_of_reach}
+        heard_by = {
+            name: self.agents.heartbeats.heard_by(name) for name in out_of_reach
+        }
         return unreached(out_of_reach, self.placement(), heard_by, self.layout.leased)
 
     def cancel(self) -> None:

@@ -11,7 +11,7 @@ from msgspec import structs
 
 from poise.errors import PoiseError, RobotError, RunError
 from poise.manage.adaptation.situation import Situation
-from poise.manage.agent_connections.requests import LOOK_EVERY
+from poise.manage.agent_connections.reports import LOOK_EVERY
 from poise.manage.deploy.adoption import (
     Adoption,
     ReportedIncarnation,
@@ -176,7 +176,7 @@ def _elected(run: RunningComponents, *, by_force: bool) -> dict[str, Deployment]
     record = newest_record(found.values())
     if away and record.incarnations():
         until = run.clock.now() + _LEASE_LIMIT
-        while not run.agents.have_leases_ended(away):
+        while not run.agents.heartbeats.have_leases_ended(away):
             if run.clock.now() >= until:
                 run.leave()
                 names = ", ".join(f"'{name}'" for name in sorted(away))
@@ -311,7 +311,7 @@ def _raise_on_ended_leases(
     if run.agents.election is None:
         return
     for computer in sorted({computer for computer, _ in asked}):
-        if run.agents.is_cut_off(computer):
+        if run.agents.heartbeats.is_cut_off(computer):
             raise RunError(f"the lease of '{computer}' has ended amid the take-over")
 
 

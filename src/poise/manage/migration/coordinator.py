@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterator, Sequence
 from msgspec import structs
 
 from poise.errors import RunError
-from poise.manage.agent_connections.reports import calling_ports, components_of
+from poise.manage.agent_connections.statuses import calling_ports, components_of
 from poise.manage.deploy.desired import Incarnation
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.migration.migration_plan import MigrationPlan, PlacedStep

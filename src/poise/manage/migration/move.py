@@ -9,7 +9,7 @@ from msgspec import structs
 
 from poise import plan
 from poise.errors import RunError, UsageError
-from poise.manage.agent_connections.reports import calling_ports, components_of
+from poise.manage.agent_connections.statuses import calling_ports, components_of
 from poise.manage.deploy.desired import Incarnation
 from poise.manage.deploy.running_components import (
     ACTIVE_LIMIT,

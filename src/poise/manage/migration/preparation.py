@@ -9,7 +9,7 @@ from typing import Self
 from msgspec import Struct, structs
 
 from poise.errors import RunError
-from poise.manage.agent_connections.reports import (
+from poise.manage.agent_connections.statuses import (
     components_of,
     cut_links,
     keeping_ports,
@@ -193,7 +193,7 @@ class Preparation:
         unsure = [
             f"computer '{computer}' is not heard, or was cut off"
             for computer in sorted({end.computer for end in ends})
-            if not self._run.agents.is_sure(computer)
+            if not self._run.agents.heartbeats.is_sure(computer)
         ]
         resting = (
             self._sources.get((component.name, component.epoch))

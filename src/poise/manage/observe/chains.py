@@ -8,7 +8,7 @@ from itertools import pairwise
 
 from msgspec import Struct
 
-from poise.manage.agent_connections.reports import Statuses, connectors_of, located
+from poise.manage.agent_connections.statuses import Statuses, connectors_of, located
 from poise.model.policy import TimerValues
 from poise.model.robot import Chain, Robot
 from poise.units import format_seconds

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from msgspec import Struct
 
-from poise.manage.agent_connections.reports import Statuses, connectors_of
+from poise.manage.agent_connections.statuses import Statuses, connectors_of
 from poise.wire.records.status_records import (
     AgentStatus,
     ComponentStatus,

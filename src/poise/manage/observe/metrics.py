@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping
 from typing import Literal
 
-from poise.manage.agent_connections.reports import located
+from poise.manage.agent_connections.statuses import located
 from poise.manage.control_socket.commands import RobotStatus
 from poise.wire.records.status_records import ComponentStatus, ConnectorStatus, Summary
 

@@ -12,7 +12,7 @@ from msgspec.structs import replace
 
 from poise.clock import Clock, wall_time
 from poise.errors import PoiseError, TakenOver
-from poise.manage.agent_connections.reports import Statuses
+from poise.manage.agent_connections.statuses import Statuses
 from poise.manage.journal import Journal, Kind
 from poise.manage.observe.deviations import Deviation
 from poise.threads import SHOWN_FOR

@@ -6,7 +6,7 @@ import time
 from collections.abc import Mapping
 
 from poise.clock import wall_time
-from poise.manage.agent_connections.reports import Statuses
+from poise.manage.agent_connections.statuses import Statuses
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.journal import Kind
 from poise.manage.observe.deviations import (

@@ -11,7 +11,7 @@ from poise.errors import PoiseError
 from poise.estimate.success_rates import Conditions, Ending, learned, note_outcome
 from poise.manage.adaptation.decision import shortages_of
 from poise.manage.adaptation.situation import Situation
-from poise.manage.agent_connections.reports import components_of
+from poise.manage.agent_connections.statuses import components_of
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.journal import Journal
 from poise.model.phases import first_action, promise_of

@@ -16,7 +16,7 @@ from collections.abc import Collection, Iterable, Mapping
 from msgspec.structs import replace
 
 from poise.errors import RunError
-from poise.manage.agent_connections.reports import components_of
+from poise.manage.agent_connections.statuses import components_of
 from poise.manage.deploy.desired import Incarnation
 from poise.manage.deploy.running_components import (
     ACTIVE_LIMIT,

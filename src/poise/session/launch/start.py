@@ -19,7 +19,7 @@ from poise import threads
 from poise.clock import SystemClock
 from poise.errors import RobotError, RunError
 from poise.manage.agent_connections.agents import Agents
-from poise.manage.agent_connections.reports import containers_left
+from poise.manage.agent_connections.statuses import containers_left
 from poise.manage.deploy.deactivation import stop
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.journal import Journal

@@ -14,7 +14,7 @@ from msgspec import Struct
 from poise.errors import RunError, UsageError
 from poise.estimate import profiles as profile_file
 from poise.estimate.profiles import Costs, KindCosts
-from poise.manage.agent_connections.reports import Statuses, located
+from poise.manage.agent_connections.statuses import Statuses, located
 from poise.manage.journal import Journal
 from poise.manage.observe.sample_recording import Recording
 from poise.model.robot import (

@@ -18,7 +18,7 @@ from poise.estimate.profiles import (
     TimerProfile,
     distribution_of,
 )
-from poise.manage.agent_connections.reports import (
+from poise.manage.agent_connections.statuses import (
     Statuses,
     components_of,
     connectors_of,

@@ -16,7 +16,7 @@ from poise.errors import RunError, UsageError
 from poise.estimate import profiles as profile_file
 from poise.estimate.code_version import version_of
 from poise.estimate.profiles import WINDOW, Profile
-from poise.manage.agent_connections.reports import components_of
+from poise.manage.agent_connections.statuses import components_of
 from poise.manage.deploy.running_components import ACTIVE_LIMIT
 from poise.manage.journal import Journal
 from poise.manage.observe.sample_recording import Recording

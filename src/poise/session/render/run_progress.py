@@ -10,7 +10,7 @@ from math import inf
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 
-from poise.manage.agent_connections.reports import components_of
+from poise.manage.agent_connections.statuses import components_of
 from poise.manage.deploy.running_components import RunningComponents
 from poise.session import nothing
 from poise.session.render.simulation_tables import span

@@ -10,7 +10,7 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
-from poise.manage.agent_connections.reports import connectors_of, located
+from poise.manage.agent_connections.statuses import connectors_of, located
 from poise.manage.control_socket.commands import RobotStatus
 from poise.manage.observe.estimates import DemandEstimate, culprit_on
 from poise.session.render.tables import (

@@ -12,7 +12,7 @@ from rich.console import RenderableType
 from rich.text import Text
 
 from poise.errors import PoiseError
-from poise.manage.agent_connections.reports import connectors_of
+from poise.manage.agent_connections.statuses import connectors_of
 from poise.manage.control_socket.agents_without_manager import robots_without_manager
 from poise.manage.control_socket.commands import RobotStatus
 from poise.session.render.status_tables import component_table

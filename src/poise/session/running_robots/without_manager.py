@@ -6,7 +6,7 @@ from poise.clock import SystemClock
 from poise.emulate import set_for
 from poise.errors import RunError, UsageError
 from poise.manage.agent_connections.agents import Agents
-from poise.manage.agent_connections.reports import containers_left
+from poise.manage.agent_connections.statuses import containers_left
 from poise.manage.control_socket.agents_without_manager import ask_agents
 from poise.manage.control_socket.commands import RobotStatus
 from poise.manage.deploy.running_components import STOP_LIMIT

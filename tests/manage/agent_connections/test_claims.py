@@ -5,7 +5,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from poise.manage.agent_connections.manager_identity import gives_way_to
+from poise.manage.agent_connections.claims import gives_way_to
 from poise.wire.records.request_records import ManagerId
 from poise.wire.records.status_records import AgentStatus
 

@@ -1,0 +1,151 @@
+"""What the statuses of all agents say together. Pure."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from typing import TYPE_CHECKING
+
+from poise.wire.records.status_records import (
+    AgentStatus,
+    ComponentStatus,
+    ConnectorStatus,
+)
+
+if TYPE_CHECKING:
+    from poise.manage.deploy.desired import Incarnation
+
+Statuses = Mapping[str, AgentStatus]
+"""Computer -> what its agent reported last."""
+
+CUT = 0.7
+"""A link over which no heartbeat came for so long is cut [s]."""
+_WORKING = {
+    "unconfigured": " (do its import and `configure` end?)",
+    "inactive": " (does its `activate` end?)",
+}
+"""What may keep a component in a state."""
+
+
+def components_of(statuses: Statuses) -> Iterator[ComponentStatus]:
+    """Yield the components in all statuses, by computer."""
+    for _, status in sorted(statuses.items()):
+        yield from status.components
+
+
+def located(statuses: Statuses) -> Iterator[tuple[str, ComponentStatus]]:
+    """Yield the components in all statuses with their computers, by computer."""
+    for computer, status in sorted(statuses.items()):
+        for component in status.components:
+            yield computer, component
+
+
+def calling_ports(statuses: Statuses) -> set[tuple[str, str]]:
+    """Return the ends over which components call: component and port."""
+    return {(c.name, port) for c in components_of(statuses) for port in c.requires}
+
+
+def keeping_ports(statuses: Statuses) -> dict[tuple[str, str], int]:
+    """Return component and port -> how many messages it keeps; it may lose others."""
+    return {
+        (component.name, port): size
+        for component in components_of(statuses)
+        for port, size in component.keeps.items()
+    }
+
+
+def cut_links(statuses: Statuses) -> set[frozenset[str]]:
+    """Return the pairs of computers of which one does not hear the other."""
+    return {
+        frozenset((here, there))
+        for here, status in statuses.items()
+        for there, link in status.links.items()
+        if link.silent > CUT
+    }
+
+
+def unresponsive_containers(statuses: Statuses) -> dict[tuple[str, str], str]:
+    """Return computer and container -> why it does not respond."""
+    return {
+        (computer, health.name): health.reason
+        for computer, status in statuses.items()
+        for health in status.health
+        if health.state == "unresponsive"
+    }
+
+
+def gateways(statuses: Statuses) -> dict[str, str]:
+    """Return where other computers reach each computer's containers."""
+    return {name: status.gateway for name, status in statuses.items()}
+
+
+def connectors_of(statuses: Statuses) -> Iterator[ConnectorStatus]:
+    """Yield the connector ends in all statuses."""
+    for status in statuses.values():
+        for container in status.containers:
+            yield from container.connectors
+
+
+def missing(
+    wanted: Iterable[Incarnation],
+    statuses: Statuses,
+    silent: Iterable[str],
+    joins: Collection[str],
+) -> list[str]:
+    """Return what is not yet as it is wanted, in words; nothing when all is."""
+    states = {(c.name, c.epoch): c.state for c in components_of(statuses)}
+    found = [f"computer '{name}' is silent" for name in sorted(silent)]
+    found += [
+        f"component '{incarnation.component}' on '{incarnation.computer}' is {state}, "
+        f"not yet {incarnation.goal}{_WORKING.get(state, '')}"
+        for incarnation in wanted
+        if (
+            state := states.get((incarnation.component, incarnation.epoch), "not there")
+        )
+        != incarnation.goal
+    ]
+    found += [
+        f"connector '{connector.name}' is not joined"
+        for connector in connectors_of(statuses)
+        if not connector.ready and connector.key in joins
+    ]
+    return found
+
+
+def containers_left(statuses: Statuses, computers: Iterable[str]) -> list[str]:
+    """Return the containers that may still run on computers, in words."""
+    left = sorted(computers)
+    return [f"everything on '{name}'" for name in left if name not in statuses] + [
+        f"container '{container.name}' on '{name}'"
+        for name in left
+        if name in statuses
+        for container in statuses[name].containers
+    ]
+
+
+def unreached(
+    out_of_reach: Mapping[str, float],
+    placement: Mapping[str, str],
+    heard_by: Mapping[str, str],
+    leased: Collection[str],
+) -> dict[str, str]:
+    """Return what is known of each computer that is out of reach, in words."""
+    sentences = {}
+    for computer, since in sorted(out_of_reach.items()):
+        began = time.strftime("%H:%M:%S", time.localtime(since))
+        sentences[computer] = (
+            f"computer '{computer}' has been out of reach since {began}"
+        )
+        inside = sorted(name for name, at in placement.items() if at == computer)
+        other = heard_by.get(computer)
+        if inside and other:
+            names = ", ".join(inside)
+            sentences[computer] += f"; '{other}' still reaches it: {names} keep running"
+            continue
+        stop = ", ".join(name for name in inside if name in leased)
+        stay = ", ".join(name for name in inside if name not in leased)
+        if stop:
+            sentences[computer] += f"; {stop} stops there when its lease ends"
+        if stay:
+            sentences[computer] += f"; {stay} may still run there"
+    return sentences
