@@ -32,8 +32,8 @@ from benchmarks.moves import COMPONENTS, ROBOTS, count
 from poise.clock import SystemClock
 from poise.errors import PoiseError
 from poise.manage.agent_connections.agents import Agents
-from poise.manage.agent_connections.statuses import components_of
 from poise.manage.agent_connections.requests import Reply
+from poise.manage.agent_connections.statuses import components_of
 from poise.manage.deploy.deactivation import stop
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.deploy.takeover import start_or_take_over
