@@ -86,13 +86,10 @@ def connectors_of(statuses: Statuses) -> Iterator[ConnectorStatus]:
             yield from container.connectors
 
 
-def missing(
-    wanted: Iterable[Incarnation],
-    statuses: Statuses,
-    silent: Iterable[str],
-    joins: Collection[str],
+def not_at_goals(
+    wanted: Iterable[Incarnation], statuses: Statuses, silent: Iterable[str]
 ) -> list[str]:
-    """Return what is not yet as it is wanted, in words; nothing when all is."""
+    """Return what is not yet in the state that is wanted, in words."""
     states = {(c.name, c.epoch): c.state for c in components_of(statuses)}
     found = [f"computer '{name}' is silent" for name in sorted(silent)]
     found += [
@@ -104,12 +101,16 @@ def missing(
         )
         != incarnation.goal
     ]
-    found += [
+    return found
+
+
+def not_joined(statuses: Statuses, keys: Collection[str]) -> list[str]:
+    """Return which of some connectors are not joined at an end, in words."""
+    return [
         f"connector '{connector.name}' is not joined"
         for connector in connectors_of(statuses)
-        if not connector.ready and connector.key in joins
+        if not connector.ready and connector.key in keys
     ]
-    return found
 
 
 def containers_left(statuses: Statuses, computers: Iterable[str]) -> list[str]:
@@ -129,7 +130,10 @@ def unreached(
     heard_by: Mapping[str, str],
     leased: Collection[str],
 ) -> dict[str, str]:
-    """Return what is known of each computer that is out of reach, in words."""
+    """Return what is known of each computer that is out of reach, in words.
+
+    `heard_by`: computer -> another one that still hears it; empty: none does.
+    """
     sentences = {}
     for computer, since in sorted(out_of_reach.items()):
         began = time.strftime("%H:%M:%S", time.localtime(since))
