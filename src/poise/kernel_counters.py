@@ -110,7 +110,10 @@ def group_cpu(usage: str) -> float:
 
 
 def stolen_time(cpus: Iterable[int]) -> float:
-    """Return the time that a hypervisor stole from `cpus` since boot [s]."""
+    """Return the time that a hypervisor stole from `cpus` since boot [s].
+
+    Pressure does not include it: to this kernel, stolen time looks like running.
+    """
     names = {f"cpu{number}" for number in cpus}
     lines = map(str.split, Path("/proc/stat").read_text().splitlines())
     return sum(int(line[_STOLEN]) for line in lines if line[0] in names) * _TICK

@@ -65,7 +65,10 @@ def _fail(error: PoiseError, code: int) -> NoReturn:
 
 
 def _say_last(text: str) -> None:
-    """Print to stderr, for a second or two at most: it may be a full pipe."""
+    """Print to stderr; drop what is not taken within a second or two.
+
+    A command whose stderr is a full pipe that nobody reads would hang for ever.
+    """
     from poise.session.launch.printer import Printer
 
     with Printer(sys.stderr.fileno()) as printer:
@@ -102,7 +105,10 @@ _ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 def end_at_once() -> None:
-    """Let each signal end this process with its exit code: nothing has begun."""
+    """Let each signal end this process with its exit code: nothing has begun.
+
+    SIGHUP stays ignored where it is, as under `nohup`.
+    """
     for number in _ENDING:
         if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:
             signal.signal(number, _end)

@@ -41,7 +41,12 @@ while os.getppid() == int(sys.argv[2]):
 
 @contextlib.contextmanager
 def full_speed() -> Iterator[None]:
-    """Keep CPUs at full clock, by programs that give way to all others (SCHED_IDLE)."""
+    """Keep each CPU busy with a program that gives way to all others (SCHED_IDLE).
+
+    A CPU that has little to do is clocked down: its cores may do half of the work that
+    they do on a busy machine. So what emulated computers can do would depend on what
+    else runs.
+    """
     with contextlib.ExitStack() as stack:
         for cpu in sorted(os.sched_getaffinity(0)):
             argv = [sys.executable, "-I", "-S", "-c", _SPIN, str(cpu), str(os.getpid())]

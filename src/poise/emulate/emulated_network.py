@@ -168,7 +168,11 @@ def wiring(network: NetworkPlan) -> list[tuple[str, list[str]]]:
 
 
 def shaping(network: NetworkPlan, *, delays: bool) -> list[tuple[str, list[str]]]:
-    """Return the `tc` commands as (namespace, commands)."""
+    """Return the `tc` commands as (namespace, commands).
+
+    Each link has a class of its own at both ends, where packets leave a computer. What
+    belongs to no link is not shaped.
+    """
     commands: dict[int, list[str]] = {}
     for one, other, link in network.links:
         for source, target in ((one, other), (other, one)):

@@ -44,7 +44,12 @@ class Limits(Struct, frozen=True, kw_only=True):
 
 
 def share_out(computers: Sequence[Computer], cpus: Sequence[int]) -> list[Limits]:
-    """Return each computer's limits, with `cpus` of its own if there are enough."""
+    """Return the limits of each computer on a host with `cpus`.
+
+    A computer gets its own CPUs, as many as its quota can fill (so that throttled time
+    is spread over all of them, as `starved_time` assumes). If CPUs are short, each
+    computer gets one; if there are fewer CPUs than computers, they share them.
+    """
     quotas = [_quota(computer) for computer in computers]
     if len(cpus) < len(computers):
         sets: list[tuple[int, ...]]
@@ -196,7 +201,10 @@ class StarvationWatch:
             self._judge()
 
     def end(self) -> Mapping[str, float]:
-        """Judge the last window; return the starved computers, and how long [s]."""
+        """Judge the last window; return the starved computers, and how long [s].
+
+        The run is invalid unless the result is empty.
+        """
         self._judge()
         return dict(self._starved)
 

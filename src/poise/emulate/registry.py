@@ -35,7 +35,11 @@ _POLL_EVERY = 0.01
 
 
 def registry() -> Path:
-    """Return the folder of all entries; only this user may write to it."""
+    """Return the folder of all entries; only this user may write to it.
+
+    `FOLDER` names it where a program has a network namespace of its own: a registry
+    keeps apart the addresses of one network.
+    """
     run = "/run" if os.access("/run", os.W_OK) else os.environ.get("XDG_RUNTIME_DIR")
     usual = f"{run}/{PREFIX}" if run else f"/tmp/{PREFIX}-{os.getuid()}"  # noqa: S108 - owner and mode are checked below
     folder = Path(os.environ.get(FOLDER) or usual)

@@ -20,7 +20,13 @@ _MOST_FILES = 2000
 
 
 def version_of(component: ComponentEntry, *folders: str) -> str:
-    """Return a fingerprint of a component's parameters, code and what that imports."""
+    """Return a fingerprint that changes when the component's code does.
+
+    It covers the parameters, the implementation's module and all modules that it
+    imports from these folders, the robot's and the repository's, also one in C++; of a
+    command, the program and its arguments that are files. Installed packages are not
+    covered.
+    """
     digest = hashlib.sha256()
     digest.update(component.implementation.encode())
     digest.update(msgspec.json.encode([component.command, component.parameters]))

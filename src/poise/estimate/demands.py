@@ -46,7 +46,11 @@ def overheads(robot: Robot, profile: Profile) -> dict[str, float]:
 
 
 def kinds_together(robot: Robot) -> dict[str, str]:
-    """Return connector -> its kind when both ends are on one computer."""
+    """Return connector -> its kind when both ends are on one computer.
+
+    The components of one architecture share a container, unless one is isolated or a
+    command.
+    """
     kinds = {str(connector): "local" for connector in robot.connectors}
     for architecture in robot.architectures:
         alone = {c.name for c in architecture.components if _is_alone(c)}

@@ -57,7 +57,11 @@ class Window(Struct, frozen=True):
 
 
 def window_between(before: Reading, after: Reading) -> Window | None:
-    """Return the window between two readings; None: no time passed, or it restarted."""
+    """Return the window between two readings; None when there is none.
+
+    There is none when no time passed, or when the component restarted: its counters
+    are then lower, or its CPU time is no more than the time since.
+    """
     seconds = after.at - before.at
     cpu, wait = after.cpu - before.cpu, after.wait - before.wait
     asked, done = after.asked - before.asked, after.done - before.done
@@ -343,7 +347,12 @@ class RunningEstimate:
             self._sums.add(self._windows.popleft(), -1)
 
     def _changed_since(self, window: Window) -> int:
-        """Return how many windows ago the demand changed, it seems; 0: it has not."""
+        """Return how many windows ago the demand seems to have changed; 0: it has not.
+
+        Detectors watch the load and, if there are jobs, CPU time per job and jobs per
+        second. CPU time per job is steadier than the load, whose windows contain one
+        job or none, and it is still right under overload, when the load is not.
+        """
         since = 0
         keeps_up = not window.is_cut and self._sums.is_in_step
         if keeps_up and self._load.update(window.cpu, window.seconds):

@@ -126,7 +126,10 @@ def distribution_of(values: Sequence[float], window: float = WINDOW) -> Distribu
 
 
 def rolling_means(values: Sequence[float], size: int) -> list[float]:
-    """Return the mean of every `size` values that follow each other."""
+    """Return the mean of every `size` values that follow each other.
+
+    The mean of all when there are fewer.
+    """
     size = max(1, min(size, len(values)))
     total = sum(values[:size])
     means = [total / size]

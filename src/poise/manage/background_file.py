@@ -132,7 +132,10 @@ class BackgroundWriter(Generic[T]):
             self._note(str(error))
 
     def _next(self) -> list[T]:
-        """Return what is to be written next; nothing: it is to be closed."""
+        """Return what is to be written next; nothing: it is to be closed.
+
+        In trouble that is one record, for which there may be room.
+        """
         with self._changed:
             self._changed.wait_for(lambda: self._waiting or self._is_closing)
             self._changed.wait_for(lambda: self._is_closing, self._every)

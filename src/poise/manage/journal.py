@@ -135,7 +135,10 @@ class Journal:
             self.note("wrong", f"{refused}; the entry is: {what}")
 
     def entries(self, after: int = 0, most: int = MOST_KEPT) -> list[JournalEntry]:
-        """Return this manager's last entries, oldest first, from memory."""
+        """Return this manager's last entries, oldest first, from memory.
+
+        At most `MOST_KEPT`, and the last `most` of those with numbers above `after`.
+        """
         with self._lock:
             kept = list(self._kept)
         return [entry for entry in map(_decode, kept[-most:]) if entry.number > after]

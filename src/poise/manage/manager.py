@@ -300,7 +300,10 @@ class Manager:
         )
 
     def _begin(self, command: Command, future: Results) -> None:
-        """Carry out a command; of a migration, configure the targets first."""
+        """Carry out a command, but for a migration: its targets are configured first.
+
+        Meanwhile other commands are carried out, and the robot is looked after.
+        """
         result = self._carry_out(command, partial(self._done, command))
         if isinstance(result, Preparation):
             self._preparations.append((command, result, future))

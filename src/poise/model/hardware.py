@@ -1,4 +1,8 @@
-"""The computers of a robot, their devices and links; in SI units."""
+"""The computers of a robot, their devices and links; in SI units.
+
+Resources have any names; ``cpu`` [cores of the reference computer] and ``memory``
+[bytes] always exist.
+"""
 
 from __future__ import annotations
 

@@ -127,7 +127,11 @@ def as_given(arguments: Mapping[str, object]) -> Given:
 def fill(
     root: Node, given: Given, problems: list[FileProblem], *, is_top: bool
 ) -> None:
-    """Put the values of a file's arguments where it refers to them."""
+    """Put the values of a file's arguments where it refers to them.
+
+    An included file may refer to those of the file above, too: what it does not have
+    stays as it is, unless `is_top`.
+    """
     assert isinstance(root.value, dict)  # noqa: S101 - the reader has seen to it
     defaults = root.value.get("arguments")
     values: dict[str, Scalar] = {}

@@ -54,7 +54,11 @@ def rounds_of(repeat: Repeat) -> int:
 
 
 def success_of(robot: Robot, action: Action) -> float:
-    """Return how often an action is expected to succeed, in (0, 1]."""
+    """Return how often an action is expected to succeed, in (0, 1].
+
+    As was learned of the best architectures for it; where nothing was, `SUCCESS` if the
+    task says what is done when it fails, else always.
+    """
     learned = _learned(robot, action)
     if learned < 1:
         return learned
@@ -369,7 +373,11 @@ class Clash(Struct, frozen=True, kw_only=True):
 
 
 def clashes(robot: Robot, actions: Iterable[Action]) -> Iterator[Clash]:
-    """Yield what actions that run at once cannot share."""
+    """Yield what actions that run at once cannot share.
+
+    Of a function with alternatives, only devices that all of them need count: the
+    others can be avoided.
+    """
     actions = tuple(actions)
     exclusive = {a.function for a in robot.architectures if a.exclusive}
     for function in sorted(exclusive):

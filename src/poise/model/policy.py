@@ -1,4 +1,7 @@
-"""The record of a policy, as the robot file and Poise's own file write it."""
+"""The record of a policy, as the robot file and Poise's own file write it.
+
+These are the names in conditions; the reference of the documentation site lists them.
+"""
 
 from __future__ import annotations
 
@@ -366,7 +369,11 @@ def shipped() -> tuple[Policy, ...]:
 
 
 def policies_of(written: Iterable[Policy]) -> tuple[Policy, ...]:
-    """Return a robot's policies, `off` ones too: shipped ones first, then its own."""
+    """Return a robot's policies, `off` ones too: shipped ones first, then its own.
+
+    What a policy of the robot file does not give is that of the shipped one of its
+    name, or a default.
+    """
     policies = {policy.name: policy for policy in shipped()}
     for own in written:
         policies[own.name] = _changed(

@@ -104,7 +104,13 @@ class FileKeys(Struct, frozen=True):
 def with_repository(
     robot: Robot, root: Node, problems: list[FileProblem]
 ) -> tuple[Robot, Repository]:
-    """Return the robot with what the repository provides, and what was searched."""
+    """Return the robot with what the repository provides, and what was searched.
+
+    Every architecture in the robot's folders whose function a task names joins the
+    robot's own; so does one of an installed package, if the robot file itself does not
+    provide the function. Of a name, the first one counts: the robot file's, then
+    folders in order, then packages.
+    """
     functions = {a.function for a in robot.architectures}
     if not robot.repository and wanted_by(robot) <= functions:
         return robot, Repository()

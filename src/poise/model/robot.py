@@ -1,4 +1,8 @@
-"""The records of a robot: pure, frozen, in SI units (cores, bytes, s, bytes/s)."""
+"""The records of a robot: pure, frozen, in SI units (cores, bytes, seconds, bytes/s).
+
+`poise.model.load` reads them from a robot file; `says` describes the keys of the file.
+Names are unique within their kind; names of components are unique in the whole robot.
+"""
 
 from __future__ import annotations
 
@@ -312,7 +316,10 @@ class Robot(Struct, frozen=True, kw_only=True):
     def with_components(
         self, change: Callable[[ComponentEntry], ComponentEntry | None]
     ) -> Robot:
-        """Return the robot with components as `change` returns them; None: without."""
+        """Return the robot with every component as `change` returns it; None: without.
+
+        An architecture that keeps no component is left out, too.
+        """
         architectures = []
         for architecture in self.architectures:
             changed = tuple(
@@ -397,7 +404,11 @@ class Robot(Struct, frozen=True, kw_only=True):
             yield from actions_of(tasks, name)
 
     def functions_of(self, task: str) -> tuple[str, ...]:
-        """Return all functions that a task needs, each once, in order."""
+        """Return all functions that a task needs, each once, in order.
+
+        Those of the tasks that it names are among them, and those of actions that are
+        done on failure. None when there is no such task.
+        """
         return tuple(dict.fromkeys(f for a in self.actions(task) for f in a.functions))
 
     def whole(self, components: Container[str]) -> list[Architecture]:

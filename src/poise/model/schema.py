@@ -30,7 +30,10 @@ _SINGLE = {
 
 
 def schema() -> Schema:
-    """Return the schema as plain data."""
+    """Return the schema as plain data.
+
+    It requires no key at the top, because each may be in another included file.
+    """
     records: dict[str, Schema] = {}
     top = _schema(types.type_info(Robot), {}, records)
     records["Robot"]["required"] = []

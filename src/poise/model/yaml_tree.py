@@ -1,4 +1,8 @@
-"""Reads YAML files into trees of nodes, each with its location in the file."""
+"""Reads YAML files into trees of nodes, each with its location in the file.
+
+A scalar stays text until the type of its field gives it a meaning, so that
+`address: 10.0` and a computer called `on` stay texts.
+"""
 
 from __future__ import annotations
 
@@ -103,7 +107,11 @@ class _Bad(Exception):
 
 
 def parse(text: str, file: str, problems: list[FileProblem]) -> Node | None:
-    """Return the tree of a YAML text, or None when it cannot be parsed."""
+    """Return the tree of a YAML text, or None when it cannot be parsed.
+
+    Every problem is added to `problems`: syntax, duplicate keys, tags, nesting
+    deeper than `DEEPEST`, and more than `MOST` values.
+    """
     if special := Reader.NON_PRINTABLE.search(text):
         before = text[: special.start()]
         column = special.start() - before.rfind("\n")
@@ -322,7 +330,11 @@ def with_values(
     path: Path,
     values: Mapping[str, str],
 ) -> dict[str, str]:
-    """Return the files' texts with `values` under the mapping at `path`."""
+    """Return the files' texts with `values` under the mapping at `path`.
+
+    An existing key gets the new value in place. New keys are inserted before the first
+    key of the mapping, in the same style.
+    """
     lines = {file: text.splitlines(keepends=True) for file, text in texts.items()}
     first = positions.first_key(path)
     here = positions.at(path)

@@ -1,4 +1,7 @@
-"""Checks a tree of nodes against the keys of records (`poise.model.file_keys`)."""
+"""Checks a tree of nodes against the keys of records (`poise.model.file_keys`).
+
+The validator knows nothing of robots. It finds every problem in one pass.
+"""
 
 from __future__ import annotations
 
@@ -85,7 +88,12 @@ class Where(Struct, frozen=True):
 def validate(
     node: Node, kind: types.Type, problems: list[FileProblem], name: str = ""
 ) -> Value:
-    """Return the plain SI value of `node`, whose type is `kind`."""
+    """Return the plain SI value of `node`, whose type is `kind`.
+
+    Every problem is added to `problems`. A wrong single value of an optional key is
+    dropped, so that later checks find further problems. None is returned when
+    something wrong cannot be dropped.
+    """
     value = _value(node, kind, Where(name, node.place, problems))
     return None if value is _INVALID else value
 

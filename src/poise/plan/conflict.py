@@ -114,7 +114,11 @@ def _late(arrays: Arrays) -> dict[str, Late]:
 def conflict(
     problem: Problem, stop: Ask | None = None, share: float = 1.0
 ) -> Conflict | None:
-    """Return a small set of components and limits that cannot hold together."""
+    """Return a small set of components and limits that cannot hold together.
+
+    None when it cannot be proven in short time (a `share` of `ALL_STEPS`) that there is
+    one, or when `stop` says that it is enough.
+    """
     oracle = Oracle(stop, share)
     subset = _infeasible_subset(problem, oracle)
     if subset is None:
@@ -135,7 +139,11 @@ def conflict(
 def _infeasible_subset(
     problem: Problem, oracle: Oracle
 ) -> tuple[Problem, list[Limit], bool] | None:
-    """Return a part of the problem that cannot hold, and the limits that it breaks."""
+    """Return a part of the problem that cannot hold, and the limits that it breaks.
+
+    And whether it is irreducible: without any one of its components, or of the limits,
+    it is known to hold.
+    """
     arrays = arrays_of(problem)
     shortage = min(_shortages(arrays), key=lambda s: len(s.units), default=None)
     hopeless = next(_hopeless(problem, arrays), None)

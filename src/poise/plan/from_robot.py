@@ -83,7 +83,12 @@ def problem_of(
 
 
 def static(robot: model.Robot, problem: Problem) -> dict[str, str]:
-    """Return the static placement: every architecture on its home computer."""
+    """Return the static placement: every architecture on its home computer.
+
+    Of alternatives the best one is placed (the first of equals), as only one of them
+    runs. A component that cannot run on its home (its device is elsewhere) goes to the
+    first computer that it may run on; so does one without a home.
+    """
     homes = {c.name: a.home for a in robot.architectures for c in a.components}
     placement = {}
     for component in part(problem, [need[0] for need in needs(problem)]).components:

@@ -165,7 +165,10 @@ class PhaseSearch:
     def _search(
         self, names: Sequence[str], held: Solution, left: float, seed: int
     ) -> dict[str, Result]:
-        """Search for better placements of phases; empty when one breaks a limit."""
+        """Search for better placements of some phases; empty when one breaks a limit.
+
+        That may be, as the bandwidth of links is left out.
+        """
         others = {n: h.placement for n, h in held.items() if n not in names}
         parts = []
         for name in names:
@@ -329,7 +332,11 @@ def weighted(part: Arrays, weight: float) -> Arrays:
 
 
 def merged(parts: Sequence[Arrays], moves: Mapping[tuple[Unit, Unit], float]) -> Arrays:
-    """Return the arrays of several phases as those of one problem."""
+    """Return the arrays of several phases as those of one problem.
+
+    Its F is the sum over the phases, and of `moves` (pairs of units -> what being apart
+    costs). The bandwidth of links is left out; distances count for moves, too.
+    """
     begin = [0, *accumulate(part.n for part in parts)]
     start = [0, *accumulate(len(part.unit_of) for part in parts)]
     a, count = parts[0], len(parts)

@@ -165,7 +165,10 @@ class LastSeen:
         }
 
     def connectors(self) -> Iterator[ConnectorStatus]:
-        """Yield each end of each connector, with the counts of all its stays."""
+        """Yield each end of each connector, with the counts of all its stays.
+
+        What a container did after its last status is not known.
+        """
         with self._lock:
             before: dict[tuple[str, Side], ConnectorStatus] = {}
             for end in (*self.ended, *self._joined):

@@ -27,7 +27,10 @@ from poise.wire.robots_here import AgentAddresses
 
 
 def stand_by(path: Path, words: Iterable[str], say: Say) -> None:
-    """Lead as the claim in a file says, at each word ``lead``; else until the end."""
+    """Lead as the claim in a file says, at each word ``lead``; else until the end.
+
+    `words`: an agent's, one a line; its end is the agent's.
+    """
     for word in words:
         if word.strip() == "end":
             return

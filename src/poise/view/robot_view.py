@@ -1,4 +1,8 @@
-"""What there is to see of a running robot, in rows: for `top` and the dashboard."""
+"""What there is to see of a running robot, in rows: for `top` and whatever shows more.
+
+A status has totals. Differences over the last seconds make rates of them, on the time
+of each container, so that nothing on the way distorts them.
+"""
 
 from __future__ import annotations
 

@@ -81,7 +81,11 @@ def decide(
     horizon: float = HORIZON,
     doubt: float = 1.0,
 ) -> Decision:
-    """Return whether to change the placement, and why."""
+    """Return whether to change the placement, and why.
+
+    `horizon`: for how long the present load is expected to last [s].
+    `doubt`: how many times costs count, >= 1.
+    """
     gone = _gone(situation)
     situation = _with_urgency(situation.of_running_components())
     bad = bad_links(situation)
@@ -222,7 +226,11 @@ def _room(situation: Situation) -> str:
 
 
 def _with_fewer(situation: Situation) -> Decision | None:
-    """Return what to suspend for the sake of architectures of higher priority."""
+    """Return what to suspend for the sake of architectures of higher priority.
+
+    CPU is short wherever components run, so the work of the lowest priorities is given
+    up; but only when higher ones suffer in spite of their CPU weights.
+    """
     suffers, robot = _suffering(situation), situation.robot
     try:
         proposal = propose(situation.left(), fewer=True, is_quick=True)
@@ -243,7 +251,10 @@ def _with_fewer(situation: Situation) -> Decision | None:
 
 
 def shortages_of(situation: Situation) -> dict[str, float]:
-    """Return what components of each computer need and it does not have [cores]."""
+    """Return what components of each computer need and it does not have [cores].
+
+    That is beside what other programs may want, and the reserve.
+    """
     left = situation.left()
     demands = {name: now.counted for name, now in left.shifted.items()}
     return missing_cpu(left.robot, left.placement, demands)

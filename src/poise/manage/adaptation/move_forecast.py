@@ -79,7 +79,10 @@ class Alternative(Struct, frozen=True, kw_only=True):
 
 
 def alternatives(situation: Situation) -> tuple[Alternative, ...]:
-    """Return what could be done now: nothing, then single moves, the best first."""
+    """Return what could be done now: first nothing, then single moves, the best first.
+
+    None when some component can run nowhere.
+    """
     situation = situation.of_running_components()
     robot, now = situation.robot_now, situation.placement
     try:
@@ -149,7 +152,10 @@ def _load(
 
 
 def check_move(situation: Situation, component: str, computer: str) -> None:
-    """Raise UsageError when a component does not fit on a computer with all others."""
+    """Raise UsageError when a component does not fit on a computer with all others.
+
+    Limits that are broken without it do not count.
+    """
     allowed = allowed_computers(situation.robot, layers_stay=False)
     if component not in situation.placement or computer not in allowed[component]:
         return  # the move itself says so

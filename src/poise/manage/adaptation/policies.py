@@ -1,4 +1,7 @@
-"""Evaluates the policies of a robot: what holds now, and for how long."""
+"""Evaluates the policies of a robot: what holds now, and for how long.
+
+`model/shipped_policies.yaml` has those that Poise ships.
+"""
 
 from __future__ import annotations
 
@@ -187,7 +190,10 @@ class Policies:
             function.close()
 
     def evaluate(self, read: Read, now: float, *, waits: bool = False) -> Symptoms:
-        """Return the symptoms that have been there at every look for long enough."""
+        """Return the symptoms that have been there at every look for long enough.
+
+        `waits`: whether to wait for functions; else what they said last counts.
+        """
         holding = {
             _key(policy, subject): (policy, subject)
             for policy, holds in self._policies

@@ -1,4 +1,8 @@
-"""The process that runs a policy's own function, so that this holds up nothing else."""
+"""The process that runs a policy's own function, so that it can hold up nothing else.
+
+It ends by itself when the function takes too long, even in native code, and when its
+manager is gone.
+"""
 
 from __future__ import annotations
 

@@ -39,7 +39,13 @@ says."""
 def with_time_limits(
     problem: plan.Problem, situation: Situation, price: float
 ) -> plan.Problem:
-    """Return the problem whose limits of chains say what was measured."""
+    """Return the problem whose limits of chains say what was measured.
+
+    The components of a chain whose data is late compute in vain: F grows by as much as
+    if their CPU were short.
+
+    `price`: what F grows by for each core that is short, of the lowest priority.
+    """
     needs = {
         c.name: c.demand.get("cpu", 0.0)
         for c in problem.components
@@ -63,7 +69,10 @@ def _measured(
     price: float,
     needs: Mapping[str, float],
 ) -> plan.TimeLimit | None:
-    """Return a chain's limit as it is measured; None: it is late wherever it runs."""
+    """Return a chain's limit as it is measured; None: it is late wherever it runs.
+
+    `needs`: component -> its CPU [cores].
+    """
     age, on_wires, hops = chain.ages[chain.last], 0.0, []
     price *= sum(needs[name] for name in chain.computers)
     if chain.is_late:
@@ -84,7 +93,10 @@ def _measured(
 
 
 def nothing_helps(situation: Situation, gone: str = "") -> str:
-    """Return that no placement helps what is late, for people."""
+    """Return that no placement helps what is late, for people.
+
+    `gone`: the components that were lost with their computers, in words.
+    """
     what = (
         f"{late(situation)}all components have the CPU that they need where they are"
         f"{_others(situation)}: another placement would not help. "
@@ -205,7 +217,10 @@ def explain(result: plan.Result) -> None:
 def share_what_is_left(
     problem: plan.Problem, situation: Situation, price: float
 ) -> plan.Problem:
-    """Return the problem with the CPU that other programs leave, shared by priority."""
+    """Return the problem with the CPU that other programs leave, shared by priority.
+
+    `price`: what F grows by for each core that is short, of the lowest priority.
+    """
     late = {timer.computer for timer in situation.misses if timer.late}
     rooms = {c.name: _room(c, situation.loads.get(c.name)) for c in problem.computers}
     limits = {

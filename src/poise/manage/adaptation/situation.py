@@ -120,7 +120,10 @@ class Situation(Struct, frozen=True, kw_only=True, dict=True):
         )
 
     def amounts(self) -> dict[str, float]:
-        """Return what decides on a placement: CPU that is left, and needed [cores]."""
+        """Return what decides on a placement: CPU that is left, and needed [cores].
+
+        And which links are bad, at any amount.
+        """
         left = {
             f"on {computer.name}": computer.capacity.get("cpu", 0.0)
             for computer in self.computers_left()

@@ -76,7 +76,10 @@ class MoveLimits:
         self._in_vain: tuple[float, Amounts] | None = None
 
     def is_backing_off(self, now: float, amounts: Amounts | None = None) -> bool:
-        """Return whether to wait: a transition settles, or nothing could be done."""
+        """Return whether to wait: a transition settles, or nothing could be done.
+
+        The second ends when `amounts` have changed since.
+        """
         if self._in_vain is not None and amounts is not None:
             at, before = self._in_vain
             if now >= at + CHANGED_AFTER and has_changed(before, amounts):
@@ -160,7 +163,10 @@ class LossSuffered:
         self._begins = self._ended = float("-inf")
 
     def note(self, gain: float, since: float, now: float) -> None:
-        """Take note of what the best change would gain now [cores]."""
+        """Take note of what the best change would gain now [cores].
+
+        `since`: when it began that something is wrong [s].
+        """
         if self._at is None:
             if now - self._ended > FORGET_AFTER:
                 self.lost = 0.0
@@ -187,7 +193,11 @@ class LossSuffered:
             self._gain, self._at, self._begins, self._ended = 0.0, None, now, now
 
     def note_change(self, undone: float, gain: float, now: float) -> None:
-        """Count from zero again, as the placement changes."""
+        """Count from zero again, as the placement changes.
+
+        `undone`: work that is not done before [cores]; `gain`: by how much that should
+        fall [cores]; 0: nothing moves, so there is nothing to be judged.
+        """
         self.lost = self._gain = 0.0
         self._at, self._begins = None, now
         self._change = _Change(undone, gain, now) if gain > 0 else None

@@ -158,7 +158,12 @@ class Agents(AgentReports):
         close_session(self._session)
 
     def take_status(self, status: AgentStatus) -> None:
-        """Store what an agent reported."""
+        """Store what an agent reported.
+
+        One that obeys another manager answers the heartbeats of that one only: for this
+        one it would be out of reach for ever, also once that manager is gone. When the
+        lease of one ends that did not vote for this one is known, and stays so.
+        """
         manager = status.manager
         if manager is not None and manager.key != self.manager.key:
             with self._changed:
@@ -215,7 +220,11 @@ class Agents(AgentReports):
     def claim(
         self, computers: Collection[str], *, take_over: bool = False
     ) -> dict[str, Deployment]:
-        """Let the agents of `computers` obey this manager, and no other."""
+        """Let the agents of `computers` obey this manager, and no other.
+
+        One after the other in the order of their names: of two managers that start at
+        the same time, one gets the first agent, and the other none.
+        """
         deployments = {}
         self._claims.begin_term(self.statuses().values())
         for computer in sorted(computers):
@@ -382,7 +391,10 @@ class Agents(AgentReports):
         batches: Iterable[tuple[str, MigrationSteps]],
         check: Callable[[], object] = nothing,
     ) -> Iterator[StepsOutcome]:
-        """Let containers take steps, all at once; yield each outcome as it is known."""
+        """Let containers take steps, all at once; yield each outcome as it is known.
+
+        `check`: called now and then; may raise to end the waiting.
+        """
         began = self._clock.now()
         asked = {
             steps.number: (computer, steps, steps.limit + MARGIN)

@@ -100,7 +100,10 @@ class Reachability:
         self._ended_at[computer] = now
 
     def confirmed_at(self, now: float) -> float:
-        """Return when this manager led for sure, at the latest [s]; else -inf."""
+        """Return when this manager led for sure, at the latest [s]; else -inf.
+
+        Agents with a majority of the votes have heard what it sent then, and obey it.
+        """
         if not self._votes:
             return now
         acked = {

@@ -123,7 +123,10 @@ class AgentReports:
             return (self._alive & self._statuses.keys()) - self._silent.keys()
 
     def wait_news(self, is_enough: Callable[[], bool], limit: float) -> bool:
-        """Wait [s] until `is_enough`, evaluated at all news; return whether it is."""
+        """Wait until `is_enough` is true, evaluated at all news; return whether it is.
+
+        `is_enough` may raise to end the waiting; `limit` is in [s].
+        """
         deadline = self._clock.now() + limit
         while True:
             with self._changed:

@@ -85,7 +85,10 @@ class AgentRequests:
     def send(
         self, requests: Mapping[str, Request]
     ) -> tuple[dict[str, Answer], dict[str, str]]:
-        """Send agents requests until they answer."""
+        """Send agents requests until they answer.
+
+        An agent that is cut off for a moment gets its request again.
+        """
         answers: dict[str, Answer] = {}
         refusals = {}
         pending = dict(requests)
@@ -116,7 +119,12 @@ class AgentRequests:
         asked: Mapping[K, tuple[str, Request, float]],
         check: Callable[[], object] = nothing,
     ) -> Iterator[tuple[K, Answer | None]]:
-        """Ask agents, all at once; yield each answer as it comes."""
+        """Ask agents, all at once; yield each answer as it comes.
+
+        None: the agent gave none.
+
+        `asked`: by any key: the computer, what its agent is asked, and the limit [s].
+        """
         replies: queue.SimpleQueue[tuple[K, zenoh.Reply | None]] = queue.SimpleQueue()
         pending, deadline = set(asked), self._clock.now() + _LAST_REPLY
         deadline += max((limit for _, _, limit in asked.values()), default=0.0)
@@ -158,7 +166,11 @@ class AgentRequests:
         return computer in self._reports.reached()
 
     def why_silent(self, computer: str, limit: float, patience: float) -> str:
-        """Return what is known of an agent that gave no answer within `limit` [s]."""
+        """Return what is known of an agent that gave no answer within `limit` [s].
+
+        No answer comes from the moment when its connection ends, which may be a little
+        before zenoh reports the loss of the agent: `patience` [s] is for that.
+        """
         if self._reports.wait_news(
             lambda: computer in self._reports.out_of_reach(), patience
         ):

@@ -1,4 +1,8 @@
-"""Robots that go on without a manager: found where it noted their agents."""
+"""Robots that go on without a manager: found where it noted their agents.
+
+Agents are only listened to. A robot is there if one of them says that it runs
+something.
+"""
 
 from __future__ import annotations
 
@@ -57,7 +61,10 @@ def robots_without_manager(but: Collection[str] = ()) -> dict[str, RobotStatus]:
 
 
 def ask_agents(addresses: AgentAddresses, why: str = "") -> RobotStatus | None:
-    """Return what the agents of a robot say; None: none says that something runs."""
+    """Return what the agents of a robot say; None: none says that something runs.
+
+    `why`: why the manager does not answer, and the way out; empty: it is gone.
+    """
     with ThreadPoolExecutor(_MOST_AT_ONCE) as pool:
         if not any(pool.map(_listens, addresses.endpoints.values())):
             return None

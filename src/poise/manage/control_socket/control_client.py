@@ -57,7 +57,11 @@ _ASK_EVERY = 0.1
 
 
 def send_command(robot: str | None, command: Command) -> Result:
-    """Send a command to the manager of a running robot, and return its result."""
+    """Send a command to the manager of a running robot, and return its result.
+
+    `robot`: its name; None when only one runs. When its manager is on another computer,
+    an agent passes the command on, as soon as a standby leads if the manager is gone.
+    """
     where = _find(robot)
     name = where.stem if isinstance(where, Path) else where.robot
     try:
@@ -87,7 +91,10 @@ def ask(robot: str | None, command: Command, type_: type[R]) -> R:
 
 
 def _find(robot: str | None) -> Path | AgentAddresses:
-    """Return the control socket of a running robot; None: of the only one."""
+    """Return the control socket of a running robot; None: of the only one.
+
+    Where its manager is not here, return its agents.
+    """
     managed = running_here()
     noted_here = {addresses.robot: addresses for addresses in noted()}
     if robot is None:
@@ -233,7 +240,11 @@ def _gives_status(path: Path) -> bool:
 
 
 def _no_answer(robot: str, manager: int | None = None, waited: float = 0) -> NoManager:
-    """Return what is known of a manager that is there, and silent."""
+    """Return what is known of a manager that is there, and silent.
+
+    `manager`: its process; None: it takes no more connections; `waited`: for how long
+    [s].
+    """
     why = f"the manager of robot '{robot}' takes no more connections"
     if manager is not None:
         why = f"the manager of robot '{robot}' (process {manager}) has not answered "

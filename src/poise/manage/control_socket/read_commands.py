@@ -211,7 +211,10 @@ def answer(
 def status_of(
     run: RunningComponents, tasks: Sequence[TaskReport], estimates: Estimates
 ) -> RobotStatus:
-    """Return the last known state, but for deviations and faults; from any thread."""
+    """Return the last known state, but for deviations and faults; from any thread.
+
+    The deviations are those of agents that are there, and have stopped to report.
+    """
     statuses, ages = run.agents.statuses(), run.agents.ages()
     out_of_reach = run.agents.out_of_reach()
     return RobotStatus(

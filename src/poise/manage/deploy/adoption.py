@@ -336,7 +336,10 @@ def where_held(
     held: Collection[str],
     claimed: Collection[str],
 ) -> dict[str, str]:
-    """Return component -> computer of what starts."""
+    """Return component -> computer of what starts.
+
+    What is held counts as placed on a computer that is not claimed.
+    """
     allowed = allowed_computers(robot)
     return {
         name: min(set(allowed[name]) - set(claimed)) if name in held else at
@@ -394,5 +397,8 @@ def joined_by(
 
 
 def _may_provide(architecture: Architecture, provider: Mapping[str, str]) -> bool:
-    """Return whether no other architecture provides its function."""
+    """Return whether no other architecture provides its function.
+
+    It may do so itself: a part of it joined before, from another computer.
+    """
     return provider.get(architecture.function) in {None, architecture.name}

@@ -73,7 +73,11 @@ def deactivate_callers(run: RunningComponents) -> None:
 
 
 def drain(run: RunningComponents) -> None:
-    """Deactivate all components, each when it has processed what was sent to it."""
+    """Deactivate all components, each when it has processed what was sent to it.
+
+    Afterwards the agents' statuses hold the final counts. A component whose handler
+    does not end, and a message that does not arrive, are not waited for any longer.
+    """
     ends = [connector.between for connector in run.layout.connectors(run.placed)]
     leads = [(source.component, target.component) for source, target in ends]
     for inactive in _deactivate(run, leads):
@@ -82,7 +86,10 @@ def drain(run: RunningComponents) -> None:
 
 
 def _deactivate(run: RunningComponents, leads: Leads) -> Iterator[set[str]]:
-    """Make components inactive, each before those to which it leads; yield them."""
+    """Make components inactive, each before those to which it leads; yield which are.
+
+    A component whose handler does not end is not waited for any longer.
+    """
     inactive: set[str] = set()
     for level in levels(run.placed, leads):
         inactive |= set(level)
@@ -105,7 +112,10 @@ def _are_inactive(run: RunningComponents, names: Collection[str]) -> bool:
 def maybe_active(
     places: Iterable[Incarnation], reached: Collection[str], current: Statuses
 ) -> list[str]:
-    """Return the components that are active, or may be: nothing newer is known."""
+    """Return the components that are active, or may be: nothing newer is known.
+
+    `reached`: computers; what is on others is not waited for.
+    """
     active = {c.name for c in components_of(current) if c.state == "active"}
     return [
         incarnation.component
@@ -125,7 +135,10 @@ def unprocessed(
     targets: Collection[str],
     ended: Iterable[ConnectorStatus] = (),
 ) -> dict[str, int]:
-    """Return connector -> messages sent to `targets` that they have not processed."""
+    """Return connector -> messages sent to `targets` that they have not processed.
+
+    `ended`: the last counts of containers that ended; what they did after is not known.
+    """
     ends: dict[str, list[ConnectorStatus]] = {}
     for end in connectors_of(run.agents.statuses()):
         ends.setdefault(end.name, []).append(end)
@@ -145,7 +158,10 @@ def unprocessed(
 
 
 def _left(ends: Sequence[ConnectorStatus]) -> int:
-    """Return how many messages a target has neither processed nor refused."""
+    """Return how many messages a connector's target has neither processed nor refused.
+
+    A source that moves takes its count along.
+    """
     return max(map(_sent, ends), default=0) - sum(map(_taken, ends))
 
 
@@ -163,7 +179,11 @@ RETURN_LIMIT = 3.0
 
 
 def stop(run: RunningComponents) -> None:
-    """Stop everything, callers first, on all computers that are reached."""
+    """Stop everything, callers first, on all computers that are reached.
+
+    Computers that come back within `RETURN_LIMIT` are stopped, too. Harmless when
+    repeated, and where another manager has the robot.
+    """
     if run.is_left or run.desired.is_stopped:
         return
     agents, run.goes_on_without_lost = run.agents, True

@@ -89,7 +89,10 @@ class DeploymentPlan:
         self._carries, self._answers = _chains_over(robot, self._slots)
 
     def container_of(self, incarnation: Incarnation) -> str:
-        """Return the name of its container, the same on every computer."""
+        """Return the name of its container, the same on every computer.
+
+        Other code has a process of its own: Python knows one module of a name.
+        """
         container = self._containers[incarnation.component]
         # no name has a dot in it, so this is no other container's name
         other = f"..{incarnation.code[:_DIGITS]}" if incarnation.code else ""
@@ -112,7 +115,11 @@ class DeploymentPlan:
         preparation_cpu: Mapping[str, float] = {},
         parameters: Mapping[str, Mapping[str, Any]] = {},
     ) -> dict[str, Deployment]:
-        """Return what should run on each computer, by its name."""
+        """Return what should run on each computer, by its name.
+
+        `preparation_cpu`: computer -> CPU for what is being prepared there [cores].
+        `parameters`: component -> those that were set since the start.
+        """
         placed = tuple(incarnations)
         connectors = self._connectors(placed, gateways)
         containers: dict[str, list[ContainerSpec]] = {
@@ -238,7 +245,10 @@ class DeploymentPlan:
     def component_spec(
         self, incarnation: Incarnation, parameters: Mapping[str, Any] = {}
     ) -> ComponentSpec:
-        """Return the specification of an incarnation for its agent."""
+        """Return the specification of an incarnation for its agent.
+
+        `parameters`: those that were set since the start.
+        """
         component = self._components[incarnation.component]
         implementation = incarnation.implementation or component.implementation
         is_other = implementation != component.implementation

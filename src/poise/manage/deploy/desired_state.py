@@ -1,4 +1,8 @@
-"""What should run on a robot: the one owner of that record."""
+"""What should run on a robot: the one owner of that record.
+
+Every change is a `commit`, which journals it; a reconciler brings the agents there.
+Nothing here waits for an agent.
+"""
 
 from __future__ import annotations
 
@@ -88,7 +92,10 @@ class DesiredState:
         return self.desired.placement()
 
     def begin_with(self, tasks: bytes) -> None:
-        """Let the first commit say the tasks: the manager may be killed right after."""
+        """Let the first commit say the tasks: this manager may be killed right after.
+
+        `tasks`: as in `Desired`.
+        """
         self.desired = structs.replace(self.desired, tasks=tasks)
 
     def commit(self, desired: Desired, why: str, *, tell_later: bool = False) -> None:
@@ -150,7 +157,10 @@ class DesiredState:
         self.is_left = True
 
     def gateways(self) -> dict[str, str]:
-        """Return where other computers reach each computer's containers."""
+        """Return where other computers reach each computer's containers.
+
+        It is known also of a computer that is out of reach, or back without a report.
+        """
         self._gateways |= gateways(self.agents.statuses())
         return self._gateways
 

@@ -1,4 +1,8 @@
-"""A robot's components, running: started, watched, moved, stopped."""
+"""A robot's components, running: started, watched, moved, stopped.
+
+What should run is one record (`Desired`), which `commit` replaces; a reconciler brings
+the agents there. What does run is what they observed.
+"""
 
 from __future__ import annotations
 

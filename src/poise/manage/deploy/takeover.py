@@ -59,7 +59,12 @@ def start_or_take_over(
     by_force: bool = False,
     follows: bool = False,
 ) -> None:
-    """Bring a robot up: what runs as it should goes on, and the rest is started."""
+    """Bring a robot up: what runs as it should goes on, and the rest is started.
+
+    `is_rule`: whether the user asked for the placement; else what runs stays where it
+    is. `follows`: a standby has no plan of its own, and goes on with the robot as it
+    was.
+    """
     statuses = run.agents.statuses()
     before = [status.manager for status in statuses.values()]
     if run.agents.election is None:
@@ -155,7 +160,10 @@ def _take_over(
 
 
 def newest_record(deployments: Iterable[Deployment]) -> Desired:
-    """Return the last commit that agents have stored; else an empty record."""
+    """Return the record of the last commit that agents have stored; else an empty one.
+
+    With a majority of them it is at least that of the last commit that was answered.
+    """
     written = [each for each in deployments if each.desired]
     if not written:
         return Desired()
@@ -164,7 +172,11 @@ def newest_record(deployments: Iterable[Deployment]) -> Desired:
 
 
 def _elected(run: RunningComponents, *, by_force: bool) -> dict[str, Deployment]:
-    """Become the leader; return what the agents that voted for it work towards."""
+    """Become the leader; return what the agents that voted for it work towards.
+
+    What others run has surely stopped then. Of what agents work towards, only that
+    counts which is in the newest record.
+    """
     try:
         answers = run.agents.elect(take_over=by_force)
     except RunError:
@@ -420,7 +432,10 @@ def _start(
 def _claim(
     run: RunningComponents, *, by_force: bool
 ) -> tuple[dict[str, Deployment], dict[str, str]]:
-    """Return what the agents work towards, and why some were not claimed."""
+    """Return what the agents work towards, and why some were not claimed.
+
+    Those are claimed once they answer.
+    """
     deployments: dict[str, Deployment] = {}
     unclaimed: dict[str, str] = {}
     computers = sorted(run.computers())

@@ -131,7 +131,10 @@ class Migration:
         )
 
     def _is_known(self) -> bool:
-        """Return whether agents know of the commit, so that nobody rolls it back."""
+        """Return whether agents know of the commit, so that nobody rolls it back.
+
+        Those of the targets know what is active, those of the sources what is gone.
+        """
         agents = self._run.agents
         statuses = agents.statuses()
         return any(
@@ -238,7 +241,10 @@ class Migration:
         limit: float,
         check: Callable[[], object] = lambda: None,
     ) -> float:
-        """Let containers take steps, all at once."""
+        """Let containers take steps, all at once.
+
+        `check`: called now and then while containers have not answered; may raise.
+        """
         quiesce = 0.0
         for _, outcome in self._outcomes(steps, limit, check):
             if not isinstance(outcome, StepsDone):

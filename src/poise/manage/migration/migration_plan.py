@@ -171,7 +171,10 @@ class MigrationPlan:
             yield _step("drain mailbox", self._sources[name])
 
     def _drain_channels(self, connectors: Iterable[Connector]) -> Iterator[PlacedStep]:
-        """Wait for the markers, over those connectors that get one."""
+        """Wait for the markers, over those connectors that get one.
+
+        Others' connectors get one only when they lead to a target, too.
+        """
         by_receiver: dict[str, list[Connector]] = {}
         for connector in connectors:
             source, receiver = connector.between
@@ -201,7 +204,10 @@ class MigrationPlan:
     def _by_container(
         self, connectors: list[Connector]
     ) -> Iterable[tuple[Incarnation, list[Connector]]]:
-        """Return connectors by one sender for each container that they begin in."""
+        """Return connectors by one sender for each container that they begin in.
+
+        Containers that can take no step are left out.
+        """
         found: dict[tuple[str, str], tuple[Incarnation, list[Connector]]] = {}
         for connector in connectors:
             sender = self._others[connector.between[0].component]
@@ -213,7 +219,11 @@ class MigrationPlan:
         return found.values()
 
     def _levels(self) -> list[list[str]]:
-        """Return the sources in the order in which they pause."""
+        """Return the sources in the order in which they pause.
+
+        A caller pauses before its callee, and in a replacement a publisher before its
+        subscribers.
+        """
         leads = (
             (source.component, target.component)
             for source, target in (connector.between for connector in self._before)

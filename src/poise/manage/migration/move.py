@@ -1,4 +1,9 @@
-"""Moves a component, replaces its implementation, or replaces a whole architecture."""
+"""Moves a component, replaces its implementation, or replaces a whole architecture.
+
+A component in Python takes its state along, and loses no call or message. A
+command-line component makes a cold move: it is stopped, and started at the target. The
+components of an architecture take over at once, or none does: it is one migration.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +32,11 @@ from poise.wire.records.code_records import SHOWN
 def move(
     run: RunningComponents, component: str, computer: str, *, force: bool = False
 ) -> Preparation:
-    """Return the move of a running component to a computer, to be run."""
+    """Return the move of a running component to a computer, to be run.
+
+    `force`: whether it goes even when it is in the reactive or the deliberative layer;
+    only people may ask so.
+    """
     old = _placed(run, component)
     _check_target(run, component, computer, force=force)
     if old.computer == computer:
@@ -52,7 +61,12 @@ def replace(
     *,
     fresh: bool = False,
 ) -> Preparation:
-    """Return the swap of an implementation for another, to be run."""
+    """Return the swap of an implementation for another, to be run.
+
+    `by`: ``package.module:Class``, or with ``@VERSION`` of deployed code.
+    `adapt`: ``package.module:function`` that turns the old state into the new one;
+    empty: the new implementation restores the old one's state as it is.
+    """
     old = _placed(run, component)
     if (layer := run.robot.architecture_of(component).layer) != "sequencing":
         raise UsageError(
@@ -224,7 +238,14 @@ def replace_architecture(
     *,
     fresh: bool = False,
 ) -> Preparation:
-    """Return the replacement of an architecture by another, to be run."""
+    """Return the replacement of an architecture by another, to be run.
+
+    What waits at its ports goes to the alternative where the same source is joined to
+    both; messages that are under way within it end with it.
+
+    `fresh`: whether they begin without state; else `adapt` is needed where there is
+    any.
+    """
     old, new = _checked(run, architecture, by)
     if not adapt and not fresh:
         _check_stateless(run, old)
@@ -333,7 +354,11 @@ def _check_callers(
 def _placement(
     run: RunningComponents, old: Architecture, new: Architecture
 ) -> dict[str, str]:
-    """Return where the new components go, beside all that runs."""
+    """Return where the new components go, beside all that runs.
+
+    The old ones are still there meanwhile, but compute nothing any more when the new
+    ones begin: they need all they have but the CPU.
+    """
     goes = {c.name for c in old.components}
     comes = [c.name for c in new.components]
     problem = plan.keep_components(plan.problem_of(run.robot), {*run.placed, *comes})

@@ -1,4 +1,8 @@
-"""A migration that was checked, and whose targets are configured before it begins."""
+"""A migration that was checked, and whose targets are configured before it begins.
+
+Meanwhile all else goes on: users' code may take long to be imported and configured. A
+preparation that makes no progress, or cannot be completed, ends with its reason.
+"""
 
 from __future__ import annotations
 
@@ -38,7 +42,12 @@ class Stall:
         self._since = clock()
 
     def check(self, missing: list[str], wanted: Collection[Incarnation]) -> None:
-        """Raise RunError when nothing came nearer for `STALL_LIMIT`."""
+        """Raise RunError when nothing came nearer for `STALL_LIMIT`.
+
+        Users' code that is imported or configured may take longer.
+
+        `missing`: what is waited for, in words.
+        """
         now = self._clock()
         if missing != self._missing or self._is_configuring(wanted):
             self._missing, self._since = missing, now

@@ -28,7 +28,10 @@ def plan_transition(
     *,
     shares_cpu: bool = False,
 ) -> tuple[TransitionStep, ...]:
-    """Return the steps from placement `now` to `then`."""
+    """Return the steps from placement `now` to `then`.
+
+    Stops come first, then moves, then starts; taking all steps yields `then`.
+    """
     return _Planner(robot, now, then, shares_cpu=shares_cpu).plan()
 
 
@@ -174,7 +177,10 @@ def _first(names: Iterable[str], holds: Callable[[str], bool]) -> str | None:
 
 
 def residue(robot: Robot, placement: Mapping[str, str]) -> dict[str, dict[str, float]]:
-    """Return computer -> resource -> how much is left; less than 0: it is short."""
+    """Return computer -> resource -> how much of it is left; less than 0: it is short.
+
+    Components that are placed on other computers than the robot's do not count.
+    """
     left = {c.name: {r: c.usable(r) for r in c.capacity} for c in robot.computers}
     for component in robot.components():
         here = left.get(placement.get(component.name, ""), {})
@@ -186,7 +192,10 @@ def residue(robot: Robot, placement: Mapping[str, str]) -> dict[str, dict[str, f
 def missing_cpu(
     robot: Robot, placement: Mapping[str, str], demands: Mapping[str, float] = {}
 ) -> dict[str, float]:
-    """Return computer -> CPU that its components need and it does not have [cores]."""
+    """Return computer -> CPU that its components need and it does not have [cores].
+
+    `demands`: component -> what it needs, if that is not what the robot says.
+    """
     left = {c.name: c.usable("cpu") for c in robot.computers}
     for component in robot.components():
         computer = placement.get(component.name)

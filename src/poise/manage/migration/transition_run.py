@@ -33,7 +33,13 @@ def start_together(
     lost: Collection[str] = (),
     instead: Mapping[str, Incarnation] = {},
 ) -> bool:
-    """Start components from their checkpoints; return whether they work."""
+    """Start components from their checkpoints; return whether they work.
+
+    `instead`: component -> what it is like from now on; else it is as it was.
+
+    Without a checkpoint they start without state. What is left of them where they ran
+    is ended before; on a computer that is out of reach, once that is back.
+    """
     new = [
         structs.replace(
             instead.get(name)

@@ -1,4 +1,8 @@
-"""Differences between desired and reported state, and faults of agents. Pure."""
+"""Differences between desired and reported state, and faults that agents report. Pure.
+
+Agents number their faults and keep them for as long as they live, also over robots, so
+a reader of new ones remembers the numbers of those before.
+"""
 
 from __future__ import annotations
 

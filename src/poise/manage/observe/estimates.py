@@ -246,7 +246,10 @@ class Estimates:
         return _Followed(running, expected, component.epoch, computer)
 
     def _count(self, key: str, at: float, now: ConnectorSample) -> None:
-        """Estimate a connector's rates over the last seconds."""
+        """Estimate a connector's rates over the last seconds.
+
+        As the end says at which something went over it last.
+        """
         began, before = self._ends.setdefault((key, now.name), (at, now))
         seconds = at - began
         if seconds < _COUNT_OVER:
@@ -284,7 +287,10 @@ _LEAST = 0.05
 def culprit_on(
     load: Load | None, demand_estimates: Iterable[DemandEstimate], victim: str = ""
 ) -> str:
-    """Return what takes most beyond what was expected on a computer, for people."""
+    """Return what takes most beyond what was expected on a computer, for people.
+
+    `load`: the computer's; None: it is not known.
+    """
     if load is None:
         return ""
     usual = {demand.component: demand.usual for demand in demand_estimates}

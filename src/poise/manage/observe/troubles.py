@@ -1,4 +1,9 @@
-"""Faults of the manager itself, none of which ends a robot: loop, files, threads."""
+"""Faults of the manager itself: exceptions in its loop, its files, threads and clock.
+
+Each part of the loop fails by itself: its exception is journalled with a traceback,
+and is a deviation until the part works again. Only that part backs off. No bug of Poise
+ends a robot.
+"""
 
 from __future__ import annotations
 
@@ -185,7 +190,10 @@ def _raised(component: ComponentStatus, computer: str) -> _Counts:
 
 
 def refused(container: ContainerStatus) -> Iterator[tuple[str, int]]:
-    """Yield connectors whose targets refused messages, and how many."""
+    """Yield connectors whose targets refused messages, and how many.
+
+    A call that fails is an error of its caller, who may expect it.
+    """
     failing = [e for e in container.connectors if e.errors and e.end != "source"]
     if not failing:
         return

@@ -38,7 +38,11 @@ class Watch:
         return self._faults.count
 
     def record(self) -> None:
-        """Journal each deviation, fault and error when it begins, and when it ends."""
+        """Journal each deviation, fault and error when it begins, and when it ends.
+
+        The entry of a container's fault covers the deviation that it caused. A move
+        judges the components that it moves.
+        """
         run = self._run
         run.note_refused()
         self._note_faults()

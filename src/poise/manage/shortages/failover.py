@@ -143,7 +143,10 @@ def _by_priority(
     stranded: Homes,
     missing: Mapping[str, str],
 ) -> Failover:
-    """Return what fits of the stranded, the highest priority first."""
+    """Return what fits of the stranded, the highest priority first.
+
+    Architectures that run are suspended for higher ones only.
+    """
     placement: dict[str, str] = {}
     suspended: tuple[str, ...] = ()
     missing = dict(missing)

@@ -21,7 +21,11 @@ from poise.model.robot import ComponentEntry, Computer, Robot
 
 
 def placed_beside(situation: Situation, homes: Homes) -> plan.Result:
-    """Return where components run with least work undone, sharing CPU that is short."""
+    """Return where components run with least work undone; CPU that is short is shared.
+
+    Those without homes do not count. To move one that works on one of its homes costs
+    what it would have done meanwhile. Why nothing fits is not looked for.
+    """
     robot = _what_is_left(situation, homes, situation.robot.computers)
     problem = _problem_of(situation, robot)
     here = replace(situation, robot=robot, demand_estimates=())

@@ -58,7 +58,10 @@ class Suspensions:
         """The architectures that stopped because their task lacks another function."""
 
     def suspend(self, names: Iterable[str], why: str, now: float) -> bool:
-        """Stop architectures; return whether that went well."""
+        """Stop architectures; return whether that went well.
+
+        Their state is lost.
+        """
         run, names = self._run, tuple(names)
         components: dict[str, str] = {}
         for name in names:
@@ -213,7 +216,10 @@ class Suspensions:
 
 
 def not_running(robot: Robot, task: str, placed: Iterable[str]) -> list[Architecture]:
-    """Return what a task needs and does not run, the highest priority first."""
+    """Return what a task needs and does not run, the highest priority first.
+
+    Of alternatives all are listed, the best one first.
+    """
     there = set(placed)
     functions = {*robot.functions_of(task)}
     running = {
@@ -240,7 +246,10 @@ class NeededFunctions:
         self._said: dict[str, Deviation] = {}
 
     def evaluate(self, situation: Situation, now: float) -> AbstractSet[str]:
-        """Say what is missing or back; return what is needed and is missing."""
+        """Say what is missing or back; return what is needed and is missing.
+
+        What comes back within moments, as by a fail-over, does not count.
+        """
         missing, task = missing_functions(situation), situation.task
         needed = {n for t in situation.robot.tasks if t.name == task for n in t.needs}
         if needed & self._said.keys() & missing:  # it has stopped the others
@@ -377,7 +386,10 @@ class ResumeSuspended:
     def _choices(
         self, due: list[Architecture], missing: AbstractSet[str]
     ) -> list[Sequence[Architecture]]:
-        """Return what may be taken back together, the best first."""
+        """Return what may be taken back together, the best first.
+
+        While needed functions are missing, that is nothing but all of them.
+        """
         if not missing:
             held = [a for a in due if a.name in self._suspensions.suspended_with_task]
             return [

@@ -37,7 +37,13 @@ class Room(Struct, frozen=True, kw_only=True):
 def room_for_functions(
     situation: Situation, functions: Iterable[str], by_plan: Mapping[str, str]
 ) -> Room:
-    """Return where functions go, beside their running components."""
+    """Return where functions go, beside their running components.
+
+    What runs stays where it is, if all fits so; else it moves where it may.
+
+    `by_plan`: component -> computer, as the plan over time has it; it counts where it
+    fits.
+    """
     here = situation.within_reach()
     robot = _with_chosen(here.left().robot_now, here.placement)
     try:
@@ -139,7 +145,11 @@ class PlanOverTime:
     def placement(
         self, task: str, actions: tuple[str, ...], functions: tuple[str, ...]
     ) -> Mapping[str, str]:
-        """Return where what provides functions runs while actions do."""
+        """Return where what provides functions runs while actions do.
+
+        Empty when the plan does not know. Of several phases with these actions the
+        first counts.
+        """
         result = self._of(task)
         wanted = self._robot.components_for(functions)
         for name, phase in result.results.items() if result else ():
@@ -207,7 +217,11 @@ class Admission:
         *,
         explore: bool,
     ) -> Room:
-        """Return where all goes that should run now."""
+        """Return where all goes that should run now.
+
+        When it does not fit, tasks of low priority wait for the room of others; when
+        one does not even fit alone, its actions fail. The room then says why.
+        """
         new = tuple(new)
         robot = learned(
             situation.robot,

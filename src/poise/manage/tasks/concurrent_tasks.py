@@ -138,7 +138,11 @@ class Tasks:
         return [r for r in self._by_rank() if r.state == "going"]
 
     def arbitrate(self, now: float) -> None:
-        """Decide which tasks may run now: the others wait, and say for what."""
+        """Decide which tasks may run now: the others wait, and say for what.
+
+        A task waits while another of higher priority, or of the same that is at work,
+        uses what only one may use; or while `block` says so.
+        """
         granted: list[tuple[TaskRecord, Attempt]] = []
         for record in self._by_rank():
             mine = [(record, attempt) for attempt in self.tries(record)]
@@ -249,7 +253,10 @@ class Tasks:
         return self._steps[record.name].next_actions(record.progress)
 
     def _by_rank(self) -> list[TaskRecord]:
-        """Return what is not over or paused, the most important first."""
+        """Return what is not over or paused, the most important first.
+
+        Of the same priority, what is at work keeps what it has.
+        """
         records = [r for r in self.records if r.state not in _HALTED]
         if len(records) > 1:  # whether one is at work takes a walk through its steps
             records.sort(key=lambda r: (-r.priority, not self._is_at_work(r), r.order))

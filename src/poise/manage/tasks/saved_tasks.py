@@ -16,7 +16,10 @@ from poise.wire.codec import MALFORMED
 
 
 def goes_on_with(run: RunningComponents, asked: Tasks, journal: Journal) -> Saved:
-    """Return the tasks that go on: those of the manager before, and those asked for."""
+    """Return the tasks that go on: those of the manager before, and those asked for.
+
+    `asked`: what this manager was to start; what runs already goes on where it was.
+    """
     if not run.has_taken_over or not run.desired.tasks:
         return asked.saved
     note = journal.note

@@ -30,7 +30,12 @@ from poise.wire.records.status_records import State
 def prepare(
     run: RunningComponents, placement: Mapping[str, str], cpu: Mapping[str, float]
 ) -> None:
-    """Let components be prepared on computers; return before they are."""
+    """Let components be prepared on computers; return before they are.
+
+    What is prepared elsewhere is dropped there; what is at work stays as it is.
+
+    `cpu`: computer -> the CPU time that others leave for it [cores].
+    """
     new = [
         _prepared(run, name, computer, gently=True)
         for name, computer in placement.items()
@@ -53,7 +58,10 @@ def drop(run: RunningComponents, components: Iterable[str]) -> None:
 def switch(
     run: RunningComponents, ends: Collection[str], begins: Mapping[str, str]
 ) -> bool:
-    """Let components rest, prepared, and others begin to work."""
+    """Let components rest, prepared, and others begin to work.
+
+    Returns whether all of these were prepared.
+    """
     are_ready = _are_ready(run, begins)
     idle = [
         replace(run.placed[name], goal="inactive", unjoined=True, gently=False)
@@ -164,7 +172,10 @@ class IdleComponents:
                 drop(run, names)
 
     def oldest_first(self, prepared: Iterable[str]) -> list[str]:
-        """Return prepared components: those that only might be needed come first."""
+        """Return prepared components: those that only might be needed come first.
+
+        Those that become idle now come last.
+        """
         run, now = self._run, time.monotonic()
         known = {name: self._since.get(name, 0.0) for name in run.prepared}
         return sorted(prepared, key=lambda name: known.get(name, now))

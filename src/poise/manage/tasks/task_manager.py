@@ -212,7 +212,10 @@ class TaskManager:
         return self._fail_endless([attempt for _, attempt in began])
 
     def _fail_endless(self, began: Iterable[Attempt]) -> bool:
-        """End actions whose end would never be reported; return whether it did."""
+        """End actions whose end would never be reported; return whether there are any.
+
+        An alternative without the component that ends an action provides its function.
+        """
         endless = False
         for attempt in began:
             if why := self._serving.why_endless(attempt.action.ends):
@@ -222,7 +225,10 @@ class TaskManager:
         return endless
 
     def _with_turns(self) -> Desired:
-        """Return what should run, when components know which actions begin."""
+        """Return what should run, when components know which actions begin.
+
+        Also those that start again.
+        """
         run, begins = self._run, list[Incarnation]()
         for _, attempt in self._due_actions():
             end = attempt.action.ends

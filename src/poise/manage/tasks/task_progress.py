@@ -1,4 +1,8 @@
-"""How far a task and its steps are. Pure; times are given."""
+"""How far a task and its steps are. Pure; times are given.
+
+The records of progress mirror the steps: they can be sent to agents and read again by
+the next manager.
+"""
 
 from __future__ import annotations
 
@@ -130,7 +134,11 @@ class Steps:
                 yield step.until, progress
 
     def next_actions(self, whole: Progress) -> list[tuple[Attempt, float]]:
-        """Return the actions that may come next, with their probabilities."""
+        """Return the actions that may come next, with their probabilities.
+
+        What may come next are the first actions behind each one that runs, taken to be
+        done. Which branch of a choice comes is what would be chosen now.
+        """
         running = {attempt.name for attempt in self.tries(whole)}
         after = self._after(self._whole, whole)
         first = [attempt for attempt in after if attempt.name not in running]
@@ -175,7 +183,10 @@ class Steps:
     def _walk(
         self, step: Step, progress: Progress, prefix: str = ""
     ) -> list[tuple[Step, Progress, str]]:
-        """Return the steps that go on, and the prefix of actions' names there."""
+        """Return the steps that go on, and what the names of actions there begin with.
+
+        An action in whose stead something else is done does not go on.
+        """
         if progress.state != "going":
             return []
         nodes = [(step, progress, prefix)]

@@ -263,7 +263,10 @@ class _Sending:
         self._there = 0
 
     def send(self, version: str) -> int:
-        """Return how much was sent [bytes]; RunError: the computer does not have it."""
+        """Return how much was sent [bytes]; RunError: the computer does not have it.
+
+        What an interrupted deployment has left there is not sent again.
+        """
         sent = sum(self._send(digest, data) for digest, data in self._files.items())
         self._ask(InstallCode(version), _INSTALL_LIMIT)
         return sent

@@ -1,4 +1,7 @@
-"""The wheels of a robot's `requirements.txt`, for each platform of its computers."""
+"""The wheels of a robot's `requirements.txt`, for each platform of its computers.
+
+They are chosen once, and written with their hashes into `requirements.lock` beside it.
+"""
 
 from __future__ import annotations
 

@@ -232,7 +232,12 @@ def started(  # noqa: PLR0913 - each is a choice of the caller
     election: Election | None = None,
     found: Computers | None = None,
 ) -> Iterator[Started]:
-    """Start a robot's components on its computers; stop and remove all afterwards."""
+    """Start a robot's components on its computers; stop and remove all afterwards.
+
+    `tasks`: what it is to do, as in `Desired`.
+    `election`: how its managers follow each other; None: they do not.
+    `found`: its computers, which are up already; None: they are found or emulated.
+    """
     _check_runnable(robot, placement)
     with contextlib.ExitStack() as stack:
         folder = stack.enter_context(scratch_folder("poise-run-"))

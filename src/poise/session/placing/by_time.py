@@ -29,7 +29,10 @@ from poise.simulation.workload import SimulatedWork, workload_of
 
 
 def chain_limits(robot: Robot, work: SimulatedWork) -> Iterator[TimeLimit]:
-    """Yield what the data of each chain passes from end to end."""
+    """Yield what the data of each chain passes from end to end.
+
+    `work`: what the components do.
+    """
     paths = _Paths(robot, work)
     for chain in robot.chains:
         yield TimeLimit(
@@ -49,7 +52,10 @@ def chain_limits(robot: Robot, work: SimulatedWork) -> Iterator[TimeLimit]:
 
 
 def timer_limits(work: SimulatedWork) -> Iterator[TimeLimit]:
-    """Yield what a run of each timer with a deadline takes."""
+    """Yield what a run of each timer with a deadline takes.
+
+    What it waits for besides is predicted of a whole placement.
+    """
     for component, model in work.models.items():
         for each in model.timers:
             if each.timer.deadline is not None:
@@ -75,7 +81,10 @@ class _Paths:
             self._between.setdefault(ends, connector)
 
     def runs(self, chain: Chain) -> Iterator[tuple[str, HandlerModel]]:
-        """Yield components and the handlers that the data goes through, each once."""
+        """Yield components and the handlers that the data goes through, each once.
+
+        The first component makes it when it sends it.
+        """
         for component in chain.through[1:]:
             handlers = [
                 handler
@@ -140,7 +149,11 @@ class DecidedByTime(Struct, frozen=True):
 def decide_by_time(
     robot: Robot, problem: plan.PhasedProblem, decide: Decide
 ) -> DecidedByTime:
-    """Return the best placement found, with the times that are predicted for it."""
+    """Return the best placement found, with the times that are predicted for it.
+
+    `robot`: if it has chains and its code was not read yet, another process imports it.
+    `decide`: decides a problem.
+    """
     if any(phase.problem.time_limits for phase in problem.phases):
         robot = with_code(robot)
     elif not _has_deadlines(robot):
@@ -163,7 +176,10 @@ def decide_by_time(
 
 
 def _as_predicted(decided: DecidedByTime) -> DecidedByTime:
-    """Return a placement whose F has the times that are predicted of it."""
+    """Return a placement whose F has the times that are predicted of it.
+
+    It may have been decided by what was predicted of another one.
+    """
     result = decided.phased
     summed = _summed(result)
     is_whole = all(r.placement and not r.suspended for r in result.results.values())
@@ -229,7 +245,10 @@ def _summed(result: plan.PhasedResult) -> float:
 
 
 def _excesses(decided: DecidedByTime) -> Iterator[float]:
-    """Yield what F grows by for each deadline that may not be kept."""
+    """Yield what F grows by for each deadline that may not be kept.
+
+    Of what is not predicted the sum counts, which it takes at least.
+    """
     weights = decided.phased.problem.weights
     for name, times in decided.predicted.items():
         ages = _ages(times)

@@ -110,7 +110,10 @@ def _checked(
     found: Mapping[object, object],
     choices: Mapping[str, tuple[str, ...]],
 ) -> dict[str, str]:
-    """Return the placement in a file; UsageError with all that is wrong with it."""
+    """Return the placement in a file; UsageError with all that is wrong with it.
+
+    Whether it holds one architecture of each function is for the planner to say.
+    """
     faults = []
     placement = {}
     for component, computer in found.items():

@@ -251,7 +251,11 @@ def _share(measured: MeasuredUsage, name: str) -> float:
 def _memory(
     typical: Observed, apart: Observed, names: Sequence[str]
 ) -> dict[str, tuple[float, float]]:
-    """Return the memory that each component adds, and its part of the container's."""
+    """Return the memory that each component adds, and its part of the container's.
+
+    Apart, each component also has the libraries that a shared container has once. Their
+    size is the difference between the sum and the shared container.
+    """
     alone = _by_component(apart.measured)
     floor = alone.get(EMPTY, 0.0)
     found: dict[str, tuple[float, float]] = {}

@@ -207,7 +207,11 @@ class _Measuring(Struct, frozen=True):
         return {str(end) for end in ends if end.component in coded.intersection(names)}
 
     def _idle(self, run: Observed, silent: Mapping[str, Sequence[str]]) -> list[str]:
-        """Return the components that did not do their work because of silent ports."""
+        """Return the components that did not do their work because of silent ports.
+
+        They wait for messages of each subscribed port. Calls to provided ports may be
+        rare, unless there is no other input.
+        """
         topics = {c.name: c.subscribes for c in components_of(run.statuses)}
         return [
             name
@@ -251,7 +255,10 @@ class _Measuring(Struct, frozen=True):
         return run
 
     def _speed(self) -> float:
-        """Return the factor from this computer's CPU time to the reference one's."""
+        """Return the factor from the computer's CPU time to the reference computer's.
+
+        An emulated computer of speed 0.5 runs half of the time, at full speed.
+        """
         if self.robot.is_emulated:
             return 1.0
         return self.robot.computer(self.computer).speed
@@ -269,7 +276,10 @@ def _kept(robot: Robot, new: Profile) -> Profile:
 
 
 def _merged(new: Profile, old: Profile | None, robot: Robot) -> Profile:
-    """Return the new profile with the older one's figures of other components."""
+    """Return the new profile with the older one's figures of other components.
+
+    Figures of another computer, or of components that no longer exist, are dropped.
+    """
     if old is None or (old.computer, old.robot) != (new.computer, new.robot):
         return new
     names = {c.name for c in robot.components()}

@@ -256,7 +256,11 @@ def _apart(architecture: Architecture) -> Architecture:
 def _feeding(
     robot: Robot, chosen: Architecture, playing: Played
 ) -> tuple[Architecture, ...]:
-    """Return the sources and providers of `chosen`, and theirs."""
+    """Return the sources and providers of `chosen`, and theirs.
+
+    Of alternatives that provide the same function only the best one is returned: no
+    message reaches either when both run.
+    """
     owner = {c.name: a for a in robot.architectures for c in a.components}
     running = {chosen.function: chosen.name}
     names = [chosen.name]

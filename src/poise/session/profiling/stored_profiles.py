@@ -107,7 +107,11 @@ _MIB = 2**20
 
 
 def write_demands(file: Path, profile: Profile) -> list[Path]:
-    """Write the demands of `profile` under the components of a robot file."""
+    """Write the demands of `profile` under the components of a robot file.
+
+    Comments and layout of the file, of included files and of those in folders of
+    `repository` are kept. Files of installed packages are not changed.
+    """
     source = load_source(file)
     paths = [
         ("architectures", architecture.name, "components", component.name)
@@ -149,7 +153,11 @@ def loops() -> float:
 
 
 def as_when_profiled(robot: Robot) -> Robot:
-    """Return the robot with computers as quick as its profile was measured with."""
+    """Return the robot with computers as quick as its profile was measured with.
+
+    A core of this machine may do more or less than one of the machine of the profile:
+    by so much less or more time of it emulates the same computer.
+    """
     profile = read_profile(robot)
     if profile is None or not profile.loops or not robot.is_emulated:
         return robot
