@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from operator import itemgetter
 from typing import TYPE_CHECKING, Literal
 
 from poise.errors import PoiseError, RunError
@@ -313,13 +314,19 @@ class MigrationModel:
     def _source_of(
         self, component: SimulatedComponent
     ) -> tuple[SimulatedContainer, int] | None:
+        """Return the incarnation before; one that was lost may still be elsewhere."""
         name = component.spec.name
-        for container in self._container.world.containers():
-            for (other, epoch), sibling in container.components.items():
-                is_older = other == name and epoch < component.spec.epoch
-                if is_older and sibling.state != "finalized":
-                    return container, epoch
-        return None
+        older = [
+            (epoch, container)
+            for container in self._container.world.containers()
+            for (other, epoch), sibling in container.components.items()
+            if other == name and epoch < component.spec.epoch
+            if sibling.state != "finalized"
+        ]
+        if not older:
+            return None
+        epoch, container = max(older, key=itemgetter(0))
+        return container, epoch
 
     def _component(self, step: Step) -> SimulatedComponent:
         try:
