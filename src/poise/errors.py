@@ -152,7 +152,10 @@ _MINOR = re.compile(r"(\d+)\.(\d+)(\.\w+)*")
 
 
 def why_too_old(least: str) -> str:
-    """Return why this Poise cannot read what needs a version; empty: it can."""
+    """Return why this Poise cannot read what needs a version; empty: it can.
+
+    Only major and minor version count. ValueError: `least` is no version.
+    """
     own = version("poise")
     if _minor(least) <= _minor(own):
         return ""

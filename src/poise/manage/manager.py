@@ -391,28 +391,32 @@ class Manager:
     def _situation(self) -> Situation:
         return self._reader.read(self.tasks.now())
 
-    def _why_superseded(self) -> str:
-        """Return why this manager does not lead the robot any more; empty: it does."""
+    def _end_of_lead(self) -> tuple[str, float]:
+        """Return why this manager leads no more, and since when [s since 1970].
+
+        Empty: it leads.
+        """
         agents = self._run.agents
         if (successor := agents.successor()) is not None:
-            return f"{successor} has taken over the robot, which keeps running"
-        why = agents.why_not_leading()
-        return f"{why}: this manager leaves the robot to another one" if why else ""
+            text = f"{successor} has taken over the robot, which keeps running"
+            return text, successor.since
+        if not (why := agents.why_not_leading()):
+            return "", 0.0
+        text = f"{why}: this manager leaves the robot to another one"
+        return text, wall_time() - agents.heartbeats.unconfirmed()
 
     def _superseded(self) -> Iterator[Deviation]:
         """Yield what to know of a status while this manager ends what it had begun."""
-        why = ""
+        text, since = "", 0.0
         with contextlib.suppress(Exception):  # the tick reports a bug in it
-            why = self._why_superseded()
-        if why:
-            yield Deviation(
-                what=f"{why}: what an earlier manager says here may be out of date",
-                computer=self._run.agents.manager.host,
-                since=wall_time(),
-            )
+            text, since = self._end_of_lead()
+        if text:
+            what = f"{text}; what this manager says may be out of date"
+            host = self._run.agents.manager.host
+            yield Deviation(what=what, computer=host, since=since)
 
     def _raise_on_successor(self) -> None:
-        text = self._why_superseded()
+        text, _ = self._end_of_lead()
         if text and not self._why_over:
             self._run.journal.note("seen", text)
             self._run.leave()

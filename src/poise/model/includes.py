@@ -25,7 +25,10 @@ _SECTIONS = (
 
 
 def add_prefix(root: Node, prefix: str, problems: list[FileProblem]) -> None:
-    """Prefix the names that a file defines with `prefix`, also where they are used."""
+    """Prefix the names that a file defines with `prefix`, also where they are used.
+
+    Names of computers, and of what other files define, stay.
+    """
     assert isinstance(root.value, dict)  # noqa: S101 - the reader has seen to it
     for name in [name for name in root.value if name not in _SECTIONS]:
         problem = f"{name}: a file with a prefix has only {listed(_SECTIONS)}"

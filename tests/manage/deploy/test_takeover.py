@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from typing import cast
 
 import pytest
@@ -21,7 +22,14 @@ from poise.manage.observe.estimates import Estimates
 from poise.manage.observe.sample_recording import Recording
 from poise.manage.tasks.task_progress import Saved
 from poise.model.robot import Robot
+from poise.testing import VirtualClock
 from poise.wire.records.deployment_records import Deployment
+from poise.wire.records.migration_records import (
+    MigrationSteps,
+    StepsDone,
+    StepsFailed,
+    StepsOutcome,
+)
 from poise.wire.records.request_records import ManagerId
 from tests.manage.conftest import FakeAgents
 
@@ -151,7 +159,10 @@ def test_a_manager_that_has_a_successor_leaves_the_robot_as_it_is(
     assert not manager.status().deviations
     agents.later = LATER
     # it says so from then on, also while it waits for something
-    assert "may be out of date" in manager.status().deviations[0].what
+    said = manager.status().deviations[0]
+    assert "bob" in said.what
+    assert "may be out of date" in said.what
+    assert said.since == LATER.since
     with pytest.raises(TakenOver, match=r"user bob on desk \(process 8\) since"):
         manager.work(0.0)
     manager.stop()
@@ -211,3 +222,34 @@ def test_a_robot_that_was_stopped_starts_again(robot: Robot) -> None:
     start_or_take_over(run)
     assert run.placement() == PLACEMENT
     assert sentences(journal)[-1] == "all components run"
+
+
+def test_who_does_not_answer_is_asked_again_whether_a_move_was_committed(
+    robot: Robot,
+) -> None:
+    """Only the sender, which answers late, knows that the target counts."""
+    source = structs.replace(LEFT[1], goal="stay")
+    target = structs.replace(LEFT[1], computer="right", epoch=5, goal="inactive")
+    run, agents, _ = run_of(robot, LEFT[0], source, target)
+    run.clock = VirtualClock()
+    sender = run.layout.container_of(LEFT[0])
+    asked: list[list[str]] = []
+
+    def take_steps(
+        batches: Iterable[tuple[str, MigrationSteps]],
+    ) -> Iterator[StepsOutcome]:
+        batches = list(batches)
+        asked.append([steps.container for _, steps in batches])
+        for _, steps in batches:
+            if steps.container != sender:
+                yield StepsDone(steps.number)
+            elif len(asked) == 1:
+                yield StepsFailed(steps.number, "it does not answer")
+            else:
+                targets = (("thinker", 5), ("grabber", 0))
+                yield StepsDone(steps.number, targets=targets, is_committed=True)
+
+    agents.take_steps = take_steps  # type: ignore[attr-defined]
+    start_or_take_over(run, by_force=False)
+    assert run.placement() == {"grabber": "left", "thinker": "right"}
+    assert asked[1:] == [[sender]]

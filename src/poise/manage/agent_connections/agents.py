@@ -358,7 +358,11 @@ class Agents(AgentReports):
         return self._is_leased or self.heartbeats.have_leases_ended({computer})
 
     def revoke(self, computers: Iterable[str]) -> bool:
-        """Obtain that components of lost computers may be started elsewhere."""
+        """Obtain that components of lost computers may be started elsewhere.
+
+        From then on the agents of these computers are to be claimed again. It fails,
+        and changes nothing, while the lease of one may not have ended yet.
+        """
         names = tuple(computers)
         tokens = {name: self._claims.tokens.get(name, 0) for name in names}
         if not self.heartbeats.revoke(tokens):

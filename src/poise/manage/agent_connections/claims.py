@@ -80,7 +80,7 @@ class Claims:
     def successor(self, reached: Sequence[AgentStatus]) -> ManagerId | None:
         """Return the manager to which this one gives way; None: there is none."""
         if self.election is not None and self.accepted:
-            # its agent takes none of this term any more, whoever leads
+            # an agent that voted for another one refuses this one from then on
             voted = [s.manager for s in reached if s.manager is not None]
             others = [m for m in voted if m.key != self.manager.key]
             later = [m for m in others if m.term >= self.manager.term]

@@ -154,7 +154,11 @@ class AgentReports:
         check: Callable[[], None] = nothing,
         why_silent: Callable[[str], str] = lambda _: "",
     ) -> None:
-        """Wait until the agents of all `computers` are there and reported."""
+        """Wait until the agents of all `computers` are there and reported.
+
+        `check`: called now and then; may raise to end the waiting; `why_silent`: finds
+        out why the agent at an endpoint may let nobody in.
+        """
         wanted, deadline = set(computers), self._clock.now() + limit
         while not self.wait_news(lambda: wanted <= self.reached(), LOOK_EVERY):
             check()

@@ -40,6 +40,11 @@ class ReportedIncarnation(Struct, frozen=True, kw_only=True):
         return self.spec.name
 
     @property
+    def key(self) -> tuple[str, int]:
+        """Component and epoch, which tell it from all others."""
+        return self.spec.name, self.spec.epoch
+
+    @property
     def goal(self) -> Goal:
         """What it is to be, when nothing holds it."""
         return "active" if self.spec.held else self.spec.goal
@@ -181,8 +186,8 @@ def authoritative(
     for reported in sorted(found, key=lambda f: f.spec.epoch):
         before = counts.get(reported.name)
         is_target = before is not None and reported.goal == "inactive"
-        is_committed = (reported.name, reported.spec.epoch) in committed
-        if reported.name not in gone and (not is_target or is_committed):
+        counts_now = not is_target or reported.key in committed
+        if reported.name not in gone and counts_now:
             counts[reported.name] = reported
     return counts
 

@@ -19,7 +19,13 @@ from poise.wire.records.status_records import ConnectorStatus
 
 
 def levels(names: Collection[str], leads: Iterable[tuple[str, str]]) -> list[list[str]]:
-    """Return `names` so that each comes before all to which it leads."""
+    """Return `names` so that each comes before all to which it leads.
+
+    Those that lead to each other are in one level.
+
+    `leads`: pairs of which the first leads to the second, such as caller and callee;
+    also over others than `names`.
+    """
     following: dict[str, set[str]] = {}
     for source, target in leads:
         following.setdefault(source, set()).add(target)

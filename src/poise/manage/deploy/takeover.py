@@ -287,11 +287,8 @@ def _committed(
         for computer, deployment in deployments.items()
         for container in deployment.containers
     }
-    committed = {
-        (each.name, each.spec.epoch)
-        for each in reported
-        if each.goal == "inactive" and each.computer not in deployments
-    }
+    targets = [each for each in reported if each.goal == "inactive"]
+    committed = {each.key for each in targets if each.computer not in deployments}
     until = run.clock.now() + WITNESS_LIMIT
     while True:
         unknown: dict[tuple[str, str], str] = {}
@@ -300,20 +297,20 @@ def _committed(
                 unknown[where] = outcome.reason
             elif outcome.is_committed or not committed.isdisjoint(outcome.targets):
                 committed |= set(outcome.targets)
-        asked = {
-            where for where in unknown if not _targets(reported, where) <= committed
-        }
-        if not asked or run.clock.now() >= until:
+        asked = set(unknown)
+        doubted = [each for each in targets if each.key not in committed]
+        if not asked or not doubted or run.clock.now() >= until:
             break
         _raise_on_ended_leases(run, asked)
         run.clock.sleep(LOOK_EVERY)
-    asked = {where for where in asked if _targets(reported, where)}
+    # nothing goes on in the container of a target before the commit
+    asked &= {(each.computer, each.container) for each in doubted}
     for where in sorted(asked):
         why = f"{unknown[where]}: it is ended, for it may have gone on with the move"
         run.journal.note("decided", f"amid a migration, {why}")
     if asked:
         _end_containers(run, asked, deployments)
-    return frozenset(committed)
+    return frozenset(committed & {each.key for each in targets})
 
 
 def _raise_on_ended_leases(
@@ -339,17 +336,6 @@ def _halted(
     ]
     for outcome in run.agents.take_steps(batches):
         yield by_number[outcome.number], outcome
-
-
-def _targets(
-    reported: Sequence[ReportedIncarnation], where: tuple[str, str]
-) -> set[tuple[str, int]]:
-    """Return the targets in a container: nothing goes on there before the commit."""
-    return {
-        (each.name, each.spec.epoch)
-        for each in reported
-        if each.goal == "inactive" and (each.computer, each.container) == where
-    }
 
 
 def _end_containers(

@@ -136,7 +136,11 @@ def choose(
     *,
     explore: bool = False,
 ) -> int:
-    """Return which step of a choice promises most; of equals the first."""
+    """Return which step of a choice promises most; of equals the first.
+
+    A step promises what the best architectures for its first action do: their quality
+    times their success under these conditions, as learned.
+    """
     promises = []
     for step in choice.steps:
         action = first_action(robot, step)

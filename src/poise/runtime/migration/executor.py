@@ -31,6 +31,7 @@ from poise.wire.records.migration_records import (
     StepsFailed,
     StepsOutcome,
     StepTaken,
+    Targets,
 )
 
 _PAUSE_SHARE = 0.8
@@ -158,7 +159,7 @@ class MigrationExecutor:
         self._participants: dict[Runner, Participant] = {}
         self._beginning = threading.Lock()
         self._num_deployments = 0
-        self._targets: tuple[tuple[str, int], ...] = ()
+        self._targets: Targets = ()
         self._is_committed = False
         self._deployed: ContainerSpec | None = None
 
@@ -206,9 +207,7 @@ class MigrationExecutor:
             return StepsFailed(batch.number, brief_traceback(error), tuple(taken))
         return StepsDone(batch.number, tuple(taken))
 
-    def _begin(
-        self, step: Step, deployment: int, targets: tuple[tuple[str, int], ...]
-    ) -> None:
+    def _begin(self, step: Step, deployment: int, targets: Targets) -> None:
         """Note whether there is a way back; raise RunError when the step is late."""
         with self._beginning:
             if deployment != self._num_deployments:

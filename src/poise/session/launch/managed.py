@@ -38,7 +38,10 @@ class StandbySetup(Struct, frozen=True, kw_only=True):
 
 
 def election_of(robot: Robot, *, adapts: bool) -> Election | None:
-    """Return how managers of a robot follow each other; None: they do not."""
+    """Return how managers of a robot follow each other; None: they do not.
+
+    Its computers have to outlive each of them.
+    """
     is_real = any(computer.address for computer in robot.computers)
     if not robot.standbys or not (is_real or set_for(robot) is not None):
         return None

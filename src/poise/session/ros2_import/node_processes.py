@@ -267,7 +267,10 @@ def _program_length(words: Sequence[str]) -> int:
 
 
 def parameters_in(text: str, node: str) -> dict[str, Any]:
-    """Return what a parameter file says for a node, by its full name."""
+    """Return what a parameter file says for a node, by its full name.
+
+    Later sections win; a wildcard fits as in ROS 2: ``*`` one name, ``**`` any number.
+    """
     found: dict[str, Any] = {}
     for pattern, section in _sections_of(yaml.safe_load(text) or {}, ""):
         regex = re.escape(pattern).replace(r"/\*\*", "(/.+)?").replace(r"\*", "[^/]+")

@@ -19,6 +19,7 @@ from poise.wire.records.migration_records import (
     StepsDone,
     StepsFailed,
     StepTaken,
+    Targets,
 )
 from poise.wire.records.status_records import ComponentStatus, State
 
@@ -137,7 +138,7 @@ class MigrationModel:
     def __init__(self, container: SimulatedContainer) -> None:
         self._container = container
         self._num_deployments = 0
-        self._targets: tuple[tuple[str, int], ...] = ()
+        self._targets: Targets = ()
         self._is_committed = False
         self._deployed: ContainerSpec | None = None
         self._phases: dict[tuple[str, int], tuple[int, MigrationPhases]] = {}
@@ -197,9 +198,7 @@ class MigrationModel:
         else:
             self._container.answer(StepsDone(batch.number, tuple(taken)))
 
-    def _begin(
-        self, step: Step, deployment: int, targets: tuple[tuple[str, int], ...]
-    ) -> None:
+    def _begin(self, step: Step, deployment: int, targets: Targets) -> None:
         if deployment != self._num_deployments:
             raise RunError(f"'{step.name}' is late: a deployment came before it")
         if targets != self._targets:

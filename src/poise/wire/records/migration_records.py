@@ -190,6 +190,10 @@ class Step(Struct, frozen=True, omit_defaults=True):
         return STEPS[self.name][1]
 
 
+Targets = tuple[tuple[str, int], ...]
+"""Component and epoch of all targets of a migration, which tell it from all others."""
+
+
 class MigrationSteps(Struct, frozen=True, tag=True):
     """Steps for one container, one after the other; the first that fails ends them."""
 
@@ -200,7 +204,7 @@ class MigrationSteps(Struct, frozen=True, tag=True):
     steps: tuple[Step, ...]
     # They are answered within this time [s], but may still be taken afterwards
     limit: float
-    targets: tuple[tuple[str, int], ...] = ()  # Component and epoch of all its targets
+    targets: Targets = ()
 
 
 class StepTaken(Struct, frozen=True):
@@ -219,10 +223,9 @@ class StepsDone(Struct, frozen=True, tag=True):
 
     number: int
     taken: tuple[StepTaken, ...] = ()
-    # Of `halt`: the targets of the migration of which the container began the last
-    # step, since its latest deployment that a manager made; whether a step that follows
-    # the commit was among them
-    targets: tuple[tuple[str, int], ...] = ()
+    # Answers `halt`: of which migration the container began steps last, since the
+    # latest deployment that a manager made, and whether one of them follows the commit
+    targets: Targets = ()
     is_committed: bool = False
 
 
