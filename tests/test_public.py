@@ -75,6 +75,7 @@ PUBLIC = {
         "place",
         "play",
         "profile",
+        "published",
         "read_journal",
         "record",
         "run",

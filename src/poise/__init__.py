@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from poise.runtime.component.ports import found as found
     from poise.runtime.component.ports import lost as lost
     from poise.runtime.component.ports import oneway as oneway
+    from poise.runtime.component.ports import published as published
     from poise.runtime.component.ports import subscribed as subscribed
     from poise.runtime.component.started_calls import StartedCall as StartedCall
     from poise.session.deploy.deploy import Deployed as Deployed
@@ -147,6 +148,7 @@ else:
         "simulate": "session.simulate",
         "status_without_manager": "session.running_robots.without_manager",
         "stop_without_manager": "session.running_robots.without_manager",
+        "published": "runtime.component.ports",
         "subscribed": "runtime.component.ports",
         "test_policies": "session.recorded_run",
         "time_left": "runtime.component.component",

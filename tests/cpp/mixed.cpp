@@ -79,7 +79,7 @@ class Target : public poise::Component {
 POISE_COMPONENT(Target) {
   component.provided<Sums>("sums");
   component.required("backs", &Target::backs);
-  component.published("heard", &Target::heard);
+  component.published("heard", &Target::heard, poise::latest);
   component.subscribed("number", &Target::number, poise::block(4));
   component.subscribed("picture", &Target::picture, poise::block(4));
 }

@@ -307,6 +307,7 @@ def test_messages_and_one_way_calls_reach_cpp(pair: Pair, mixed: ModuleType) -> 
     heard: list[int] = []
     Ear.heard = heard
     source = start(pair, (Ear, mixed.Target))
+    assert ports_of(mixed.Target)["heard"].latest
     source.publish(6)
     wait_until(lambda: heard == [7])
     source.note("four")

@@ -134,6 +134,92 @@ def test_messages_and_calls_cross_both_ways(file: Path) -> None:
     assert {at for name, at in placement.items() if "-" in name} == {"left"}
 
 
+KEEPING = """
+import rclpy
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from std_msgs.msg import Int32
+from poise import Component, Message, Published, published, subscribed
+
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+class Number(Message):
+    data: int
+
+class Maker(Component):
+    number: Published[Number] = published(latest=True)
+
+class Taker(Component):
+    def configure(self) -> None:
+        self.took = []
+
+    @subscribed("number", keep=10)
+    def take(self, message: Number) -> None:
+        self.took.append(message.data)
+        with open(self.parameters["folder"] + "/" + self.name, "w") as file:
+            file.write(str(self.took))
+
+class Echo(Node):
+    def __init__(self):
+        super().__init__("echo")
+        self.back = self.create_publisher(Int32, "/back", LATCHED)
+        self.create_subscription(Int32, "/number", self.back.publish, LATCHED)
+
+def main():
+    rclpy.init()
+    rclpy.spin(Echo())
+
+if __name__ == "__main__":
+    main()
+"""
+KEEPING_FILE = """
+robot: {name}
+computers:
+  left: {{cpu: 0.5, memory: 1 GiB}}
+  right: {{cpu: 0.5, memory: 1 GiB}}
+architectures:
+  make:
+    function: make
+    components:
+      maker: {{implementation: "keeping_of_test:Maker"}}
+      taker: {{implementation: "keeping_of_test:Taker",
+              parameters: {{folder: "{folder}"}}}}
+  echo:
+    function: echo
+    components:
+      echo: {{ros2: {{executable: ./keeping_of_test.py}}, only: [left]}}
+tasks:
+  make: {{actions: [{{name: make, functions: [make]}}]}}
+  echo: {{actions: [{{name: echo, functions: [echo]}}]}}
+ros2:
+  bridges:
+    - {{ros2: /number, port: maker.number, type: std_msgs/msg/Int32}}
+    - {{ros2: /back, port: taker.number, type: std_msgs/msg/Int32,
+       durability: transient local}}
+"""
+
+
+def test_last_messages_cross_to_late_nodes_and_once(tmp_path: Path) -> None:
+    file = written(tmp_path, "keeping", "keeping_of_test", KEEPING, KEEPING_FILE)
+
+    def took() -> str:
+        path = tmp_path / "taker"
+        return path.read_text() if path.exists() else ""
+
+    def move(running: poise.Running, component: str) -> None:
+        here = running.status().placement[component]
+        running.move(component, "left" if here == "right" else "right", force=True)
+
+    with poise.up(poise.load(file), task="make") as running:
+        running.component("maker").publish("number", {"data": 7}, limit=20.0)
+        move(running, "maker-number-ros2")
+        running.tasks.start("echo")  # its node begins after the message
+        wait_long(lambda: took() == "[7]")
+        move(running, "taker-number-ros2")
+        running.component("maker").publish("number", {"data": 8}, limit=20.0)
+        wait_long(lambda: took() == "[7, 8]")
+
+
 @pytest.mark.parametrize(
     ("line", "other", "words"),
     [

@@ -325,7 +325,10 @@ class Ros2Bridge(Struct, frozen=True, kw_only=True):
     reliability: Annotated[
         Reliability | None, says("Default: as the other side's; if unknown, reliable.")
     ] = None
-    durability: Annotated[Durability | None, says("Default: volatile.")] = None
+    durability: Annotated[
+        Durability | None,
+        says("Default: transient local for a port that keeps its last message."),
+    ] = None
     depth: Annotated[int, says("How many messages wait at most.", ge=1, le=10000)] = 10
 
 

@@ -37,6 +37,7 @@ from poise.runtime.component.ports import (
     Required,
     methods_of,
     ports_of,
+    published,
     subscribed,
 )
 
@@ -54,6 +55,11 @@ class BridgeLine(Struct, frozen=True, kw_only=True):
     durability: str | None = None
     depth: int = 10
     port: str = ""
+
+    @property
+    def keeps_last(self) -> bool:
+        """Whether late subscribers get the last message."""
+        return self.durability == "transient local"
 
     def qos(self, **policies: Any) -> Any:  # noqa: ANN401, a profile of rclpy
         """Return the quality of service that it asks for, with other `policies`."""
@@ -96,7 +102,8 @@ class Bridge(Component):
         )
         base, kind, declaring = _SIDES[port.kind]
         entries = [_full(port, kind, entry) for entry in entries]
-        own = {"port": port, "entries": entries, **declaring(port, entries)}
+        own = {"port": port, **declaring(port, entries)}
+        own["entries"] = [_keeping_last(port, entry) for entry in entries]
         made: Any = type(cls.__name__, (base,), own)
         made.conversions(SystemClock())  # `poise check` says what misfits
         return made  # type: ignore[no-any-return]
@@ -143,7 +150,11 @@ class Bridge(Component):
 
 
 class ToTopics(Bridge):
-    """Subscribes to the port, and publishes in ROS 2."""
+    """Subscribes to the port, and publishes in ROS 2.
+
+    It has no state, so it gets the last message of a port again where it moves to, and
+    its new publishers have one for late subscribers.
+    """
 
     @classmethod
     def conversions(cls, clock: ComponentClock) -> list[Conversion]:
@@ -169,8 +180,27 @@ class ToTopics(Bridge):
             publish(to_ros(message))
 
 
+class Came(Struct, frozen=True):
+    """When the last message that was taken had been published [ns since 1970]."""
+
+    stamp: int
+
+
 class FromTopics(ToTopics):
     """Subscribes in ROS 2, and publishes to the port."""
+
+    def configure(self) -> None:
+        """Make a node of its own."""
+        self._before = self._came = 0
+        super().configure()
+
+    def snapshot(self) -> Came:
+        """Return until when it took messages: ROS 2 sends some again."""
+        return Came(self._came)
+
+    def restore(self, state: Came) -> None:
+        """Take nothing that the bridge before has taken."""
+        self._before = self._came = state.stamp
 
     def open(self) -> None:
         """Make the subscriptions."""
@@ -187,10 +217,15 @@ class FromTopics(ToTopics):
         """Subscribe; with `less` when a publisher offers no more, which is said."""
         from rclpy.event_handler import SubscriptionEventCallbacks  # noqa: PLC0415, only where a node runs
 
-        send = getattr(self, self.port.name).publish
-
         def take(message: Any) -> None:  # noqa: ANN401, a message
-            send(from_ros(message))
+            # the port is wired later, and again
+            getattr(self, self.port.name).publish(from_ros(message))
+
+        def take_new(message: Any, info: Mapping[str, Any]) -> None:  # noqa: ANN401, a message
+            stamp = info["source_timestamp"]
+            if stamp > self._before:
+                self._came = max(self._came, stamp)
+                take(message)
 
         def offered_less(event: Any) -> None:  # noqa: ANN401, an event
             policy = event.last_policy_kind.name.lower().rpartition("_")[2]
@@ -210,7 +245,7 @@ class FromTopics(ToTopics):
         subscription = self.node.create_subscription(
             interface(entry.type),
             entry.ros2,
-            take,
+            take_new if entry.keeps_last else take,
             entry.qos(**less),
             event_callbacks=SubscriptionEventCallbacks(incompatible_qos=offered_less),
         )
@@ -382,13 +417,28 @@ def _answering(port: Port, entries: Sequence[BridgeLine]) -> dict[str, Any]:
     return {**_annotated(Provided)(port, entries), **methods}
 
 
+def _publishing(port: Port, entries: Sequence[BridgeLine]) -> dict[str, Any]:
+    latest = any(entry.keeps_last for entry in entries)
+    return {
+        port.name: published(latest=latest),
+        **_annotated(Published)(port, entries),
+    }
+
+
+def _keeping_last(port: Port, entry: BridgeLine) -> BridgeLine:
+    """Return an entry as the port asks for it, where it says nothing of durability."""
+    if not port.latest or entry.durability:
+        return entry
+    return msgspec.structs.replace(entry, durability="transient local", depth=1)
+
+
 def _annotated(form: Any) -> Callable[..., dict[str, Any]]:  # noqa: ANN401, of a port
     return lambda port, _: {"__annotations__": {port.name: form[port.type]}}
 
 
 _SIDES: Mapping[str, tuple[type[Bridge], str, Callable[..., dict[str, Any]]]] = {
     "publishes": (ToTopics, "msg", _taking),
-    "subscribes": (FromTopics, "msg", _annotated(Published)),
+    "subscribes": (FromTopics, "msg", _publishing),
     "provides": (ServesRos, "srv", _annotated(Required)),
     "requires": (AsksRos, "srv", _answering),
 }

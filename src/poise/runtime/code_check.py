@@ -246,8 +246,11 @@ def _coded_ports(
 
 def _check_keeps_state(entry: ComponentEntry, code: type[Component]) -> None:
     """Raise when a component with checkpoints cannot give or take its state."""
-    has_no_snapshot = code.snapshot is Component.snapshot
-    if entry.checkpoint and (has_no_snapshot or code.restore is Component.restore):
+    gives = code.snapshot is not Component.snapshot
+    takes = code.restore is not Component.restore
+    keeps_messages = any(port.latest for port in ports_of(code).values())
+    has_state = (gives and takes) or (keeps_messages and not gives and not takes)
+    if entry.checkpoint and not has_state:
         raise RobotError(
             f"'{entry.implementation}' has no `snapshot` or no `restore`: write them, "
             "or leave out `checkpoint`"

@@ -218,6 +218,7 @@ class Recorder:
         self._reader = Reader()
         self._rate = rate
         self._viewer = secrets.token_hex(8)
+        self._latest: dict[str, tuple[int, int]] = {}
         self._manager = ""
         self._last_entry = 0
         self._silent_since: float | None = None
@@ -324,9 +325,15 @@ class Recorder:
             say(why or f"connector '{connector}' is recorded again")
 
     def _read_messages(self, connector: str) -> TapReading:
-        return self._live.running.look_at(
-            connector, self._viewer, rate=self._rate, is_whole=True
+        reading = self._live.running.look_at(
+            connector,
+            self._viewer,
+            rate=self._rate,
+            is_whole=True,
+            latest=self._latest.get(connector, (0, 0)),
         )
+        self._latest[connector] = reading.latest
+        return reading
 
     def _write_messages(self, file: McapFile, reading: TapReading) -> None:
         whole = [passed for passed in reading.passed if passed.is_whole]

@@ -30,7 +30,8 @@ class Receiver:
     def __init__(self) -> None:
         self.overtaken = OvertakenSources()
         self.counts = Counts()
-        self.heard: list[Any] = []
+        self.came: list[Any] = []
+        self.heard = {"to": dict[str, Any]()}
 
     def hear(self, epoch: int, text: str) -> None:
         spec = ConnectorSpec(
@@ -43,7 +44,7 @@ class Receiver:
             target_port="to",
         )
         feed: Any = SimpleNamespace(
-            counts=self.counts, put=lambda entry: self.heard.append(entry[1])
+            counts=self.counts, put=lambda entry: self.came.append(entry[1])
         )
         issuer: Any = SimpleNamespace(came=lambda _: None)
         target: Any = self
@@ -60,7 +61,7 @@ def test_what_a_lost_source_sent_is_refused_after_what_the_next_one_sent() -> No
     arm.hear(0, "first")
     arm.hear(1, "second")
     arm.hear(0, "late")
-    assert arm.heard == ["first", "second"]
+    assert arm.came == ["first", "second"]
     assert arm.counts.errors == 1
 
 
@@ -69,4 +70,4 @@ def test_an_earlier_incarnation_is_heard_when_the_later_one_is_not_joined() -> N
     arm.hear(1, "first")
     arm.overtaken.forget("mind.out-arm.to", 1)
     arm.hear(0, "second")
-    assert arm.heard == ["first", "second"]
+    assert arm.came == ["first", "second"]

@@ -11,6 +11,8 @@ import pytest
 from numpy.typing import NDArray
 
 from poise import Message
+from poise.runtime.component.ports import Port
+from poise.runtime.connectors.latest import Numbered, numbered, numbered_tag
 from poise.runtime.connectors.tap import InputFile
 from poise.wire import frame
 from poise.wire.codec import codec
@@ -27,7 +29,8 @@ class Vectors(Message):
 
 @pytest.fixture(name="file")
 def _file(tmp_path: Path) -> Iterator[InputFile]:
-    file = InputFile(tmp_path / "it.inputs", "a.x")
+    port = Port("x", "subscribes", Vectors)
+    file = InputFile(tmp_path / "it.inputs", "a.x", port)
     yield file
     file.close()
 
@@ -64,6 +67,20 @@ def test_messages_are_recorded_without_and_calls_with_a_tag(
     assert 0 == found[0].at <= found[1].at
     decode = codec(str).decode
     assert [decode(e.body, memoryview(e.buffers)) for e in found] == ["one", "two"]
+
+
+def test_last_messages_are_recorded_as_all_others(
+    file: InputFile, tmp_path: Path
+) -> None:
+    coder, tag = numbered(codec(Vectors)), numbered_tag(Vectors)
+    array = np.arange(3, dtype=np.uint8)
+    value = Numbered((1, 2), True, Vectors(array, array))
+    pieces = frame.segments(coder, value, Kind.MESSAGE, tag=tag)
+    received(file)[0](frame.parse(b"".join(map(bytes, pieces))))
+    (found,) = inputs_so_far(tmp_path)
+    assert found.tag is None
+    got = codec(Vectors).decode(found.body, memoryview(found.buffers))
+    np.testing.assert_array_equal(got.two, array)
 
 
 def test_arrays_of_any_length_are_recorded(file: InputFile, tmp_path: Path) -> None:

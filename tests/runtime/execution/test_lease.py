@@ -16,6 +16,7 @@ import pytest
 from poise import Component, Message, Provided, Published, Required, every, subscribed
 from poise.clock import SystemClock
 from poise.errors import Unavailable
+from poise.runtime.connectors.latest import LatestMessages
 from poise.runtime.execution.container_lease import LeaseEnd, LeaseEnded
 from poise.runtime.execution.counters import Counts, new_memory
 from poise.runtime.hosting.checkpoints import Checkpoints
@@ -155,7 +156,7 @@ def test_no_checkpoint_is_saved_after_the_end(tmp_path: Path, lease: LeaseEnd) -
 
     component.snapshot = snapshot
     with pytest.raises(LeaseEnded, match="component 'one' is inactive"):
-        checkpoints.write(component)
+        checkpoints.write(component, LatestMessages())
     assert not [each for each in tmp_path.rglob("*") if each.is_file()]
 
 

@@ -95,6 +95,7 @@ class TapCommand(Struct, frozen=True, tag=True):
     rate: float = 0.0
     items: int = SHOWN_ITEMS
     is_whole: bool = False
+    latest: tuple[int, int] | None = None
 
 
 class PortCommand(Struct, frozen=True, tag=True, kw_only=True):

@@ -293,6 +293,7 @@ def _read_tap(agents: Agents, command: TapCommand) -> TapReading:
         rate=command.rate,
         items=command.items,
         is_whole=command.is_whole,
+        latest=command.latest,
         limit=_ANSWER_LIMIT,
     )
     reply = agents.ask(computer, asked, _ANSWER_LIMIT)

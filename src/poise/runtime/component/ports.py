@@ -6,6 +6,7 @@
         poses: Provided[Poses]           # others call the methods of `Poses` on me
         walls: Required[Walls]           # I call the methods of `Walls` on another
         pose: Published[Pose]            # I publish messages of type `Pose`
+        map: Published[Map] = published(latest=True)  # late subscribers get the last
 
         @subscribed("scan", keep=1)      # messages come to me; the port is `scan`
         def on_scan(self, message: Scan) -> None: ...
@@ -109,6 +110,25 @@ class Published(Generic[M]):
         self._send(message)
 
 
+class _Publication(Struct, frozen=True):
+    """What a class says of a published port besides its type."""
+
+    latest: bool
+
+
+def published(*, latest: bool = False) -> Any:  # noqa: ANN401, stands for the port
+    """Say how a port publishes: ``map: Published[Map] = published(latest=True)``.
+
+    Parameters
+    ----------
+    latest
+        Whoever subscribes later, or was restarted, gets the last message at once, and
+        no message twice. The port keeps it, and a move takes it along; so do
+        checkpoints.
+    """
+    return _Publication(latest)
+
+
 class Queue(Struct, frozen=True):
     """How a subscriber queues: keep the last `size` messages, or block at `size`."""
 
@@ -127,6 +147,7 @@ class Port(Struct, frozen=True):
     type: Any
     queue: Queue | None = None
     handler: str = ""  # the method that takes the messages of a subscribed topic
+    latest: bool = False  # whether it keeps its last message for late subscribers
 
 
 class Timer(Struct, frozen=True):
@@ -273,7 +294,7 @@ def ports_of(component: type) -> Mapping[str, Port]:
     """
     ports = {}
     for name, hint in get_type_hints(component, include_extras=True).items():
-        port = _annotated_port(name, hint)
+        port = _annotated_port(name, hint, getattr(component, name, None))
         if port is not None:
             ports[name] = port
     for name, method in inspect.getmembers(component, inspect.isfunction):
@@ -336,9 +357,10 @@ def _refuse_type(message: object, wanted: type) -> None:
         )
 
 
-def _annotated_port(name: str, hint: Any) -> Port | None:  # noqa: ANN401, any hint
+def _annotated_port(name: str, hint: Any, value: object) -> Port | None:  # noqa: ANN401, any hint
     if get_origin(hint) is Published:
-        return Port(name, "publishes", get_args(hint)[0])
+        latest = isinstance(value, _Publication) and value.latest
+        return Port(name, "publishes", get_args(hint)[0], latest=latest)
     if get_origin(hint) is Annotated:
         interface, *marks = get_args(hint)
         if _Provides in marks:

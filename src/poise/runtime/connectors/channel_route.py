@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any, NoReturn
 
@@ -15,6 +15,7 @@ from poise.runtime.component.ports import Port
 from poise.runtime.connectors.endpoints import Endpoints
 from poise.runtime.connectors.flow_control import Credit, CreditIssuer
 from poise.runtime.connectors.interface import Method, message_tag, methods
+from poise.runtime.connectors.latest import numbered, numbered_tag, take
 from poise.runtime.connectors.route import raise_callee_error
 from poise.runtime.connectors.sender import Sender
 from poise.runtime.execution.container_lease import LeaseEnd, LeaseEnded, check_lease
@@ -69,6 +70,8 @@ class ChannelRoute:
         self._is_topic = port.kind == "publishes"
         self._tag = message_tag(port.type)
         self._codec = codec(port.type) if self._is_topic else _NOTHING
+        if port.latest:
+            self._tag, self._codec = numbered_tag(port.type), numbered(self._codec)
 
     def is_ready(self) -> bool:
         """Return whether the receiving end is there."""
@@ -186,15 +189,10 @@ def receiving(
 ) -> Handler:
     """Return the handler of the frames that come to a target."""
     connector, counts = spec.name, feed.counts
-    known = methods(port.type) if port.kind == "provides" else {}
-    answers = {
-        tag: _answering(target, method, spec, counts, remote, lease)
-        for tag, method in known.items()
-    }
-    tag, coder = message_tag(port.type), codec(port.type) if not known else _NOTHING
-
-    tell = _reporter(connector)
+    coders, tell = _coders(port), _reporter(connector)
+    serve = _serving(spec, target, port, counts, remote, lease, tell)
     read = partial(stamped_value, spec, remote) if spec.carries else Frame.value
+    take_numbered = _taking_numbered(connector, target, port, feed, read)
 
     def handle(received: Frame) -> Pieces | None:
         if received.kind is _MARK:
@@ -210,14 +208,33 @@ def receiving(
             counts.add_message(0, received.size, latency, remote.error)
             issuer.came(received)
             target.overtaken.check(spec)
-            wanted = coder if received.tag == tag and not known else None
-            method = known.get(received.tag)
-            coded = wanted or _known(method, port).arguments
-            feed.put((received.tag, read(received, coded)))
+            coder = coders.get(received.tag)
+            if coder is None:
+                take_numbered(received)
+            else:
+                feed.put((received.tag, read(received, coder)))
         except WireError as error:
             counts.refuse(error)
             tell(error)
         return None
+
+    return handle
+
+
+def _serving(
+    spec: ConnectorSpec,
+    target: Endpoints,
+    port: Port,
+    counts: Counts,
+    remote: RemoteClock,
+    lease: LeaseEnd | None,
+    tell: Callable[[WireError], None],
+) -> Callable[[Frame], Pieces]:
+    """Return a function that answers calls."""
+    answers = {
+        tag: _answering(target, method, spec, counts, remote, lease)
+        for tag, method in _methods(port).items()
+    }
 
     def serve(received: Frame) -> Pieces:
         began = time.monotonic()
@@ -234,7 +251,31 @@ def receiving(
         counts.add_call(took, size, received.size, latency, remote.error, failed)
         return answer
 
-    return handle
+    return serve
+
+
+def _taking_numbered(
+    connector: str,
+    target: Endpoints,
+    port: Port,
+    feed: Feed,
+    read: Callable[[Frame, Codec[Any]], Any],
+) -> Callable[[Frame], None]:
+    """Return a function that queues a numbered message, and refuses all else."""
+    if port.kind == "provides":
+        return lambda _: _refuse(port)
+    tag, heard = message_tag(port.type), target.heard[port.name]
+    wanted, coder = numbered_tag(port.type), numbered(codec(port.type))
+
+    def put(message: object) -> None:
+        feed.put((tag, message))
+
+    def take_numbered(received: Frame) -> None:
+        if received.tag != wanted:
+            _refuse(port)
+        take(heard, connector, read(received, coder), put)
+
+    return take_numbered
 
 
 def _reporter(connector: str) -> Callable[[WireError], None]:
@@ -251,13 +292,20 @@ def _reporter(connector: str) -> Callable[[WireError], None]:
 
 def entry_codec(port: Port, tag: int) -> Codec[Any]:
     """Return the codec of a waiting message or one-way call, by its tag."""
-    if port.kind == "provides":
-        return _known(methods(port.type).get(tag), port).arguments
-    return codec(port.type)
+    if port.kind == "subscribes":
+        return codec(port.type)
+    return _coders(port).get(tag) or _refuse(port)
 
 
-def _known(method: Method | None, port: Port) -> Method:
-    return _refuse(port) if method is None else method
+def _coders(port: Port) -> dict[int, Codec[Any]]:
+    """Return the codecs of messages or arguments of calls to a port, by their tags."""
+    if port.kind == "subscribes":
+        return {message_tag(port.type): codec(port.type)}
+    return {tag: method.arguments for tag, method in _methods(port).items()}
+
+
+def _methods(port: Port) -> Mapping[int, Method]:
+    return methods(port.type) if port.kind == "provides" else {}
 
 
 def _refuse(port: Port) -> NoReturn:

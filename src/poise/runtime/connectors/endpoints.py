@@ -13,6 +13,7 @@ from poise.runtime._calls import ComponentCounters
 from poise.runtime.component.component import Component
 from poise.runtime.component.ports import Port, Published, Queue, methods_of
 from poise.runtime.connectors.interface import Proxy, refusing
+from poise.runtime.connectors.latest import Heard, LatestMessage, LatestMessages
 from poise.runtime.connectors.sender import Sender
 from poise.runtime.execution.data_age import DataAges, SentChains
 from poise.runtime.execution.exclusion import Exclusion
@@ -61,8 +62,8 @@ class Endpoints:
 
     def __init__(
         self,
-        name: str,
         component: Component,
+        epoch: int,
         ports: Mapping[str, Port],
         exclusion: Exclusion,
         counters: ComponentCounters,
@@ -81,8 +82,14 @@ class Endpoints:
         }
         self.mailbox = Mailbox(queues, counters)
         self.overtaken = OvertakenSources()
+        self.heard: dict[str, Heard] = {name: {} for name in queues}
+        self.latest = LatestMessages(
+            (name, LatestMessage(port.type, epoch))
+            for name, port in ports.items()
+            if port.latest
+        )
         self.senders: dict[str, Sender] = {}
-        self._name = name
+        self._name = component.name
         self._markers: dict[str, int] = {}
         self._marker_came = threading.Condition()
         for port in ports.values():
@@ -97,7 +104,8 @@ class Endpoints:
             if port.kind == "requires":
                 proxy = getattr(self.component, port.name)
             exclusion = self.exclusion if self.component.reentrant else None
-            sender = Sender(name, port, proxy, limit, exclusion, chains)
+            latest = self.latest.get(port.name)
+            sender = Sender(name, port, proxy, limit, exclusion, chains, latest)
             sender.on_observed = partial(self._rewire, port)
             self.senders[name] = sender
             self._rewire(port)
@@ -156,12 +164,17 @@ class Endpoints:
         if port.kind != "publishes":
             return
         sends = [o.sending() for o in self.senders.values() if o.port == port]
+        send = _to_all(sends)
+        if latest := self.latest.get(port.name):
+            send = latest.numbering(send)
         if listener := self._listeners.get(port.name):
-            sends.insert(0, listener)
-
-        def send_all(message: object) -> None:
-            for send in sends:
-                send(message)
-
-        send = sends[0] if len(sends) == 1 else send_all
+            send = _to_all([listener, send])
         setattr(self.component, port.name, Published(send, port.type))
+
+
+def _to_all(sends: list[Callable[[Any], None]]) -> Callable[[Any], None]:
+    def send_all(message: object) -> None:
+        for send in sends:
+            send(message)
+
+    return sends[0] if len(sends) == 1 else send_all

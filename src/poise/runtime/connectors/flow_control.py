@@ -7,6 +7,8 @@ stream of its messages: what it sent before has arrived by then, or never will. 
 connection begins with a request, so that lost messages are counted at once. Credit goes
 back once half of the queue is empty: one frame for many messages. A queue that keeps
 the last messages gives credit without bound, once.
+
+Credit also says which numbered message came last (`latest`); to other sources nothing.
 """
 
 from __future__ import annotations
@@ -14,9 +16,10 @@ from __future__ import annotations
 import logging
 import secrets
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Protocol
 
+from poise.runtime.connectors.latest import HEARD, NONE, Number
 from poise.runtime.execution.counters import Counts
 from poise.runtime.execution.mailbox import Feed
 from poise.wire import frame
@@ -40,7 +43,9 @@ class Credit:
         self.route = secrets.randbits(63) | 1
         self.sent = 0
         self.on_credit: Callable[[], None] = lambda: None
+        self.on_heard: Callable[[Number], None] | None = None
         self._total = _AT_FIRST
+        self._asked_at = 0
 
     def has_room(self) -> bool:
         """Return whether one more message may go."""
@@ -52,6 +57,7 @@ class Credit:
 
     def request(self) -> Pieces:
         """Return the frame that requests credit."""
+        self._asked_at = self.sent
         return frame.segments(
             _NOTHING,
             None,
@@ -67,7 +73,12 @@ class Credit:
         if is_ours and received.number > self._total:
             self._total = received.number
             self.on_credit()
-        return self._total < _UNBOUNDED
+        if self.on_heard is None:
+            return self._total < _UNBOUNDED
+        # what went out since the request is later than what the target speaks of
+        if is_ours and self.sent == self._asked_at:
+            self.on_heard(received.value(HEARD) or NONE)
+        return True
 
 
 class Back(Protocol):
@@ -81,8 +92,15 @@ class Back(Protocol):
 class CreditIssuer:
     """The target's side of one connector: counts what came, and gives credit."""
 
-    def __init__(self, connector: str, feed: Feed, counts: Counts) -> None:
+    def __init__(
+        self,
+        connector: str,
+        feed: Feed,
+        counts: Counts,
+        heard: Mapping[str, Number],
+    ) -> None:
         self._connector = connector
+        self._heard = heard
         self._feed = feed
         self._counts = counts
         self._lock = threading.Lock()
@@ -148,7 +166,11 @@ class CreditIssuer:
             return
         self._issued = total
         pieces = frame.segments(
-            _NOTHING, None, Kind.CREDIT, number=total, chain=self._route
+            HEARD,
+            self._heard.get(self._connector),
+            Kind.CREDIT,
+            number=total,
+            chain=self._route,
         )
         if not self._back.send_back(pieces) or total == _UNBOUNDED:
             self._back = None

@@ -11,6 +11,7 @@ from poise.runtime import _calls
 from poise.runtime.component.error_report import traceback_of
 from poise.runtime.component.ports import Port
 from poise.runtime.connectors.interface import Method, message_tag
+from poise.runtime.connectors.latest import NONE, Heard, Number, take
 from poise.runtime.execution.counters import Counts
 from poise.runtime.execution.exclusion import Exclusion
 
@@ -42,8 +43,11 @@ class Route(Protocol):
         """Return at once whether the target has room for one more message."""
         ...
 
-    def ask(self) -> None:
-        """Ask for room, in case that a credit got lost; raises as `push`."""
+    def ask(self) -> Number | None:
+        """Ask for room, in case that a credit got lost; raises as `push`.
+
+        Return which numbered message the target got last; None: it says so later.
+        """
         ...
 
     def send_marker(self, number: int) -> None:
@@ -74,6 +78,7 @@ class DirectRoute:
         self._connector, self._epoch = connector, epoch
         self._target = target
         self._limit = limit
+        self._port = port.name
         self._feed = target.mailbox.feed(port.name, sender.counts)
         self._feed.on_room = sender.room
         self._tag = message_tag(port.type)
@@ -110,8 +115,9 @@ class DirectRoute:
         """Return whether the target's queue has room."""
         return self._feed.has_room()
 
-    def ask(self) -> None:
+    def ask(self) -> Number | None:
         """No-op: the queue is in this process."""
+        return None
 
     def send_marker(self, number: int) -> None:
         """Note at the target that all has come."""
@@ -122,6 +128,28 @@ class DirectRoute:
 
     def close(self) -> None:
         """No-op: it holds nothing."""
+
+
+class NumberedRoute(DirectRoute):
+    """Such a way for numbered messages."""
+
+    def push(self, method: Method | None, value: object) -> int:
+        """Put a message into the target's mailbox, unless it has come before."""
+        del method
+        self._target.overtaken.note(self._connector, self._epoch)
+        take(self._heard, self._connector, value, self._put)
+        return 0
+
+    def ask(self) -> Number:
+        """Return which message the target got last."""
+        return self._heard.get(self._connector, NONE)
+
+    @property
+    def _heard(self) -> Heard:
+        return self._target.heard[self._port]
+
+    def _put(self, message: object) -> None:
+        self._feed.put((self._tag, message))
 
 
 def direct_call(

@@ -13,6 +13,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
+from math import nan
 from typing import Any
 
 from poise import threads
@@ -27,11 +28,12 @@ from poise.runtime.connectors.interface import (
     oneway_function,
     refusing,
 )
+from poise.runtime.connectors.latest import LatestMessage, Number, Numbered
 from poise.runtime.connectors.route import Route
 from poise.runtime.connectors.tap import Observers, observed_call, observed_send
 from poise.runtime.execution.container_lease import LeaseEnded
 from poise.runtime.execution.counters import Counts
-from poise.runtime.execution.data_age import SentChains
+from poise.runtime.execution.data_age import SentChains, Stamped
 from poise.runtime.execution.exclusion import Exclusion, stepping_out
 from poise.wire.codec import WireError
 
@@ -59,9 +61,11 @@ class Sender:
         limit: float,
         exclusion: Exclusion | None = None,
         chains: SentChains | None = None,
+        latest: LatestMessage | None = None,
     ) -> None:
         self.name = name
         self.chains = chains
+        self._latest = latest
         self.port = port
         self.counts = Counts()
         self._sparing = Sparing()
@@ -88,6 +92,7 @@ class Sender:
             self._routes[key] = route
             if self._current is None:
                 self._use(route)
+                self.offer_latest(route)
 
     def remove(self, key: str) -> None:
         """Close a route; when it was used, use the other one, if there is one."""
@@ -102,6 +107,11 @@ class Sender:
     def routes(self) -> dict[str, Route]:
         """Return the routes by key."""
         return dict(self._routes)
+
+    @property
+    def last(self) -> Numbered | None:
+        """The last message, where late subscribers get it; None: there is none."""
+        return self._latest.last if self._latest else None
 
     def sending(self) -> Callable[..., None]:
         """Return `send` with stamps, which are made at once: waiting counts as age."""
@@ -204,6 +214,17 @@ class Sender:
         with self._lock:
             self._changed.notify_all()
 
+    def offer_latest(self, route: Route | None, heard: Number | None = None) -> None:
+        """Let a thread send the last message again to a target that has not got it.
+
+        `heard`: the number of the last one that it has; None: it is asked.
+        """
+        last = self.last
+        if last is None or route is None or (heard and heard >= last.number):
+            return
+        if not self._num_waiting:  # else a publisher is about to send it
+            threads.daemon(self._offer_latest, "latest", route, heard).start()
+
     def _send(self, value: object, method: Method | None) -> None:
         began = time.monotonic()
         with self._lock:  # every message comes this way: no call more than needed
@@ -238,6 +259,33 @@ class Sender:
                 return
             pause = min(2 * pause, _ASK_LAST)
         self._push(route, method, value, began)
+
+    def _offer_latest(self, route: Route, heard: Number | None) -> None:
+        # one that is not there is asked as soon as it is
+        if heard is None and not route.is_ready():
+            return
+        with self._lock:
+            is_free = self._wait(self._is_free, self._limit)
+            is_current = self._current is route and self._buffer is None
+            if not is_free or not is_current:  # what ends that offers it, too
+                return
+            self._claim()
+        try:
+            if heard is None:
+                heard = route.ask()
+            last = self.last
+            if heard is not None and last is not None and last.number > heard:
+                self.counts.add_message(route.push(None, self._again(last)))
+        except (CallError, WireError) as error:
+            log.debug("connector %s: %s", self.name, error)
+        finally:
+            self._release()
+
+    def _again(self, last: Numbered) -> Numbered | Stamped:
+        """Return a message as it is sent again: how old its data is is not known."""
+        again = last._replace(is_again=True)
+        chains = self.chains.carries if self.chains else ()
+        return Stamped(chains, (nan,) * len(chains), again) if chains else again
 
     def _is_free(self) -> bool:
         """Return whether a message may be sent or buffered now."""
@@ -302,6 +350,7 @@ class Sender:
             else:
                 self._buffer = None
                 self._changed.notify_all()
+                self.offer_latest(self._current)
 
     def _may_drain(self) -> bool:
         return not self._target_moves and not self._source_is_inactive

@@ -16,6 +16,7 @@ from collections.abc import Callable, Collection, Iterable, Mapping
 from collections.abc import Set as AbstractSet
 from functools import partial
 from itertools import islice
+from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,6 +24,13 @@ import msgspec
 
 from poise.clock import wall_time
 from poise.errors import RunError, UsageError
+from poise.runtime.connectors.latest import (
+    NONE,
+    Number,
+    Numbered,
+    numbered_tag,
+    without_number,
+)
 from poise.wire.codec import WireError, pack
 from poise.wire.connections.connection_server import Handler
 from poise.wire.frame import Frame, Kind, Pieces
@@ -37,6 +45,7 @@ from poise.wire.records.request_records import (
 )
 
 if TYPE_CHECKING:
+    from poise.runtime.component.ports import Port
     from poise.runtime.connectors.sender import Sender
 
 log = logging.getLogger(__name__)
@@ -67,6 +76,7 @@ class Observer:
         items: int = SHOWN_ITEMS,
         *,
         is_whole: bool = False,
+        latest: Number = NONE,
     ) -> None:
         self.connector = connector
         self.carries = getattr(type_, "__qualname__", str(type_))
@@ -74,17 +84,21 @@ class Observer:
         self._items = items
         self._is_whole = is_whole
         self._size = 0
-        self._every = 1 / rate if rate > 0 else float("inf")
-        self._due = 0.0 if rate > 0 else float("inf")
+        self._every = 1 / rate if rate > 0 else inf
+        self._due = 0.0 if rate > 0 else inf
         self._times: list[float] = []
         self._passed: list[Passed] = []
         self._missing = 0
+        self._latest = latest
         self._lock = threading.Lock()
 
-    def note(self, value: Callable[[], object]) -> None:
+    def note(self, value: Callable[[], object], number: Number = NONE) -> None:
         """Note that something went out; its content is asked for when it is due."""
         at, now = wall_time(), time.monotonic()
         with self._lock:
+            if number == self._latest != NONE:
+                return
+            self._latest = max(self._latest, number)
             if len(self._times) >= MOST_TIMES:
                 self._missing += 1
                 return
@@ -103,6 +117,11 @@ class Observer:
     def _plain(self, at: float, value: object) -> Passed:
         plain = Plain(self._items)
         return Passed(at, plain.of(value), plain.is_whole)
+
+    def note_last(self, last: Numbered) -> None:
+        """Note a message that had gone out before, if contents are wanted."""
+        if self._every < inf and last.number > self._latest:
+            self.note(lambda: last.value, last.number)
 
     def _packed(self, at: float, value: object) -> Passed | None:
         """Return a value as it is; None: it has no room, or cannot be packed."""
@@ -123,6 +142,7 @@ class Observer:
             times, self._times = self._times, []
             passed, self._passed, self._size = self._passed, [], 0
             missing, self._missing = self._missing, 0
+            latest = self._latest
         return TapReading(
             number=number,
             connector=self.connector,
@@ -130,6 +150,7 @@ class Observer:
             times=tuple(times),
             passed=tuple(passed),
             missing=missing,
+            latest=latest,
         )
 
 
@@ -142,8 +163,13 @@ def observed_send(
     """Return a function that sends a message or one-way call, and lets it be noted."""
 
     def go(value: object, method: Any = None) -> None:  # noqa: ANN401, as the sender's
+        number, message = NONE, value
+        if type(value) is Numbered:
+            number, message = value.number, value.value
         for observer in observers:
-            observer.note(lambda: value if method is None else {method.name: value})
+            observer.note(
+                lambda: message if method is None else {method.name: message}, number
+            )
         send(value, method)
 
     return go
@@ -273,8 +299,11 @@ class Taps:
                 tap.rate,
                 tap.items,
                 is_whole=tap.is_whole,
+                latest=tap.latest or NONE,
             )
             self._show(sender)
+            if sender.last and tap.latest is not None:
+                self._observed[key].note_last(sender.last)
         return self._observed[key].read(tap.number)
 
     def end_unread(self) -> None:
@@ -300,11 +329,13 @@ class Taps:
 class InputFile:
     """A file for the inputs of one connector's end: whole however its process ends."""
 
-    def __init__(self, folder: Path, source: str) -> None:
+    def __init__(self, folder: Path, source: str, port: Port) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         name = f"{source}-{os.getpid()}-{secrets.token_hex(4)}.mcap"
         self._file = McapFile(folder / name, "", at_once=True)
         self._source = source
+        is_topic = port.kind == "subscribes"
+        self._numbered = numbered_tag(port.type) if is_topic else None
         self._size = 0
         self._has_ended = False
 
@@ -329,6 +360,8 @@ class InputFile:
             self._end(f"the limit of {MOST_RECORDED} B is reached")
             return
         tag = None if received.kind is Kind.MESSAGE else received.tag
+        if tag is None and received.tag == self._numbered:
+            body = without_number(body)
         entry = Input(self._source, at, body, buffers, tag, _result(answer))
         try:
             self._file.add_record(entry, at)

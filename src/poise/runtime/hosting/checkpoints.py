@@ -1,12 +1,14 @@
 """Checkpoints of a component: its state, kept now and then where a crash spares it.
 
 The component is asked for its snapshot between its handlers; after a crash of its
-container the next incarnation restores the file in the agent's folder.
+container the next incarnation restores the file in the agent's folder. The last
+messages of ports that keep them are part of the state.
 """
 
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Mapping
 from pathlib import Path
 
 from msgspec import Struct
@@ -14,6 +16,7 @@ from msgspec import Struct
 from poise.clock import Clock
 from poise.errors import RunError
 from poise.runtime.component.component import Component
+from poise.runtime.connectors.latest import LatestMessages
 from poise.runtime.execution.container_lease import LeaseEnd, check_lease
 from poise.runtime.migration.state_check import check_fits, describe_type, type_taken_by
 from poise.wire import frame
@@ -28,10 +31,11 @@ from poise.wire.records.request_records import (
 
 
 class _Checkpoint(Struct, frozen=True):
-    """A state as a frame, with its type by `describe_type`."""
+    """A state as a frame, with its type by `describe_type`; empty: there is none."""
 
     state_type: str
     state: bytes
+    latest: Mapping[str, bytes] = {}  # Port -> its last message
 
 
 _CHECKPOINT: Codec[_Checkpoint] = codec(_Checkpoint)
@@ -62,15 +66,18 @@ class Checkpoints:
         """Be due for the first time after an interval."""
         self.due = self._clock.now() + self._every
 
-    def write(self, component: Component) -> None:
+    def write(self, component: Component, latest: LatestMessages) -> None:
         """Keep the state of a component; when that fails, the one before is kept."""
         began = self._clock.now()
         self.due = began + self._every
-        state = component.snapshot()
-        if state is None:
+        state, last = component.snapshot(), latest.to_frames()
+        if state is None and not last:
             return
-        pieces = frame.segments(codec(type(state)), state, Kind.MESSAGE)
-        checkpoint = _Checkpoint(describe_type(type(state)), b"".join(pieces))
+        checkpoint = _Checkpoint("", b"", last)
+        if state is not None:
+            pieces = frame.segments(codec(type(state)), state, Kind.MESSAGE)
+            described = describe_type(type(state))
+            checkpoint = _Checkpoint(described, b"".join(pieces), last)
         data = b"".join(frame.segments(_CHECKPOINT, checkpoint, Kind.RECORD))
         if len(data) > MOST_KEPT:
             raise RunError(
@@ -94,7 +101,7 @@ class Checkpoints:
                 f"{self._every:g} s: make the state smaller, or the interval longer"
             )
 
-    def restore(self, component: Component) -> float | None:
+    def restore(self, component: Component, latest: LatestMessages) -> float | None:
         """Restore the state that was kept; return its age [s], None: there is none."""
         try:
             data = self._path.read_bytes()
@@ -102,8 +109,10 @@ class Checkpoints:
         except FileNotFoundError:
             return None
         kept: _Checkpoint = frame.parse(data).value(_CHECKPOINT)
-        taken = type_taken_by(component.restore)
-        check_fits(kept.state_type, taken, type(component).restore.__qualname__)
-        component.restore(frame.parse(kept.state).value(codec(taken)))
+        if kept.state:
+            taken = type_taken_by(component.restore)
+            check_fits(kept.state_type, taken, type(component).restore.__qualname__)
+            component.restore(frame.parse(kept.state).value(codec(taken)))
+        latest.restore(kept.latest)
         self._before = data
         return age

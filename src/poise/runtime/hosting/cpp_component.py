@@ -19,6 +19,7 @@ from poise.runtime.component.ports import (
     Required,
     every,
     oneway,
+    published,
     subscribed,
 )
 from poise.runtime.connectors.interface import Proxy
@@ -111,6 +112,7 @@ def component(
         for kind, mark in marks.items()
         for port, type_ in declared[kind].items()
     }
+    keeping = {port: published(latest=True) for port in declared["latest"]}
     if "parameters" in declared:
         annotations["parameters"] = declared["parameters"]
     functions: dict[str, Any] = {}
@@ -133,6 +135,7 @@ def component(
         "reentrant": declared.get("reentrant", False),
         "_cpp_make": staticmethod(make),
         "_cpp_called": frozenset(functions),
+        **keeping,
         **functions,
         **hooks,
     }

@@ -84,8 +84,8 @@ class Runner:
         self.counters = ComponentCounters()
         self.ages = DataAges(spec.chains, clock)
         self.endpoints = Endpoints(
-            spec.name,
             self.component,
+            spec.epoch,
             self.ports,
             self.exclusion,
             self.counters,
@@ -291,7 +291,7 @@ class Runner:
         self._snapshot = 0 if state is None else codec(Any).size_of(state)
 
     def _restore(self, checkpoints: Checkpoints) -> None:
-        age = checkpoints.restore(self.component)
+        age = checkpoints.restore(self.component, self.endpoints.latest)
         if age is not None:
             self._action_begun = self.spec.action_number
             text = "component '%s' continues from its state of %.1f s ago"
@@ -366,7 +366,8 @@ class Runner:
     def _take_checkpoint(self, checkpoints: Checkpoints, due: float | None) -> float:
         """Take a checkpoint when it is time; return when there is something to do."""
         if checkpoints.due <= self.clock.now() and self._enter():
-            self._run(checkpoints.write, "checkpoint", self.component)
+            write = partial(checkpoints.write, self.component, self.endpoints.latest)
+            self._run(write, "checkpoint")
         return checkpoints.due if due is None else min(due, checkpoints.due)
 
     def _run_timer(self, releases: Releases) -> None:

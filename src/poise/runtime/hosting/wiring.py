@@ -16,7 +16,7 @@ from poise.runtime.component.ports import Kind, Port
 from poise.runtime.connectors.channel_route import ChannelRoute, receiving
 from poise.runtime.connectors.flow_control import Credit, CreditIssuer
 from poise.runtime.connectors.interface import carries_messages
-from poise.runtime.connectors.route import DirectRoute, Route
+from poise.runtime.connectors.route import DirectRoute, NumberedRoute, Route
 from poise.runtime.connectors.sender import Sender
 from poise.runtime.connectors.tap import InputFile
 from poise.runtime.execution.counters import Counts
@@ -202,13 +202,16 @@ class Wiring:
         sender = source.endpoints.sender(name, port, spec.limit, chains)
         if target is not None:
             far = _port(target, spec.target_port, TAKING)
-            ends.route = DirectRoute(
+            route = NumberedRoute if port.latest else DirectRoute
+            ends.route = route(
                 spec.name, target.endpoints, far, spec.limit, sender, spec.source_epoch
             )
             ends.closing.callback(_forget, spec, target)
         else:
             credit = Credit()
             credit.on_credit = sender.room
+            if port.latest:
+                credit.on_heard = lambda heard: sender.offer_latest(ends.route, heard)
             use = CALLS if port.kind == "requires" else MESSAGES
             channel = Channel(
                 spec.key,
@@ -236,7 +239,8 @@ class Wiring:
         spec = ends.spec
         port = _port(target, spec.target_port, TAKING)
         feed = target.endpoints.mailbox.feed(port.name, ends.counts)
-        issuer = CreditIssuer(spec.name, feed, ends.counts)
+        heard = target.endpoints.heard[port.name]
+        issuer = CreditIssuer(spec.name, feed, ends.counts, heard)
         ends.closing.callback(issuer.close)
         ends.closing.callback(_forget, spec, target)
         handler = receiving(
@@ -250,7 +254,7 @@ class Wiring:
         )
         if spec.record:
             source = f"{spec.source}.{spec.source_port}"
-            file = InputFile(Path(spec.record), source)
+            file = InputFile(Path(spec.record), source, port)
             ends.closing.callback(file.close)
             handler = file.handler(handler)
         self._server.open(spec.key, handler, ends.counts.refuse)

@@ -30,6 +30,7 @@ from poise.errors import RunError, Timeout, UsageError
 from poise.priority import ahead, first
 from poise.runtime.component.implementation import find_function
 from poise.runtime.connectors.channel_route import entry_codec
+from poise.runtime.connectors.latest import Heard
 from poise.runtime.execution.container_lease import check_lease
 from poise.runtime.execution.data_age import Stamped
 from poise.runtime.execution.exclusion import new_chain
@@ -84,6 +85,8 @@ class StateTransfer(Struct, frozen=True, kw_only=True):
     due: Mapping[str, float] = {}  # Timer -> time until its next release [s]
     # Chain -> the stamp of the data that the source took last
     stamps: Mapping[str, Stamp] = {}
+    heard: Mapping[str, Heard] = {}  # By port
+    latest: Mapping[str, bytes] = {}  # Port -> its last message as a frame
 
 
 TRANSFER: Codec[StateTransfer] = codec(StateTransfer)
@@ -179,7 +182,12 @@ class StateSender:
             messages = tuple(_messages(runner))
         due = runner.timers.left(runner.clock.now())
         return msgspec.structs.replace(
-            transfer, messages=messages, due=due, stamps=runner.ages.held()
+            transfer,
+            messages=messages,
+            due=due,
+            stamps=runner.ages.held(),
+            heard=runner.endpoints.heard,
+            latest=runner.endpoints.latest.to_frames(),
         )
 
 
@@ -334,6 +342,15 @@ def restore(
             delta = _value_of(transfer.delta, component.restore_delta)
             component.restore_delta(delta)
     runner.ages.restore(transfer.stamps)
+    if transfer.latest and not is_fresh:
+        runner.endpoints.buffer_until_active()  # the source may yet go on
+        runner.endpoints.latest.restore(transfer.latest)
+    # without a state it begins anew, and gets last messages again: each only once
+    has_state = transfer.state or transfer.delta or runner.copies_ahead
+    waiting = {port for port, _, _ in transfer.messages}
+    for port, heard in transfer.heard.items():
+        if port in waiting or (has_state and not is_fresh):
+            runner.endpoints.heard[port].update(heard)
     for port, data, stamps in transfer.messages:
         received = frame.parse(data)
         value = received.value(entry_codec(runner.ports[port], received.tag))

@@ -289,8 +289,11 @@ class Running:
             others with their time alone.
         """
         viewer = secrets.token_hex(8)
+        latest = (0, 0)
         while True:
-            yield self.look_at(connector, viewer, rate=rate)
+            reading = self.look_at(connector, viewer, rate=rate, latest=latest)
+            latest = reading.latest
+            yield reading
             time.sleep(_LOOK_EVERY)
 
     def look_at(
@@ -301,6 +304,7 @@ class Running:
         rate: float,
         items: int = SHOWN_ITEMS,
         is_whole: bool = False,
+        latest: tuple[int, int] | None = None,
     ) -> TapReading:
         """Return what went out over a connector since this viewer looked last.
 
@@ -315,8 +319,11 @@ class Running:
             Of longer lists, arrays and mappings the rest is left out.
         is_whole
             Whether contents are `poise.wire.codec.Packed`, with nothing left out.
+        latest
+            Where a port is ``published(latest=True)``: its last message comes, too,
+            when it is later than that with this number; None: it does not.
         """
-        command = TapCommand(connector, viewer, rate, items, is_whole)
+        command = TapCommand(connector, viewer, rate, items, is_whole, latest)
         return ask(self.name, command, TapReading)
 
     def log(

@@ -135,6 +135,7 @@ class RunningComponent:
     def subscribe(self, port: str, type_: type[T]) -> Iterator[T]:
         """Yield what goes out from a topic, or in at a port with ``@subscribed``.
 
+        Where a port is ``published(latest=True)``, its last message comes first.
         What goes out while nobody takes from the iterator is lost beyond 100 messages
         or 16 MiB, and then `RunError` says how many; a robot waits for no viewer.
 
@@ -144,9 +145,10 @@ class RunningComponent:
             The type of the messages; ``dict``: plain data, with arrays.
         """
         viewer, connector = secrets.token_hex(8), f"{self.name}.{port}"
-        command = TapCommand(connector, viewer, _ALL, is_whole=True)
+        command = TapCommand(connector, viewer, _ALL, is_whole=True, latest=(0, 0))
         while True:
             reading = ask(self._robot, command, TapReading)
+            command = structs.replace(command, latest=reading.latest)
             for passed in reading.passed:
                 if not passed.is_whole:
                     raise RunError(f"a message of '{connector}': {passed.value}")

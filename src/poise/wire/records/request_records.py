@@ -154,6 +154,9 @@ class Tap(Struct, frozen=True, tag=True, kw_only=True):
     connector: str
     viewer: str  # Each viewer gets everything
     is_whole: bool = False  # Whether contents are `Packed`, and not shortened
+    # Where a port is ``published(latest=True)``: its last message comes, too, when it
+    # is later than this one, which the viewer has; None: it does not
+    latest: tuple[int, int] | None = None
     # Messages a second that are reported with their content; 0: none
     rate: float = 0.0
     # Of longer lists, arrays and mappings the rest is left out; up to `SHOWN_ITEMS`,
@@ -180,6 +183,8 @@ class TapReading(Struct, frozen=True, tag=True, kw_only=True):
     times: tuple[float, ...] = ()
     passed: tuple[Passed, ...] = ()  # Some of them with their content
     missing: int = 0  # How many are not among the times: there was no room for them
+    # The number of the last message, where a port is ``published(latest=True)``
+    latest: tuple[int, int] = (0, 0)
 
 
 MOST_PACKED = 16 << 20

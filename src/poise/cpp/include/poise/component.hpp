@@ -28,6 +28,12 @@ struct Queue {
 inline Queue keep(int size) { return {"keep", size}; }
 inline Queue block(int size) { return {"block", size}; }
 
+// How a port publishes: with `latest`, late subscribers get its last message.
+struct Publication {
+  bool latest = false;
+};
+inline constexpr Publication latest{true};
+
 // The base of all components; each hook is as in Python. One thread at a time runs its code.
 class Component {
  public:
@@ -129,8 +135,9 @@ class Declaration {
   }
 
   template <typename M>
-  void published(const char* port, Published<M> C::*member) {
+  void published(const char* port, Published<M> C::*member, Publication publication = {}) {
     published_[port] = detail::python_type<M>();
+    if (publication.latest) latest_.append(port);
     on_instance([=](C& object, const detail::Place& place) { (object.*member).attach(place.of(port)); });
   }
 
@@ -165,6 +172,7 @@ class Declaration {
     add_hooks();
     nb::dict types;
     types["published"] = published_;
+    types["latest"] = latest_;
     types["required"] = required_;
     types["provided"] = provided_;
     types["subscribed"] = subscribed_;
@@ -333,7 +341,7 @@ class Declaration {
   }
 
   nb::dict published_, required_, provided_, hooks_;
-  nb::list subscribed_, timers_;
+  nb::list latest_, subscribed_, timers_;
   std::vector<std::function<void(C&, const detail::Place&)>> on_instance_;
   std::vector<std::function<void(const Instance&, detail::Made&)>> functions_;
   std::map<std::string, std::function<void(C&, const std::string&, nb::handle)>> links_;
