@@ -44,7 +44,7 @@ COMMANDS = {
     "keys init": ("keys", "Make a robot's authority, and your keys."),
     "keys issue": ("keys", "Make or renew keys of computers or people."),
     "keys list": ("keys", "Show the keys that are here."),
-    "keys rotate": ("keys", "Replace the authority, in two steps."),
+    "keys rotate": ("keys", "Replace the authority, step by step."),
     "deploy": ("run", "Send a robot's code to its computers."),
     "up": ("run", "Start a robot and keep it running."),
     "top": ("watch", "Watch a running robot in the terminal."),

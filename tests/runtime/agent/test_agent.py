@@ -733,7 +733,7 @@ def test_obeys_one_manager_until_that_is_gone(doomed: Manager) -> None:
     steps = MigrationSteps(7, 1, "quiet", (Step("redirect", "quiet"),), limit=1.0)
     refused = doomed.ask(steps, token=1)
     assert isinstance(refused, StepsFailed)
-    assert "fencing token is 2" in refused.reason
+    assert "is managed by" in refused.reason
     doomed.wait_active("quiet")
     assert doomed.ask(empty, token=2) == Accepted()
 

@@ -1,15 +1,17 @@
-"""What an architecture's alternative takes over is told by types."""
+"""Which states fit is told by types."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from poise import Message
 from poise.errors import UsageError
-from poise.runtime.migration.state_check import types_of
+from poise.runtime.migration.state_check import check_fits, describe_type, types_of
 
 
 class Belief(Message):
@@ -57,3 +59,26 @@ def test_says_what_is_wrong_with_a_function(
 ) -> None:
     with pytest.raises(UsageError, match=words):
         types_of(function)
+
+
+@pytest.mark.parametrize(
+    ("state", "taken"),
+    [
+        (Belief(1.0), Belief),
+        (Belief(1.0), Belief | None),
+        (7, int),
+        ((1, 2), tuple[int, int]),
+        ([1.0], list[float]),
+        ({"a": 1}, dict[str, int]),
+        ({"a": 1}, dict[str, int] | None),
+        (np.zeros(2), NDArray[np.float64]),
+    ],
+)
+def test_a_state_fits_what_restores_its_type(state: object, taken: object) -> None:
+    check_fits(describe_type(type(state)), taken, "restore")
+
+
+@pytest.mark.parametrize("taken", [int, list[float], Belief])
+def test_a_state_of_another_type_does_not(taken: object) -> None:
+    with pytest.raises(UsageError, match="restore takes"):
+        check_fits(describe_type(tuple), taken, "restore")

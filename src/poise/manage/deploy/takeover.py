@@ -48,6 +48,7 @@ WITNESS_LIMIT = 5.0
 _LEASE_LIMIT = 3.0
 """Leases of computers that are gone end within this time [s]."""
 _LOOK_EVERY = 0.02
+_TAKE_OVER = "`poise stop` ends the robot, and `poise up --take-over` takes it over"
 HALT_LIMIT = 1.0
 """Containers say within this time how far a half-done migration came [s]."""
 
@@ -70,7 +71,8 @@ def start_or_take_over(
     if run.agents.election is None:
         deployments, unclaimed = _claim(run, by_force=by_force)
     else:
-        deployments, unclaimed = _elected(run, by_force=by_force), {}
+        hint = "" if follows else f"; {_TAKE_OVER}"
+        deployments, unclaimed = _elected(run, hint, by_force=by_force), {}
     record = newest_record(deployments.values())
     found = [*found_in(deployments), *_recorded(run, record)]
     reported = found
@@ -171,7 +173,9 @@ def newest_record(deployments: Iterable[Deployment]) -> Desired:
     return msgspec.msgpack.decode(last.desired, type=Desired)
 
 
-def _elected(run: RunningComponents, *, by_force: bool) -> dict[str, Deployment]:
+def _elected(
+    run: RunningComponents, hint: str, *, by_force: bool
+) -> dict[str, Deployment]:
     """Become the leader; return what the agents that voted for it work towards.
 
     What others run has surely stopped then. Of what agents work towards, only that
@@ -179,9 +183,9 @@ def _elected(run: RunningComponents, *, by_force: bool) -> dict[str, Deployment]
     """
     try:
         answers = run.agents.elect(take_over=by_force)
-    except RunError:
+    except RunError as error:
         run.leave()
-        raise
+        raise RunError(f"{error}{hint}") from None
     run.claimed |= answers.keys()
     away = {computer.name for computer in run.robot.computers} - answers.keys()
     found = {n: answer.deployment for n, answer in answers.items() if answer.deployment}
@@ -436,8 +440,7 @@ def _claim(
             run.claimed.add(computer)
     if computers and computers[0] in unclaimed and not deployments:
         run.leave()
-        hint = "`poise up --take-over` takes the robot over"
-        raise RunError(f"{unclaimed[computers[0]]}; {hint}")
+        raise RunError(f"{unclaimed[computers[0]]}; {_TAKE_OVER}")
     return deployments, unclaimed
 
 

@@ -152,10 +152,7 @@ class Fence:
         return "" if token == self.token else self._manages()
 
     def _manages(self) -> str:
-        return (
-            f"robot '{self._robot}' is managed by {self.manager}, whose fencing token "
-            f"is {self.token}"
-        )
+        return f"robot '{self._robot}' is managed by {self.manager}"
 
 
 class Lease:

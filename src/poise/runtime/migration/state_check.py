@@ -19,7 +19,12 @@ _WAYS_OUT = "map it with --adapt, or drop it with --fresh"
 
 @cache
 def describe_type(type_: Any) -> str:  # noqa: ANN401, any type
-    """Return the fields of a message class, by name and type: equal when they fit."""
+    """Return the fields of a message class, by name and type: equal when they fit.
+
+    Of `list[float]` only that it is a list: a state does not tell what it may hold,
+    and what it does hold is checked when it is restored.
+    """
+    type_ = get_origin(type_) or type_
     made_of = fingerprint(type_)
     if isinstance(type_, type) and issubclass(type_, Struct):
         assert isinstance(made_of, tuple)  # noqa: S101, of a message class
