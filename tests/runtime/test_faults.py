@@ -131,7 +131,7 @@ POSE = message_tag(Pose)
 GOOD_MESSAGE = frame(Kind.MESSAGE, POSE, {"x": 1.0})
 BAD_MESSAGES = [
     pytest.param(frame(Kind.MESSAGE, POSE, {"x": "here"}), "`float`", id="type"),
-    pytest.param(frame(Kind.MESSAGE, POSE ^ 1, {"x": 1.0}), "versions", id="tag"),
+    pytest.param(frame(Kind.MESSAGE, POSE ^ 2, {"x": 1.0}), "versions", id="tag"),
     pytest.param(changed(GOOD_MESSAGE, 0, "<B", 7), "version 7", id="newer version"),
     pytest.param(changed(GOOD_MESSAGE, 4, "<I", 99), "cut short", id="truncated"),
 ]

@@ -74,11 +74,11 @@ def test_says_what_is_wrong_with_a_function(
         (np.zeros(2), NDArray[np.float64]),
     ],
 )
-def test_a_state_fits_what_restores_its_type(state: object, taken: object) -> None:
+def test_a_state_fits_what_restores_its_type(state: Any, taken: Any) -> None:
     check_fits(describe_type(type(state)), taken, "restore")
 
 
 @pytest.mark.parametrize("taken", [int, list[float], Belief])
-def test_a_state_of_another_type_does_not(taken: object) -> None:
+def test_a_state_of_another_type_does_not(taken: Any) -> None:
     with pytest.raises(UsageError, match="restore takes"):
         check_fits(describe_type(tuple), taken, "restore")
