@@ -75,7 +75,8 @@ def test_says_what_is_wrong_with_a_function(
     ],
 )
 def test_a_state_fits_what_restores_its_type(state: Any, taken: Any) -> None:
-    check_fits(describe_type(type(state)), taken, "restore")
+    kind: Any = type(state)
+    check_fits(describe_type(kind), taken, "restore")
 
 
 @pytest.mark.parametrize("taken", [int, list[float], Belief])
