@@ -10,12 +10,15 @@ from __future__ import annotations
 
 import contextlib
 import os
+import resource
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 
 _usual = os.getpriority(os.PRIO_PROCESS, 0)
 _AHEAD, _LAST = -10, 19
+_NICE_RANGE = 20
+"""The limit for a nice value is this less the value (getrlimit(2))."""
 _LOWEST = 1
 """The lowest real-time priority: a robot's own real-time threads go before."""
 REAL_TIME = "POISE_REALTIME"
@@ -42,6 +45,14 @@ def go_first() -> None:
             os.sched_setscheduler(0, policy, os.sched_param(_LOWEST))
             return
     _set_nice(_usual + _AHEAD)
+
+
+def let_go_first() -> None:
+    """Let this process go first, too, when it is not root any more, if it may."""
+    with contextlib.suppress(ValueError):
+        resource.setrlimit(resource.RLIMIT_NICE, (_NICE_RANGE - _AHEAD,) * 2)
+        if os.environ.get(REAL_TIME) == "1":
+            resource.setrlimit(resource.RLIMIT_RTPRIO, (_LOWEST, _LOWEST))
 
 
 def goes_first() -> bool:

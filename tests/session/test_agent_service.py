@@ -8,7 +8,7 @@ import shutil
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import pytest
@@ -18,6 +18,7 @@ from tests.runtime.conftest import free_port
 from tests.waiting import LONG, wait_until
 
 UNIT = "poise-hello-left.service"
+AS_NOBODY = "--run-as", "nobody"
 SYSTEMD = Path("/lib/systemd/systemd")
 BOOT = r"""
 set -e
@@ -32,11 +33,11 @@ exec env container=nspawn "$0" --system --unit=t.target --show-status=no
 """
 
 
-def install(poise: Poise, folder: Path, port: int) -> Path:
+def install(poise: Poise, folder: Path, port: int, *options: str) -> Path:
     """Write the unit of an agent on loopback."""
     done = poise(
         *("agent", "install", "left", "--robot", "hello", "--address", "127.0.0.1"),
-        *("--system", "--port", port, "--unit-folder", folder),
+        *("--system", "--port", port, "--unit-folder", folder, *options),
     )
     assert done.returncode == 0, done.stderr
     assert f"{folder / UNIT} is written" in done.stdout
@@ -65,11 +66,24 @@ def test_an_unknown_address_is_refused(poise: Poise, tmp_path: Path) -> None:
     assert not [*tmp_path.iterdir()]
 
 
+@pytest.mark.skipif(os.getuid() != 0, reason="only root may be another")
+def test_a_unit_that_runs_containers_as_another_user_has_few_rights(
+    poise: Poise, tmp_path: Path
+) -> None:
+    text = install(poise, tmp_path, 7447, *AS_NOBODY).read_text()
+    assert "--port 7447 --run-as nobody\n" in text
+    assert "CapabilityBoundingSet=CAP_CHOWN" in text
+    assert "CAP_SYS_ADMIN" not in text
+
+
 @pytest.mark.slow
-def test_systemd_finds_no_fault_in_the_unit(poise: Poise, tmp_path: Path) -> None:
+@pytest.mark.parametrize("options", [(), AS_NOBODY] if os.getuid() == 0 else [()])
+def test_systemd_finds_no_fault_in_the_unit(
+    poise: Poise, tmp_path: Path, options: Sequence[str]
+) -> None:
     if shutil.which("systemd-analyze") is None:
         pytest.skip("there is no systemd-analyze")
-    unit = install(poise, tmp_path, 7447)
+    unit = install(poise, tmp_path, 7447, *options)
     done = subprocess.run(
         ["systemd-analyze", "verify", "--man=no", unit],
         capture_output=True,

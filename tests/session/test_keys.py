@@ -56,22 +56,29 @@ def test_keys_that_others_can_read_are_refused(authority: Authority) -> None:
         Credentials(key.parent)
 
 
-@pytest.mark.parametrize("name", credentials.FILES)
+@pytest.mark.parametrize("name", [*credentials.FILES, HEARTBEATS])
 def test_it_says_what_is_missing(authority: Authority, name: str) -> None:
     folder = issue(authority).folder
     (folder / name).unlink()
     with pytest.raises(UsageError, match=f"lacks {name}: `poise keys issue`"):
-        Credentials(folder)
+        Credentials(folder).check("hello", "agent")
+
+
+def test_who_may_only_look_can_forge_no_heartbeat(authority: Authority) -> None:
+    folder = authority.folder.parent / "eve"
+    eve = authority.issue("eve", "viewer", folder).check("hello", "viewer")
+    assert not (eve.folder / HEARTBEATS).exists()
+    assert eve.verified(issue(authority).sign(b"beat")) is None
 
 
 def test_damaged_keys_are_refused(authority: Authority) -> None:
     keys = issue(authority)
+    (keys.folder / HEARTBEATS).write_text("nonsense")
+    with pytest.raises(RunError, match=r"heartbeats\.key is damaged"):
+        Credentials(keys.folder).sign(b"beat")
     (keys.folder / credentials.CERTIFICATE).write_text("nonsense")
     with pytest.raises(RunError, match=r"certificate\.pem is no certificate"):
         Credentials(keys.folder).check("hello", "agent")
-    (keys.folder / HEARTBEATS).write_text("nonsense")
-    with pytest.raises(RunError, match=r"heartbeats\.key is damaged"):
-        Credentials(keys.folder)
 
 
 def test_keys_of_another_robot_or_role_are_refused(authority: Authority) -> None:

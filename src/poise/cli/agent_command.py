@@ -20,8 +20,9 @@ from poise.endpoint import AGENT_PORT, Endpoint
 from poise.errors import PoiseError, UsageError
 from poise.runtime.agent.agent import Agent
 from poise.runtime.agent.surroundings import BROKEN, DEPLOYED, AgentSetup
+from poise.runtime.container.account import Account
 from poise.session.agent_service import AgentService
-from poise.session.folders import agent_folder, state_folder
+from poise.session.folders import agent_folder, state_folder, system_agent_folder
 from poise.units import SECONDS
 from poise.wire.control_session import LEASE
 from poise.wire.credentials import find, folders
@@ -86,6 +87,10 @@ def agent_command(
             "for more. Default: deployed ones; on loopback any, as by `/`."
         ),
     ] = None,
+    run_as: Annotated[
+        str,
+        typer.Option(help="For root: the user that the containers run as."),
+    ] = "",
     plain_connectors: Annotated[bool, typer.Option(hidden=True)] = False,
     lifeline: _Lifeline = None,
     lease: _Lease = LEASE,
@@ -97,6 +102,9 @@ def agent_command(
 
     Example: poise agent main --robot t-rot --address 10.0.0.1
     """
+    account = Account.of(run_as) if run_as else None
+    if account is not None and folder is None:
+        folder = system_agent_folder(robot, computer)
     place = folder or agent_folder(f"{robot} {computer} {Endpoint(address, port)}")
     code = folder or state_folder() / robot / f"agent-{computer}"
     _serve(
@@ -114,6 +122,7 @@ def agent_command(
             keys=keys_for(robot, address, keys, is_insecure=insecure),
             encrypts=not plain_connectors,
             allow=allowed(address, allow),
+            account=account,
         )
     )
 
@@ -274,9 +283,7 @@ def install_command(
         list[Path] | None, typer.Option(help="As of `poise agent`; again for more.")
     ] = None,
     user: _OwnUser = _IS_NOT_ROOT,
-    run_as: Annotated[
-        str, typer.Option(help="With --system: the account that the agent runs as.")
-    ] = "",
+    run_as: Annotated[str, typer.Option(help="As of `poise agent`.")] = "",
     unit_folder: _UnitFolder = None,
 ) -> None:
     """Write a unit of systemd that runs the agent, and start it, now and at each boot.
@@ -289,16 +296,15 @@ def install_command(
     arguments = ["--robot", robot, "--address", address, "--port", str(port)]
     if gateway:
         arguments += ["--gateway", str(gateway)]
-    # another user's keys are looked for when his agent starts
-    if keys or not run_as:
-        found = keys_for(robot, address, keys, is_insecure=insecure)
-        arguments += ["--keys", found] if found else []
+    found = keys_for(robot, address, keys, is_insecure=insecure)
+    arguments += ["--keys", found] if found else []
     if insecure:
         arguments.append("--insecure")
     for place in (allowed(address, allow) or ("/",)) if allow else ():
         arguments += ["--allow", place]
     service = AgentService(robot, computer, is_users=user, folder=unit_folder)
-    is_started = service.install(service.text(arguments, run_as))
+    user_name = Account.of(run_as).name if run_as else ""
+    is_started = service.install(service.text(arguments, user_name))
     _print(
         f"{service.path} runs the agent; `journalctl {'--user ' * user}-u "
         f"{service.name}` shows its log"

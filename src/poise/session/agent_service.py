@@ -27,7 +27,7 @@ StartLimitIntervalSec=0
 [Service]
 Type=notify
 NotifyAccess=main
-{user}ExecStart={command}
+ExecStart={command}
 Restart=on-failure
 RestartSec=100ms
 # the agent died or is restarted, its containers go on: the next agent adopts them
@@ -39,7 +39,9 @@ Delegate=yes
 DelegateSubgroup=agent
 LimitNICE=-10
 NoNewPrivileges=yes
-UMask=0077
+SystemCallFilter=@system-service
+SystemCallErrorNumber=EPERM
+{rights}UMask=0077
 StandardOutput=journal
 StandardError=journal
 SyslogIdentifier=poise-{computer}
@@ -47,6 +49,13 @@ SyslogIdentifier=poise-{computer}
 [Install]
 WantedBy={target}
 """
+
+
+_RIGHTS = """\
+CapabilityBoundingSet=CAP_CHOWN CAP_DAC_OVERRIDE CAP_FOWNER CAP_KILL CAP_SETGID \
+CAP_SETUID CAP_SYS_NICE CAP_SYS_PTRACE CAP_SYS_RESOURCE
+"""
+"""All that root needs to limit containers, and to run them as another user."""
 
 
 class AgentService:
@@ -60,13 +69,14 @@ class AgentService:
         self._is_elsewhere = folder is not None
         self.path = (folder or _folder(is_users=is_users)) / self.name
 
-    def text(self, arguments: Sequence[str], user: str = "") -> str:
+    def text(self, arguments: Sequence[str], run_as: str = "") -> str:
         """Return the unit that runs ``poise agent`` with these arguments."""
+        arguments = [*arguments, *(["--run-as", run_as] if run_as else [])]
         words = [sys.executable, "-m", "poise", "agent", self.computer, *arguments]
         return _UNIT.format(
             computer=self.computer,
             robot=self.robot,
-            user=f"User={user}\n" if user else "",
+            rights=_RIGHTS if run_as else "",
             command=shlex.join(words).replace("%", "%%").replace("$", "$$"),
             target="default.target" if self._is_users else "multi-user.target",
         )

@@ -85,6 +85,17 @@ def agent_folder(of: str) -> Path:
     return folder
 
 
+def system_agent_folder(robot: str, computer: str) -> Path:
+    """Return the folder of an agent of root's, in one that all users can enter."""
+    top = Path("/var/lib/poise")
+    try:
+        top.mkdir(exist_ok=True)
+        top.chmod(0o711)
+    except OSError as error:
+        raise UsageError(f"{top}: {error.strerror}: choose another folder") from error
+    return top / f"{robot}-{computer}"
+
+
 def _made(prefix: str) -> tuple[Path, int]:
     for _ in range(_MOST_TRIES):
         folder = Path(tempfile.mkdtemp(prefix=prefix))

@@ -99,9 +99,11 @@ class Authority(Struct, frozen=True):
                 AUTHORITY: b"".join(self._known(".pem")),
                 CERTIFICATE: _pem(certificate),
                 PRIVATE_KEY: _private(key),
-                HEARTBEATS: b"\n".join(self._known(".heartbeats")),
             }.items():
                 _write(beside / part, data)
+            if role != "viewer":  # who could say that computers live, or are lost
+                signing = b"\n".join(self._known(".heartbeats"))
+                _write(beside / HEARTBEATS, signing)
             folder.mkdir(mode=0o700, parents=True, exist_ok=True)
             for file in beside.iterdir():
                 file.replace(folder / file.name)

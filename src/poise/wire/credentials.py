@@ -11,7 +11,7 @@ from __future__ import annotations
 import hmac
 import os
 import ssl
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
 from hashlib import blake2s
 from pathlib import Path
@@ -25,7 +25,8 @@ Role = Literal["agent", "manager", "viewer"]
 """What a certificate is for: a computer, who commands the robot, or who only looks."""
 AUTHORITY, CERTIFICATE, PRIVATE_KEY = "authority.pem", "certificate.pem", "key.pem"
 HEARTBEATS = "heartbeats.key"
-FILES = AUTHORITY, CERTIFICATE, PRIVATE_KEY, HEARTBEATS
+FILES = AUTHORITY, CERTIFICATE, PRIVATE_KEY
+"""Of each participant; `HEARTBEATS`, of those who send some."""
 WARN_BEFORE = 14 * 86400.0
 """The end of a certificate is warned of this time before [s]."""
 TAG_SIZE = 16
@@ -37,16 +38,16 @@ class Credentials:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        missing = [name for name in FILES if not (folder / name).is_file()]
-        if missing:
-            raise UsageError(
-                f"{folder} lacks {', '.join(missing)}: `poise keys issue` makes them"
-            )
+        self._raise_if_missing(*FILES)
         if (folder / PRIVATE_KEY).stat().st_mode & _PRIVATE:
             raise UsageError(
                 f"{folder / PRIVATE_KEY} can be read by others: chmod 600 it"
             )
-        self._signing = _hex_keys(folder / HEARTBEATS)
+
+    @cached_property
+    def signing(self) -> Sequence[bytes]:
+        """The keys of heartbeats, which no viewer has; RunError: they are damaged."""
+        return [] if self.role == "viewer" else _hex_keys(self.folder / HEARTBEATS)
 
     @cached_property
     def subject(self) -> Mapping[str, str]:
@@ -97,9 +98,19 @@ class Credentials:
                 f"the keys in {self.folder} are of {self.name}: they must be of "
                 f"{' or '.join(roles)}"
             )
+        if self.role != "viewer":
+            self._raise_if_missing(HEARTBEATS)
         if self.expires <= wall_time():
             raise UsageError(self.warning())
         return self
+
+    def _raise_if_missing(self, *names: str) -> None:
+        missing = [name for name in names if not (self.folder / name).is_file()]
+        if missing:
+            raise UsageError(
+                f"{self.folder} lacks {', '.join(missing)}: `poise keys issue` makes "
+                "them"
+            )
 
     @cached_property
     def server(self) -> ssl.SSLContext:
@@ -113,6 +124,10 @@ class Credentials:
     def client(self) -> ssl.SSLContext:
         """For the end that connects."""
         return self._context(ssl.PROTOCOL_TLS_CLIENT)
+
+    def load(self) -> None:
+        """Read now what connections between containers need: no file is read later."""
+        _ = self.server, self.client
 
     def zenoh(self) -> Iterator[tuple[str, Any]]:
         """Yield the settings of a zenoh session."""
@@ -132,12 +147,12 @@ class Credentials:
 
     def sign(self, data: bytes) -> bytes:
         """Return data with the MAC of the robot's heartbeats before it."""
-        return _mac(data, self._signing[0]) + data
+        return _mac(data, self.signing[0]) + data
 
     def verified(self, signed: bytes) -> bytes | None:
         """Return what `sign` was given; None when another key signed it."""
         tag, data = signed[:TAG_SIZE], signed[TAG_SIZE:]
-        is_ours = any(hmac.compare_digest(tag, _mac(data, k)) for k in self._signing)
+        is_ours = any(hmac.compare_digest(tag, _mac(data, k)) for k in self.signing)
         return data if is_ours else None
 
     @cached_property

@@ -271,6 +271,8 @@ class UdpDatagrams:
     ) -> None:
         self._clock = clock
         self._keys = keys
+        if keys is not None:
+            _ = keys.signing  # here, and on no thread, damaged ones are told
         family = socket.AF_INET6 if is_ipv6 else socket.AF_INET
         self._socket = socket.socket(family, socket.SOCK_DGRAM)
         if listen is not None:

@@ -85,13 +85,17 @@ class Agent:
         self._is_asked_to_end = self._is_leaving = False
         self._service = ServiceNotice()
         try:
-            socket_path(Path(setup.folder), "")
+            socket_path(_containers_folder(setup), "")
         except ValueError as error:
             raise UsageError(f"folder of agent '{setup.computer}': {error}") from error
         self._path = Path(setup.folder)
         self._path.mkdir(mode=0o700, parents=True, exist_ok=True)
         self._folder = AgentFolder(self._path)
         self._left = self._folder.left()
+        self._containers = _containers_folder(setup)
+        if setup.account is not None:
+            os.umask(0o077)  # its containers pass through its folder
+            setup.account.make_folder(self._containers)
         self._keys = _keys(setup)
         self._code = _code(setup)
         os.environ[CODE_FOLDER] = setup.code  # for its containers
@@ -100,10 +104,10 @@ class Agent:
         held = () if setup.lifeline is None else (setup.lifeline,)
         self._has_zygote = not setup.is_witness
         self._zygote, self._zygote_pid = (
-            zygote.start(closing=held) if self._has_zygote else zygote.absent()
+            zygote.start(held, setup.account) if self._has_zygote else zygote.absent()
         )
-        self._adoption = AdoptedContainers(self._path, self._clock)
-        self._host = ProcessHost(self._zygote, setup.computer, self._path)
+        self._adoption = AdoptedContainers(self._containers, self._clock, setup.account)
+        self._host = ProcessHost(self._zygote, setup.computer, self._containers)
         self._waker = Waker()
         self._endpoint = Endpoint(setup.address, setup.port)
         self._locator = locator(self._endpoint, self._keys)
@@ -245,8 +249,8 @@ class Agent:
         before = Endpoint.parse(left).port if left else 0
         if before and not setup.gateway:
             with contextlib.suppress(RunError):  # the port is another's now
-                return Gateway(self._path, setup.address, before)
-        return Gateway(self._path, setup.address, setup.gateway)
+                return Gateway(self._containers, setup.address, before)
+        return Gateway(self._containers, setup.address, setup.gateway)
 
     def _heartbeats(self, hear: Hear, next_beat: NextBeat) -> HeartbeatTransport | None:
         listen = self._endpoint
@@ -277,9 +281,16 @@ class Agent:
             congestion_control=zenoh.CongestionControl.BLOCK,
             priority=zenoh.Priority.BACKGROUND,
         )
-        checkpoints = CheckpointFiles(self._path, lambda copy: copies.put(encode(copy)))
+        checkpoints = CheckpointFiles(
+            self._containers, lambda copy: copies.put(encode(copy)), self._setup.account
+        )
         return DiskThread(
-            self._path, self._folder, checkpoints, self._clock, self._note()
+            self._containers,
+            self._folder,
+            checkpoints,
+            self._clock,
+            self._note(),
+            self._setup.account,
         )
 
     def _note(self) -> AgentNote | None:
@@ -419,12 +430,17 @@ class Agent:
             core.kill_all()
 
 
+def _containers_folder(setup: AgentSetup) -> Path:
+    """Return where containers have their sockets and files: of another user, apart."""
+    return Path(setup.folder, "run" if setup.account else "")
+
+
 def _code(setup: AgentSetup) -> CodeFolder | None:
     """Return the versions of the robot's code; UsageError: they have no place."""
     if not setup.code:
         return None
     try:
-        return CodeFolder(Path(setup.code))
+        return CodeFolder(Path(setup.code), setup.account)
     except OSError as error:
         raise UsageError(
             f"agent '{setup.computer}' cannot keep code in {setup.code}: "

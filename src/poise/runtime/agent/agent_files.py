@@ -20,6 +20,7 @@ from poise import threads
 from poise.clock import Clock, boot_id
 from poise.errors import RunError, UsageError
 from poise.runtime.agent.surroundings import AgentState, Reply
+from poise.runtime.container.account import Account, rights_of
 from poise.runtime.hosting.output import forget_output, read_output
 from poise.wire.codec import MALFORMED
 from poise.wire.records.deployment_records import Deployment
@@ -103,10 +104,16 @@ _JOIN_LIMIT = 1.0
 
 
 class CheckpointFiles:
-    """The checkpoints in the folder of an agent."""
+    """The checkpoints in the folder of an agent's containers."""
 
-    def __init__(self, folder: Path, send: Callable[[CheckpointCopy], object]) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        send: Callable[[CheckpointCopy], object],
+        account: Account | None = None,
+    ) -> None:
         self._folder = folder
+        self._account = account
         self._send = send
         self._wanted: tuple[tuple[str, int], ...] = ()
         self._sent: dict[tuple[str, int], tuple[int, int]] = {}
@@ -161,9 +168,10 @@ class CheckpointFiles:
 
     def _main(self) -> None:
         self._has_work.wait()  # most robots have no checkpoints
-        while not self._ended.wait(POLL_EVERY):
-            for copy in self._news():
-                self._send(copy)
+        with rights_of(self._account):
+            while not self._ended.wait(POLL_EVERY):
+                for copy in self._news():
+                    self._send(copy)
 
     def _news(self) -> Iterator[CheckpointCopy]:
         sent, self._sent = self._sent, dict(self._sent)
@@ -232,7 +240,10 @@ class AgentNote:
 
 
 class DiskThread:
-    """The `AgentDisk` of a real computer."""
+    """The `AgentDisk` of a real computer.
+
+    `path`: the folder of its containers, which run as `account`.
+    """
 
     def __init__(
         self,
@@ -241,8 +252,10 @@ class DiskThread:
         checkpoints: CheckpointFiles,
         clock: Clock,
         note: AgentNote | None = None,
+        account: Account | None = None,
     ) -> None:
         self._path = path
+        self._account = account
         self._folder = folder
         self._note = note
         self._checkpoints = checkpoints
@@ -292,7 +305,7 @@ class DiskThread:
     def keep_only(self, wanted: Deployment) -> None:
         """Remove the checkpoints of all that is not wanted, and send the others."""
         self._checkpoints.send_only(wanted)
-        self._put("checkpoints", lambda: self._checkpoints.remove_all_but(wanted))
+        self._put("checkpoints", lambda: self._remove_all_but(wanted))
 
     def resend(self) -> None:
         """Send all checkpoints again: there is another manager."""
@@ -349,14 +362,20 @@ class DiskThread:
         self._folder.forget()
         if self._note is not None:
             self._note.update(None)
-        forget_output(self._path)
-        self._checkpoints.remove_all_but(_NOTHING)
+        with rights_of(self._account):
+            forget_output(self._path)
+        self._remove_all_but(_NOTHING)
+
+    def _remove_all_but(self, wanted: Deployment) -> None:
+        with rights_of(self._account):
+            self._checkpoints.remove_all_but(wanted)
 
     def _use(self, request: ReadOutput | CheckpointCopy) -> Answer:
         try:
-            if isinstance(request, ReadOutput):
-                return read_output(self._path, request)
-            self._checkpoints.write(request)
+            with rights_of(self._account):
+                if isinstance(request, ReadOutput):
+                    return read_output(self._path, request)
+                self._checkpoints.write(request)
         except OSError as error:
             return Refused(f"it cannot use its folder: {error}")
         return Accepted()

@@ -24,6 +24,7 @@ import msgspec
 from poise import threads
 from poise.errors import RunError
 from poise.runtime.agent.surroundings import Reply
+from poise.runtime.container.account import Account
 from poise.units import format_bytes
 from poise.wire.codec import MALFORMED
 from poise.wire.records.code_records import (
@@ -45,15 +46,22 @@ _BUFFER = 1 << 20
 
 
 class CodeFolder:
-    """Stores what is sent, one request at a time, on threads of its own."""
+    """Stores what is sent, one request at a time, on threads of its own.
 
-    def __init__(self, folder: Path) -> None:
+    `account`: the user who runs the code, but does not own it; None: this one.
+    """
+
+    def __init__(self, folder: Path, account: Account | None = None) -> None:
         self._folder = folder
+        self._account = account
         self._one_at_a_time = Lock()
         self._in_use: frozenset[str] = frozenset()
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         self._remove_files()  # that a killed agent left
         self._versions = self._look()
+        if account is not None:
+            account.let_read(folder)
+            account.check_reads(folder)
 
     def versions(self) -> tuple[str, ...]:
         """Return what is there, the last one first. No disk is used."""
@@ -128,6 +136,8 @@ class CodeFolder:
             left = unpack(archive, new)
             for wheel in self._wheels(new / MANIFEST):
                 left = unpack_wheel(wheel, new / PACKAGES, left)
+            if self._account is not None:
+                self._account.let_read(new)
             os.sync()
             new.rename(self._folder / version)
             _write_through(self._folder)

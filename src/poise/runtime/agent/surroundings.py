@@ -15,6 +15,7 @@ from typing import Protocol
 from msgspec import Struct
 
 from poise.clock import Clock
+from poise.runtime.container.account import Account
 from poise.runtime.supervision.health import Usage
 from poise.wire.control_session import LEASE
 from poise.wire.heartbeats import Address, Hear, NextBeat
@@ -57,6 +58,7 @@ class AgentSetup(Struct, frozen=True, kw_only=True):
     # Folders of the code that it runs, or `DEPLOYED`: what is sent to it; empty: any
     allow: tuple[str, ...] = ()
     code: str = ""  # The folder of code that is sent to it; empty: it takes none
+    account: Account | None = None  # What its containers run as; None: as it does
     is_witness: bool = False  # It votes for managers, and runs nothing
 
 

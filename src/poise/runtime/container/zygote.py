@@ -22,6 +22,7 @@ from msgspec import Struct
 
 from poise.errors import RunError, Unavailable
 from poise.priority import be_nice
+from poise.runtime.container.account import Account
 from poise.runtime.container.agent_link import (
     ORPHAN_LIMIT,
     hand_over,
@@ -39,6 +40,7 @@ from poise.runtime.container.descendants import (
 from poise.runtime.hosting.output import keep_output
 from poise.runtime.waker import Waker, wait_readable
 from poise.wire import frame
+from poise.wire.connections.opening import own_keys
 
 log = logging.getLogger(__name__)
 
@@ -84,8 +86,13 @@ class ContainerEnded(Struct, frozen=True, tag=True):
 Event = Forked | NotForked | ContainerEnded
 
 
-def start(closing: Sequence[int] = ()) -> tuple[socket.socket, int]:
-    """Fork the zygote; return the socket to it and its process id."""
+def start(
+    closing: Sequence[int] = (), account: Account | None = None
+) -> tuple[socket.socket, int]:
+    """Fork the zygote; return the socket to it and its process id.
+
+    It and its containers run as `account`; None: as this process.
+    """
     # one record is one packet, so neither end ever waits for the rest of one
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     # the zygote has nothing else to do than to wait for the agent
@@ -95,7 +102,7 @@ def start(closing: Sequence[int] = ()) -> tuple[socket.socket, int]:
         ours.close()
         for fd in closing:
             os.close(fd)
-        _leave(lambda: _Zygote(theirs).serve())
+        _leave(lambda: _Zygote(theirs).serve(account))
     theirs.close()
     return ours, pid
 
@@ -168,11 +175,15 @@ class _Zygote:
         self._containers: set[int] = set()
         self._folder = Path()
 
-    def serve(self) -> None:
+    def serve(self, account: Account | None) -> None:
         """Fork what the agent asks for, until it and all containers are gone."""
         signal.signal(signal.SIGINT, signal.SIG_IGN)
         adopt_orphans()
         gain_no_rights()
+        if account is not None:
+            if (keys := own_keys()) is not None:
+                keys.load()  # containers cannot read them
+            account.become()
         # Blocked, not ignored: only the agent's end ends the zygote, and a container
         # must not lose one that comes before it has its handler.
         signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM})

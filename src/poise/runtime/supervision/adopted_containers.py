@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from poise.clock import Clock
+from poise.runtime.container.account import Account, rights_of
 from poise.runtime.container.agent_link import Orphan, take_over
 from poise.wire.address import agent_path, socket_path
 
@@ -22,23 +23,30 @@ ADOPT_LIMIT = 5.0
 
 
 class AdoptedContainers:
-    """Waits for the containers of an earlier agent, found by their sockets."""
+    """Waits for the containers of an earlier agent, found by their sockets.
 
-    def __init__(self, folder: Path, clock: Clock) -> None:
+    They run as `account`; None: as this process.
+    """
+
+    def __init__(
+        self, folder: Path, clock: Clock, account: Account | None = None
+    ) -> None:
         self._folder = folder
+        self._account = account
         self._clock = clock
         self._until = clock.now() + ADOPT_LIMIT
         self._pidfds: dict[int, int] = {}
         self._left: dict[int, Path] = {}
         self.num_adopted = 0
-        for path in set(folder.glob("*.sock")) - {agent_path(folder)}:
-            pid = _listener(path)
-            if pid and self.watch(pid):
-                self._left[pid] = path
-        agent_path(folder).unlink(missing_ok=True)
         self._listening = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
-        self._listening.bind(os.fspath(agent_path(folder)))
         self._listening.setblocking(False)
+        with rights_of(account):
+            for path in set(folder.glob("*.sock")) - {agent_path(folder)}:
+                pid = _listener(path)
+                if pid and self.watch(pid):
+                    self._left[pid] = path
+            agent_path(folder).unlink(missing_ok=True)
+            self._listening.bind(os.fspath(agent_path(folder)))
 
     def awaits(self, container: str) -> bool:
         """Return whether a container may run still, and so must not be started."""
@@ -72,6 +80,11 @@ class AdoptedContainers:
             is_left = self._left.pop(orphan.pid, None) is not None
             if is_left or self.watch(orphan.pid):
                 self.num_adopted += 1
+            elif self._is_foreign(orphan.pid):
+                log.warning("process %d is no container of this agent", orphan.pid)
+                connection.close()
+                os.close(stats_page)
+                continue
             return orphan, connection, stats_page
 
     def ended(self, ready: set[int]) -> Iterator[int]:
@@ -101,15 +114,21 @@ class AdoptedContainers:
         self._until = 0.0
         self.give_up()
         self._listening.close()
-        agent_path(self._folder).unlink(missing_ok=True)
+        with rights_of(self._account):
+            agent_path(self._folder).unlink(missing_ok=True)
 
     def watch(self, pid: int) -> bool:
         """Watch a process for its end, from now on; return whether it still runs."""
         if pid in self._pidfds.values():
             return True
-        with contextlib.suppress(OSError):
-            self._pidfds[os.pidfd_open(pid)] = pid
+        if not self._is_foreign(pid):
+            with contextlib.suppress(OSError):
+                self._pidfds[os.pidfd_open(pid)] = pid
         return pid in self._pidfds.values()
+
+    def _is_foreign(self, pid: int) -> bool:
+        """Return whether a process is another user's, whom a container may not end."""
+        return self._account is not None and not self._account.owns(pid)
 
 
 def _listener(path: Path) -> int:
