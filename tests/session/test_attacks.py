@@ -13,6 +13,7 @@ import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from statistics import median
 
 import msgspec
 import pytest
@@ -20,6 +21,7 @@ import zenoh
 
 from poise.clock import SystemClock
 from poise.endpoint import Endpoint
+from poise.kernel_counters import proportional_memory
 from poise.manage.agent_connections.agents import Agents
 from poise.session.keys import Authority, init_keys
 from poise.wire.control_session import open_session
@@ -212,6 +214,56 @@ def test_connections_that_say_nothing_hold_up_nobody(guarded: Guarded) -> None:
             for connection in silent:
                 connection.close()
         assert [*session.get(f"poise/{ROBOT}/agent/left", timeout=SOON)]
+    wait_until(lambda: guarded.answers(guarded.owner))
+
+
+def _times(session: zenoh.Session) -> list[float]:
+    """Return how long requests take, one after the other [s]."""
+    times = []
+    for _ in range(100):
+        began = time.monotonic()
+        assert [*session.get(f"poise/{ROBOT}/agent/left", timeout=LIMIT)]
+        times.append(time.monotonic() - began)
+    return times
+
+
+def _shake_hands(guarded: Guarded, ends: threading.Event, begun: list[None]) -> None:
+    """Begin TLS without keys, again and again."""
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+    context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
+    while not ends.is_set():
+        with (
+            contextlib.suppress(OSError),
+            socket.create_connection(("127.0.0.1", guarded.port), SOON) as plain,
+        ):
+            begun.append(None)
+            with context.wrap_socket(plain) as secured:
+                secured.recv(1)
+
+
+def test_a_flood_of_handshakes_neither_delays_nor_swells_an_agent(
+    guarded: Guarded,
+) -> None:
+    ends, begun = threading.Event(), list[None]()
+    crowd = [
+        threading.Thread(target=_shake_hands, args=(guarded, ends, begun))
+        for _ in range(20)
+    ]
+    with open_session(connect=[guarded.endpoint], keys=guarded.owner) as session:
+        wait_until(lambda: [*session.get(f"poise/{ROBOT}/agent/left", timeout=SOON)])
+        calm, before = _times(session), proportional_memory(guarded.process.pid)
+        for thread in crowd:
+            thread.start()
+        try:
+            wait_until(lambda: len(begun) >= 40)
+            flooded = _times(session)
+        finally:
+            ends.set()
+            for thread in crowd:
+                thread.join(LIMIT)
+        grown = proportional_memory(guarded.process.pid) - before
+    assert median(flooded) < max(0.05, 10 * median(calm))
+    assert grown < 32 << 20
     wait_until(lambda: guarded.answers(guarded.owner))
 
 

@@ -78,7 +78,8 @@ class Wire:
         self.closing = closing
         if kind == "tls":
             place = Path(closing.enter_context(tempfile.TemporaryDirectory()))
-            keys = init_keys("test", place / "owner").issue("a", "agent", place / "a")
+            self.authority = init_keys("test", place / "owner")
+            keys = self.authority.issue("a", "agent", place / "a")
             closing.enter_context(_environment(KEYS, str(keys.folder)))
         if kind != "local":
             host = "::1" if kind == "ipv6" else "127.0.0.1"
@@ -114,6 +115,7 @@ def wire(request: pytest.FixtureRequest) -> Iterator[Wire]:
 
 both = pytest.mark.parametrize("wire", ["local", "remote", "tls"], indirect=True)
 remote = pytest.mark.parametrize("wire", ["remote", "tls"], indirect=True)
+encrypted = pytest.mark.parametrize("wire", ["tls"], indirect=True)
 plain = pytest.mark.parametrize("wire", ["local", "remote"], indirect=True)
 plain_remote = pytest.mark.parametrize("wire", ["remote"], indirect=True)
 """For tests that speak with raw sockets."""

@@ -25,6 +25,7 @@ from poise.wire.connections import connection
 from poise.wire.connections.connection import LAST_ANSWER, Connection
 from poise.wire.connections.opening import (
     ANSWER_LIMIT,
+    EVERY,
     MESSAGES,
     NAME,
     AcceptWarning,
@@ -82,6 +83,7 @@ class ConnectionServer:
         self._lock = threading.Lock()
         self.folder = folder
         self._container = container
+        self._warn_at = 0.0
         self._closed = threading.Event()
         self.on_change: Callable[[], object] = lambda: None
         """Called when a connection for messages begins or ends; must not block."""
@@ -177,7 +179,7 @@ class ConnectionServer:
         connection.serve(served.connection)
         try:
             if keys is not None:
-                served.connection.accept_tls(keys, time.monotonic() + ANSWER_LIMIT)
+                self._secure(served.connection, keys)
             self._greet(served)
             while self._serve_one(served):
                 pass
@@ -192,6 +194,17 @@ class ConnectionServer:
                     del self._messages[served.connector]
             served.connection.close()
             self.on_change()
+
+    def _secure(self, connection: Connection, keys: Credentials) -> None:
+        now = time.monotonic()
+        try:
+            connection.accept_tls(keys, now + ANSWER_LIMIT)
+        except (Unavailable, Timeout) as error:
+            if now >= self._warn_at:
+                self._warn_at = now + EVERY
+                text = "container '%s': another computer is refused: %s"
+                log.warning(text, self._container, error)
+            raise
 
     def _greet(self, served: _ServedConnection) -> None:
         connection, deadline = served.connection, time.monotonic() + ANSWER_LIMIT
