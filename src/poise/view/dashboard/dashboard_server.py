@@ -7,7 +7,6 @@ import contextlib
 import secrets
 import time
 from collections.abc import Awaitable, Callable, Mapping, MutableMapping
-from http.cookies import SimpleCookie
 from ipaddress import ip_address
 from pathlib import Path
 from typing import Any
@@ -91,17 +90,21 @@ _CLOSED = "open the address with the token that `poise dashboard` printed"
 def _refusal_of_site(headers: Mapping[str, str], *, needs_name: bool) -> str:
     """Return why a page that a browser has may not use this one; empty: it may."""
     host, origin = headers.get("host", ""), headers.get("origin", "")
-    if origin and urlsplit(origin).netloc != host:
+    try:
+        origin_host, name = urlsplit(origin).netloc, urlsplit(f"//{host}").hostname
+    except ValueError as error:
+        return f"host {host!r} or origin {origin!r}: {error}"
+    if origin and origin_host != host:
         return f"a page of {origin} may not use this robot"
-    name = urlsplit(f"//{host}").hostname or ""
-    if needs_name and not is_loopback(name):
+    if needs_name and not is_loopback(name or ""):
         return f"{host} is not a name of this computer"
     return ""
 
 
 def _shown_in_cookie(headers: Mapping[str, str]) -> str:
-    cookie = SimpleCookie(headers.get("cookie", "")).get(_COOKIE)
-    return cookie.value if cookie else ""
+    cookies = headers.get("cookie", "").split(";")
+    parts = (cookie.strip().partition("=") for cookie in cookies)
+    return next((value for name, _, value in parts if name == _COOKIE), "")
 
 
 def _shown_in_address(scope: Scope) -> str:
