@@ -37,6 +37,7 @@ ROBOTS = {
     "benchmarks.dashboard": "--seconds 1 --components 5",
     "benchmarks.data_age": "--seconds 2 --starts 1 --only t-rot --json",
     "benchmarks.drive": "--times 1 --json",
+    "benchmarks.encryption": "--quick --json",
     "benchmarks.estimate": "--quick --json",
     "benchmarks.experiment": "--one --json --folder {folder}",
     "benchmarks.faults": "--quick --json",
