@@ -95,8 +95,10 @@ struct Asks {
   poise::Method<void(int)> publish{"value"};
   poise::Method<void()> show;
   poise::Method<int(double)> keep_adding{"seconds"};
+  poise::Method<std::string(double)> start{"limit"};
+  poise::Method<std::vector<std::string>()> taken;
 };
-POISE_INTERFACE(Asks, add, echo, fail, wait, back, note, publish, show, keep_adding)
+POISE_INTERFACE(Asks, add, echo, fail, wait, back, note, publish, show, keep_adding, start, taken)
 
 class Source : public poise::Component {
  public:
@@ -137,6 +139,38 @@ class Source : public poise::Component {
     while (std::chrono::steady_clock::now() < end) calls += sums.add(1, 1) == 2;
     return calls;
   }
+  // Start calls while the target answers none; say what the one that waits brings, within a limit.
+  std::string start(double limit) {
+    start_call(sums.add, 2, 3).then([this](const poise::StartedCall<int>& call) {
+      taken_.push_back(std::to_string(call.result()));
+    });
+    start_call(sums.fail, "no eggs").then([this](const auto& call) {
+      try {
+        call.result();
+      } catch (const poise::CalleeError& error) {
+        taken_.push_back(error.message);
+      }
+    });
+    const auto dropped = start_call(sums.add, 1, 1);
+    dropped.then([this](const auto&) { taken_.push_back("was cancelled"); });
+    const bool was_to_come = !dropped.done() && dropped.cancel() && dropped.done();
+    try {
+      dropped.result();
+    } catch (const poise::Cancelled&) {
+      taken_.push_back(was_to_come ? "cancelled" : "too late");
+    }
+    try {
+      const poise::Within within(limit);
+      start_call(sums.wait, 0.0).result();
+    } catch (const poise::Timeout& error) {
+      return error.what();
+    }
+    return "";
+  }
+  std::vector<std::string> taken() { return taken_; }
+
+ private:
+  std::vector<std::string> taken_;
 };
 POISE_COMPONENT(Source) {
   component.provided<Asks>("asks");

@@ -40,7 +40,9 @@ from poise.runtime.component.ports import ports_of
 from poise.runtime.execution.exclusion import new_chain
 from poise.session.placing.placement import place
 from poise.testing import Bench
+from poise.wire.records.request_records import PROTOCOL
 from tests.command import called
+from tests.release import environment, make_release
 from tests.runtime.conftest import Pair, every_kind, pair
 from tests.waiting import LIMIT, LONG, wait_long, wait_until
 
@@ -303,6 +305,29 @@ def test_a_chain_of_calls_comes_back(pair: Pair, classes: tuple[Any, Any]) -> No
 
 
 @every_kind
+def test_calls_are_started_and_their_answers_taken_later(
+    pair: Pair, mixed: ModuleType
+) -> None:
+    source = start(pair, (mixed.Source, mixed.Target))
+    runners = pair.runners["source", 0], pair.runners["target", 0]
+    mine, theirs = (runner.exclusion for runner in runners)
+    theirs.enter(new_chain(), LIMIT)
+    try:
+        assert source.start(0.05)
+    finally:
+        theirs.leave()
+
+    def taken() -> list[str]:
+        mine.enter(new_chain(), LIMIT)
+        try:
+            return sorted(source.taken())
+        finally:
+            mine.leave()
+
+    wait_until(lambda: taken() == ["5", "cancelled", "no eggs"])
+
+
+@every_kind
 def test_messages_and_one_way_calls_reach_cpp(pair: Pair, mixed: ModuleType) -> None:
     heard: list[int] = []
     Ear.heard = heard
@@ -380,6 +405,27 @@ def test_an_argument_of_another_type_is_refused(pair: Pair, mixed: ModuleType) -
     source = pair.runners["source", 0].component
     with pytest.raises((CalleeError, CannotCross), match="str"):
         source.sums.add("1", 2)  # type: ignore[attr-defined]
+
+
+def test_a_module_that_was_built_with_other_headers_is_refused(
+    built: Path, tmp_path: Path
+) -> None:
+    python = make_release(tmp_path, "0.0.9", PROTOCOL)
+    (header,) = tmp_path.rglob("poise/cpp/include/poise/ports.hpp")
+    header.write_text(f"{header.read_text()}// changed\n")
+    run = subprocess.run(
+        [str(python), "-m", "poise", "check", "robot.yaml"],
+        cwd=built,
+        env=environment(),
+        capture_output=True,
+        text=True,
+        timeout=LONG,
+        check=False,
+    )
+    said = " ".join((run.stdout + run.stderr).split())
+    assert run.returncode != 0
+    here = f"built for Poise {cmake.release()}, but this is Poise 0.0.9, headers"
+    assert here in said
 
 
 def test_a_bench_runs_the_examples_controller(built: Path) -> None:

@@ -4,12 +4,17 @@
 # CMake finds it by itself when the environment of that Python is active.
 find_package(Python 3.11 REQUIRED COMPONENTS Interpreter Development.Module)
 execute_process(
-  COMMAND ${Python_EXECUTABLE} -m poise.cmake
-  OUTPUT_STRIP_TRAILING_WHITESPACE OUTPUT_VARIABLE poise_FOLDER RESULT_VARIABLE poise_FAILED)
+  COMMAND ${Python_EXECUTABLE} -c "from poise.cmake import *; print(folder(), release(), sep=';')"
+  OUTPUT_STRIP_TRAILING_WHITESPACE OUTPUT_VARIABLE poise_SAID RESULT_VARIABLE poise_FAILED)
 if(poise_FAILED)
   message(FATAL_ERROR "Poise is not installed for ${Python_EXECUTABLE}: activate the environment "
                       "that has it, or give -DPython_EXECUTABLE=")
 endif()
+list(GET poise_SAID 0 poise_FOLDER)
+list(GET poise_SAID 1 poise_RELEASE)
+# when the headers are others, so is the release
+file(GLOB poise_HEADERS ${poise_FOLDER}/include/poise/*.hpp)
+set_property(DIRECTORY APPEND PROPERTY CMAKE_CONFIGURE_DEPENDS ${poise_HEADERS})
 if(NOT nanobind_FOUND)
   execute_process(
     COMMAND ${Python_EXECUTABLE} -m nanobind --cmake_dir
@@ -40,7 +45,8 @@ function(poise_add_component module)
        CONTENT "#include <poise/component.hpp>\nPOISE_MODULE(${module})\n")
   nanobind_add_module(${module} NB_STATIC NOMINSIZE ${init} ${ARG_SOURCES})
   target_compile_features(${module} PRIVATE cxx_std_20)
-  target_compile_definitions(${module} PRIVATE POISE_MODULE_NAME="${module}")
+  target_compile_definitions(${module} PRIVATE
+    POISE_MODULE_NAME="${module}" POISE_BUILT_FOR="${poise_RELEASE}")
   target_include_directories(${module} SYSTEM PRIVATE ${poise_FOLDER}/include)
   set_target_properties(${module} PROPERTIES LIBRARY_OUTPUT_DIRECTORY ${ARG_OUTPUT})
 endfunction()

@@ -99,7 +99,10 @@ def load_module(name: str, folder: str) -> ModuleType:
         raise RobotError(f"{failed}: {brief_traceback(error)}") from error
     # The module is the user's: whatever it raises is told with its traceback.
     except (Exception, SystemExit) as error:
-        raise RobotError(f"{failed}: {brief_traceback(error)}") from error
+        # what a module in C++ raises is the cause of an error of nanobind's
+        is_wrapped = str(error).endswith("while initializing the extension.")
+        raised = error.__cause__ if is_wrapped else None
+        raise RobotError(f"{failed}: {brief_traceback(raised or error)}") from error
 
 
 def _no_attribute(reference: str, holder: Any, name: str) -> str:  # noqa: ANN401, module or class

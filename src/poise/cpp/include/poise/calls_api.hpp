@@ -10,7 +10,6 @@
 
 namespace poise {
 
-constexpr std::uint32_t calls_api_version = 1;
 constexpr const char* calls_api_name = "poise.calls_api";
 
 enum class Begin { entered, redirected, refused };
@@ -25,7 +24,6 @@ struct RunningDirectCall {
 
 // In the capsule that `poise.runtime._calls.native_api` returns.
 struct CallsApi {
-  std::uint32_t version;
   // What is inside a function that `direct_call` returned; null: it is another function. And the
   // method that it calls, borrowed. Under the GIL.
   void* (*find)(PyObject* function);

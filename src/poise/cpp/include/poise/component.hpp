@@ -16,7 +16,7 @@
 #include <functional>
 #include <utility>
 
-#include "ports.hpp"
+#include "started_call.hpp"
 
 namespace poise {
 
@@ -60,6 +60,15 @@ class Component {
   // How long ago a stamp was, on whatever computer; none: its clock is not known yet.
   std::optional<Elapsed> since(const Stamp& stamp) const {
     return with_clock<std::optional<Elapsed>>("since", stamp);
+  }
+
+  // Start a call without waiting for it, so that two can be asked at once. The connector's limit
+  // holds, and that of `Within`, from now on.
+  template <typename Result, typename... Args>
+  StartedCall<Result> start_call(const Method<Result(Args...)>& method,
+                                 const std::type_identity_t<Args>&... args) const {
+    const nb::gil_scoped_acquire gil;
+    return {python_.attr("start_call")(method.place().function(), args...), method.place().method};
   }
 
   // The component in Python; use it under `nanobind::gil_scoped_acquire`.
@@ -379,6 +388,7 @@ bool define(const char* name, void (*declare)(Declaration<C>&)) {
 // Once in each module; `poise_add_component` writes it.
 #define POISE_MODULE(name)                                                       \
   NB_MODULE(name, module) {                                                      \
+    poise::detail::from_python("poise.cmake", "check_built")(#name, POISE_BUILT_FOR); \
     nanobind::set_leak_warnings(false);                                          \
     for (const auto& define : poise::detail::definitions()) define();            \
     for (const auto [class_name, made] : poise::detail::made_classes())          \

@@ -23,11 +23,7 @@ inline const CallsApi& calls_api() {
   static const auto* api = [] {
     const nb::gil_scoped_acquire gil;
     const nb::object capsule = from_python("poise.runtime._calls", "native_api")();
-    auto* found = static_cast<const CallsApi*>(PyCapsule_GetPointer(capsule.ptr(), calls_api_name));
-    if (!found || found->version != calls_api_version)
-      throw std::runtime_error(POISE_MODULE_NAME
-                               " was built for another version of Poise: build it again");
-    return found;
+    return static_cast<const CallsApi*>(PyCapsule_GetPointer(capsule.ptr(), calls_api_name));
   }();
   return *api;
 }
@@ -46,7 +42,7 @@ struct Target {
 struct Targets {
   std::map<PyObject*, Target> by_function;
 };
-constexpr const char* targets_name = "poise.cpp_targets.1";
+constexpr const char* targets_name = "poise.cpp_targets";
 
 // A way to a provided method in this container.
 struct Link {
@@ -84,11 +80,10 @@ struct Place {
     return {component, PyUnicode_InternFromString(port_name),
             PyUnicode_InternFromString(method_name)};
   }
-  // Call a method of the port, under the GIL.
-  template <typename... Args>
-  nb::object call(const Args&... args) const {
+  // Return a method of the port, under the GIL.
+  nb::object function() const {
     if (!component) throw std::logic_error("a port is used that its component does not declare");
-    return nb::handle(component).attr(port).attr(method)(args...);
+    return nb::handle(component).attr(port).attr(method);
   }
 };
 
@@ -97,12 +92,13 @@ class MethodBase {
  public:
   void attach(const Place& place) { place_ = place; }
   virtual void note(nb::handle) {}
+  const Place& place() const { return place_; }
  protected:
   // Call it by way of Python, under the GIL.
   template <typename... Args>
   nb::object call_in_python(const Args&... args) const {
     try {
-      return place_.call(args...);
+      return place_.function()(args...);
     } catch (nb::python_error& error) {
       throw_call_error(error);
     }
@@ -113,6 +109,18 @@ class MethodBase {
 
 template <typename Result>
 using Held = std::conditional_t<std::is_void_v<Result>, bool, std::optional<Result>>;
+
+// What a call by way of Python returned, under the GIL.
+template <typename Result>
+Result result_from(const nb::object& result, nb::handle method) {
+  if constexpr (!std::is_void_v<Result>) {
+    Result value{};
+    if (!nb::try_cast(result, value))
+      throw CannotCross(nb::cast<std::string>(method) + " returned a " +
+                        nb::cast<std::string>(result.type().attr("__qualname__")));
+    return value;
+  }
+}
 
 }  // namespace detail
 
@@ -141,14 +149,7 @@ class Method<Result(Args...)> : public detail::MethodBase {
       if (begun == Begin::refused) throw Timeout(run.refusal);
     }
     const nb::gil_scoped_acquire gil;
-    const nb::object result = call_in_python(args...);
-    if constexpr (!std::is_void_v<Result>) {
-      Result value{};
-      if (!nb::try_cast(result, value))
-        throw CannotCross(nb::cast<std::string>(place_.method) + " returned a " +
-                          nb::cast<std::string>(result.type().attr("__qualname__")));
-      return value;
-    }
+    return detail::result_from<Result>(call_in_python(args...), place_.method);
   }
 
   // Use another function from now on.
@@ -260,7 +261,7 @@ class Published {
   // Hand a message to every subscriber, in order.
   void publish(const M& message) const {
     const nb::gil_scoped_acquire gil;
-    place_.call(message);
+    place_.function()(message);
   }
   void attach(const detail::Place& place) { place_ = place; }
 

@@ -181,7 +181,7 @@ void bind_direct_call(nb::module_& module) {
   nb::class_<DirectCall>(module, "DirectCall", nb::type_slots(slots),
                          "What a function that `direct_call` returned holds.");
   module.def("native_api", [] {
-    static CallsApi api{calls_api_version, find_call, method_of, begin_call, end_call};
+    static CallsApi api{find_call, method_of, begin_call, end_call};
     return nb::capsule(&api, calls_api_name);
   }, nb::sig("def native_api() -> object"));
 }
