@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import Any
 
 import msgspec
 import pytest
+import zenoh
 
 from poise.clock import SystemClock
 from poise.manage.agent_connections.reports import MOST_REFUSED, AgentReports, reading
@@ -50,3 +52,19 @@ def test_keeps_a_bounded_number_of_reasons(reports: AgentReports) -> None:
     for number in range(2 * MOST_REFUSED):
         reports.on_refused(f"reason {number}")
     assert len(reports.take_refused()) == MOST_REFUSED
+
+
+def test_a_computer_is_lost_since_it_was_silent(reports: AgentReports) -> None:
+    reports.on_alive(token("PUT"))
+    reports.on_silent(["left"])
+    since = reports.out_of_reach()["left"]
+    reports.on_alive(token("DELETE"))
+    reports.on_silent([])
+    reports.go_on_without_missing()
+    assert reports.out_of_reach() == {"left": since}
+
+
+def token(kind: str) -> Any:
+    """Return what says that the agent of 'left' came or went."""
+    sort = getattr(zenoh.SampleKind, kind)
+    return SimpleNamespace(key_expr="poise/robot/alive/left", kind=sort)

@@ -242,8 +242,7 @@ class AgentReports:
                     self._on_new_agent(computer)
             elif computer in self._alive:
                 self._alive.discard(computer)
-                self._lost[computer] = wall_time()
-                self._on_ended_agent(computer)
+                self._note_lost(computer)
             self._note_news()
 
     def on_silent(self, computers: Iterable[str]) -> None:
@@ -256,11 +255,15 @@ class AgentReports:
     def go_on_without_missing(self) -> None:
         """Count agents that are not there as lost."""
         with self._changed:
-            missing = self._endpoints.keys() - self._alive
-            self._lost |= dict.fromkeys(missing, wall_time())
-            for computer in missing:
-                self._on_ended_agent(computer)
+            for computer in self._endpoints.keys() - self._alive:
+                self._note_lost(computer)
             self._note_news()
+
+    def _note_lost(self, computer: str) -> None:
+        """Note that an agent is gone: since it was silent, if it was before."""
+        since = self._silent.get(computer, wall_time())
+        self._lost.setdefault(computer, since)
+        self._on_ended_agent(computer)
 
     def _note_news(self) -> None:
         self._seen = dict(self._statuses), {**self._silent, **self._lost}
