@@ -55,6 +55,12 @@ class Source(Component):
         tell("sent", self.count)
         self.numbers.publish(Number(self.count))
 
+    def snapshot(self):
+        return self.count
+
+    def restore(self, state: int):
+        self.count = state
+
 class Sink(Component):
     count = 0
 
@@ -236,10 +242,12 @@ def test_components_of_a_lost_computer_go_on_elsewhere(field: Field, up: Up) -> 
     lost = at(field, "source")
     there = "third" if lost == "left" else "left"
     field.set_cable(lost, "down")
-    up.wait_for(rf"restart, from checkpoints or without state: .*'source' on '{there}'")
+    up.wait_for(rf"components of a lost computer restart: .*'source' on '{there}'")
     up.wait_for("the components run again")
     assert at(field, "source") == there
     assert f"'{lost}' has been out of reach since" in run_poise("status").stdout
+    said = f"component 'source' started without the state that it had on '{lost}'"
+    assert said in run_poise("status").stdout
 
     field.set_cable(lost, "up")
     up.wait_for(f"computer '{lost}' is reached again")

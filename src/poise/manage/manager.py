@@ -170,6 +170,7 @@ class Manager:
     def status(self) -> RobotStatus:
         """Return the last known state; from any thread, at once."""
         known = status_of(self._run, self.tasks.reports, self._estimates)
+        lost_states = tuple(self._run.lost_states.copy().values())
         return structs.replace(
             known,
             deviations=(
@@ -181,7 +182,8 @@ class Manager:
                 *(p.under_way() for _, p, _ in self._preparations.copy()),
                 *self._canaries.under_way(),
             ),
-            faults=self._watch.num_faults,
+            faults=self._watch.num_faults + len(lost_states),
+            lost_states=lost_states,
             prefetch=self._prefetch.report(),
         )
 

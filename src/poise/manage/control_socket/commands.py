@@ -170,6 +170,8 @@ class RobotStatus(Struct, frozen=True, tag=True, kw_only=True):
     deviations: tuple[Deviation, ...] = ()
     under_way: tuple[str, ...] = ()
     faults: int = 0  # how many faults there were since the start; they may be over
+    # components that lost their state when they were started elsewhere: the last time
+    lost_states: tuple[Deviation, ...] = ()
     demand_estimates: tuple[DemandEstimate, ...] = ()
     chains: tuple[ChainReport, ...] = ()  # how old the data of the robot's chains was
     # computer -> what it has: ``cpu`` [its own cores], ``memory`` [bytes],

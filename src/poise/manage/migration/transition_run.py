@@ -7,7 +7,9 @@ from collections.abc import Collection, Mapping, Sequence
 
 from msgspec import structs
 
+from poise.clock import wall_time
 from poise.errors import RunError, UsageError
+from poise.manage.agent_connections.statuses import components_of
 from poise.manage.deploy.desired import Incarnation
 from poise.manage.deploy.running_components import (
     ACTIVE_LIMIT,
@@ -20,6 +22,7 @@ from poise.manage.migration.migration_report import (
     TransitionStep,
 )
 from poise.manage.migration.move import move
+from poise.manage.observe.deviations import Deviation
 from poise.units import counted
 
 LEASE_LIMIT = 3.0
@@ -113,11 +116,8 @@ def _with_checkpoint(run: RunningComponents, new: Incarnation) -> Incarnation:
     name, before = new.component, run.placed.get(new.component)
     copy = run.agents.checkpoints.get(name, before.epoch) if before else None
     if copy is None:
-        if before and any(
-            c.name == name and c.checkpoint for c in run.robot.components()
-        ):
-            why = "this manager has no copy of its checkpoint"
-            run.journal.note("wrong", f"component '{name}' starts without state: {why}")
+        if before is not None:
+            _note_lost_state(run, before)
         return structs.replace(new, fresh=True)
     mine = structs.replace(copy, epoch=new.epoch)
     if refusal := run.agents.keep_checkpoint(new.computer, mine):
@@ -127,6 +127,28 @@ def _with_checkpoint(run: RunningComponents, new: Incarnation) -> Incarnation:
     what = f"component '{name}' goes on from its state of {copy.age:.1f} s ago"
     run.journal.note("done", what)
     return structs.replace(new, fresh=False)
+
+
+def _note_lost_state(run: RunningComponents, before: Incarnation) -> None:
+    """Journal, and keep for `status`, that a component begins anew, if it had state."""
+    name = before.component
+    by_name = {component.name: component for component in run.robot.components()}
+    status = run.agents.statuses().get(before.computer)
+    known = [] if status is None else components_of({before.computer: status})
+    has_state = any(c.name == name and c.has_state for c in known)
+    if not (by_name[name].checkpoint or has_state):
+        return
+    why = (
+        "this manager has no copy of its checkpoint"
+        if by_name[name].checkpoint
+        else "it has no `checkpoint` in the robot file"
+    )
+    lost = f"without the state that it had on '{before.computer}': {why}"
+    what = f"component '{name}' started {lost}"
+    run.journal.note("wrong", what)
+    run.lost_states[name] = Deviation(
+        what=what, computer=before.computer, component=name, since=wall_time()
+    )
 
 
 def transit(

@@ -91,8 +91,7 @@ class FailOver:
 
 def _sentence(placement: Mapping[str, str]) -> str:
     where = ", ".join(f"'{c}' on '{at}'" for c, at in sorted(placement.items()))
-    what = "components of a lost computer restart, from checkpoints or without state"
-    return f"{what}: {where}"
+    return f"components of a lost computer restart: {where}"
 
 
 def fail_over(situation: Situation, lost: Collection[str]) -> Failover:

@@ -171,6 +171,8 @@ def container_lines(answer: RobotStatus) -> Iterator[str]:
 
 
 def _notices(answer: RobotStatus) -> Iterator[str]:
+    for each in answer.lost_states:
+        yield f"{each.what} ({_clock(each.since)})"
     versions = {report.version for report in answer.computers.values()}
     for name, report in sorted(answer.computers.items()):
         if report.notice:
