@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from poise.runtime.waker import wait_readable
+from tests.command import run_poise
 from tests.runtime.conftest import free_port
 from tests.waiting import LONG
 
@@ -140,3 +141,9 @@ def test_nohup_lets_a_command_go_on() -> None:
         "    os.kill(os.getpid(), signal.SIGHUP)\n"
     )
     subprocess.run([sys.executable, "-c", code], timeout=LONG, check=True)
+
+
+def test_top_without_a_terminal_names_what_to_use_instead() -> None:
+    done = run_poise("top")
+    assert done.returncode == 2
+    assert "needs a terminal: `poise status`" in done.stderr

@@ -209,7 +209,9 @@ def test_a_stopped_manager_is_named_and_can_be_replaced(file: Path) -> None:
     pid = before["manager"]["pid"]
     with stopped(pid):
         said = rf"\(process {pid}\) has not answered for .*`kill -CONT {pid}`"
-        for words in ("stop",), ("move", "printer", "left"), ("task", "list"):
+        # more than one move: what else waits then must not end the command
+        moves = [("move", "printer", "left")] * 3
+        for words in ("stop",), *moves, ("task", "list"):
             done = run_poise(*words, "--robot", NAME)
             assert done.returncode == 4, done.stderr
             says(said, done.stderr)

@@ -34,6 +34,8 @@ from poise.units import SECONDS
 
 TELL_EVERY = 1.0
 """How often it says what is under way [s]."""
+_LAST_ANSWER = 15.0
+"""What it asked last is answered, or refused, within this time [s]."""
 
 
 @contextmanager
@@ -55,7 +57,8 @@ def telling_progress(running: Running) -> Iterator[None]:
         yield
     finally:
         is_over.set()
-        telling.join(TELL_EVERY)
+        # zenoh aborts a process that ends while another thread waits in it
+        telling.join(_LAST_ANSWER)
 
 
 Robot = Annotated[

@@ -229,6 +229,10 @@ def top_command(
         from poise.view.top import Top
     except ImportError as error:
         raise UsageError("poise top needs textual: pip install 'poise[top]'") from error
+    if not (sys.stdin.isatty() and sys.stderr.isatty()):  # which it draws on
+        raise UsageError(
+            "poise top needs a terminal: `poise status` prints the same once"
+        )
     Top(connect(robot).status, every).run()
 
 
