@@ -277,8 +277,8 @@ def test_a_state_is_matched_by_the_names_of_its_fields(
 ) -> None:
     for by, adapt, words in (
         ("Counter", "", "Counter has no `restore`, so the state would be lost"),
-        ("Renamed", "", r"fields (('count', 'int'),), but Renamed.restore takes"),
-        ("Renamed", "replaced:adapt", "but Renamed.restore takes (('total', 'int'),)"),
+        ("Renamed", "", "is (count: int), but Renamed.restore takes"),
+        ("Renamed", "replaced:adapt", "but Renamed.restore takes (total: int)"),
     ):
         report = replace(world.run, "counter", f"replaced:{by}", adapt).run()
         assert not report.committed

@@ -14,7 +14,7 @@ from poise.errors import UsageError
 from poise.runtime.component.component import Component
 from poise.runtime.component.implementation import fingerprint
 
-_WAYS_OUT = "map it with --adapt, or drop it with --fresh"
+_WAYS_OUT = "let `poise replace` map it with --adapt, or drop it with --fresh"
 
 
 @cache
@@ -28,8 +28,9 @@ def describe_type(type_: Any) -> str:  # noqa: ANN401, any type
     made_of = fingerprint(type_)
     if isinstance(type_, type) and issubclass(type_, Struct):
         assert isinstance(made_of, tuple)  # noqa: S101, of a message class
-        made_of = made_of[1]  # the class's own name does not count
-    return repr(made_of)
+        fields = made_of[1]  # the class's own name does not count
+        return f"({', '.join(f'{name}: {of}' for name, of in fields)})"
+    return str(made_of)
 
 
 def check_fits(described: str, taken: Any, by: str) -> None:  # noqa: ANN401, any type
@@ -39,8 +40,9 @@ def check_fits(described: str, taken: Any, by: str) -> None:  # noqa: ANN401, an
     if taken is Any or any(describe_type(option) == described for option in options):
         return
     raise UsageError(
-        f"the state has the fields {described}, but {by} takes "
-        f"{' or '.join(map(describe_type, options))}: {_WAYS_OUT}"
+        f"the state is {described}, but {by} takes "
+        f"{' or '.join(map(describe_type, options))}: let `snapshot` return that, or "
+        f"{_WAYS_OUT}"
     )
 
 
