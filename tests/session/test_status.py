@@ -31,6 +31,7 @@ from poise.wire.records.status_records import (
     ContainerStatus,
     Fault,
     Summary,
+    TimerStatus,
 )
 
 NAME = "recommendation_presenter"
@@ -69,6 +70,20 @@ def test_says_what_is_needed_how_sure_that_is_and_what_was_expected() -> None:
     assert "10.0% ± 1.2%" in row
     assert "5.0%" in row
     assert list(remarks(answer)) == [f"{NAME}: 12 errors, starved 40%"]
+
+
+def test_a_single_missed_deadline_is_counted() -> None:
+    timer = TimerStatus(
+        name="look",
+        period=0.1,
+        deadline=0.1,
+        releases=7200,
+        missed=1,
+        lateness=Summary(),
+        duration=Summary(),
+    )
+    component = ComponentStatus(name=NAME, state="active", timers=(timer,))
+    assert [*_remarks(component, None)] == ["look missed 1 of 7,200 deadlines"]
 
 
 def test_a_starved_component_is_shown_with_the_culprit() -> None:

@@ -18,6 +18,7 @@ from poise.session.render.tables import (
     chain_tables,
     clock_tables,
     connector_tables,
+    failed_calls,
     table,
     task_lines,
 )
@@ -126,6 +127,8 @@ def _failures(report: RunRecord) -> Iterator[RenderableType]:
         if connector.drops:
             dropped = counted(connector.drops, "message")
             yield f"[yellow]{connector.name}: {dropped} dropped[/]"
+    for sentence in failed_calls(report.connectors):
+        yield f"[yellow]{sentence}[/]"
     for port in report.silent:
         yield f"[yellow]{escape(str(port))}[/]"
     if report.interrupted:

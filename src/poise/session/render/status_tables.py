@@ -17,6 +17,7 @@ from poise.session.render.tables import (
     chain_tables,
     clock_tables,
     connector_tables,
+    failed_calls,
     table,
     task_lines,
 )
@@ -53,7 +54,8 @@ def status_parts(status: RobotStatus) -> Iterator[RenderableType]:
     yield from chain_tables(status.chains)
     yield computer_table(status)
     growing, containers = growing_containers(status), container_lines(status)
-    for line in (*growing, *containers, *_notices(status)):
+    failing = failed_calls(connectors_of(status.computers))
+    for line in (*growing, *containers, *failing, *_notices(status)):
         yield Text(line, style="yellow")
 
 
@@ -220,8 +222,8 @@ def _remarks(
         yield f"{what} has computed for {lasted} and not ended"
     for timer in component.timers:
         if timer.deadline is not None and timer.missed:
-            share = timer.missed / timer.releases
-            yield f"{timer.name} missed {share:.1%} of deadlines"
+            missed = f"{timer.missed:,} of {timer.releases:,} deadlines"
+            yield f"{timer.name} missed {missed}"
 
 
 def _needs(standing: DemandEstimate | None) -> tuple[str, str]:

@@ -142,6 +142,13 @@ def connector_tables(ends: Iterable[ConnectorStatus]) -> list[NamedRows]:
     return [rows for rows in (counts, times, sizes) if rows.row_count]
 
 
+def failed_calls(ends: Iterable[ConnectorStatus]) -> Iterator[str]:
+    """Say over which connectors calls failed: their callers alone know why."""
+    for end in sorted(ends, key=lambda end: end.name):
+        if end.end != "target" and end.calls and end.errors:
+            yield f"{end.name}: {end.errors:,} of {end.calls:,} calls failed"
+
+
 def _grouped(ends: Iterable[ConnectorStatus]) -> dict[tuple[str, str], _Ends]:
     found: dict[tuple[str, str], _Ends] = {}
     for end in ends:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from io import StringIO
 
+from msgspec.structs import replace
 from rich.console import Console
 
-from poise.session.render.tables import connector_tables
+from poise.session.render.tables import connector_tables, failed_calls
 from poise.wire.records.status_records import ConnectorStatus, Side, Summary
 
 NAME = "laser-of-the-robot.distances-navigator.distances"
@@ -103,3 +104,14 @@ def test_long_names_leave_the_numbers_whole() -> None:
         assert len(cells) == 1, rows
         assert max(map(len, rows)) <= 80
         assert "…" not in "".join(rows)
+
+
+def test_says_over_which_connectors_calls_failed() -> None:
+    calls = ConnectorStatus(
+        name="ask", kind="direct", end="both", ready=True, calls=2000, errors=1500
+    )
+    served = replace(calls, end="target")
+    fine = replace(calls, name="other", errors=0)
+    assert [*failed_calls([served, fine, calls])] == [
+        "ask: 1,500 of 2,000 calls failed"
+    ]
