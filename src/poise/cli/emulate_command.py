@@ -20,6 +20,7 @@ from poise.session.launch.printer import Printer, log_printer
 from poise.session.render.printable import console_to
 from poise.session.robot_file import load
 from poise.units import BANDWIDTH, CORES, SECONDS, Dimension
+from poise.wire.robots_here import is_alive, path_of
 
 _POLL_EVERY = 0.2
 
@@ -217,8 +218,14 @@ def stop_command(
     """
     if file is not None and robot is not None:
         raise UsageError(f"give {file} or --robot, not both")
-    find_set(load(file).name if file is not None else robot).stop()
-    console_to().print("stopped")
+    found = find_set(load(file).name if file is not None else robot)
+    name = found.robot
+    found.stop()
+    console_to().print(f"the emulated computers of robot '{name}' have stopped")
+    if is_alive(path_of(name)):
+        console_to().print(
+            f"its manager goes on without them: `poise stop --robot {name}` ends it"
+        )
 
 
 def _say_last(kept: EmulatedSet) -> None:

@@ -373,8 +373,8 @@ class Manager:
             case RebalanceCommand(cost, dry):
                 return Rebalanced(*self._adaptation.balance(cost, dry=dry))
             case MoveCommand(component, computer, force):
-                self._adaptation.check_asked(component, computer, force=force)
                 planned = move(run, component, computer, force=force)
+                self._adaptation.check_asked(component, computer, force=force)
             case ReplaceCommand(by=by, adapt=adapt, watch=watch) if watch and (
                 adapt or ":" not in by
             ):

@@ -123,11 +123,12 @@ def _failures(report: RunRecord) -> Iterator[RenderableType]:
     for name, count in report.lost.items():
         lost = f"{most}{counted(count, 'message')}"
         yield f"[red]{name}: {lost} sent and not processed[/]"
-    for connector in report.connectors:
-        if connector.drops:
-            dropped = counted(connector.drops, "message")
-            yield f"[yellow]{connector.name}: {dropped} dropped[/]"
-    for sentence in failed_calls(report.connectors):
+    dropped = (
+        f"{each.name}: {counted(each.drops, 'message')} dropped"
+        for each in report.connectors
+        if each.drops
+    )
+    for sentence in (*dropped, *failed_calls(report.connectors)):
         yield f"[yellow]{sentence}[/]"
     for port in report.silent:
         yield f"[yellow]{escape(str(port))}[/]"
