@@ -22,6 +22,7 @@ from poise.manage.observe.chains import (
     DeadlineMisses,
     chain_reports,
 )
+from poise.manage.observe.deviations import LocatedFault
 from poise.manage.observe.troubles import refused
 from poise.manage.tasks.concurrent_tasks import TaskReport
 from poise.model.robot import Connector, Robot
@@ -31,7 +32,6 @@ from poise.wire.records.status_records import (
     ComponentStatus,
     ConnectorStatus,
     ErrorCount,
-    Fault,
     Summary,
     TimerStatus,
 )
@@ -231,7 +231,7 @@ class RunRecord(Struct, frozen=True, kw_only=True):
     refused: Mapping[str, int] = {}
     lost: Mapping[str, int] = {}
     silent: tuple[SilentPort, ...] = ()
-    faults: tuple[Fault, ...] = ()
+    faults: tuple[LocatedFault, ...] = ()
     interrupted: bool = False
     clocks: Mapping[str, Mapping[str, ClockStatus]] = {}
     invalid: str = ""

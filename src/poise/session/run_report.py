@@ -14,7 +14,7 @@ from poise.manage.agent_connections.statuses import Statuses
 from poise.manage.deploy.deactivation import unprocessed
 from poise.manage.journal import JournalEntry
 from poise.manage.observe.chains import ChainReport
-from poise.manage.observe.deviations import faults_after
+from poise.manage.observe.deviations import LocatedFault, faults_after
 from poise.manage.tasks.concurrent_tasks import TaskReport
 from poise.session.last_seen import LastSeen
 from poise.session.launch.start import Started
@@ -193,7 +193,10 @@ def reported(
         refused=refused_messages(final),
         lost=unprocessed(up.run, placed.where.keys(), seen.last_seen.ended),
         silent=silent_ports(robot, final),
-        faults=tuple(fault for _, fault in faults_after(up.run.faults_before, final)),
+        faults=tuple(
+            LocatedFault(computer=computer, **msgspec.structs.asdict(fault))
+            for computer, fault in faults_after(up.run.faults_before, final)
+        ),
         clocks=clocks_of(seen.end),
         interrupted=seen.interrupted,
         invalid=invalid,

@@ -257,12 +257,19 @@ class _Faults:
         return len(self._moments) == _FIRST and now - self._moments[0] < _WINDOW
 
 
-def combined(faults: Iterable[Fault]) -> Iterator[str]:
+class LocatedFault(Fault, frozen=True, kw_only=True):
+    """A fault, and the computer where it was."""
+
+    computer: str
+
+
+def combined(faults: Iterable[LocatedFault]) -> Iterator[str]:
     """Yield a sentence for each kind of fault, with its number and last time."""
-    kinds: dict[tuple[str, str], list[Fault]] = {}
+    kinds: dict[str, list[Fault]] = {}
     for fault in faults:
-        kinds.setdefault((fault.container, fault.message), []).append(fault)
-    for (container, message), same in kinds.items():
+        what = f"container '{fault.container}' on '{fault.computer}' {fault.message}"
+        kinds.setdefault(what, []).append(fault)
+    for what, same in kinds.items():
         last = time.strftime("%H:%M:%S", time.localtime(same[-1].at))
-        many = f" ({len(same)} times, last at {last})" if len(same) > 1 else ""
-        yield f"container '{container}' {message}{many}"
+        times = f"{len(same)} times, last at" if len(same) > 1 else "at"
+        yield f"{what} ({times} {last})"

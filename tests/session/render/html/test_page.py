@@ -11,6 +11,7 @@ from msgspec.structs import replace
 
 import poise
 from poise.manage.journal import JournalEntry
+from poise.manage.observe.deviations import LocatedFault
 from poise.model import load
 from poise.model.robot import Computer, Robot
 from poise.session.run_records import MOST, ComponentReport, History, Moment
@@ -19,7 +20,6 @@ from poise.wire.records.status_records import (
     AgentStatus,
     ComponentStatus,
     ContainerStatus,
-    Fault,
     Summary,
     TimerStatus,
 )
@@ -69,7 +69,11 @@ REPORT = RunReport(
     ),
     connectors=(),
     began=1000.0,
-    faults=(Fault(container="see", message="container 'see' ended", at=1004.1),),
+    faults=(
+        LocatedFault(
+            computer="left", container="see", message="container 'see' ended", at=1004.1
+        ),
+    ),
     history=(
         Moment(at=1005.0, cpu_share={"left": 0.5}, missed={"eye.tick": 0.1}),
         Moment(at=1006.0, cpu_share={"left": 0.96}, missed={"eye.tick": 0.4, "z": 0.2}),
