@@ -67,6 +67,6 @@ def test_what_restarts_without_the_state_that_was_to_be_kept_is_said() -> None:
     start_together(robbed.run, {"low": "left", "high": "left"})
     (wrong,) = (each.what for each in robbed.journal.entries() if each.kind == "wrong")
     why = "this manager has no copy of its checkpoint"
-    lost = f"without the state that it had on 'right': {why}"
+    lost = f"without the state that it had on 'left': {why}"
     assert wrong == f"component 'low' started {lost}"
     assert robbed.run.lost_states["low"].what == wrong
