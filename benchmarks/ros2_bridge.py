@@ -1,21 +1,26 @@
 """A topic through bridges, beside rclpy alone: python -m benchmarks.ros2_bridge.
 
-A node of rclpy publishes a message and waits until it comes back: from a second process
-that is a node of rclpy, too, and from one in which a component of Poise gets and sends
-it through two bridges. Both are asked in turns, in one run. Needs `poise[ros2]`.
+A node of rclpy publishes a message and waits until it comes back, through as many
+processes each time, in turns: from a node of rclpy in a session of its own, as services
+and other terminals start it; from one in the same session, whose processes the kernel
+schedules as a group; and from a component of Poise, which gets and sends it through two
+bridges. With --tuned the nodes of rclpy have the profile of Fast DDS and the allocation
+that bridges have. Needs `poise[ros2]`.
 """
 
 from __future__ import annotations
 
 import argparse
+import ctypes
 import os
 import statistics
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -25,11 +30,12 @@ from numpy.typing import NDArray
 import poise
 from poise import Component, Message, Published, subscribed
 
+WAYS = {"apart": "rclpy", "beside": "in one session", "bridged": "through bridges"}
 SIZES = {64: 100, 1_000_000: 30}
 """Bytes -> how often they are sent in one round."""
 ROUNDS = 8
 LIMIT = 30.0
-DOMAIN = "86"
+DOMAIN = str(1 + os.getpid() % 100)
 FILE = """
 robot: ros2-bridge-{pid}
 computers:
@@ -67,15 +73,15 @@ class Echo(Component):
         self.back.publish(message)
 
 
-def echo() -> None:
+def echo(name: str) -> None:
     """Be the node that sends back what comes."""
     import rclpy  # noqa: PLC0415, the first process needs none of it
     from sensor_msgs.msg import Image  # noqa: PLC0415
 
     rclpy.init()
-    node = rclpy.create_node("plain_echo")
-    back = node.create_publisher(Image, "/plain_back", 10)
-    node.create_subscription(Image, "/plain", back.publish, 10)
+    node = rclpy.create_node(f"echo_{name}")
+    back = node.create_publisher(Image, f"/{name}_back", 10)
+    node.create_subscription(Image, f"/{name}", back.publish, 10)
     with suppress(KeyboardInterrupt, rclpy.executors.ExternalShutdownException):
         rclpy.spin(node)
 
@@ -94,7 +100,7 @@ class Asker:
         self._executor.add_node(self._node)
         self._came = -1
         self._out: dict[str, Any] = {}
-        for name in ("plain", "bridged"):
+        for name in WAYS:
             self._out[name] = self._node.create_publisher(Image, f"/{name}", 10)
             self._node.create_subscription(Image, f"/{name}_back", self._take, 10)
 
@@ -123,16 +129,21 @@ class Asker:
 
 
 @contextmanager
-def process(*argv: str) -> Iterator[None]:
+def process(*argv: str, apart: bool = True) -> Iterator[None]:
     """Let a process run meanwhile."""
-    with subprocess.Popen(argv) as started:
+    started = subprocess.Popen(argv, start_new_session=apart)
+    try:
+        yield
+    finally:
+        started.terminate()
         try:
-            yield
-        finally:
-            started.terminate()
+            started.wait(LIMIT)
+        except subprocess.TimeoutExpired:  # rclpy may overlook a signal
+            started.kill()
+            started.wait()
 
 
-def main(rounds: int) -> None:
+def main(rounds: int, tuned: Sequence[str]) -> None:
     """Print the times and their ratio."""
     os.environ["ROS_DOMAIN_ID"] = DOMAIN
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
@@ -150,12 +161,16 @@ def main(rounds: int) -> None:
             f"ros2-bridge-{os.getpid()}",
         )
         where = ("--address", "127.0.0.1", "--port", str(port), "--folder", folder)
-        plain = (python, "-m", "benchmarks.ros2_bridge", "echo")
-        with process(python, *agent, *where), process(*plain):
+        plain = (python, "-m", "benchmarks.ros2_bridge", *tuned, "--echo")
+        with (
+            process(python, *agent, *where),
+            process(*plain, "apart"),
+            process(*plain, "beside", apart=False),
+        ):
             robot = poise.load(file)
             with poise.up(robot, say=lambda _: None):
                 asker = Asker()
-                for name in ("plain", "bridged"):
+                for name in WAYS:
                     asker.wait_until_there(name)
                 for size, count in SIZES.items():
                     compare(asker, size, count, rounds)
@@ -163,18 +178,27 @@ def main(rounds: int) -> None:
 
 def compare(asker: Asker, size: int, count: int, rounds: int) -> None:
     """Print the median of each way, asked in turns."""
-    times: dict[str, list[float]] = {"plain": [], "bridged": []}
+    times: dict[str, list[float]] = {name: [] for name in WAYS}
     number = 0
     for _ in range(rounds):
         for name, found in times.items():
             for _ in range(count):
                 number += 1
                 found.append(asker.ask(name, number, size))
-    plain, bridged = (statistics.median(found) for found in times.values())
-    print(
-        f"{size:>9,} B there and back: rclpy {plain * 1e3:.3f} ms, through bridges "
-        f"{bridged * 1e3:.3f} ms: {bridged / plain:.2f} times"
-    )
+    medians = {name: statistics.median(found) for name, found in times.items()}
+    print(f"{size:,} B there and back:")
+    for name, median in medians.items():
+        ratio = medians["bridged"] / median
+        print(f"  {WAYS[name]:>15} {median * 1e3:7.3f} ms, bridges {ratio:.2f} times")
+
+
+def tune() -> None:
+    """Let this process have what those with bridges have."""
+    profile = files("poise") / "ros2" / "fastdds.xml"
+    os.environ["FASTDDS_DEFAULT_PROFILES_FILE"] = str(profile)
+    allocator = ctypes.CDLL(None)
+    for parameter, value in ((-1, 512 << 20), (-3, 32 << 20)):
+        allocator.mallopt(parameter, value)
 
 
 if __name__ == "__main__":
@@ -182,9 +206,12 @@ if __name__ == "__main__":
         "python -m benchmarks.ros2_bridge", description=__doc__
     )
     parser.add_argument("--quick", action="store_true", help="one round")
-    parser.add_argument("who", nargs="?", choices=["echo"], help=argparse.SUPPRESS)
+    parser.add_argument("--tuned", action="store_true", help="tune rclpy, too")
+    parser.add_argument("--echo", choices=WAYS, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
-    if arguments.who:
-        echo()
+    if arguments.tuned:
+        tune()
+    if arguments.echo:
+        echo(arguments.echo)
     else:
-        main(1 if arguments.quick else ROUNDS)
+        main(1 if arguments.quick else ROUNDS, ["--tuned"] * arguments.tuned)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import functools
 import importlib
 import os
@@ -20,6 +21,8 @@ from poise.ros2.shared_memory import remove_leftovers
 _arguments: ContextVar[Sequence[str] | None] = ContextVar("arguments", default=None)
 _changing = threading.Lock()
 _users = 0
+_MALLOPT = {-1: 512 << 20, -3: 32 << 20}
+"""M_TRIM_THRESHOLD and M_MMAP_THRESHOLD of mallopt(3) [bytes]."""
 
 
 def rclpy() -> ModuleType:
@@ -40,6 +43,7 @@ def join(environment: Mapping[str, str]) -> None:
     with _changing:
         if not _users:
             os.environ.update({**home(), **environment})
+            _tune()
             remove_leftovers()
             # Poise has signals; and arguments are those of each node
             no_signals = ros.signals.SignalHandlerOptions.NO
@@ -104,6 +108,19 @@ def drop_what_came(node: Any) -> None:  # noqa: ANN401, a node
             kind = service.srv_type.Request
             while service.handle.service_take_request(kind) != (None, None):
                 pass
+
+
+def _tune() -> None:
+    """Make room for large messages, unless the user has a profile of Fast DDS.
+
+    What they free is kept: new memory costs more than all copies of a message.
+    """
+    profile = Path(__file__).with_name("fastdds.xml")
+    os.environ.setdefault("FASTDDS_DEFAULT_PROFILES_FILE", str(profile))
+    mallopt = getattr(ctypes.CDLL(None), "mallopt", None)  # of glibc
+    if mallopt is not None:
+        for parameter, value in _MALLOPT.items():
+            mallopt(parameter, value)
 
 
 def _let_arguments_be_given() -> None:
