@@ -59,7 +59,8 @@ def simulate_command(
     recording: Annotated[
         Path | None,
         typer.Option(
-            help="What `poise up --record` wrote: the load, second by second."
+            help="What `poise up --record` wrote: the load, second by second. Or a bag "
+            "of ROS 2: what comes by bridges."
         ),
     ] = None,
     compare: Annotated[

@@ -163,7 +163,8 @@ class Workload(Struct, frozen=True, kw_only=True):
         str,
         says(
             "A file of `poise run --record`, relative to this one: what other "
-            "architectures published then comes from there.",
+            "architectures published then comes from there. Or a bag of ROS 2: what "
+            "bridges and nodes take comes from there.",
             is_nullable=True,
         ),
     ] = ""

@@ -141,7 +141,7 @@ def _cannot(where: str, hint: object) -> str:
 
 TICK = 0.005
 """Messages go out at multiples of this [s]."""
-_PAUSE = 0.1
+PAUSE = 0.1
 """Between two rounds of a recording [s]."""
 Due = tuple[float, Callable[[], None]]
 """When something is to be sent, since the beginning [s], and what sends it."""
@@ -216,7 +216,7 @@ class Replay(Component):
         """Yield the messages or calls of a source, again and again."""
         entries = [entry for entry in inputs if entry.source in part.sources]
         send = self._call if part.calls else self._publish_recorded
-        length = max((entry.at for entry in inputs), default=0.0) + _PAUSE
+        length = max((entry.at for entry in inputs), default=0.0) + PAUSE
         for number, entry in enumerate(cycle(entries)):
             at = number // len(entries) * length + entry.at
             yield at, partial(send, name, entry)

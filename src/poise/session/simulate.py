@@ -9,7 +9,8 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, suppress
 from math import isfinite
 from os import PathLike
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from msgspec import Struct, structs
 from rich.console import RenderableType
@@ -17,6 +18,7 @@ from rich.console import RenderableType
 from poise.errors import RobotError, RunError, UsageError
 from poise.model.robot import Robot
 from poise.session import Check, Say, log, nothing
+from poise.session.bag_workload import bag_traffic
 from poise.session.fault_file import Faults, faults_of
 from poise.session.placing.first_phase import first_phase
 from poise.session.placing.placement import Placement, place
@@ -34,6 +36,7 @@ from poise.session.render.simulation_tables import (
 )
 from poise.session.robot_file import task_of
 from poise.simulation.simulation_report import SimulationReport
+from poise.wire.bag_file import is_bag
 
 
 @contextlib.contextmanager
@@ -105,7 +108,8 @@ def simulate(  # noqa: PLR0913 - each is a choice of the user
         Whether Poise changes the placement by itself, as `up` does.
     recording
         What `poise.up` or `poise.run` recorded: components take in each second what
-        they took then, again and again; None: what they take on average.
+        they took then, again and again; None: what they take on average. Or a bag of
+        ROS 2: as many and as large messages come by the robot's bridges.
     say
         Takes a sentence at every step.
     meanwhile
@@ -207,9 +211,19 @@ def _scenario(
         profile=read_profile(robot),
         faults=faults_of(robot, faults[0], seconds, faults[1]),
         adapts=adapt,
-        cores=RecordedRun(recording).cores(robot) if recording else {},
+        **_recorded(robot, recording),
         seconds=seconds,
     )
+
+
+def _recorded(robot: Robot, recording: str | PathLike[str] | None) -> dict[str, Any]:
+    """Return what the plan has of a recording, or of a bag of ROS 2."""
+    if recording is None:
+        return {}
+    path = Path(recording)
+    if is_bag(path):
+        return {"bag": bag_traffic(robot, path)}
+    return {"cores": RecordedRun(path).cores(robot)}
 
 
 def _simulated(

@@ -11,7 +11,7 @@ from functools import partial
 from msgspec import Struct
 
 from poise.errors import RunError
-from poise.estimate.profiles import Profile
+from poise.estimate.profiles import ConnectorProfile, Profile
 from poise.manage.control_socket.commands import MoveCommand, Refusal, Result
 from poise.manage.migration.migration_report import MigrationReport
 from poise.model.robot import Robot
@@ -57,6 +57,7 @@ class RehearsalPlan(Struct, frozen=True, kw_only=True):
     `faults`: what breaks; `at` counts from the moment when the robot is up [s].
     `cores`: component -> what it takes in each second, again and again [cores of the
     reference]; of the others the profile's mean counts.
+    `bag`: connector from a bridge -> how often and how large messages come over it.
     `adapts`: whether Poise changes the placement by itself.
     `seconds`: how long it is to last [virtual s].
     """
@@ -68,6 +69,7 @@ class RehearsalPlan(Struct, frozen=True, kw_only=True):
     profile: Profile | None = None
     faults: tuple[SimulatedFault, ...] = ()
     cores: Mapping[str, tuple[float, ...]] = {}
+    bag: Mapping[str, ConnectorProfile] = {}
     adapts: bool = True
     seconds: float = 60.0
 
@@ -82,7 +84,7 @@ class Rehearsal:
     def __init__(self, plan: RehearsalPlan, seed: int = 0) -> None:
         self._plan = plan
         self._seed = seed
-        self._work = workload_of(plan.robot, plan.profile, plan.cores)
+        self._work = workload_of(plan.robot, plan.profile, plan.cores, plan.bag)
         managed = ManagedRobot(
             robot=plan.robot,
             placement=plan.placement,

@@ -21,6 +21,7 @@ from msgspec import Struct, structs
 
 from poise.estimate.profiles import WINDOW, ConnectorProfile, Profile
 from poise.manage.deploy.deployment_plan import DeploymentPlan
+from poise.model.check.ros2_components import BRIDGE
 from poise.model.robot import ComponentEntry, Connector, Robot
 from poise.model.software import ComponentCode
 from poise.runtime.component.ports import Timer
@@ -75,20 +76,23 @@ def workload_of(
     robot: Robot,
     profile: Profile | None,
     cores: Mapping[str, tuple[float, ...]] = {},
+    bag: Mapping[str, ConnectorProfile] = {},
 ) -> SimulatedWork:
     """Return what the components of a robot do.
 
     `profile`: its measurements; None: the robot file's demands and rates count.
     `cores`: component -> what it takes in each second, again and again [cores of the
     reference]; of the others the mean counts.
+    `bag`: connector from a bridge -> how often and how large messages come over it.
     """
     profile = profile or Profile(
         robot=robot.name, poise="", computer="", speed=1.0, at="", seconds=0.0
     )
     guesses: list[str] = []
     plan = DeploymentPlan(robot, "")
+    measured = {**bag, **profile.connectors}
     over = {
-        str(connector): _traffic_of(connector, profile.connectors.get(str(connector)))
+        str(connector): _traffic_of(connector, measured.get(str(connector)))
         for connector in robot.all_connectors()
     }
     models = {}
@@ -99,15 +103,40 @@ def workload_of(
         part = _ComponentWork(robot, plan, over, entry, code, profile, guesses.append)
         mean, taken = part.cpu(), cores.get(entry.name, ())
         factors = tuple(second / mean for second in taken) if mean else ()
-        models[entry.name] = structs.replace(part.model(), factors=factors)
+        model = _at_rates(part.model(), _rates(robot, entry.name, bag))
+        models[entry.name] = structs.replace(model, factors=factors)
     traffic = Traffic(
-        sizes={name: t.size for name, t in over.items() if t.size},
+        sizes={name: t.size for name, t in {**over, **bag}.items() if t.size},
         calling=frozenset(name for name, t in over.items() if t.calls),
         costs=profile.costs,
     )
     return SimulatedWork(
         models=models, traffic=traffic, agent=profile.agent, guesses=tuple(guesses)
     )
+
+
+def _rates(
+    robot: Robot, name: str, bag: Mapping[str, ConnectorProfile]
+) -> dict[str, float]:
+    """Return port of a bridge -> how often a bag has a message for it [Hz]."""
+    return {
+        connector.between[0].port: bag[str(connector)].rate
+        for connector in robot.all_connectors()
+        if connector.between[0].component == name and str(connector) in bag
+    }
+
+
+def _at_rates(model: ComponentModel, rates: Mapping[str, float]) -> ComponentModel:
+    """Return a model whose timers of some names have other rates [Hz]."""
+
+    def at_rate(entry: TimerModel) -> TimerModel:
+        rate = rates.get(entry.timer.name)
+        if rate is None:
+            return entry
+        timer = structs.replace(entry.timer, period=1 / rate)
+        return structs.replace(entry, timer=timer)
+
+    return structs.replace(model, timers=tuple(map(at_rate, model.timers)))
 
 
 def _traffic_of(
@@ -206,6 +235,8 @@ class _ComponentWork:
         )
 
     def _timers(self) -> list[Timer]:
+        if self._entry.implementation == BRIDGE:
+            return list(self._arrivals())
         if self._code is not None and (self._code.timers or not self._known):
             return [Timer(t.name, t.period, t.deadline) for t in self._code.timers]
         measured = self._known.timers if self._known else {}
@@ -213,6 +244,13 @@ class _ComponentWork:
             Timer(name, timer.period, timer.period if self._code is None else None)
             for name, timer in measured.items()
         ]
+
+    def _arrivals(self) -> Iterator[Timer]:
+        """Yield what comes to a bridge from ROS 2 as timers: no component sends it."""
+        for connector in self._robot.all_connectors():
+            end, rate = connector.between[0], self._over[str(connector)].rate
+            if end.component == self._entry.name and rate:
+                yield Timer(end.port, 1 / rate, None)
 
     def _timer(self, timer: Timer) -> _Rated:
         if (rated := self._measured(timer.name, 1 / timer.period)) is not None:

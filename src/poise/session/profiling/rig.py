@@ -29,10 +29,14 @@ from poise.model.robot import (
 from poise.runtime.component.implementation import find, search_also
 from poise.runtime.component.ports import ports_of
 from poise.runtime.replay import PlayedPort
+from poise.session.bag_workload import PlayedBag, played_bag, topic_name
 from poise.session.record_run import interface_type, message_type
+from poise.wire.bag_file import is_bag
 from poise.wire.recording_file import inputs_of
 
 PLAYER = "player-of-workload"
+REPLAY = "poise.runtime.replay:Replay"
+BAG_PLAYER = "poise.ros2.bag_player:BagPlayer"
 
 
 class Played(Struct, frozen=True):
@@ -41,10 +45,20 @@ class Played(Struct, frozen=True):
     # Input as component.port -> its messages or calls
     parts: Mapping[str, PlayedPort] = {}
     recording: str = ""  # The recording's file; empty: none
+    bag: PlayedBag | None = None
 
     def covers(self, connector: Connector) -> bool:
+        """Return whether what a connector brings is played."""
+        topics = self.bag.topics if self.bag else ()
+        return topic_name(connector.topic) in topics or self.replaces(connector)
+
+    def replaces(self, connector: Connector) -> bool:
         """Return whether the replay component replaces a connector."""
         return str(connector.between[1]) in self.parts
+
+    def is_empty(self) -> bool:
+        """Return whether nothing is played."""
+        return not self.parts and self.bag is None
 
     def player(self) -> Architecture:
         """Return the replay component, with its own container."""
@@ -54,10 +68,11 @@ class Played(Struct, frozen=True):
                 name: msgspec.to_builtins(self.parts[input_])
                 for input_, name in self.ports().items()
             },
+            **(msgspec.to_builtins(self.bag) if self.bag else {}),
         }
         component = ComponentEntry(
             name=PLAYER,
-            implementation="poise.runtime.replay:Replay",
+            implementation=BAG_PLAYER if self.bag else REPLAY,
             isolated=True,
             parameters=parameters,
         )
@@ -69,7 +84,7 @@ class Played(Struct, frozen=True):
 
     def connectors(self, robot: Robot) -> tuple[Connector, ...]:
         """Return the robot's connectors with the replaced ones."""
-        kept = tuple(c for c in robot.connectors if not self.covers(c))
+        kept = tuple(c for c in robot.connectors if not self.replaces(c))
         return (*kept, *(self._connector(*each) for each in self.ports().items()))
 
     def names(self, robot: Robot) -> dict[str, str]:
@@ -78,7 +93,7 @@ class Played(Struct, frozen=True):
         return {
             str(c): str(self._connector(str(c.between[1]), ports[str(c.between[1])]))
             for c in robot.connectors
-            if self.covers(c)
+            if self.replaces(c)
         }
 
     @staticmethod
@@ -95,14 +110,18 @@ def played(robot: Robot) -> Played:
     if workload is None:
         return Played()
     parts: dict[str, PlayedPort] = {}
-    recording = ""
+    recording, bag = "", None
     if workload.recording:
-        recording = str((Path(robot.folder) / workload.recording).absolute())
-        parts |= _recorded(robot, recording)
+        path = (Path(robot.folder) / workload.recording).absolute()
+        if is_bag(path):
+            bag = played_bag(robot, path)
+        else:
+            recording = str(path)
+            parts |= _recorded(robot, recording)
     for each in workload.generate:  # generated ones replace recorded ones
         type_ = message_type(robot, each.port)
         parts[str(each.port)] = PlayedPort(type=type_, generated=each)
-    return Played(parts, recording)
+    return Played(parts, recording, bag)
 
 
 def _recorded(robot: Robot, recording: str) -> dict[str, PlayedPort]:
@@ -169,7 +188,7 @@ def rig_of(
     here = {c.name: computer for c in chosen.components}
     made = _emulated if robot.is_emulated else _real
     rig, elsewhere = made(robot, computer)
-    others = feeding if not playing.parts else (*feeding, playing.player())
+    others = feeding if playing.is_empty() else (*feeding, playing.player())
     beside = {c.name: elsewhere for a in others for c in a.components}
     there = {*here, *beside}
     placement = _held_by_devices(rig, {**here, **beside}, (chosen, *others))
