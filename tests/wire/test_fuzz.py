@@ -17,8 +17,8 @@ from poise.wire import _channel, frame
 from poise.wire.codec import MALFORMED, WireError, codec
 from poise.wire.frame import Kind
 from poise.wire.records.heartbeat_records import Heartbeat
-from poise.wire.records.request_records import Request
-from poise.wire.records.status_records import AgentStatus, FromContainer
+from poise.wire.records.request_records import Answer, ManagerRequest
+from poise.wire.records.status_records import AgentStatus, FromContainer, ToContainer
 
 
 class Scan(Message):
@@ -31,6 +31,8 @@ class Scan(Message):
 
 SCAN = Scan(name="front", ranges=np.arange(50, dtype=np.float32), more=[1, 2, 3])
 TYPES = [Scan, str, tuple[str, dict[str, Any]], FromContainer]
+
+RECORDS = [Heartbeat, ManagerRequest, Answer, AgentStatus, FromContainer, ToContainer]
 
 
 def changed(data: bytes, places: list[tuple[int, int]]) -> bytes:
@@ -72,6 +74,6 @@ def test_records_of_the_control_plane_are_read_or_refused(
 ) -> None:
     beat = Heartbeat(robot="r", sender="a", key="k", number=1, sent=0.0, heard={})
     for given_ in (data, changed(msgspec.msgpack.encode(beat), places)):
-        for type_ in (Heartbeat, Request, AgentStatus):
+        for type_ in RECORDS:
             with contextlib.suppress(*MALFORMED):
                 msgspec.msgpack.decode(given_, type=type_)

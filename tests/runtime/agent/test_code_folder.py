@@ -2,22 +2,31 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import io
 import os
 import subprocess
 import tarfile
+import tempfile
 import threading
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 
 import msgspec
 import pytest
+from hypothesis import given
 
 from poise.errors import RunError
 from poise.runtime.agent import code_folder
-from poise.runtime.agent.code_folder import CodeFolder, this_platform, unpack
+from poise.runtime.agent.code_folder import (
+    CodeFolder,
+    this_platform,
+    unpack,
+    unpack_wheel,
+)
 from poise.wire.records.code_records import (
     CodePart,
     CodeReceived,
@@ -25,6 +34,7 @@ from poise.wire.records.code_records import (
     Manifest,
 )
 from poise.wire.records.request_records import Accepted, Answer, Refused
+from tests.wire.test_fuzz import changed, changes
 
 
 def archive_of(
@@ -238,3 +248,30 @@ def test_a_full_disk_changes_nothing(small_disk: Path) -> None:
     assert folder.versions() == (VERSION,)
     assert not [*small_disk.glob("*.new")]
     assert CodeFolder(small_disk).versions() == (VERSION,)
+
+
+def packed_wheel() -> bytes:
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w") as wheel:
+        tiny = zipfile.ZipInfo("tiny.py")
+        wheel.writestr(tiny, "X = 1\n" * 100, zipfile.ZIP_DEFLATED)
+    return packed.getvalue()
+
+
+@given(changes)
+@pytest.mark.parametrize(
+    ("whole", "unpack_one"),
+    [(CODE, unpack), (packed_wheel(), partial(unpack_wheel, left=10_000_000))],
+    ids=["archive", "wheel"],
+)
+def test_what_was_changed_is_unpacked_or_refused(
+    whole: bytes,
+    unpack_one: Callable[[Path, Path], int],
+    places: list[tuple[int, int]],
+) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        path, into = Path(folder, "changed"), Path(folder, "into")
+        path.write_bytes(changed(whole, places))
+        with contextlib.suppress(RunError, OSError):
+            unpack_one(path, into)
+        assert {*Path(folder).iterdir()} <= {path, into}

@@ -7,6 +7,7 @@ and renamed as the last step, so that an agent that is killed leaves nothing hal
 from __future__ import annotations
 
 import hashlib
+import lzma
 import os
 import platform
 import re
@@ -14,6 +15,7 @@ import shutil
 import sys
 import tarfile
 import zipfile
+import zlib
 from collections.abc import Collection
 from pathlib import Path, PurePosixPath
 from threading import Lock
@@ -43,6 +45,11 @@ KEPT = 3
 """The last versions stay, whether or not they run."""
 _DIGEST = re.compile(r"[0-9a-f]{64}")
 _BUFFER = 1 << 20
+_NO_WHEEL = (
+    *(zipfile.BadZipFile, NotImplementedError, EOFError, ValueError),
+    *(RuntimeError, zlib.error, lzma.LZMAError),  # encrypted; damaged
+)
+"""What `zipfile` raises for damaged files."""
 
 
 class CodeFolder:
@@ -226,7 +233,7 @@ def unpack_wheel(wheel: Path, into: Path, left: int) -> int:
                 if name and not member.is_dir():
                     with archive.open(member) as content:
                         left = _write(_place(into, name), content, left)
-    except (zipfile.BadZipFile, NotImplementedError) as error:
+    except _NO_WHEEL as error:
         raise RunError(f"{wheel.name} is no wheel: {error}") from error
     return left
 
