@@ -220,6 +220,11 @@ def test_last_messages_cross_to_late_nodes_and_once(tmp_path: Path) -> None:
         wait_long(lambda: took() == "[7, 8]")
 
 
+FIBONACCI = "test_msgs/action/Fibonacci"
+BOTH = f""", type: {FIBONACCI}}}
+    - {{ros2: /on, port: scanner.light, type: std_srvs/srv/SetBool}}"""
+
+
 @pytest.mark.parametrize(
     ("line", "other", "words"),
     [
@@ -232,6 +237,9 @@ def test_last_messages_cross_to_late_nodes_and_once(tmp_path: Path) -> None:
         ("std_srvs/srv/SetBool", "std_srv/srv/SetBool", "did you mean 'std_srvs'?"),
         ("std_srvs/srv/SetBool", "std_srvs/srv/Trigger", "no such field"),
         ("std_srvs/srv/SetBool", "std_msgs/msg/Bool", "takes no std_msgs/msg/Bool"),
+        ("std_srvs/srv/SetBool", FIBONACCI, "Fibonacci_Goal has no such field"),
+        ("scanner.scan}", f"scanner.scan, type: {FIBONACCI}}}", f"no {FIBONACCI}, but"),
+        ("scanner.light}", f"scanner.light{BOTH}", "take either services or actions"),
     ],
 )
 def test_a_check_says_what_does_not_fit(

@@ -330,6 +330,7 @@ class Ros2Bridge(Struct, frozen=True, kw_only=True):
         says("Default: transient local for a port that keeps its last message."),
     ] = None
     depth: Annotated[int, says("How many messages wait at most.", ge=1, le=10000)] = 10
+    limit: Annotated[Seconds, says("Time limit of a call or an action.", gt=0)] = 1.0
 
 
 class Ros2Network(Struct, frozen=True, kw_only=True):

@@ -127,13 +127,15 @@ def with_ros2(robot: Robot) -> Robot:
 
 def with_code(robot: Robot, code: Mapping[str, ComponentCode]) -> Robot:
     """Return the robot with what its classes declare, and its bridges connected."""
-    ports = {str(bridge.port): bridge.port for bridge in robot.ros2.bridges}
+    limits: dict[ConnectorEnd, float] = {}
+    for bridge in robot.ros2.bridges:
+        limits[bridge.port] = max(bridge.limit, limits.get(bridge.port, 0.0))
     architectures = []
     for architecture in robot.architectures:
         names = {component.name for component in architecture.components}
         joined = tuple(
-            _to_bridge(port, code)
-            for port in ports.values()
+            _to_bridge(port, limit, code)
+            for port, limit in limits.items()
             if port.component in names and port.component in code
         )
         connectors = (*architecture.connectors, *joined)
@@ -141,11 +143,13 @@ def with_code(robot: Robot, code: Mapping[str, ComponentCode]) -> Robot:
     return replace(robot, architectures=tuple(architectures), code=code)
 
 
-def _to_bridge(port: ConnectorEnd, code: Mapping[str, ComponentCode]) -> Connector:
+def _to_bridge(
+    port: ConnectorEnd, limit: float, code: Mapping[str, ComponentCode]
+) -> Connector:
     ends = port, ConnectorEnd(bridge_of(port), port.port)
     if code[port.component].ports[port.port] in {"subscribes", "provides"}:
         ends = ends[1], ends[0]
-    return Connector(between=ends, overhead=_NEAR)
+    return Connector(between=ends, overhead=_NEAR, limit=limit)
 
 
 def _with_node(entry: ComponentEntry, environment: Mapping[str, str]) -> ComponentEntry:

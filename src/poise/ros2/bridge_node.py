@@ -1,0 +1,99 @@
+"""What all bridges share: a node of their own, whose callbacks a component runs."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from typing import Any, ClassVar
+
+from msgspec import Struct
+
+from poise.clock import ComponentClock
+from poise.ros2 import ros_context
+from poise.ros2.executor_source import ExecutorSource
+from poise.runtime.component.component import Component
+from poise.runtime.component.ports import Port
+
+
+class BridgeLine(Struct, frozen=True, kw_only=True):
+    """One line of `bridges` in the robot file."""
+
+    ros2: str
+    method: str = ""
+    type: str = ""
+    reliability: str | None = None
+    durability: str | None = None
+    depth: int = 10
+    port: str = ""
+
+    @property
+    def keeps_last(self) -> bool:
+        """Whether late subscribers get the last message."""
+        return self.durability == "transient local"
+
+    def qos(self, **policies: Any) -> Any:  # noqa: ANN401, a profile of rclpy
+        """Return the quality of service that it asks for, with other `policies`."""
+        from rclpy import qos  # noqa: PLC0415, only where a node runs
+
+        given = {
+            "reliability": (self.reliability or "reliable").replace(" ", "_").upper(),
+            "durability": (self.durability or "volatile").replace(" ", "_").upper(),
+            **policies,
+        }
+        return qos.QoSProfile(
+            depth=self.depth,
+            reliability=qos.ReliabilityPolicy[given["reliability"]],
+            durability=qos.DurabilityPolicy[given["durability"]],
+        )
+
+
+class BridgeNode(Component):
+    """The other end of a port."""
+
+    port: ClassVar[Port]
+    entries: ClassVar[Sequence[BridgeLine]]
+
+    @classmethod
+    def conversions(cls, clock: ComponentClock) -> Any:  # noqa: ANN401, for each entry
+        """Return what converts the values of each entry; RobotError: they misfit."""
+        raise NotImplementedError
+
+    def configure(self) -> None:
+        """Make a node of its own."""
+        ros_context.join(self.parameters["environment"])
+        self._is_joined = True
+        self.node = ros_context.node_of(re.sub(r"\W", "_", f"poise_{self.name}"))
+        self.source = ExecutorSource(self.node, self._context.give_up)
+        self.open()
+
+    def open(self) -> None:
+        """Make the node's ends."""
+        raise NotImplementedError
+
+    def activate(self) -> None:
+        """Begin to hear ROS 2."""
+        if self._context.takes_over():
+            ros_context.drop_what_came(self.node)
+        self.listen()
+
+    def listen(self) -> None:
+        """Let callbacks run on the component's thread."""
+        self._context.listen(self.source)
+
+    def deactivate(self) -> None:
+        """Hear nothing any more."""
+        self._context.listen(None)
+
+    def cleanup(self) -> None:
+        """Destroy the node."""
+        if getattr(self, "_is_joined", False):
+            self._is_joined = False
+            if hasattr(self, "source"):
+                self.source.close()
+                self.node.destroy_node()
+            ros_context.leave()
+
+
+def annotated(form: Any) -> Callable[..., dict[str, Any]]:  # noqa: ANN401, of a port
+    """Return what declares a port of a form, such as `Published`."""
+    return lambda port, _: {"__annotations__": {port.name: form[port.type]}}

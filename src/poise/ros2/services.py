@@ -1,0 +1,197 @@
+"""Services: a provided port is served to ROS 2, a required one asks there."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any, NamedTuple, get_type_hints
+
+import msgspec
+from msgspec import Struct
+
+from poise.clock import ComponentClock
+from poise.errors import (
+    CallError,
+    RobotError,
+    Timeout,
+    Unavailable,
+    did_you_mean,
+    listed,
+)
+from poise.ros2.bridge_node import BridgeLine, BridgeNode, annotated
+from poise.ros2.conversion import Conversion, Conversions
+from poise.ros2.interfaces import interface
+from poise.runtime.component.component import time_left
+from poise.runtime.component.ports import Port, Provided, methods_of
+
+LONGEST = 3600.0
+"""A call without a limit waits this long for ROS 2 [s]."""
+
+
+class Service(NamedTuple):
+    """A method of an interface, as a service or an action of ROS 2."""
+
+    name: str
+    kind: Any  # the generated class
+    arguments: type[Struct]
+    request: Conversion
+    response: Conversion
+    is_plain: bool  # whether the method returns one value, and no message
+    answer: type[Struct] | None  # what it returns; None: nothing
+
+    def to_ros(self, result: Any, empty: Any) -> Any:  # noqa: ANN401, messages
+        """Return what a method returned; `empty` when that is nothing."""
+        if self.answer is None:
+            return empty
+        return self.response.to_ros(self.answer(result) if self.is_plain else result)
+
+    def from_ros(self, response: Any) -> Any:  # noqa: ANN401, messages
+        """Return what the method returns."""
+        if self.answer is None:
+            return None
+        answer = self.response.from_ros(response)
+        return msgspec.structs.astuple(answer)[0] if self.is_plain else answer
+
+
+class Services(BridgeNode):
+    """What both ways of services share."""
+
+    @classmethod
+    def conversions(cls, clock: ComponentClock) -> list[Service]:
+        """Return the service of each entry."""
+        known = methods_of(cls.port.type)
+        return [_service(cls.port.type, known, entry, clock) for entry in cls.entries]
+
+
+class ServesRos(Services):
+    """Calls the port for clients in ROS 2."""
+
+    def open(self) -> None:
+        """Make the services."""
+        services = self.conversions(self.clock)
+        for entry, service in zip(self.entries, services, strict=True):
+            self.node.create_service(
+                service.kind, entry.ros2, partial(self._serve, service)
+            )
+
+    def _serve(self, service: Service, request: Any, response: Any) -> Any:  # noqa: ANN401, messages
+        arguments = service.request.from_ros(request)
+        method = getattr(getattr(self, self.port.name), service.name)
+        try:
+            result = method(*msgspec.structs.astuple(arguments))
+        except CallError as error:
+            if not hasattr(response, "success"):
+                raise  # there is no way to say so: the client gets no answer
+            self.log.warning("%s: %s", service.name, error)
+            response.success = False
+            if hasattr(response, "message"):
+                response.message = str(error)
+            return response
+        if service.answer is None and hasattr(response, "success"):
+            response.success = True
+        return service.to_ros(result, response)
+
+
+class AsksRos(Services):
+    """Answers the port by services of ROS 2."""
+
+    def open(self) -> None:
+        """Make the clients, and what waits for them on the thread that calls."""
+        from rclpy.executors import SingleThreadedExecutor  # noqa: PLC0415, as above
+
+        self._waiting = SingleThreadedExecutor()
+        self._waiting.add_node(self.node)
+        services = self.conversions(self.clock)
+        self._clients = {
+            service.name: (service, self._client(service.kind, entry.ros2), entry.ros2)
+            for entry, service in zip(self.entries, services, strict=True)
+        }
+
+    def _client(self, kind: Any, name: str) -> Any:  # noqa: ANN401, of rclpy
+        """Return what asks."""
+        return self.node.create_client(kind, name)
+
+    def listen(self) -> None:
+        """Wait only for what was asked."""
+
+    def _ask(self, method: str, *arguments: Any) -> Any:  # noqa: ANN401, as the port says
+        service, client, name = self._clients[method]
+        limit = min(time_left(), LONGEST)
+        if not client.service_is_ready() and not client.wait_for_service(limit):
+            raise Unavailable(f"nobody serves '{name}'")
+        request = service.request.to_ros(service.arguments(*arguments))
+        return service.from_ros(self._wait(client.call_async(request), name))
+
+    def _wait(self, future: Any, name: str) -> Any:  # noqa: ANN401, of rclpy
+        """Return what a future brings while the caller waits."""
+        limit = min(time_left(), LONGEST)
+        self._waiting.spin_until_future_complete(future, limit)
+        if not future.done():
+            future.cancel()
+            raise Timeout(f"'{name}' gave no answer within {limit:.3g} s")
+        return future.result()
+
+    def cleanup(self) -> None:
+        """Destroy the node."""
+        if hasattr(self, "_waiting"):
+            self._waiting.shutdown()
+        super().cleanup()
+
+
+def _service(
+    port: type, known: Sequence[str], entry: BridgeLine, clock: ComponentClock
+) -> Service:
+    """Return a method as a service, or RobotError when it does not fit."""
+    if entry.method not in known:
+        raise RobotError(
+            f"{port.__qualname__} has no method '{entry.method}'"
+            f"{did_you_mean(entry.method, known)}; methods: {listed(known)}"
+        )
+    kind, method = interface(entry.type), getattr(port, entry.method)
+    is_action = hasattr(kind, "Goal")
+    request = kind.Goal if is_action else kind.Request
+    response = kind.Result if is_action else kind.Response
+    hints = get_type_hints(method)
+    result = hints.pop("return", type(None))
+    names = list(inspect.signature(method).parameters)[1:]
+    where = f"{port.__qualname__}.{entry.method}"
+    arguments = msgspec.defstruct(where, [(n, hints.get(n, Any)) for n in names])
+    is_message = isinstance(result, type) and issubclass(result, Struct)
+    answer: type[Struct] | None = result if is_message else None
+    if not is_message and result is not type(None):
+        fields = response.get_fields_and_field_types()
+        field = next(iter(fields)) if len(fields) == 1 else "success"
+        answer = msgspec.defstruct(f"{where}()", [(field, result)])
+    of = Conversions(clock).of
+    return Service(
+        name=entry.method,
+        kind=kind,
+        arguments=arguments,
+        request=of(arguments, request),
+        response=_NOTHING if answer is None else of(answer, response),
+        is_plain=not is_message and answer is not None,
+        answer=answer,
+    )
+
+
+_NOTHING = Conversion(lambda _: None, lambda _: None)
+
+
+def answering(port: Port, entries: Sequence[BridgeLine]) -> dict[str, Any]:
+    """Return what declares the port of `AsksRos`: it has all methods."""
+    lacking = sorted(set(methods_of(port.type)) - {e.method for e in entries})
+    if lacking:
+        raise RobotError(
+            f"'{port.name}' requires {listed(lacking)}, too, which no bridge answers: "
+            "add a line to `bridges` for each method"
+        )
+
+    def asking(method: str) -> Callable[..., Any]:
+        def ask(self: Any, *arguments: Any) -> Any:  # noqa: ANN401, as the port says
+            return self._ask(method, *arguments)
+
+        return ask
+
+    methods = {entry.method: asking(entry.method) for entry in entries}
+    return {**annotated(Provided)(port, entries), **methods}

@@ -1,0 +1,148 @@
+"""Topics: a published port goes to ROS 2, a subscribed one comes from there."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import msgspec
+from msgspec import Struct
+
+from poise.clock import ComponentClock
+from poise.errors import RobotError
+from poise.ros2.bridge_node import BridgeLine, BridgeNode, annotated
+from poise.ros2.conversion import Conversion, Conversions, Convert
+from poise.ros2.interfaces import interface
+from poise.runtime.component.ports import Port, Published, published, subscribed
+
+
+class ToTopics(BridgeNode):
+    """Subscribes to the port, and publishes in ROS 2.
+
+    It has no state, so it gets the last message of a port again where it moves to, and
+    its new publishers have one for late subscribers.
+    """
+
+    @classmethod
+    def conversions(cls, clock: ComponentClock) -> list[Conversion]:
+        """Return how the messages of each entry are converted."""
+        of = Conversions(clock).of
+        return [of(cls.port.type, interface(entry.type)) for entry in cls.entries]
+
+    def open(self) -> None:
+        """Make the publishers."""
+        pairs = zip(self.entries, self.conversions(self.clock), strict=True)
+        self._out = [(self._publish_of(entry), pair.to_ros) for entry, pair in pairs]
+
+    def listen(self) -> None:
+        """Do not wait for ROS 2, from where nothing comes."""
+
+    def _publish_of(self, entry: BridgeLine) -> Convert:
+        kind = interface(entry.type)
+        publisher = self.node.create_publisher(kind, entry.ros2, entry.qos())
+        return publisher.publish  # type: ignore[no-any-return]
+
+    def _take(self, message: Any) -> None:  # noqa: ANN401, as the port says
+        for publish, to_ros in self._out:
+            publish(to_ros(message))
+
+
+class Came(Struct, frozen=True):
+    """When the last message that was taken had been published [ns since 1970]."""
+
+    stamp: int
+
+
+class FromTopics(ToTopics):
+    """Subscribes in ROS 2, and publishes to the port."""
+
+    def configure(self) -> None:
+        """Make a node of its own."""
+        self._before = self._came = 0
+        super().configure()
+
+    def snapshot(self) -> Came:
+        """Return until when it took messages: ROS 2 sends some again."""
+        return Came(self._came)
+
+    def restore(self, state: Came) -> None:
+        """Take nothing that the bridge before has taken."""
+        self._before = self._came = state.stamp
+
+    def open(self) -> None:
+        """Make the subscriptions."""
+        for entry, pair in zip(self.entries, self.conversions(self.clock), strict=True):
+            self._subscribe(entry, pair.from_ros, {})
+
+    def listen(self) -> None:
+        """Let callbacks run on the component's thread."""
+        BridgeNode.listen(self)
+
+    def _subscribe(
+        self, entry: BridgeLine, from_ros: Convert, less: dict[str, str]
+    ) -> None:
+        """Subscribe; with `less` when a publisher offers no more, which is said."""
+        from rclpy.event_handler import SubscriptionEventCallbacks  # noqa: PLC0415, only where a node runs
+
+        def take(message: Any) -> None:  # noqa: ANN401, a message
+            # the port is wired later, and again
+            getattr(self, self.port.name).publish(from_ros(message))
+
+        def take_new(message: Any, info: Mapping[str, Any]) -> None:  # noqa: ANN401, a message
+            stamp = info["source_timestamp"]
+            if stamp > self._before:
+                self._came = max(self._came, stamp)
+                take(message)
+
+        def offered_less(event: Any) -> None:  # noqa: ANN401, an event
+            policy = event.last_policy_kind.name.lower().rpartition("_")[2]
+            if policy in less or policy not in _LEAST or getattr(entry, policy):
+                raise RobotError(
+                    f"'{entry.ros2}' has a publisher that offers less {policy} than "
+                    "the bridge asks for: nothing comes from it"
+                )
+            self.log.warning(
+                "'%s' has a publisher without %s: so take what comes",
+                entry.ros2,
+                policy,
+            )
+            self.node.destroy_subscription(subscription)
+            self._subscribe(entry, from_ros, {**less, **_LEAST[policy]})
+
+        subscription = self.node.create_subscription(
+            interface(entry.type),
+            entry.ros2,
+            take_new if entry.keeps_last else take,
+            entry.qos(**less),
+            event_callbacks=SubscriptionEventCallbacks(incompatible_qos=offered_less),
+        )
+
+
+_LEAST = {"reliability": {"reliability": "BEST_EFFORT"}}
+
+
+def taking(port: Port, entries: Sequence[BridgeLine]) -> dict[str, Any]:
+    """Return what declares the port of `ToTopics`."""
+
+    def take(self: Any, message: Any) -> None:  # noqa: ANN401, as the port says
+        self._take(message)
+
+    take.__annotations__["message"] = port.type
+    keep = max(entry.depth for entry in entries)
+    return {f"take_{port.name}": subscribed(port.name, keep=keep)(take)}
+
+
+def publishing(port: Port, entries: Sequence[BridgeLine]) -> dict[str, Any]:
+    """Return what declares the port of `FromTopics`."""
+    latest = any(entry.keeps_last for entry in entries)
+    return {
+        port.name: published(latest=latest),
+        **annotated(Published)(port, entries),
+    }
+
+
+def keeping_last(port: Port, entry: BridgeLine) -> BridgeLine:
+    """Return an entry as the port asks for it, where it says nothing of durability."""
+    if not port.latest or entry.durability:
+        return entry
+    return msgspec.structs.replace(entry, durability="transient local", depth=1)
