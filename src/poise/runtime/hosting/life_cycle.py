@@ -137,8 +137,10 @@ class ExecutionGate:
         calls: StartedCalls,
         may_resume: Callable[[], bool],
         borrow_limit: float = BORROW_LIMIT,
+        hang: Callable[[], tuple[str, float]] = lambda: ("", 0.0),
     ) -> None:
         self._name = name
+        self._hang = hang
         self._exclusion = exclusion
         self._endpoints = endpoints
         self._calls = calls
@@ -178,7 +180,12 @@ class ExecutionGate:
         """Pause; raise Timeout when it was busy for `limit` [s]."""
         if not self._is_paused:
             until = time.monotonic() + limit
-            self._exclusion.pause(limit)
+            try:
+                self._exclusion.pause(limit)
+            except Timeout as error:
+                what, seconds = self._hang()
+                runs = f": {what}, for {seconds:.1f} s by now" if what else ""
+                raise Timeout(f"{error}{runs}") from None
             while self._calls.num_open:  # their answers are still to be taken
                 self._exclusion.resume()
                 if not self._calls.wait(until):

@@ -99,6 +99,7 @@ class Runner:
             self.endpoints,
             calls,
             lambda: self.life_cycle.is_at_work,
+            hang=self.hang,
         )
         self.timers = Timers(timers_of(implementation))
         self._watchers = watchers_of(implementation)
