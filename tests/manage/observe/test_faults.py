@@ -8,7 +8,6 @@ from msgspec.structs import replace
 
 from poise.manage.observe.deviations import (
     FaultFilter,
-    LocatedFault,
     combined,
     fault_sentence,
     faults_after,
@@ -51,10 +50,10 @@ def test_the_sentence_names_the_container_the_computer_and_restarts() -> None:
 
 def test_equal_faults_are_one_sentence_with_number_and_last_time() -> None:
     at = 1e9
-    other = LocatedFault(container="d", message="broke", at=at, computer="left")
+    other = Fault(container="d", message="broke", at=at)
     same = [replace(other, container="c", at=at - n) for n in (2, 1, 0)]
     last = time.strftime("%H:%M:%S", time.localtime(at))
-    assert list(combined([*same, other])) == [
+    assert list(combined(("left", fault) for fault in [*same, other])) == [
         f"container 'c' on 'left' broke (3 times, last at {last})",
         f"container 'd' on 'left' broke (at {last})",
     ]

@@ -244,7 +244,7 @@ def test_a_component_that_is_busy_does_not_come_to_rest(running: Fixture) -> Non
     component = reach(runner, "active")
     receive(runner, "a")
     component.wait_for("a")
-    with pytest.raises(Timeout, match="component 'one' did not pause .*: 'note' runs"):
+    with pytest.raises(Timeout, match=r"component 'one' did not pause .*: 'note' runs"):
         rest(runner, 0.01)
     Slow.go_on.set()
     rest(runner, LIMIT)

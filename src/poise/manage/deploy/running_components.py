@@ -30,7 +30,7 @@ from poise.manage.deploy.desired_state import DesiredState
 from poise.manage.journal import Journal
 from poise.manage.observe.deviations import (
     Deviation,
-    fault_sentence,
+    combined,
     faults_after,
     last_numbers,
 )
@@ -251,7 +251,7 @@ class RunningComponents(DesiredState):
         unmet = unmet or not_joined(statuses, self._joins(wanted))
         unmet += self.unresponsive(wanted) if unmet else []
         faults = faults_after(self._faults_before_commit, statuses) if unmet else ()
-        return unmet + [fault_sentence(computer, fault) for computer, fault in faults]
+        return [*unmet, *combined(faults)]
 
     def _joins(self, wanted: Iterable[Incarnation]) -> set[str]:
         """Return the keys of the connectors of incarnations that reach each other."""

@@ -263,11 +263,14 @@ class LocatedFault(Fault, frozen=True, kw_only=True):
     computer: str
 
 
-def combined(faults: Iterable[LocatedFault]) -> Iterator[str]:
-    """Yield a sentence for each kind of fault, with its number and last time."""
+def combined(faults: Iterable[tuple[str, Fault]]) -> Iterator[str]:
+    """Yield a sentence for each kind of fault, with its number and last time.
+
+    `faults`: each with its computer.
+    """
     kinds: dict[str, list[Fault]] = {}
-    for fault in faults:
-        what = f"container '{fault.container}' on '{fault.computer}' {fault.message}"
+    for computer, fault in faults:
+        what = f"container '{fault.container}' on '{computer}' {fault.message}"
         kinds.setdefault(what, []).append(fault)
     for what, same in kinds.items():
         last = time.strftime("%H:%M:%S", time.localtime(same[-1].at))

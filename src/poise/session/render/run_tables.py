@@ -114,7 +114,7 @@ def _failures(report: RunRecord) -> Iterator[RenderableType]:
             f"[red]{hung.component} on {hung.computer}: '{hung.handler}' still ran "
             f"after {hung.seconds:.1f} s[/]"
         )
-    for sentence in combined(report.faults):
+    for sentence in combined((fault.computer, fault) for fault in report.faults):
         yield f"[red]{escape(sentence)}[/]"
     for name, count in report.refused.items():
         refused = counted(count, "message")
