@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import itertools
 import json
 import os
@@ -322,7 +321,7 @@ def test_pictures_are_recorded_whole(robot: api.Running, tmp_path: Path) -> None
     found = {topic: (schema, value) for topic, schema, _, value in read(path)}
     of_picture, picture = found["/pictures/hearer/said-silent/pictures/pixels"]
     assert (of_picture, picture["encoding"]) == ("foxglove.RawImage", "rgb8")
-    assert base64.b64decode(picture["data"]) == pixels.tobytes()
+    assert picture["data"] == pixels.tobytes()
     _, message = found["/messages/hearer/said-silent/pictures"]
     assert message["pixels"]["shape"] == [40, 30, 3]
     assert not recorded.left_out

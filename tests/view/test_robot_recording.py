@@ -14,6 +14,7 @@ from msgspec import Struct
 from poise.errors import RunError, UsageError
 from poise.view.robot_recording import schema_like, schema_of
 from poise.wire.recording_file import McapFile
+from tests.protobuf import decoded
 
 reader = pytest.importorskip("mcap.reader", reason="mcap is not installed")
 
@@ -30,13 +31,22 @@ def read(path: Path) -> list[tuple[str, str, int, Any]]:
         whole = reader.make_reader(file)
         assert whole.get_summary() is not None
         for schema, channel, message in whole.iter_messages():
-            rule, value = json.loads(schema.data), json.loads(message.data)
-            jsonschema.Draft202012Validator.check_schema(rule)
-            jsonschema.validate(value, rule)
-            check_for_foxglove(rule)
-            assert (schema.encoding, channel.message_encoding) == ("jsonschema", "json")
+            encodings = (schema.encoding, channel.message_encoding)
+            if encodings == ("protobuf", "protobuf"):
+                value = decoded(schema.data, schema.name, message.data)
+            else:
+                assert encodings == ("jsonschema", "json")
+                value = json.loads(message.data)
+                check_json(json.loads(schema.data), value)
             found.append((channel.topic, schema.name, message.log_time, value))
     return found
+
+
+def check_json(rule: Any, value: Any) -> None:
+    """Raise unless a value fits a schema that Foxglove takes."""
+    jsonschema.Draft202012Validator.check_schema(rule)
+    jsonschema.validate(value, rule)
+    check_for_foxglove(rule)
 
 
 def check_for_foxglove(schema: Any) -> None:

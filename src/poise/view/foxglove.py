@@ -1,4 +1,7 @@
-"""What Foxglove draws of a message: pictures, poses, transforms and point clouds."""
+"""What viewers draw of a message: pictures, poses, transforms and point clouds.
+
+In Foxglove's types of Protocol Buffers, which Foxglove and Rerun draw.
+"""
 
 from __future__ import annotations
 
@@ -7,20 +10,19 @@ import math
 from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
+from poise.wire.protobuf import ProtobufEnum, ProtobufField, ProtobufType
 from poise.wire.recording_file import Schema
 
-_BYTES = {"type": "string", "contentEncoding": "base64"}
-_TEXT, _INTEGER, _NUMBER = {"type": "string"}, {"type": "integer"}, {"type": "number"}
+_TEXT, _INTEGER = {"type": "string"}, {"type": "integer"}
 
 
 def _foxglove(title: str, **properties: Schema) -> Schema:
     return {"type": "object", "title": title, "properties": properties}
 
 
-TIME = _foxglove("time", sec=_INTEGER, nsec=_INTEGER)
 LOG = _foxglove(
     "foxglove.Log",
-    timestamp=TIME,
+    timestamp=_foxglove("time", sec=_INTEGER, nsec=_INTEGER),
     level=_INTEGER,
     message=_TEXT,
     name=_TEXT,
@@ -29,50 +31,83 @@ LOG = _foxglove(
 )
 """Foxglove's own schema of log messages. What the manager knew when it decided is no
 part of it, for Foxglove refuses schemas of objects whose parts are not known."""
-_RAW = _foxglove(
-    "foxglove.RawImage",
-    timestamp=TIME,
-    frame_id=_TEXT,
-    width=_INTEGER,
-    height=_INTEGER,
-    encoding=_TEXT,
-    step=_INTEGER,
-    data=_BYTES,
+
+
+def _type(name: str, /, **fields: tuple[Any, ...]) -> ProtobufType:
+    return ProtobufType(name, {n: ProtobufField(*f) for n, f in fields.items()})
+
+
+_TIMESTAMP = _type(
+    "google.protobuf.Timestamp", seconds=(1, "int64"), nanos=(2, "int32")
 )
-_COMPRESSED = _foxglove(
-    "foxglove.CompressedImage",
-    timestamp=TIME,
-    frame_id=_TEXT,
-    data=_BYTES,
-    format=_TEXT,
+_VECTOR = _type("foxglove.Vector3", x=(1, "double"), y=(2, "double"), z=(3, "double"))
+_ROTATION = _type(
+    "foxglove.Quaternion",
+    x=(1, "double"),
+    y=(2, "double"),
+    z=(3, "double"),
+    w=(4, "double"),
 )
-_VECTOR = _foxglove("foxglove.Vector3", x=_NUMBER, y=_NUMBER, z=_NUMBER)
-_ROTATION = _foxglove("foxglove.Quaternion", x=_NUMBER, y=_NUMBER, z=_NUMBER, w=_NUMBER)
-_POSE = _foxglove("foxglove.Pose", position=_VECTOR, orientation=_ROTATION)
-_POSE_IN_FRAME = _foxglove(
-    "foxglove.PoseInFrame", timestamp=TIME, frame_id=_TEXT, pose=_POSE
+_POSE = _type("foxglove.Pose", position=(1, _VECTOR), orientation=(2, _ROTATION))
+_POSE_IN_FRAME = _type(
+    "foxglove.PoseInFrame",
+    timestamp=(1, _TIMESTAMP),
+    frame_id=(2, "string"),
+    pose=(3, _POSE),
 )
-_TRANSFORM = _foxglove(
+_TRANSFORM = _type(
     "foxglove.FrameTransform",
-    timestamp=TIME,
-    parent_frame_id=_TEXT,
-    child_frame_id=_TEXT,
-    translation=_VECTOR,
-    rotation=_ROTATION,
+    timestamp=(1, _TIMESTAMP),
+    parent_frame_id=(2, "string"),
+    child_frame_id=(3, "string"),
+    translation=(4, _VECTOR),
+    rotation=(5, _ROTATION),
 )
-_CLOUD = _foxglove(
+_RAW = _type(
+    "foxglove.RawImage",
+    timestamp=(1, _TIMESTAMP),
+    width=(2, "fixed32"),
+    height=(3, "fixed32"),
+    encoding=(4, "string"),
+    step=(5, "fixed32"),
+    data=(6, "bytes"),
+    frame_id=(7, "string"),
+)
+_COMPRESSED = _type(
+    "foxglove.CompressedImage",
+    timestamp=(1, _TIMESTAMP),
+    data=(2, "bytes"),
+    format=(3, "string"),
+    frame_id=(4, "string"),
+)
+_NUMBERS = ProtobufEnum(
+    "foxglove.NumericType",
+    (
+        "UNKNOWN",
+        "UINT8",
+        "INT8",
+        "UINT16",
+        "INT16",
+        "UINT32",
+        "INT32",
+        "FLOAT32",
+        "FLOAT64",
+    ),
+)
+_PACKED = _type(
+    "foxglove.PackedElementField",
+    name=(1, "string"),
+    offset=(2, "fixed32"),
+    type=(3, _NUMBERS),
+)
+_CLOUD = _type(
     "foxglove.PointCloud",
-    timestamp=TIME,
-    frame_id=_TEXT,
-    pose=_POSE,
-    point_stride=_INTEGER,
-    fields={
-        "type": "array",
-        "items": _foxglove(
-            "foxglove.PackedElementField", name=_TEXT, offset=_INTEGER, type=_INTEGER
-        ),
-    },
-    data=_BYTES,
+    timestamp=(1, _TIMESTAMP),
+    frame_id=(2, "string"),
+    pose=(3, _POSE),
+    point_stride=(4, "fixed32"),
+    fields=(5, _PACKED, True),
+    data=(6, "bytes"),
 )
 _ENCODINGS = {
     ("uint8", 1): "mono8",
@@ -99,17 +134,21 @@ Vector = dict[str, float]
 
 
 class FoxglovePart(NamedTuple):
-    """What Foxglove draws of a part of a message; `kind`: the topic's first part."""
+    """What viewers draw of a part of a message; `kind`: the topic's first part."""
 
     kind: str
     part: str
-    schema: Schema
+    type: ProtobufType
     content: dict[str, Any]
 
 
 def stamp(at: float) -> dict[str, int]:
     """Return a moment [s since 1970] as Foxglove has it."""
     return {"sec": int(at), "nsec": int((at - int(at)) * 1e9)}
+
+
+def _timestamp(at: float) -> dict[str, int]:
+    return {"seconds": int(at), "nanos": int((at - int(at)) * 1e9)}
 
 
 def drawings(
@@ -132,7 +171,7 @@ def drawings(
     elif isinstance(value, bytes):
         for signature, format_ in _SIGNATURES.items():
             if value.startswith(signature):
-                content = {"data": base64_of(value), "format": format_}
+                content = {"data": value, "format": format_}
                 yield _drawing("pictures", part, _COMPRESSED, at, frame, content)
     elif is_array(value):
         yield from _of_array(value, at, part, frame)
@@ -151,13 +190,13 @@ def base64_of(data: bytes | bytearray | memoryview) -> str:
 def _drawing(
     kind: str,
     part: str,
-    schema: Schema,
+    type_: ProtobufType,
     at: float,
     frame: str,
     content: dict[str, Any],
 ) -> FoxglovePart:
-    common = {"timestamp": stamp(at), "frame_id": frame}
-    return FoxglovePart(kind, part, schema, common | content)
+    common = {"timestamp": _timestamp(at), "frame_id": frame}
+    return FoxglovePart(kind, part, type_, common | content)
 
 
 def _placed(value: Parts, at: float, part: str, frame: str) -> Iterator[FoxglovePart]:
@@ -171,7 +210,7 @@ def _placed(value: Parts, at: float, part: str, frame: str) -> Iterator[Foxglove
     if isinstance(child, str) and translation and rotation:
         parent = value.get("parent_frame_id")
         content = {
-            "timestamp": stamp(at),
+            "timestamp": _timestamp(at),
             "parent_frame_id": parent if isinstance(parent, str) else frame,
             "child_frame_id": child,
             "translation": translation,
@@ -208,7 +247,7 @@ def _of_array(array: Any, at: float, part: str, frame: str) -> Iterator[Foxglove
                 {"name": name, "offset": i * size, "type": number}
                 for i, name in enumerate(fields)
             ],
-            "data": base64_of(array.tobytes()),
+            "data": array.tobytes(),
         }
         yield _drawing("clouds", part, _CLOUD, at, frame, content)
     elif encoding := _encoding(array):
@@ -217,7 +256,7 @@ def _of_array(array: Any, at: float, part: str, frame: str) -> Iterator[Foxglove
             "height": array.shape[0],
             "encoding": encoding,
             "step": array.nbytes // array.shape[0],
-            "data": base64_of(array.tobytes()),
+            "data": array.tobytes(),
         }
         yield _drawing("pictures", part, _RAW, at, frame, content)
 

@@ -358,4 +358,4 @@ class Recorder:
         file.add(topic, schema, at, message)
         for drawn in drawings(value, at):
             of_part = f"{drawn.kind}/{reading.connector}/{drawn.part}".rstrip("/")
-            file.add(of_part, drawn.schema, at, drawn.content)
+            file.add(of_part, drawn.type, at, drawn.content)

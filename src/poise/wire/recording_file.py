@@ -22,6 +22,7 @@ from msgspec import Struct
 from poise.errors import RunError, UsageError
 from poise.units import counted, format_bytes
 from poise.wire.codec import MALFORMED
+from poise.wire.protobuf import ProtobufType
 from poise.wire.records.status_records import AgentSample
 
 if TYPE_CHECKING:
@@ -94,7 +95,7 @@ class McapFile:
         """Topic -> messages written."""
         self._at_once = at_once
         self._channels: dict[str, int] = {}
-        self._schemas: dict[str, int] = {"": 0}
+        self._schemas: dict[bytes, int] = {}
         self._lock = threading.Lock()
         try:
             self._file = path.open("wb" if replaces else "xb")
@@ -113,22 +114,30 @@ class McapFile:
             raise UsageError(str(error)) from error
 
     def add(
-        self, topic: str, schema: Schema | None, at: float, value: object | bytes
+        self,
+        topic: str,
+        schema: Schema | ProtobufType | None,
+        at: float,
+        value: Any,  # noqa: ANN401, as the schema says
     ) -> None:
-        """Write what came `at` [s since 1970]: msgpack as bytes, else JSON.
+        """Write what came `at` [s since 1970]: msgpack as bytes, protobuf or JSON.
 
         Dots in the topic become slashes, for Foxglove takes what follows a dot for a
         field. A topic has the schema of its first message.
         """
         name, topic, moment = topic, _slashed(topic), int(at * 1e9)
-        is_packed = isinstance(value, bytes)
-        data = value if is_packed else msgspec.json.encode(value)
+        if isinstance(schema, ProtobufType):
+            encoding, data = "protobuf", schema.encode(value)
+        elif isinstance(value, bytes):
+            encoding, data = "msgpack", value
+        else:
+            encoding, data = "json", msgspec.json.encode(value)
         with self._lock:
             self._check_room()
             if topic not in self._channels:
                 self._channels[topic] = self._writer.register_channel(
                     topic,
-                    "msgpack" if is_packed else "json",
+                    encoding,
                     self._schema(schema),
                     {"name": name},
                 )
@@ -182,12 +191,16 @@ class McapFile:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _schema(self, schema: Schema | None) -> int:
-        text = json.dumps(schema) if schema else ""
-        if schema and text not in self._schemas:
-            self._schemas[text] = self._writer.register_schema(
-                str(schema["title"]), "jsonschema", text.encode()
-            )
+    def _schema(self, schema: Schema | ProtobufType | None) -> int:
+        if isinstance(schema, ProtobufType):
+            title, encoding, text = schema.name, "protobuf", schema.description()
+        elif schema:
+            title, encoding = str(schema["title"]), "jsonschema"
+            text = json.dumps(schema).encode()
+        else:
+            return 0
+        if text not in self._schemas:
+            self._schemas[text] = self._writer.register_schema(title, encoding, text)
         return self._schemas[text]
 
     def _check_room(self) -> None:
