@@ -89,7 +89,10 @@ def beyond_memory(
 def _fits(problem: plan.Problem, placement: Mapping[str, str]) -> bool:
     """Return whether a placement is one of the problem, and keeps all limits."""
     known = {component.name for component in problem.components}
+    computers = {computer.name for computer in problem.computers}
     if not placement or not known.issuperset(placement):
+        return False
+    if not computers.issuperset(placement.values()):  # one was lost since the plan
         return False
     for function in {bundle.function for bundle in problem.architectures}:
         if not any(

@@ -1,0 +1,25 @@
+"""Where the functions of actions go that begin."""
+
+from __future__ import annotations
+
+from poise.manage.adaptation.situation import Situation
+from poise.manage.tasks.action_placement import room_for_functions
+from poise.model.robot import Architecture, ComponentEntry, Computer, Robot
+
+
+def test_what_was_planned_on_a_lost_computer_begins_on_another() -> None:
+    robot = Robot(
+        name="r",
+        computers=tuple(
+            Computer(name=name, capacity={"cpu": 1.0, "memory": 1e9})
+            for name in ("x", "y")
+        ),
+        architectures=(
+            Architecture(
+                name="see", function="see", components=(ComponentEntry(name="eye"),)
+            ),
+        ),
+    )
+    situation = Situation(robot=robot, task="", placement={}, lost=frozenset("x"))
+    room = room_for_functions(situation, ["see"], {"eye": "x"})
+    assert (room.begins, room.why) == ({"eye": "y"}, "")
