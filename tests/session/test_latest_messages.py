@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 
 import poise
-from poise.emulate import probe_host
-from poise.errors import RunError
+from poise.emulate import EmulatedSet
+from poise.errors import RunError, UsageError
 from tests.command import robot_up, run_poise
 from tests.waiting import LONG, wait_long
 
@@ -116,13 +116,16 @@ tasks:
 
 
 @pytest.fixture
-def robot(tmp_path: Path) -> Iterator[poise.Running]:
-    if reasons := probe_host().without_network():
-        pytest.skip("; ".join(reasons))
+def file(tmp_path: Path) -> Path:
     (tmp_path / f"{NAME}.py").write_text(CODE)
     (tmp_path / "robot.yaml").write_text(ROBOT)
-    with robot_up(tmp_path / "robot.yaml", "--task", "plan"):
-        yield poise.connect(NAME)
+    return tmp_path / "robot.yaml"
+
+
+@pytest.fixture
+def robot(emulated: EmulatedSet, file: Path) -> Iterator[poise.Running]:
+    with robot_up(file, "--task", "plan"):
+        yield poise.connect(emulated.robot)
 
 
 def publish(robot: poise.Running, number: int) -> None:
@@ -133,6 +136,23 @@ def came(robot: poise.Running, component: str) -> list[int]:
     numbers = robot.component(component).call("came", "numbers", limit=20.0)
     assert isinstance(numbers, list)
     return numbers
+
+
+def came_at_last(robot: poise.Running, component: str) -> list[int]:
+    """Return what came; nothing while the component is not at work yet."""
+    with contextlib.suppress(RunError, UsageError):
+        return came(robot, component)
+    return []
+
+
+def look(robot: poise.Running) -> None:
+    robot.tasks.start("look")
+    wait_long(lambda: "viewer" in robot.status().placement)
+
+
+def wait_checkpoints(robot: poise.Running, number: int) -> None:
+    (before,) = came(robot, "mapper")
+    wait_long(lambda: came(robot, "mapper")[0] >= before + number)
 
 
 def process(robot: poise.Running, component: str) -> int:
@@ -164,8 +184,7 @@ def test_each_subscriber_gets_the_last_message_once(robot: poise.Running) -> Non
     publish(robot, 2)
     for component in ("planner", "mapper", "planner", "mapper"):
         move(robot, component)
-    robot.tasks.start("look")
-    wait_long(lambda: "viewer" in robot.status().placement)
+    look(robot)
     wait_long(lambda: came(robot, "viewer") == [2])
     for component in ("viewer", "mapper", "viewer"):
         move(robot, component)
@@ -204,13 +223,28 @@ def test_a_publisher_that_was_killed_has_it_from_its_checkpoint(
     publish(robot, 5)
     wait_long(lambda: came(robot, "planner") == [5])
     # the second checkpoint begins when the first one has been written
-    (before,) = came(robot, "mapper")
-    wait_long(lambda: came(robot, "mapper")[0] >= before + 2)
+    wait_checkpoints(robot, 2)
     kill(robot, "mapper")
-    robot.tasks.start("look")
-    wait_long(lambda: "viewer" in robot.status().placement)
+    look(robot)
     wait_long(lambda: came(robot, "viewer") == [5])
     assert came(robot, "planner") == [5]
+
+
+def test_a_publisher_whose_computer_is_lost_has_it_from_its_checkpoint(
+    robot: poise.Running, emulated: EmulatedSet
+) -> None:
+    publish(robot, 6)
+    if len(set(robot.status().placement.values())) == 1:
+        move(robot, "planner")
+    placement = robot.status().placement
+    wait_checkpoints(robot, 20)  # and the manager gets them
+    emulated.crash(placement["mapper"])
+    wait_long(lambda: robot.status().placement["mapper"] == placement["planner"])
+    look(robot)
+    wait_long(lambda: came_at_last(robot, "viewer") == [6])
+    publish(robot, 7)
+    wait_long(lambda: came_at_last(robot, "viewer") == [6, 7])
+    assert came(robot, "planner") == [6, 7]
 
 
 def test_who_looks_from_outside_sees_it_first(robot: poise.Running) -> None:
