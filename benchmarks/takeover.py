@@ -32,13 +32,13 @@ from benchmarks.moves import COMPONENTS, ROBOTS, count
 from poise.clock import SystemClock
 from poise.errors import PoiseError
 from poise.manage.agent_connections.agents import Agents
-from poise.manage.agent_connections.requests import Reply
+from poise.manage.agent_connections.requests import PendingAnswer
 from poise.manage.agent_connections.statuses import components_of
 from poise.manage.deploy.deactivation import stop
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.deploy.takeover import start_or_take_over
 from poise.manage.journal import Journal
-from poise.manage.migration.move import move
+from poise.manage.migration.move import plan_move
 from poise.model import load
 from poise.session.launch.computers import computers_of
 from poise.wire.records.deployment_records import Deployment
@@ -90,7 +90,7 @@ class DoomedAgents(Agents):
         self.left = chance.randint(1, most)
         self.doom = chance
 
-    def begin_deploy(self, computer: str, deployment: Deployment) -> Reply:
+    def begin_deploy(self, computer: str, deployment: Deployment) -> PendingAnswer:
         """Tell an agent, or die before or after that."""
         if self._is_last() and self.doom is not None and self.doom.random() < 0.5:
             _die()
@@ -186,7 +186,7 @@ def live(
         while True:
             component = chance.choice(COMPONENTS)
             here = run.placement()[component]
-            move(run, component, "b" if here == "a" else "a").run()
+            plan_move(run, component, "b" if here == "a" else "a").run()
 
 
 def storm(

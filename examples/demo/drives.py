@@ -20,7 +20,7 @@ from poise.errors import RunError
 from poise.manage.agent_connections.statuses import components_of
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.migration.migration_report import MigrationReport
-from poise.manage.migration.move import move
+from poise.manage.migration.move import plan_move
 from poise.model.robot import Robot
 from poise.session import Check, nothing
 from poise.session.placing.placement import Placement, place
@@ -229,7 +229,7 @@ class _Mover:
         """Move when it is time; `now` is since the start of the drive [s]."""
         if self._report is None and now > MOVE_AT:
             self._counts.append(_deadlines(run))
-            self._report = move(run, _MOVED, self._target).run()
+            self._report = plan_move(run, _MOVED, self._target).run()
             self._ended = now + self._report.prepared + self._report.downtime
         elif len(self._counts) == _COUNTS_BEFORE_END and now > self._ended + 1:
             self._counts.append(_deadlines(run))

@@ -9,7 +9,7 @@ import pytest
 from msgspec.structs import replace
 
 from poise.manage.agent_connections.reports import CheckpointCopies
-from poise.manage.agent_connections.requests import Reply
+from poise.manage.agent_connections.requests import PendingAnswer
 from poise.model.robot import (
     Architecture,
     ComponentEntry,
@@ -229,9 +229,9 @@ class FakeAgents:
         self.gone.discard(self.back)
         return is_enough()
 
-    def begin_claim(self, computer: str) -> Reply:
+    def begin_claim(self, computer: str) -> PendingAnswer:
         self.claimed.append(computer)
-        reply = Reply()
+        reply = PendingAnswer()
         if computer in self.refusing:
             reply.set(Refused("not today"))
         else:
@@ -239,11 +239,11 @@ class FakeAgents:
             reply.set(Claimed(self.left_with.get(computer)))
         return reply
 
-    def end_claim(self, computer: str, reply: Reply) -> None:
+    def end_claim(self, computer: str, reply: PendingAnswer) -> None:
         pass
 
-    def begin_deploy(self, computer: str, deployment: Deployment) -> Reply:
-        reply = Reply()
+    def begin_deploy(self, computer: str, deployment: Deployment) -> PendingAnswer:
+        reply = PendingAnswer()
         if self.lose_when_told:
             self.gone.add(self.lose_when_told)
         if computer in self.refusing:

@@ -104,4 +104,4 @@ def test_a_manager_that_is_silent_is_named_with_since_when_agents_miss_it() -> N
     found = status_by_agents(AGENTS, statuses, NOW, "process 7 is stopped")
     assert found is not None
     what = found.deviations[0].what
-    assert what.startswith("process 7 is stopped (its agents miss it since ")
+    assert what.startswith("process 7 is stopped (its agents have missed it since ")

@@ -14,7 +14,7 @@ from poise.simulation.robot.simulated_process import Process, SimulatedComputer
 from poise.simulation.scheduler import Scheduler
 from poise.simulation.zenoh_sessions import Session, ZenohNetwork, matches
 
-LEASE = 2.0
+TIMEOUT = 2.0
 
 
 class Two:
@@ -39,7 +39,7 @@ class Two:
     def open(self, process: Process, way: str) -> Session:
         config = zenoh.Config()
         config.insert_json5(f"{way}/endpoints", json.dumps([self.locator]))
-        config.insert_json5("transport/link/tx/lease", str(int(LEASE * 1000)))
+        config.insert_json5("transport/link/tx/lease", str(int(TIMEOUT * 1000)))
         return self.sessions.open(process, config)
 
     def serve(self) -> Session:
@@ -92,16 +92,16 @@ def test_a_killed_process_is_missed_at_once(two: Two) -> None:
     assert [what for what, _ in two.seen] == ["came", "went"]
 
 
-def test_a_frozen_process_is_missed_after_its_lease(two: Two) -> None:
+def test_a_frozen_process_is_missed_after_its_timeout(two: Two) -> None:
     two.agent.pause()
     two.scheduler.run(9.0)
     (what, at) = two.seen[-1]
     assert what == "went"
-    # its last sign was up to a quarter of the lease old; the look comes as often
-    assert 1.0 + 0.7 * LEASE < at < 1.0 + 1.5 * LEASE
+    # its last sign was up to a quarter of the timeout old; the look comes as often
+    assert 1.0 + 0.7 * TIMEOUT < at < 1.0 + 1.5 * TIMEOUT
 
 
-def test_one_behind_a_cut_is_missed_after_its_lease_and_seen_again(two: Two) -> None:
+def test_one_behind_a_cut_is_missed_after_its_timeout_and_seen_again(two: Two) -> None:
     for way in ("ab", "ba"):
         two.network.cut(*way)
     two.scheduler.run(9.0)

@@ -24,7 +24,7 @@ from poise.runtime.container.account import Account
 from poise.session.agent_service import AgentService
 from poise.session.folders import agent_folder, state_folder, system_agent_folder
 from poise.units import SECONDS
-from poise.wire.control_session import LEASE
+from poise.wire.control_session import SESSION_TIMEOUT
 from poise.wire.credentials import find, folders
 
 log = logging.getLogger(__name__)
@@ -55,7 +55,7 @@ _Insecure = Annotated[
 _Lifeline = Annotated[
     int | None, typer.Option(hidden=True, help="End at this descriptor's end.")
 ]
-_Lease = Annotated[
+_SessionTimeout = Annotated[
     float,
     typer.Option(hidden=True, help="A peer that is silent for so long [s] is lost."),
 ]
@@ -93,7 +93,7 @@ def agent_command(
     ] = "",
     plain_connectors: Annotated[bool, typer.Option(hidden=True)] = False,
     lifeline: _Lifeline = None,
-    lease: _Lease = LEASE,
+    session_timeout: _SessionTimeout = SESSION_TIMEOUT,
 ) -> None:
     """Run the containers of this computer until Ctrl-C.
 
@@ -117,7 +117,7 @@ def agent_command(
             code=str((code / "code").resolve()),
             folder=str(place),
             lifeline=lifeline,
-            lease=lease,
+            session_timeout=session_timeout,
             sample_every=parse_option("--sample-every", sample_every, SECONDS),
             keys=keys_for(robot, address, keys, is_insecure=insecure),
             encrypts=not plain_connectors,
@@ -136,7 +136,7 @@ def witness_command(
     keys: _Keys = None,
     insecure: _Insecure = False,
     lifeline: _Lifeline = None,
-    lease: _Lease = LEASE,
+    session_timeout: _SessionTimeout = SESSION_TIMEOUT,
 ) -> None:
     """Vote for a robot's manager from this computer, until Ctrl-C.
 
@@ -154,7 +154,7 @@ def witness_command(
             port=port,
             folder=str(place),
             lifeline=lifeline,
-            lease=lease,
+            session_timeout=session_timeout,
             sample_every=0.0,
             keys=keys_for(robot, address, keys, is_insecure=insecure),
             is_witness=True,

@@ -46,7 +46,7 @@ from poise.manage.deploy.lost_computers import LostComputers
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.migration.canary import Canaries
 from poise.manage.migration.migration_report import MigrationReport
-from poise.manage.migration.move import move, replace, replace_architecture
+from poise.manage.migration.move import plan_alternative, plan_move, plan_replacement
 from poise.manage.migration.preparation import Preparation
 from poise.manage.observe.deviations import Deviation
 from poise.manage.observe.estimates import Estimates
@@ -150,14 +150,14 @@ class Manager:
     def _set_parameters(self, command: ParametersCommand, future: Results) -> None:
         """Let a component take parameters; what it took is kept by this command."""
         try:
-            answer = set_parameters(self._run, command)
+            taken = set_parameters(self._run, command)
         except PoiseError as error:
             future.set_result(Refusal.from_error(error))
             return
-        if answer.outcome == "done":
-            self._enqueue(structs.replace(command, changes=answer.value), future)
+        if taken.outcome == "done":
+            self._enqueue(structs.replace(command, changes=taken.value), future)
         else:
-            future.set_result(answer)
+            future.set_result(taken)
 
     def _enqueue(self, command: Command, future: Results) -> None:
         try:
@@ -306,7 +306,7 @@ class Manager:
 
         Meanwhile other commands are carried out, and the robot is looked after.
         """
-        result = self._carry_out(command, partial(self._done, command))
+        result = self._carry_out(command, partial(self._do, command))
         if isinstance(result, Preparation):
             self._preparations.append((command, result, future))
         else:
@@ -357,7 +357,8 @@ class Manager:
         self._run.release(what)
         return Refusal(f"{what}. The robot keeps its placement", "RunError")
 
-    def _done(self, command: Command) -> Result | Preparation:
+    def _do(self, command: Command) -> Result | Preparation:
+        """Do what a command asks for; return a migration that is prepared first."""
         run = self._run
         self._lost.settle()
         match command:
@@ -373,7 +374,7 @@ class Manager:
             case RebalanceCommand(cost, dry):
                 return Rebalanced(*self._adaptation.balance(cost, dry=dry))
             case MoveCommand(component, computer, force):
-                planned = move(run, component, computer, force=force)
+                planned = plan_move(run, component, computer, force=force)
                 self._adaptation.check_asked(component, computer, force=force)
             case ReplaceCommand(by=by, adapt=adapt, watch=watch) if watch and (
                 adapt or ":" not in by
@@ -383,9 +384,9 @@ class Manager:
                     "state that was mapped cannot be mapped back"
                 )
             case ReplaceCommand(component, by, adapt, fresh) if ":" in by:
-                planned = replace(run, component, by, adapt, fresh=fresh)
+                planned = plan_replacement(run, component, by, adapt, fresh=fresh)
             case ReplaceCommand(what, by, adapt, fresh):
-                planned = replace_architecture(run, what, by, adapt, fresh=fresh)
+                planned = plan_alternative(run, what, by, adapt, fresh=fresh)
             case _:
                 raise AssertionError(command)
         return planned.begin()

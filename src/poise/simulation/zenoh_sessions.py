@@ -2,7 +2,7 @@
 
 As in Poise's use of zenoh, a session talks with those that it connected to, or that
 connected to it, and passes nothing on. The end of a process is seen at once: its kernel
-says so. A frozen process, or a cut, is seen only by the silence, after the lease.
+says so. A frozen process, or a cut, is seen only by the silence, after the timeout.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from poise.simulation.robot.simulated_process import Process
 
 _FIRST_RETRY, _LONGEST_RETRY = 0.05, 0.5
 """As `poise.wire.control_session` sets them [s]."""
-_LEASE = 10.0
+_TIMEOUT = 10.0
 
 
 class ZenohNetwork:
@@ -35,13 +35,13 @@ class ZenohNetwork:
 
     def open(self, process: Process, config: zenoh.Config) -> Session:
         """Open a session, as `zenoh.open` does."""
-        lease = float(config.get_json("transport/link/tx/lease")) / 1000
+        timeout = float(config.get_json("transport/link/tx/lease")) / 1000
         listen = json.loads(config.get_json("listen/endpoints"))
         connect = json.loads(config.get_json("connect/endpoints"))
         for locator in listen:
             if self.listening(locator) is not None:
                 raise zenoh.ZError(f"[{locator}: Address already in use (os error 98)]")
-        session = Session(self, process, listen, lease or _LEASE)
+        session = Session(self, process, listen, timeout or _TIMEOUT)
         self._sessions.append(session)
         for locator in connect:
             self._connect(session, locator, 0.0, _FIRST_RETRY)
@@ -104,11 +104,11 @@ class Session:
     """A process's session; what Poise uses of `zenoh.Session`."""
 
     def __init__(
-        self, of: ZenohNetwork, process: Process, listen: list[str], lease: float
+        self, of: ZenohNetwork, process: Process, listen: list[str], timeout: float
     ) -> None:
         self.process = process
         self.listen = listen
-        self.lease = lease
+        self.timeout = timeout
         self.is_closed = False
         self.sides: list[Side] = []
         self.tokens: list[str] = []
@@ -253,7 +253,7 @@ def _sample(key: str, kind: zenoh.SampleKind, data: bytes = b"") -> SimpleNamesp
 
 
 _BEATS = 4
-"""So often in a lease each side says that it is there."""
+"""So often in a timeout each side says that it is there."""
 _SMALL = 20
 MOST_WAITING = 2000
 """What a process does not take is dropped beyond this."""
@@ -280,7 +280,7 @@ class SimulatedConnection:
             side.begin(other)
 
     def close(self, by: Side, *, is_told: bool) -> None:
-        """End it on one side; the other learns it, over a cut by its lease."""
+        """End it on one side; the other learns it, over a cut by its timeout."""
         if by.is_closed:
             return
         other = by.other
@@ -401,15 +401,15 @@ class Side:
         scheduler, process = self.connection.scheduler, self.session.process
         if self.is_closed or process.is_dead:
             return
-        lease = self.session.lease
+        timeout = self.session.timeout
         if not process.is_paused:
-            if scheduler.now - self._heard_at > self.other.session.lease:
+            if scheduler.now - self._heard_at > self.other.session.timeout:
                 self.connection.close(self, is_told=True)
                 return
             if not self.stream.is_cut:
                 self.stream.send(_SMALL, self.other.note_beat)
         pause = self.connection.network.choices.between("network", 0.9, 1.0)
-        scheduler.at(scheduler.now + pause * lease / _BEATS, self._beat)
+        scheduler.at(scheduler.now + pause * timeout / _BEATS, self._beat)
 
     def note_beat(self) -> None:
         """Note that the other side is there; for the simulated world."""

@@ -19,9 +19,11 @@ from poise.errors import RunError
 if TYPE_CHECKING:
     from poise.wire.credentials import Credentials
 
-LEASE = 2.0
-"""A manager or an agent that is cut off counts as out of reach after this time [s]. TCP
-sends again after waits that double, so a cut of 0.5 s may silence it for 1.5 s."""
+SESSION_TIMEOUT = 2.0
+"""A zenoh session with a peer that is silent for longer ends [s]. TCP sends again after
+waits that double, so a cut of 0.5 s may silence it for 1.5 s."""
+UNCUT_SESSION_TIMEOUT = 10.0
+"""The same of peers that nothing can cut off, but that may have to wait for CPU."""
 
 COMMAND_LIMIT = 60.0
 """A manager answers within this time [s]; moves of large states take the longest."""
@@ -33,7 +35,7 @@ def open_session(
     *,
     listen: Sequence[str] = (),
     connect: Sequence[str] = (),
-    lease: float = 10.0,
+    timeout: float = SESSION_TIMEOUT,
     keys: Credentials | None = None,
     serves: str = "",
 ) -> zenoh.Session:
@@ -57,7 +59,7 @@ def open_session(
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": False,
         "open/return_conditions/connect_scouted": False,
-        "transport/link/tx/lease": int(lease * 1000),
+        "transport/link/tx/lease": int(timeout * 1000),
         # shared memory would pass through network namespaces, and between containers
         # of one computer Poise has better
         "transport/shared_memory/enabled": False,

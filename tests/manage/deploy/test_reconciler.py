@@ -9,7 +9,7 @@ from msgspec import structs
 
 from poise.errors import RunError
 from poise.manage.agent_connections.agents import Agents
-from poise.manage.agent_connections.requests import ANSWER_LIMIT, Reply
+from poise.manage.agent_connections.requests import ANSWER_LIMIT, PendingAnswer
 from poise.manage.deploy.reconciler import APPLY_LIMIT, TRY_AGAIN
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.journal import Journal
@@ -28,10 +28,10 @@ class Silent(FakeAgents):
         super().__init__("left", "right")
         self.mute: set[str] = set()
 
-    def begin_deploy(self, computer: str, deployment: Deployment) -> Reply:
+    def begin_deploy(self, computer: str, deployment: Deployment) -> PendingAnswer:
         if computer in self.mute:
             self.deployed.append((computer, deployment))
-            return Reply()
+            return PendingAnswer()
         return super().begin_deploy(computer, deployment)
 
 

@@ -23,10 +23,16 @@ from poise.manage.agent_connections.requests import (
     LOSS_DELAY,
     SEND_LIMIT,
     AgentRequests,
-    Reply,
+    PendingAnswer,
 )
 from poise.priority import ahead
-from poise.wire.control_session import LEASE, close_session, endpoint_of, open_session
+from poise.wire.control_session import (
+    SESSION_TIMEOUT,
+    UNCUT_SESSION_TIMEOUT,
+    close_session,
+    endpoint_of,
+    open_session,
+)
 from poise.wire.heartbeats import (
     SURELY_ENDED,
     UNCUT_SURELY_ENDED,
@@ -58,7 +64,7 @@ if TYPE_CHECKING:
     from poise.wire.credentials import Credentials
 
 
-_LATE = LEASE + 1.0
+_LATE = SESSION_TIMEOUT + 1.0
 """An agent that was cut off knows within this time that its manager ended [s]."""
 MARGIN = 0.1
 """An agent's answer to migration steps may come this much after their limit [s]."""
@@ -76,9 +82,9 @@ _LEAST_BANDWIDTH = 1e6
 class Agents(AgentReports):
     """The agents of one robot. Use it as a context manager.
 
-    `on_sample`: called with every sample, on zenoh's thread; must not block; `lease`:
-    an agent that is cut off is out of reach after this time [s]; one that ends, at
-    once; `datagrams`: what carries heartbeats; None: a UDP socket; `keys`: what the
+    `on_sample`: called with every sample, on zenoh's thread; must not block;
+    `is_leased`: something can cut agents off from this manager, so leases end what they
+    run; `datagrams`: what carries heartbeats; None: a UDP socket; `keys`: what the
     agents know this manager by; None: their network is its own; `control`: the control
     socket of this manager.
     """
@@ -90,7 +96,7 @@ class Agents(AgentReports):
         clock: Clock,
         on_sample: Callable[[AgentSample], object] | None = None,
         *,
-        lease: float = LEASE,
+        is_leased: bool = True,
         datagrams: Datagrams | None = None,
         election: Election | None = None,
         keys: Credentials | None = None,
@@ -98,25 +104,27 @@ class Agents(AgentReports):
     ) -> None:
         super().__init__(robot, endpoints, clock)
         self.election = election
-        self._is_leased = lease <= LEASE
+        self._is_leased = is_leased
         self._claims = Claims(
-            manager_id(control), endpoints, election, is_leased=self._is_leased
+            manager_id(control), endpoints, election, is_leased=is_leased
         )
-        heard = endpoints if self._is_leased else {}
+        heard = endpoints if is_leased else {}
         self.heartbeats = AgentHeartbeats(
             robot,
             self.manager.key,
             heard,
             clock,
             self.on_silent,
-            SURELY_ENDED if self._is_leased else UNCUT_SURELY_ENDED,
+            SURELY_ENDED if is_leased else UNCUT_SURELY_ENDED,
             datagrams or _datagrams(heard, clock, keys),
             votes=self._claims.votes,
         )
         self.checkpoints = CheckpointCopies()
         with ahead():  # zenoh's threads do nothing but carry messages
             self._session = open_session(
-                connect=tuple(endpoints.values()), lease=lease, keys=keys
+                connect=tuple(endpoints.values()),
+                timeout=SESSION_TIMEOUT if is_leased else UNCUT_SESSION_TIMEOUT,
+                keys=keys,
             )
         prefix = f"poise/{robot}"
         self._requests = AgentRequests(
@@ -333,17 +341,17 @@ class Agents(AgentReports):
                 raise RunError(refusals[computer])
             self._clock.sleep(LOOK_EVERY)
 
-    def begin_claim(self, computer: str) -> Reply:
+    def begin_claim(self, computer: str) -> PendingAnswer:
         """Ask an agent to obey this manager; do not wait for its answer."""
         return self._requests.begin(computer, self._new_claim(computer))
 
-    def end_claim(self, computer: str, reply: Reply) -> None:
+    def end_claim(self, computer: str, reply: PendingAnswer) -> None:
         """Take note that an agent accepted a claim."""
         self._claims.accept(computer, reply.token)
         if self._is_leased:
             self.heartbeats.start()
 
-    def begin_deploy(self, computer: str, deployment: Deployment) -> Reply:
+    def begin_deploy(self, computer: str, deployment: Deployment) -> PendingAnswer:
         """Tell an agent what should run; do not wait for its answer."""
         with self._changed:
             self._claims.note_told(computer, deployment.generation)

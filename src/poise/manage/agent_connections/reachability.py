@@ -27,6 +27,8 @@ from poise.wire.heartbeats import (
 from poise.wire.records.heartbeat_records import MANAGER, Heartbeat
 from poise.wire.records.request_records import majority_at
 
+LEASE_LIMIT = 3.0
+"""The leases of lost computers end within this time [s], unless others hear them."""
 _STALLED = 1.5 * EVERY
 """Between two looks no more than this counts [s]."""
 _NAP = 0.05

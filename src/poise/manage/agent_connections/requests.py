@@ -37,7 +37,7 @@ LOSS_DELAY = 0.5
 """The loss of an agent is known this long [s] after its connection ends, at most."""
 
 
-class Reply:
+class PendingAnswer:
     """The answer of an agent to one request, once it is there; any thread may look.
 
     `answer`: what the agent answered; None: nothing yet, or nothing at all.
@@ -71,9 +71,9 @@ class AgentRequests:
         self._clock = clock
         self._tokens = tokens
 
-    def begin(self, computer: str, request: Request) -> Reply:
+    def begin(self, computer: str, request: Request) -> PendingAnswer:
         """Ask an agent and do not wait: news come when it has answered, or cannot."""
-        reply = Reply(self._tokens.get(computer, 0))
+        reply = PendingAnswer(self._tokens.get(computer, 0))
 
         def take(received: zenoh.Reply | None = None) -> None:
             reply.set(_answer_of(received))

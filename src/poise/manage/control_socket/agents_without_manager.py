@@ -19,7 +19,7 @@ from poise.manage.agent_connections.reports import AgentReports
 from poise.manage.agent_connections.statuses import Statuses, located
 from poise.manage.control_socket.commands import RobotStatus
 from poise.manage.observe.deviations import Deviation
-from poise.wire.control_session import LEASE, close_session, endpoint_of, open_session
+from poise.wire.control_session import close_session, endpoint_of, open_session
 from poise.wire.robots_here import AgentAddresses, noted
 
 AGENT_LIMIT = 2.0
@@ -71,7 +71,7 @@ def ask_agents(addresses: AgentAddresses, why: str = "") -> RobotStatus | None:
     reports = AgentReports(addresses.robot, addresses.endpoints, SystemClock())
     endpoints = addresses.endpoints
     session = open_session(
-        connect=tuple(endpoints.values()), lease=LEASE, keys=addresses.credentials()
+        connect=tuple(endpoints.values()), keys=addresses.credentials()
     )
     try:
         kept = reports.subscribe(session)
@@ -102,7 +102,8 @@ def status_by_agents(
     is_gone = all(since)
     robot = addresses.robot
     if why:
-        why += f" (its agents miss it since {_clock(max(since))})" if is_gone else ""
+        missed = f" (its agents have missed it since {_clock(max(since))})"
+        why += missed if is_gone else ""
     elif is_gone:
         why = (
             f"robot '{robot}' runs without a manager (since {_clock(max(since))}); "

@@ -31,7 +31,7 @@ from poise.manage.control_socket.commands import (
 from poise.wire import frame
 from poise.wire.address import connect
 from poise.wire.codec import WireError
-from poise.wire.control_session import COMMAND_LIMIT, LEASE, close_session, open_session
+from poise.wire.control_session import COMMAND_LIMIT, close_session, open_session
 from poise.wire.robots_here import (
     AgentAddresses,
     noted,
@@ -143,9 +143,7 @@ def _told_elsewhere(addresses: AgentAddresses, command: Command) -> Response:
     keys = addresses.credentials()
     if keys is not None and keys.role == "viewer":
         raise _no_manager(addresses, f"the keys in {keys.folder} only let look")
-    session = open_session(
-        connect=tuple(addresses.endpoints.values()), lease=LEASE, keys=keys
-    )
+    session = open_session(connect=tuple(addresses.endpoints.values()), keys=keys)
     try:
         key = _manager_key(session, addresses.robot, _REACH_LIMIT)
         if not key:

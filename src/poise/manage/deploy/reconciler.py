@@ -14,7 +14,7 @@ from typing import Protocol
 from msgspec import structs
 
 from poise.clock import Clock
-from poise.manage.agent_connections.requests import ANSWER_LIMIT, Reply
+from poise.manage.agent_connections.requests import ANSWER_LIMIT, PendingAnswer
 from poise.manage.agent_connections.statuses import Statuses
 from poise.wire.records.deployment_records import Deployment
 from poise.wire.records.request_records import Accepted, Claimed, ManagerId, Refused
@@ -46,15 +46,15 @@ class ReconciledAgents(Protocol):
         """Return the manager to which this one gives way; None: there is none."""
         ...
 
-    def begin_claim(self, computer: str) -> Reply:
+    def begin_claim(self, computer: str) -> PendingAnswer:
         """Ask an agent to obey this manager; do not wait."""
         ...
 
-    def end_claim(self, computer: str, reply: Reply) -> None:
+    def end_claim(self, computer: str, reply: PendingAnswer) -> None:
         """Take note that an agent accepted a claim."""
         ...
 
-    def begin_deploy(self, computer: str, deployment: Deployment) -> Reply:
+    def begin_deploy(self, computer: str, deployment: Deployment) -> PendingAnswer:
         """Tell an agent what should run; do not wait."""
         ...
 
@@ -66,7 +66,7 @@ class _AskedAgent:
         self.sent: Deployment | None = None
         self.pid = 0
         self.sent_at = self.again_at = float("-inf")
-        self.reply: Reply | None = None
+        self.reply: PendingAnswer | None = None
         self.is_claim = False
         self.trouble = ""
         self.refusal = ""

@@ -11,6 +11,7 @@ from msgspec import structs
 
 from poise.errors import PoiseError, RobotError, RunError
 from poise.manage.adaptation.situation import Situation
+from poise.manage.agent_connections.reachability import LEASE_LIMIT
 from poise.manage.agent_connections.reports import LOOK_EVERY
 from poise.manage.deploy.adoption import (
     Adoption,
@@ -45,8 +46,6 @@ from poise.wire.records.migration_records import (
 
 WITNESS_LIMIT = 5.0
 """Containers that do not say so are asked again for this time [s], and then ended."""
-_LEASE_LIMIT = 3.0
-"""Leases of computers that are gone end within this time [s]."""
 _LOOK_EVERY = 0.02
 _TAKE_OVER = "`poise stop` ends the robot, and `poise up --take-over` takes it over"
 HALT_LIMIT = 1.0
@@ -191,7 +190,7 @@ def _elected(
     found = {n: answer.deployment for n, answer in answers.items() if answer.deployment}
     record = newest_record(found.values())
     if away and record.incarnations():
-        until = run.clock.now() + _LEASE_LIMIT
+        until = run.clock.now() + LEASE_LIMIT
         while not run.agents.heartbeats.have_leases_ended(away):
             if run.clock.now() >= until:
                 run.leave()
@@ -386,8 +385,8 @@ def _note(run: RunningComponents, adoption: Adoption) -> None:
         run.journal.note(
             "decided", f"stopping component '{name}': the task does not need it"
         )
-    kept = counted(len(adoption.kept), "component")
-    run.journal.note("decided", f"{kept} keep running", kept=sorted(adoption.kept))
+    what = f"going on with {counted(len(adoption.kept), 'component')}"
+    run.journal.note("decided", what, kept=sorted(adoption.kept))
 
 
 def _start(

@@ -81,7 +81,7 @@ class Migration:
         self._phases = MigrationPhases("manager", self._what)
         self._taken: list[StepTaken] = []
         self._late: list[PlacedStep] = []
-        self._committed = 0
+        self._committed_generation = 0  # 0: it is not committed
 
     def run(self) -> MigrationReport:
         """Migrate, or roll back.
@@ -140,7 +140,7 @@ class Migration:
         return any(
             all(
                 agents.obey(end.computer)
-                and statuses[end.computer].generation >= self._committed
+                and statuses[end.computer].generation >= self._committed_generation
                 for end in ends
             )
             for ends in (self._targets, self._sources)
@@ -219,7 +219,7 @@ class Migration:
             incarnation.with_goal("active") for incarnation in self._targets
         )
         self._run.commit(desired, f"{self._what} is committed", tell_later=True)
-        self._committed = self._run.desired.generation
+        self._committed_generation = self._run.desired.generation
         self._phases.enter("resume")
         self._resume(plan.resume())
         return ""
@@ -241,7 +241,7 @@ class Migration:
         limit: float,
         check: Callable[[], object] = lambda: None,
     ) -> float:
-        """Let containers take steps, all at once.
+        """Let containers take steps, all at once; return how long they quiesced [s].
 
         `check`: called now and then while containers have not answered; may raise.
         """
@@ -309,7 +309,7 @@ class Migration:
         def have_ended() -> bool:
             run.reconcile()
             away = run.agents.out_of_reach()
-            is_told = not self._committed or self._is_known()
+            is_told = not self._committed_generation or self._is_known()
             is_told = is_told or all(
                 target.computer in away for target in self._targets
             )

@@ -1,4 +1,6 @@
-"""Moves a component, replaces its implementation, or replaces a whole architecture.
+"""Plans the move of a component, its replacement, or that of an architecture.
+
+Each is checked, and returned as a `Preparation` to be run.
 
 A component in Python takes its state along, and loses no call or message. A
 command-line component makes a cold move: it is stopped, and started at the target. The
@@ -29,7 +31,7 @@ from poise.model.robot import Architecture, Robot
 from poise.wire.records.code_records import SHOWN
 
 
-def move(
+def plan_move(
     run: RunningComponents, component: str, computer: str, *, force: bool = False
 ) -> Preparation:
     """Return the move of a running component to a computer, to be run.
@@ -53,7 +55,7 @@ def move(
     return _preparation(run, old, new)
 
 
-def replace(
+def plan_replacement(
     run: RunningComponents,
     component: str,
     by: str,
@@ -91,7 +93,7 @@ def replace(
     return _preparation(run, old, new, by)
 
 
-def return_to(run: RunningComponents, before: Incarnation) -> Preparation:
+def plan_return(run: RunningComponents, before: Incarnation) -> Preparation:
     """Return the swap of a component's code for that of an earlier incarnation."""
     old = _placed(run, before.component)
     new = structs.replace(
@@ -230,7 +232,7 @@ def _check_target(
         raise UsageError(f"component '{component}' is not movable (robot file)")
 
 
-def replace_architecture(
+def plan_alternative(
     run: RunningComponents,
     architecture: str,
     by: str,

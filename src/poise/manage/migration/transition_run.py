@@ -9,6 +9,7 @@ from msgspec import structs
 
 from poise.clock import wall_time
 from poise.errors import RunError, UsageError
+from poise.manage.agent_connections.reachability import LEASE_LIMIT
 from poise.manage.agent_connections.statuses import components_of
 from poise.manage.deploy.desired import Incarnation
 from poise.manage.deploy.running_components import (
@@ -21,12 +22,10 @@ from poise.manage.migration.migration_report import (
     TransitionReport,
     TransitionStep,
 )
-from poise.manage.migration.move import move
+from poise.manage.migration.move import plan_move
 from poise.manage.observe.deviations import Deviation
 from poise.units import counted
 
-LEASE_LIMIT = 3.0
-"""The leases of lost computers end within this time [s], unless others hear them."""
 _LOOK_EVERY = 0.02
 
 
@@ -192,7 +191,7 @@ class _Transition:
             elif not step.target:
                 self._stop(step.component)
             else:
-                report = move(self._run, step.component, step.target).run()
+                report = plan_move(self._run, step.component, step.target).run()
                 self.moves.append(report)
                 return report.reason
         except (RunError, UsageError) as error:

@@ -134,7 +134,7 @@ class Agent:
             self._open_gateway() as gateway,
             open_session(
                 listen=[self._locator],
-                lease=setup.lease,
+                timeout=setup.session_timeout,
                 keys=self._keys,
                 serves=setup.robot,
             ) as session,

@@ -17,7 +17,7 @@ from msgspec import Struct
 from poise.clock import Clock
 from poise.runtime.container.account import Account
 from poise.runtime.supervision.health import Usage
-from poise.wire.control_session import LEASE
+from poise.wire.control_session import SESSION_TIMEOUT
 from poise.wire.heartbeats import Address, Hear, NextBeat
 from poise.wire.records.code_records import CodePart, InstallCode
 from poise.wire.records.deployment_records import ContainerSpec, Deployment
@@ -49,7 +49,8 @@ class AgentSetup(Struct, frozen=True, kw_only=True):
     folder: str
     # A file descriptor at whose end of file the agent ends; None: it runs on
     lifeline: int | None = None
-    lease: float = LEASE  # Who is silent for this time [s] is lost
+    # Its zenoh session with a peer that is silent for longer ends [s]
+    session_timeout: float = SESSION_TIMEOUT
     # How often it tells what its containers count [s]; 0: never
     sample_every: float = SAMPLE_EVERY
     # The folder of its keys; empty: whoever reaches its port may command it

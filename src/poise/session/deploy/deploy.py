@@ -23,7 +23,7 @@ from poise.session import Check, Say, log, nothing
 from poise.session.deploy.wheels import files_for, lock_wheels, manifest_of
 from poise.session.launch.computers import Computers, real_agents
 from poise.units import format_bytes
-from poise.wire.control_session import LEASE, close_session, open_session
+from poise.wire.control_session import close_session, open_session
 from poise.wire.records.code_records import (
     CODE,
     MANIFEST,
@@ -233,7 +233,6 @@ def _agents(robot: Robot) -> Iterator[tuple[AgentReports, AgentRequests, Compute
     clock = SystemClock()
     session = open_session(
         connect=tuple(addresses.endpoints.values()),
-        lease=LEASE,
         keys=addresses.credentials(),
     )
     try:

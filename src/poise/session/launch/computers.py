@@ -33,9 +33,13 @@ from poise.session.folders import scratch_folder
 from poise.session.launch.printer import STDERR, Printer, relay
 from poise.threads import BackOff
 from poise.units import counted
-from poise.wire.control_session import LEASE, endpoint_of, locator
+from poise.wire.control_session import (
+    SESSION_TIMEOUT,
+    UNCUT_SESSION_TIMEOUT,
+    endpoint_of,
+    locator,
+)
 from poise.wire.credentials import Credentials, find
-from poise.wire.heartbeats import UNCUT_LEASE
 from poise.wire.records.status_records import SAMPLE_EVERY
 from poise.wire.robots_here import AgentAddresses, forget
 
@@ -61,14 +65,14 @@ class EmulatedAgents:
         say: Say,
         kept: EmulatedSet | None,
     ) -> None:
-        lease = UNCUT_LEASE if kept is None else LEASE
+        timeout = UNCUT_SESSION_TIMEOUT if kept is None else SESSION_TIMEOUT
         self.emulation = emulation
         self.processes: dict[str, subprocess.Popen[bytes]] = {}
         self._robot = robot.name
         self._witnesses = {each.name for each in robot.computers if each.witness}
         self._output = output
         self._lifeline = lifeline
-        self._lease = f"{lease}"
+        self._session_timeout = f"{timeout}"
         self._options = ["--sample-every", f"{sample_every}", "--allow", "/"]
         if not os.environ.get(ENCRYPT):
             self._options.append("--plain-connectors")
@@ -108,7 +112,8 @@ class EmulatedAgents:
         command = ["witness", name] if is_witness else ["agent", name, *self._options]
         argv = [sys.executable, "-m", "poise", *command, "--robot", self._robot]
         argv += ["--address", computer.address, "--folder", str(computer.folder)]
-        argv += ["--keys", str(computer.folder / _KEYS), "--lease", self._lease]
+        argv += ["--keys", str(computer.folder / _KEYS)]
+        argv += ["--session-timeout", self._session_timeout]
         self.processes[name] = computer.popen(
             [*argv, "--lifeline", str(self._lifeline)],
             stdin=subprocess.DEVNULL,
@@ -248,7 +253,6 @@ class Computers:
         self.endpoints = addresses.endpoints
         self.emulated = emulated or {}
         self._agents = agents or {}
-        self.lease = UNCUT_LEASE if agents else LEASE
         self.without = without
         self._watch: StarvationWatch | None = None
         self._clock = SystemClock()

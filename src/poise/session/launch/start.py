@@ -260,7 +260,7 @@ def started(  # noqa: PLR0913 - each is a choice of the caller
                 computers.endpoints,
                 SystemClock(),
                 take if look.take else None,
-                lease=computers.lease,
+                is_leased=computers.outlive_manager,
                 election=election,
                 keys=computers.addresses.credentials(),
                 control=str(path_of(robot.name)),

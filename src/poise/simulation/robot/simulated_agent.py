@@ -55,7 +55,6 @@ if TYPE_CHECKING:
     from poise.simulation.robot.simulated_robot import SimulatedRobot
 
 PORT = 7447
-LEASE = 2.0
 _NEWS = "news"
 
 
@@ -112,7 +111,6 @@ class SimulatedAgent:
             address=address,
             port=PORT,
             folder="",
-            lease=LEASE,
         )
         self._disk = disk
         self._say = say
@@ -141,7 +139,7 @@ class SimulatedAgent:
         setup = self._setup
         prefix, name = f"poise/{setup.robot}", setup.computer
         where = locator(Endpoint(setup.address, setup.port))
-        with open_session(listen=[where], lease=setup.lease) as session:
+        with open_session(listen=[where]) as session:
             status = session.declare_publisher(f"{prefix}/status/{name}")
             copies = session.declare_publisher(f"{prefix}/checkpoint/{name}")
             self._disk.begin(

@@ -45,7 +45,6 @@ SOLVE_STEPS = 20_000
 """The planner searches so much, whatever the machine: a seed gives one run."""
 _MISSING_LIMIT = 2.0
 _AGENT_LIMIT = 20.0
-_LEASE = 2.0
 
 
 class ManagedRobot(Struct, frozen=True, kw_only=True):
@@ -138,7 +137,6 @@ class SimulatedManager:
             self._endpoints,
             SystemClock(),
             samples.add,
-            lease=_LEASE,
             datagrams=self._datagrams,
             election=setup.election,
         ) as agents:
