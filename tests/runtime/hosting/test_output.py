@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import logging
 import os
+import sys
 import threading
 from io import StringIO
 from pathlib import Path
@@ -15,6 +17,7 @@ from poise.runtime.hosting.output import (
     KeptStream,
     OutputFile,
     forget_output,
+    keep_output,
     read_output,
     write_as,
 )
@@ -126,3 +129,18 @@ def test_moments_grow_even_when_the_clock_does_not(
     monkeypatch.undo()
     monkeypatch.setattr(output, "_BEING_WRITTEN", 0)
     assert [o.at for o in read(tmp_path).lines] == [7, 8]
+
+
+def test_what_is_logged_is_kept_without_its_time_and_passed_on_with_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    terminal = StringIO()
+    handler = logging.StreamHandler(terminal)
+    handler.setFormatter(logging.Formatter("12:00 %(message)s"))
+    monkeypatch.setattr(logging.getLogger(), "handlers", [handler])
+    for name in ("stdout", "stderr"):
+        monkeypatch.setattr(sys, name, StringIO())
+    keep_output(tmp_path, "hall")
+    logging.getLogger("eye").warning("it is\nhot")
+    assert [o.text for o in read(tmp_path).lines] == ["WARNING eye: it is", "hot"]
+    assert terminal.getvalue() == "12:00 it is\nhot\n"

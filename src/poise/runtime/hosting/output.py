@@ -67,22 +67,33 @@ class OutputFile:
         self._size = os.fstat(self._fd).st_size
 
 
-class KeptStream(TextIOBase):
-    """Standard output or error: passes all on, and keeps it by lines."""
+class KeptLines(TextIOBase):
+    """Keeps what is written, by lines."""
 
-    def __init__(self, stream: TextIO, file: OutputFile) -> None:
-        self._stream = stream
+    def __init__(self, file: OutputFile) -> None:
         self._file = file
         self._line = threading.local()
 
     def write(self, text: str) -> int:
-        """Pass text on; keep each line that is complete."""
-        self._stream.write(text)
+        """Keep each line that is complete."""
         *lines, unended = (getattr(self._line, "text", "") + text).split("\n")
         for line in lines:
             self._file.add(line)
         self._line.text = unended[:LONGEST]
         return len(text)
+
+
+class KeptStream(KeptLines):
+    """Standard output or error: passes all on, and keeps it by lines."""
+
+    def __init__(self, stream: TextIO, file: OutputFile) -> None:
+        super().__init__(file)
+        self._stream = stream
+
+    def write(self, text: str) -> int:
+        """Pass text on; keep each line that is complete."""
+        self._stream.write(text)
+        return super().write(text)
 
     def flush(self) -> None:
         """Pass on what waits."""
@@ -100,12 +111,13 @@ class KeptStream(TextIOBase):
 def keep_output(folder: Path, container: str) -> None:
     """Keep what this process writes from now on, also what it logs."""
     file = OutputFile(folder, container)
-    before = sys.stderr
     sys.stdout = KeptStream(sys.stdout, file)
     sys.stderr = KeptStream(sys.stderr, file)
-    for handler in logging.getLogger().handlers:
-        if isinstance(handler, logging.StreamHandler) and handler.stream is before:
-            handler.setStream(sys.stderr)
+    root = logging.getLogger()
+    if root.handlers:  # they pass on to what was standard error, with the time
+        kept = logging.StreamHandler(KeptLines(file))
+        kept.setFormatter(logging.Formatter("%(levelname)s %(name)s: %(message)s"))
+        root.addHandler(kept)
 
 
 def read_output(folder: Path, request: ReadOutput) -> OutputLines:
