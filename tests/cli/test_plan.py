@@ -57,6 +57,7 @@ def test_people_see_the_placement(problem_file: Path) -> None:
     text = call(problem_file).stdout
     assert "one" in text
     assert "F = " in text
+    assert "0 is best" in text
 
 
 def test_people_see_some_of_very_many_names(tmp_path: Path) -> None:

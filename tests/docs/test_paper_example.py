@@ -18,7 +18,7 @@ SHOWN = re.findall(r"```sh\npoise (.*?)\n```.*?```\n(.*?)```", PAGE, re.DOTALL)
 
 def words(text: str) -> str:
     """Return a text without its layout, and without how long a decision took."""
-    return " ".join(re.sub(r"in \d+ µs|─+", "", text).split())
+    return " ".join(re.sub(r"in [\d.]+ \ws|─+", "", text).split())
 
 
 @pytest.mark.parametrize(("line", "shown"), SHOWN)

@@ -51,6 +51,12 @@ _AS_OFTEN = 1.05
 """A handler feeds a connector whose rate is up to this factor above its own."""
 
 
+NO_PROFILE = (
+    "there is no profile: the ages are guessed from the CPU that components need; "
+    "`poise profile` measures"
+)
+"""Said where nothing was measured."""
+
 Place = tuple[str, str, int]
 """Where something comes in: the port, the function that it comes from, and a number;
 what comes from alternatives of that function comes to one place."""
@@ -85,10 +91,10 @@ def workload_of(
     reference]; of the others the mean counts.
     `bag`: connector from a bridge -> how often and how large messages come over it.
     """
+    guesses = [] if profile else [NO_PROFILE]
     profile = profile or Profile(
         robot=robot.name, poise="", computer="", speed=1.0, at="", seconds=0.0
     )
-    guesses: list[str] = []
     plan = DeploymentPlan(robot, "")
     measured = {**bag, **profile.connectors}
     over = {

@@ -267,7 +267,7 @@ def place(  # noqa: PLR0913 - each is a choice of the user
         ``random:SEED``; or a file with
         ``component: computer``.
     budget
-        Time to decide [s]; None: 0.1, and 0.3 for a task of several phases.
+        Time to decide [s]; None: 0.1, and 0.26 for a task of several phases.
     seed
         Of the search, and of what is drawn to explore.
     fewer

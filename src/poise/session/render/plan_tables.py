@@ -12,6 +12,7 @@ from poise import plan, units
 from poise.model.robot import Computer
 from poise.session.render.tables import table
 from poise.simulation.predicted_times import PredictedTimes
+from poise.simulation.workload import NO_PROFILE
 from poise.units import counted
 
 BAR = 10
@@ -23,6 +24,7 @@ TERMS = (*ALWAYS, "quality", "shortage", "time")
 """The terms of F; the last ones are shown where they are not 0."""
 _LATE = 0.01
 """A timer that misses a smaller share of its deadlines is not named."""
+_LEGEND = "F: the weighted sum of what a placement costs, 0 is best"
 _MOST_BARS = 3
 """The most placements whose bars fit side by side."""
 
@@ -33,7 +35,8 @@ def plan_parts(
     """Return what is printed of a placement, with what is predicted of each phase."""
     several = len(phased.results) > 1
     parts = _phases(phased) if several else _phase(phased.only[1])
-    return (*parts, *_chains(phased, times))
+    legend = () if phased.total is None else (f"[dim]{_LEGEND}[/]",)
+    return (*parts, *legend, *_chains(phased, times))
 
 
 def _chains(
@@ -59,6 +62,8 @@ def _chains(
             )
     if rows.row_count:
         yield rows
+        if any(NO_PROFILE in predicted.guesses for predicted in times.values()):
+            yield NO_PROFILE
     for name, predicted in times.items():
         for chain in predicted.chains:
             if chain.margin < 0:
@@ -298,6 +303,7 @@ def show_explanation(
         _show_rejection(explanation, console)
     else:
         _show_options(explanation, console)
+    console.print(f"[dim]{_LEGEND}[/]", highlight=False)
 
 
 def _show_options(explanation: plan.Explanation, console: Console) -> None:
