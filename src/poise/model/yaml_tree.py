@@ -266,7 +266,10 @@ def _syntax_problem(error: yaml.MarkedYAMLError, file: str) -> FileProblem:
     mark = error.problem_mark or error.context_mark
     place = _place(file, mark) if mark else Location(file, 1, 1)
     parts = [error.context, error.problem]
-    return place.problem("not YAML: " + ", ".join(p for p in parts if p))
+    text = "not YAML: " + ", ".join(p for p in parts if p)
+    if "mapping values" in text:
+        text += " (is it indented too far, or is a `{` or quote before it stray?)"
+    return place.problem(text)
 
 
 Path = tuple[str | int, ...]

@@ -35,6 +35,11 @@ def test_refuses_a_connector(refuse: Refuse, connector: str, words: list[str]) -
     refuse(ROBOT.replace("NAV", connector), *words)
 
 
+def test_a_misspelt_end_is_one_problem_also_beside_a_chain(refuse: Refuse) -> None:
+    text = ROBOT.replace("NAV", "{between: [b, ▸cc]}")
+    refuse(f"{text}chains: {{p: {{through: [b, c], deadline: 1 s}}}}\n", "no component")
+
+
 def test_accepts_a_connector_between_architectures(find: Find) -> None:
     text = ROBOT.replace(", NAV", "") + "connectors: [{between: [a.x, d.y]}]\n"
     assert find(text) == ()
