@@ -199,7 +199,8 @@ class Running:
         Parameters
         ----------
         force
-            Whether to move it even where it does not fit beside the running components.
+            Whether to move it even where it does not fit beside the running components,
+            and in spite of its layer.
 
         Raises
         ------
