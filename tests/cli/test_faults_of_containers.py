@@ -23,7 +23,7 @@ NAME = f"faults{os.getpid()}"
 
 CODE = """
 import os
-from poise import Component, every
+from poise import Component, Message, every
 
 class Worker(Component):
     @every(0.05)
@@ -32,6 +32,16 @@ class Worker(Component):
         if os.path.exists(grow):
             os.unlink(grow)
             self.much = b"x" * (1 << 30)
+
+class State(Message):
+    pass
+
+class Keeper(Worker):
+    def snapshot(self):
+        return State()
+
+    def restore(self, state: State):
+        pass
 """
 
 ROBOT = """
@@ -43,7 +53,7 @@ architectures:
     function: work
     components:
       worker:
-        implementation: "faults:Worker"
+        implementation: "faults:Keeper"
         cpu: 5%
         memory: 50 MiB
         parameters: {{folder: "{folder}"}}
@@ -93,8 +103,8 @@ def break_by(up: Path, harm: Callable[[int], object]) -> list[JournalEntry]:
 def test_a_kill_is_one_line_and_its_end_another(up: Path) -> None:
     wrong, right = break_by(up, lambda pid: os.kill(pid, signal.SIGKILL))
     assert wrong.what == (
-        "container 'working' on 'small' was killed by SIGKILL; the state of 'other', "
-        "'worker' is gone: they restart"
+        "container 'working' on 'small' was killed by SIGKILL; the state of "
+        "'worker' is gone: it restarts"
     )
     assert right.what == "container 'working' on 'small' is healthy again"
     done = run_poise("status", "--robot", NAME)

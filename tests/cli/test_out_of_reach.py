@@ -217,7 +217,7 @@ def test_goes_on_without_a_computer_and_brings_it_back(field: Field, up: Up) -> 
 
     field.set_cable("right", "down")
     up.wait_for(
-        r"computer 'right' has been out of reach since .*sink (may still run|stops)"
+        r"'right' has been out of reach since .*sink (may still be at work|stops)"
     )
     status = run_poise("status")
     assert status.returncode == 1
@@ -371,7 +371,8 @@ def test_a_stop_names_what_it_does_not_reach(field: Field, up: Up) -> None:
     stopped = run_poise("stop")
     assert stopped.returncode == 1
     assert re.search(
-        r"'right' has been out of reach since .*sink may still run", stopped.stderr
+        r"'right' has been out of reach since .*sink may still be at work",
+        stopped.stderr,
     )
     assert up.process.wait(LONG) == 1
 

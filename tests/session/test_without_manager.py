@@ -220,7 +220,7 @@ def test_a_stopped_manager_is_named_and_can_be_replaced(file: Path) -> None:
         assert containers(after) == containers(before)
         says(said, after["deviations"][0]["what"])
         wait_long(
-            lambda: "its agents have missed it since" in status()["deviations"][0]["what"]
+            lambda: "agents have missed it since" in status()["deviations"][0]["what"]
         )
         up(file, "--take-over")
         assert status()["manager"]["pid"] != pid

@@ -117,9 +117,9 @@ def test_what_the_file_says_differently_restarts_and_nothing_else(
     adoption = adopted(robot, GRABBER, THINKER, now=now)
     assert adoption.kept == {"grabber": GRABBER}
     assert adoption.starts == {"thinker": "right"}
-    assert "is 'mind:Other' now" in adoption.restarts["thinker"]
+    assert "to 'mind:Other'" in adoption.restarts["thinker"]
     assert (
-        "its parameters was {}, and is {'depth': 3} now"
+        "its parameters changed from {} to {'depth': 3}"
         in (adoption.restarts["thinker"])
     )
 
@@ -136,7 +136,7 @@ def test_a_class_that_the_file_has_changed_meanwhile_takes_its_place(
     now = with_thinker(robot, implementation="mind:Third")
     replaced = replace(THINKER, implementation="mind:Better")
     adoption = adopted(robot, GRABBER, replaced, now=now)
-    assert "'mind:Third' now" in adoption.restarts["thinker"]
+    assert "to 'mind:Third'" in adoption.restarts["thinker"]
 
 
 def test_other_code_restarts_all_of_its_container(robot: Robot) -> None:

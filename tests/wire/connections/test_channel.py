@@ -360,7 +360,7 @@ def test_a_connector_that_does_not_end_there_is_unavailable(wire: Wire) -> None:
     wire.server().open("other", Receiver())
     channel = wire.channel()
     assert not channel.is_ready()
-    with pytest.raises(Unavailable, match="no connector 'echo' ends here"):
+    with pytest.raises(Unavailable, match="echo: its other end is not here"):
         channel.request(call("?"), LIMIT)
 
 

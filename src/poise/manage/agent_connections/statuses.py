@@ -93,12 +93,11 @@ def not_at_goals(
     states = {(c.name, c.epoch): c.state for c in components_of(statuses)}
     found = [f"computer '{name}' is silent" for name in sorted(silent)]
     found += [
-        f"component '{incarnation.component}' on '{incarnation.computer}' is {state}, "
-        f"not yet {incarnation.goal}{_WORKING.get(state, '')}"
+        f"component '{incarnation.component}' on '{incarnation.computer}' is "
+        + (f"{state}, not yet {incarnation.goal}" if state else "not there yet")
+        + _WORKING.get(state, "")
         for incarnation in wanted
-        if (
-            state := states.get((incarnation.component, incarnation.epoch), "not there")
-        )
+        if (state := states.get((incarnation.component, incarnation.epoch), ""))
         != incarnation.goal
     ]
     return found
@@ -151,5 +150,5 @@ def unreached(
         if stop:
             sentences[computer] += f"; {stop} stops there when its lease ends"
         if stay:
-            sentences[computer] += f"; {stay} may still run there"
+            sentences[computer] += f"; {stay} may still be at work there"
     return sentences

@@ -294,10 +294,10 @@ def _changes(
     for what in ("implementation", "command", "parameters", "devices"):
         before, after = getattr(reported.spec, what), getattr(now, what)
         if before != after:
-            yield f"its {what} was {before!r}, and is {after!r} now"
+            yield f"its {what} changed from {before!r} to {after!r}"
     container = layout.container_of(reported.incarnation)
     if reported.container != container:
-        yield f"its container was '{reported.container}', and is '{container}' now"
+        yield f"its container changed from '{reported.container}' to '{container}'"
 
 
 def _half_done(

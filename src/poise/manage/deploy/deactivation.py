@@ -99,7 +99,8 @@ def _deactivate(run: RunningComponents, leads: Leads) -> Iterator[set[str]]:
     inactive: set[str] = set()
     for level in levels(run.placed, leads):
         inactive |= set(level)
-        run.commit(run.desired.aiming("inactive", inactive), "callers end first")
+        why = f"{', '.join(sorted(level))}: callers end before those whom they call"
+        run.commit(run.desired.aiming("inactive", inactive), why)
         run.agents.wait_news(partial(_are_inactive, run, inactive), REST_LIMIT)
         yield inactive
 

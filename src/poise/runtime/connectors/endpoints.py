@@ -139,7 +139,7 @@ class Endpoints:
                 )
 
     def buffer_until_active(self) -> None:
-        """Keep what it sends until `let_go`: it is not at work yet."""
+        """Keep what it sends until `send_buffered`: it is not at work yet."""
         for sender in list(self.senders.values()):
             sender.buffer_until_active()
 

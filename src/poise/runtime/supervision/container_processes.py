@@ -172,7 +172,7 @@ class ContainerProcess:
 
     def loss(self, age_of: Callable[[str, int], float | None]) -> str:
         """Return what became of the states of its components, in words."""
-        active = [c for c in self._components() if c.state == "active"]
+        active = [c for c in self._components() if c.state == "active" and c.has_state]
         ages = {c.name: age_of(c.name, c.epoch) for c in active}
         restored = "; ".join(
             f"'{name}' restarts with its state of {age:.1f} s ago"

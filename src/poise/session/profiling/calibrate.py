@@ -7,6 +7,7 @@ from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
+from typing import get_args
 
 import msgspec
 from msgspec import Struct
@@ -33,11 +34,12 @@ from poise.session.profiling.stored_profiles import (
     steady,
     store_of,
 )
+from poise.wire.records.deployment_records import ConnectorKind
 from poise.wire.records.status_records import AgentSample, ContainerSample
 
 SIZES = (100, 65_536)
 """[bytes] Small and large; the cost of a byte is the slope between them."""
-KINDS = ("direct", "local", "remote")
+KINDS: tuple[str, ...] = get_args(ConnectorKind)
 _MODULE = "poise.runtime.calibration"
 
 

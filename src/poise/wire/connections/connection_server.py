@@ -229,7 +229,9 @@ class ConnectionServer:
     def _raise_if_unknown(self, connector: str) -> None:
         if connector not in self._handlers:
             # usual while a robot starts: the sender tries again
-            raise Unavailable(f"no connector '{connector}' ends here")
+            raise Unavailable(
+                "its other end is not here: it starts, moves or has ended"
+            )
 
     def _serve_one(self, served: _ServedConnection) -> bool:
         connection, connector = served.connection, served.connector
