@@ -1,4 +1,4 @@
-"""Finds the classes of ROS 2's messages and services by their names."""
+"""Finds the classes of ROS 2's messages, services and actions by their names."""
 
 from __future__ import annotations
 
