@@ -5,7 +5,7 @@ BIN := .venv/bin
 export PYTHONDONTWRITEBYTECODE :=
 NATIVE := $(shell find src CMakeLists.txt -name '*.cpp' -o -name '*.h' -o -name '*.hpp' -o -name CMakeLists.txt)
 
-.PHONY: setup demo quick test exhaustive simulate soak coverage lint stubs sanitize docs wheels test-wheels lock clean
+.PHONY: setup demo quick test exhaustive simulate soak coverage lint stubs sanitize docs wheels deb test-wheels lock clean
 setup: .venv/.ready
 
 .venv/.ready: pyproject.toml $(NATIVE)
@@ -98,6 +98,10 @@ docs: setup
 # an sdist, wheels for x86_64 and aarch64, and a bill of materials in dist
 wheels: setup
 	@$(BIN)/python .ci/wheels.py
+
+# a package for Debian 12, in dist beside the wheels that it needs
+deb: setup
+	@$(BIN)/python .ci/deb.py
 
 # installs them where there is no compiler
 test-wheels: setup

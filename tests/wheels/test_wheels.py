@@ -96,6 +96,49 @@ def test_a_robot_runs_where_there_is_no_compiler(
     assert "printer has 20" in hello.stdout, hello.stdout + hello.stderr
 
 
+INSTALL = """
+mount -t tmpfs none "$0"
+cd "$0"
+mkdir above work root
+mount -t overlay -o lowerdir=/,upperdir=above,workdir=work overlay root
+mount -t proc proc root/proc
+mount --rbind /dev root/dev
+mount -t tmpfs none root/tmp
+cp -r "$@" root/tmp
+chroot root sh -ec '
+  cd /tmp/hello
+  dpkg --install ../poise_*.deb
+  poise run robot.yaml --task greet --for 3s
+  poise agent install left --robot hello --address 127.0.0.1 --unit-folder .
+  grep ExecStart *.service
+  dpkg --purge poise
+  ! ls /usr/bin/poise /opt/poise 2>/dev/null
+'
+"""
+"""Installs, uses and removes a package; nothing of it stays on this machine."""
+INSIDE = "unshare", "-m", "sh", "-ec"
+
+
+def test_the_package_of_debian_installs_and_leaves_nothing(
+    dist: Path, tmp_path: Path
+) -> None:
+    if os.getuid() or not Path("/usr/share/doc/python3.11-venv").exists():
+        pytest.skip("this is no Debian 12 with python3-venv, or this user is not root")
+    subprocess.run([sys.executable, ROOT / ".ci/deb.py"], check=True)
+    (package,) = dist.glob("poise_*.deb")
+    done = subprocess.run(
+        [*INSIDE, INSTALL, tmp_path, package, ROOT / "examples/hello"],
+        env={"PATH": "/usr/sbin:/usr/bin:/sbin:/bin", "HOME": "/tmp"},
+        capture_output=True,
+        text=True,
+        timeout=LONG,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "printer has 20" in done.stdout
+    assert "ExecStart=/opt/poise/bin/python3 -m poise agent left" in done.stdout
+
+
 def test_the_same_commit_gives_the_same_files_at_another_time_and_place(
     dist: Path, tmp_path: Path
 ) -> None:
