@@ -32,18 +32,20 @@ BEFORE = "#!/bin/sh\nrm -rf /opt/poise\n"
 
 def main() -> None:
     """Write the package into ``dist``."""
-    (wheel,) = (ROOT / "dist").glob(f"poise-*-cp311-*{platform.machine()}.whl")
+    found = [*(ROOT / "dist").glob(f"poise-*-cp311-*{platform.machine()}.whl")]
+    if not found:
+        raise SystemExit("there is no wheel for Python 3.11 in dist: run `make wheels`")
     words = ("dpkg", "--print-architecture")
-    architecture = subprocess.run(words, check=True, capture_output=True, text=True)
-    version, tree = wheel.name.split("-")[1], ROOT / "build" / "deb"
+    architecture = subprocess.check_output(words, text=True).strip()
+    version, tree = found[0].name.split("-")[1], ROOT / "build" / "deb"
     shutil.rmtree(tree, ignore_errors=True)
     wheels, about = tree / "usr/share/poise", tree / "DEBIAN"
     for folder in (wheels, about, tree / "usr/bin"):
         folder.mkdir(parents=True)
-    shutil.copy(wheel, wheels)
+    shutil.copy(found[0], wheels)
     (tree / "usr/bin/poise").symlink_to("/opt/poise/bin/poise")
-    fill = {"version": version, "architecture": architecture.stdout.strip()}
-    (about / "control").write_text(CONTROL.format(**fill))
+    control = CONTROL.format(version=version, architecture=architecture)
+    (about / "control").write_text(control)
     for name, script in (("postinst", AFTER), ("prerm", BEFORE)):
         (about / name).write_text(script)
         (about / name).chmod(0o755)
@@ -51,9 +53,10 @@ def main() -> None:
     pip += ["--only-binary=:all:", "--python-version=3.11", "--require-hashes"]
     pip += ["--requirement", str(ROOT / "dependencies.txt"), "--dest", str(wheels)]
     subprocess.run([*pip, "--disable-pip-version-check"], check=True)
-    target = ROOT / "dist" / f"poise_{version}_{fill['architecture']}.deb"
-    packing = ["dpkg-deb", "--build", "--root-owner-group", str(tree), str(target)]
-    subprocess.run(packing, check=True)
+    target = ROOT / "dist" / f"poise_{version}_{architecture}.deb"
+    subprocess.run(
+        ["dpkg-deb", "--build", "--root-owner-group", tree, target], check=True
+    )
 
 
 if __name__ == "__main__":

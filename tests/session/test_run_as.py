@@ -328,6 +328,11 @@ def test_a_process_of_another_user_is_not_adopted(
         assert not adoption.pidfds()
 
 
+def test_a_folder_of_somebody_else_is_refused(nobody: Account, shared: Path) -> None:
+    with pytest.raises(UsageError, match="must be root's: choose another folder"):
+        nobody.make_folder(shared / "run")
+
+
 def test_a_user_who_is_not_there_or_is_root_is_refused() -> None:
     with pytest.raises(UsageError, match="no such user: `useradd --system nemo`"):
         Account.of("nemo")

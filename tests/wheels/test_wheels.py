@@ -93,7 +93,7 @@ def test_a_robot_runs_where_there_is_no_compiler(
     assert run("poise", "--version").stdout == f"poise {wheel.name.split('-')[1]}\n"
     assert run("poise", "check", "robot.yaml").returncode == 0
     hello = run("poise", "run", "robot.yaml", "--task", "greet", "--for", "3s")
-    assert "printer has 20" in hello.stdout, hello.stdout + hello.stderr
+    assert "printer has 20" in hello.stderr, hello.stdout + hello.stderr
 
 
 INSTALL = """
@@ -135,7 +135,7 @@ def test_the_package_of_debian_installs_and_leaves_nothing(
         check=False,
     )
     assert done.returncode == 0, done.stdout + done.stderr
-    assert "printer has 20" in done.stdout
+    assert "printer has 20" in done.stderr
     assert "ExecStart=/opt/poise/bin/python3 -m poise agent left" in done.stdout
 
 

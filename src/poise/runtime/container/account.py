@@ -70,8 +70,13 @@ class Account(Struct, frozen=True):
     def make_folder(self, folder: Path) -> None:
         """Make a folder of this user's own, in one of root's that he can pass through.
 
-        UsageError: he does not get there.
+        UsageError: it is not root's, or he does not get there.
         """
+        if folder.parent.stat().st_uid:
+            raise UsageError(
+                f"--run-as {self.name}: {folder.parent} must be root's: choose another "
+                "folder by --folder"
+            )
         folder.mkdir(mode=0o700, exist_ok=True)
         os.chown(folder, self.user, self.group, follow_symlinks=False)
         folder.parent.chmod(0o711)
