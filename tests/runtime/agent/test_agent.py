@@ -378,6 +378,8 @@ def test_saying_a_thing_twice_is_harmless(manager: Manager) -> None:
 def test_heals_a_container_that_was_killed(manager: Manager) -> None:
     manager.deploy("quiet")
     first = manager.wait_active("quiet")
+    # as `top` shows it
+    assert Path(f"/proc/{first.pid}/comm").read_text() == "quiet\n"
     os.kill(first.pid, signal.SIGKILL)
     second = manager.wait_active("quiet", but_not=first.pid)
     assert second.pid != first.pid

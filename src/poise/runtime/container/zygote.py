@@ -166,6 +166,11 @@ def _leave(work: Callable[[], None]) -> None:
         os._exit(code)
 
 
+def _show_as(name: str) -> None:
+    """Let `top` and `ps -o comm` show this process by a name; of 15 bytes at most."""
+    Path("/proc/self/comm").write_text(name)
+
+
 class _Zygote:
     """The process itself."""
 
@@ -178,6 +183,7 @@ class _Zygote:
     def serve(self, account: Account | None) -> None:
         """Fork what the agent asks for, until it and all containers are gone."""
         signal.signal(signal.SIGINT, signal.SIG_IGN)
+        _show_as("poise-zygote")
         adopt_orphans()
         gain_no_rights()
         if account is not None:
@@ -251,6 +257,7 @@ class _Zygote:
         signal.set_wakeup_fd(-1)
         signal.signal(signal.SIGCHLD, signal.SIG_DFL)
         os.setsid()  # its process group can be killed
+        _show_as(wanted.name)
         adopt_orphans()
         self._agent.close()
         self._waker.close()
