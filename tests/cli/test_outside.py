@@ -356,7 +356,11 @@ def test_the_command_prints_what_a_call_returned(poise: Poise) -> None:
     ("words", "code", "said"),
     [
         ("call summer.sums add -- -1", 1, "ValueError: -1 is negative"),
-        ("call summer.sums add x", 2, "argument 1 of add is no int: Expected `int`"),
+        (
+            "call summer.sums add x",
+            2,
+            "argument 1 of add is not of type int: Expected `int`",
+        ),
         ("call summer.sums add", 2, "add: missing a required argument: 'value'"),
         ("call summer.sums ad 1", 2, "no method 'ad' (did you mean 'add'?)"),
         ("call summer.sum add 1", 2, "no port 'sum' (did you mean 'sums'?)"),
@@ -366,7 +370,11 @@ def test_the_command_prints_what_a_call_returned(poise: Poise) -> None:
         ("call summer.sums sleep 5 --limit 0.2", 1, "summer.sums"),
         ("call summer.sums total --limit 99", 2, "at most 50 s"),
         ("pub summer.numbers {value:", 2, "neither JSON nor YAML"),
-        ("pub summer.numbers 3", 2, "the message is no Number: Expected `object`"),
+        (
+            "pub summer.numbers 3",
+            2,
+            "the message is not of type Number: Expected `object`",
+        ),
         ('pub summer.numbers {"value":1,"vale":2}', 2, "Number has no 'vale' (did you"),
         ("pub summer.sums 3", 2, "'summer.sums' does not take or publish messages"),
     ],

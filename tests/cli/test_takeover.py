@@ -65,7 +65,7 @@ def test_a_killed_manager_is_succeeded_by_one_that_touches_nothing(
     assert after["placement"] == before["placement"]
     wait_long(lambda: not status()["deviations"])
     log = (tmp_path / "poise" / f"{NAME}.log").read_text()
-    assert "2 components keep running" in log
+    assert "going on with 2 components" in log
 
     refused = run_poise("up", "--detach", file)
     assert refused.returncode == 2

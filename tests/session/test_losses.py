@@ -180,4 +180,4 @@ def test_an_error_amid_a_takeover_leaves_the_robot_at_work(
         poise.up(robot, task="drive", say=said.append).__enter__()
     monkeypatch.undo()
     with poise.up(robot, task="drive", say=said.append):
-        assert any("3 components keep running" in each for each in said)
+        assert any("going on with 3 components" in each for each in said)

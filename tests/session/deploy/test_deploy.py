@@ -249,7 +249,7 @@ def test_the_next_manager_goes_on_with_new_code(field: Field) -> None:
         manager.wait()
         field.write_code("first")  # what the robot runs but for one component
         with field.up():
-            assert "1 component keep running" in field.poise("journal")[1]
+            assert "going on with 1 component" in field.poise("journal")[1]
             assert field.log().count(" of /") == 2
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from poise.wire.records.status_records import (
@@ -142,13 +142,19 @@ def unreached(
         inside = sorted(name for name, at in placement.items() if at == computer)
         other = heard_by.get(computer)
         if inside and other:
-            names = ", ".join(inside)
-            sentences[computer] += f"; '{other}' still reaches it: {names} keep running"
+            go_on = f"{_clause(inside, 'keep')} running"
+            sentences[computer] += f"; '{other}' still reaches it: {go_on}"
             continue
-        stop = ", ".join(name for name in inside if name in leased)
+        stop = [name for name in inside if name in leased]
         stay = ", ".join(name for name in inside if name not in leased)
         if stop:
-            sentences[computer] += f"; {stop} stops there when its lease ends"
+            sentences[computer] += (
+                f"; {_clause(stop, 'stop')} there when its lease ends"
+            )
         if stay:
             sentences[computer] += f"; {stay} may still be at work there"
     return sentences
+
+
+def _clause(names: Sequence[str], verb: str) -> str:
+    return f"{', '.join(names)} {verb if len(names) > 1 else verb + 's'}"

@@ -256,7 +256,7 @@ def _converted(value: Packed, type_: Any, what: str) -> Any:  # noqa: ANN401, an
         converted = unpack(value, type_)
         unknown = next(_unknown(unpack(value), type_), "")
     except WireError as error:
-        raise UsageError(f"{what} is not a {_name(type_)}: {error}") from error
+        raise UsageError(f"{what} is not of type {_name(type_)}: {error}") from error
     if unknown:
         raise UsageError(f"{what}: {unknown}")
     return converted
