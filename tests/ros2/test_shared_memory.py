@@ -24,6 +24,15 @@ print("ready", flush=True)
 input()
 """
 
+_OURS = """
+from poise.ros2 import ros_context
+ros_context.join({})
+node = ros_context.node_of("roomy")
+print(open("/proc/self/maps").read())
+node.destroy_node()
+ros_context.leave()
+"""
+
 
 def test_segments_that_nobody_locks_are_removed(tmp_path: Path) -> None:
     for name in (_UNUSED, _USED, _PORT):
@@ -35,6 +44,26 @@ def test_segments_that_nobody_locks_are_removed(tmp_path: Path) -> None:
         assert remove_leftovers(tmp_path, young=0.0) == [_UNUSED]
     kept = {_USED, f"{_USED}_el", _PORT, f"{_PORT}_el"}
     assert {path.name for path in tmp_path.iterdir()} == kept
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("is_users", [False, True])
+def test_a_node_of_poise_has_room_for_large_messages_unless_its_user_says_otherwise(
+    tmp_path: Path, *, is_users: bool
+) -> None:
+    own = {"FASTDDS_DEFAULT_PROFILES_FILE": str(tmp_path / "none.xml")}
+    maps = subprocess.run(
+        [sys.executable, "-c", _OURS],
+        env={**os.environ, **(own if is_users else {})},
+        stdout=subprocess.PIPE,
+        text=True,
+        check=True,
+    ).stdout
+    areas = re.findall(r"^(\w+)-(\w+) .*/fastdds_[0-9a-f]{16}$", maps, re.MULTILINE)
+    (size,) = (int(end, 16) - int(begin, 16) for begin, end in areas)
+    # 4 MiB, or Fast DDS's 512 KiB, and what it keeps of each message
+    assert (size > 4 << 20) is not is_users
+    assert size < 5 << 20
 
 
 @pytest.mark.slow
