@@ -8,6 +8,7 @@ import pytest
 
 from poise.errors import UsageError
 from poise.estimate import profiles as profile_file
+from poise.model import load
 from poise.model.robot import Robot
 from poise.ros2.bag_player import stamped_later
 from poise.session.profiling.rig import OTHERS, PLAYER, rig_of
@@ -52,6 +53,20 @@ tasks: {{see: {{actions: [{{name: see, functions: [seeing]}}]}}}}
 ros2: {{bridges: [{{ros2: {topic}, port: scanner.scan{type}}}]}}
 workload: {{recording: drive}}
 profile: profile.yaml
+"""
+NODES = """
+robot: scanning
+computers: {left: {cpu: 1, memory: 1 GiB}, right: {cpu: 1, memory: 1 GiB}}
+architectures:
+  sensing:
+    function: sensing
+    components: {laser: {ros2: {executable: ./laser.py}, cpu: 5%, memory: 80 MiB}}
+  seeing:
+    function: seeing
+    components: {scanner: {ros2: {executable: ./see.py}, cpu: 5%, memory: 80 MiB}}
+connectors: [{between: [laser, scanner], topic: scan}]
+tasks: {see: {actions: [{name: see, functions: [seeing, sensing]}]}}
+workload: {recording: drive}
 """
 BRIDGED = "scanner-scan-ros2.scan-scanner.scan"
 
@@ -101,6 +116,15 @@ def test_profiles_a_component_and_its_bridge_on_a_bag(
     ages, numbers = zip(*(map(float, line.split()) for line in lines), strict=True)
     assert {*numbers} == {float(number) for number in range(20)}
     assert AGE <= sorted(ages)[len(ages) // 2] < 1.0
+
+
+def test_a_bag_takes_the_place_of_nodes_that_publish_its_topics(folder: Path) -> None:
+    (folder / "robot.yaml").write_text(NODES)
+    rig = rig_of(load(folder / "robot.yaml"), "seeing", "left", apart=False)
+    assert rig.placement == {"scanner": "left", PLAYER: OTHERS}
+    played = rig.robot.component(PLAYER).parameters
+    assert played["topics"] == ("/scan",)
+    assert played["bag"] == str(folder / "drive")
 
 
 @pytest.mark.slow
