@@ -9,8 +9,10 @@ from pathlib import Path
 import pytest
 from msgspec.structs import replace
 
+from poise.estimate.profiles import Profile
 from poise.model import load
 from poise.runtime.code_check import code_of
+from poise.session.placing import by_time
 from poise.session.placing.placement import Placement, place
 
 CODE = """
@@ -145,6 +147,18 @@ def test_a_chain_that_is_late_anywhere_is_placed_and_said(placed: Place) -> None
     said = " ".join(str(found).split())
     assert "chain 'see' is late: it does not keep its 1 ms, 100% of its data" in said
     assert "is late" not in str(placed())
+
+
+def test_what_was_not_measured_is_said_to_be_a_guess(
+    placed: Place, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    guess = "there is no profile: the ages are guessed"
+    assert guess in str(placed())
+    profile = Profile(
+        robot="some", poise="", computer="", speed=1.0, at="", seconds=1.0
+    )
+    monkeypatch.setattr(by_time, "read_profile", lambda _: profile)
+    assert guess not in str(placed())
 
 
 def test_a_given_placement_is_predicted_as_it_is(placed: Place, tmp_path: Path) -> None:
