@@ -148,16 +148,22 @@ def test_the_next_agent_of_a_robot_without_others_lets_components_go_on(
     assert rig.ends == [inf]
 
 
-def heard(rig: Rig, number: int, sender: str = THE_MANAGER) -> None:
-    """Let the manager be heard, which has heard this agent, or another agent."""
+def heard(
+    rig: Rig, number: int, sender: str = THE_MANAGER, confirmed: float | None = None
+) -> None:
+    """Let the manager be heard, which has heard this agent, or another agent.
+
+    `confirmed`: when this agent sent what was heard last [s]; None: now.
+    """
     now = rig.clock.now()
+    last = now if confirmed is None else confirmed
     beat = Heartbeat(
         robot="robot",
         sender=sender,
         key="k",
         number=number,
         sent=now,
-        heard={"left": Echo(now, 0.0)},
+        heard={"left": Echo(last, 0.0)},
         managed=0.0,
         manager="k",
     )
@@ -255,6 +261,23 @@ def test_after_a_stall_longer_than_the_lease_only_the_manager_extends_it(
     assert rig.beat(0.01) < 0
     heard(rig, 2)
     assert rig.beat(0.01) > 0
+
+
+def test_a_manager_that_ended_during_a_stall_may_have_started_things_elsewhere(
+    rig: Rig,
+) -> None:
+    """What it sent before it ended lay there, and is no sign of a moment before."""
+    rig.exchange.begin("k", AGENTS, is_leased=True)
+    heard(rig, 1)
+    rig.beat(0.1)
+    sent = rig.clock.now()
+    rig.clock.sleep(8.0)
+    heard(rig, 2, confirmed=sent)
+    rig.exchange.note_liveliness("k", is_there=False)
+    for _ in range(5):
+        rig.beat(0.1)
+    assert rig.ends[-1] == -inf
+    assert rig.fence.is_cut_off
 
 
 def test_other_agents_extend_the_lease_of_one_that_did_not_stall(rig: Rig) -> None:

@@ -277,15 +277,18 @@ class HeartbeatExchange:
 
         The token of one that is cut off goes, too, but a while after its last
         heartbeat: only one that was heard a moment before has ended, unless it is heard
-        again. That one does not hear this agent, over a link that is cut one way.
+        again. That one does not hear this agent, over a link that is cut one way. Nor
+        does one that ended while this agent stood still for longer than its lease: what
+        lay there meanwhile was not heard a moment before.
         """
         with self._lock:
-            manager = self._contacts.get(MANAGER)
-            silent = inf if manager is None else self._clock.now() - manager.heard_at
+            now, manager = self._clock.now(), self._contacts.get(MANAGER)
+            silent = inf if manager is None else now - manager.heard_at
+            unheard = self._lease.managed(now) or 0.0
             is_mine = key == self._claimed_by and self.is_leased
             if is_mine and not is_there:
-                self._token_gone = self._clock.now()
-        has_ended = not is_mine or silent < DETECTED
+                self._token_gone = now
+        has_ended = not is_mine or (silent < DETECTED and unheard < LEASE)
         self._fence.note_liveliness(key, is_there=is_there, has_ended=has_ended)
 
     def links(self) -> Mapping[str, LinkQuality]:
