@@ -13,12 +13,14 @@ import yaml
 
 from poise.cli.options import AsJson, print_json, running
 from poise.cli.running_robot_command import Robot
-from poise.errors import PoiseError, UsageError, did_you_mean, listed
+from poise.errors import PoiseError, RunError, UsageError, did_you_mean, listed
 from poise.runtime.connectors.tap import Plain
-from poise.session.running_robots.running import connect
+from poise.session.running_robots.running import NoManager, connect
 from poise.session.running_robots.running_component import RunningComponent
 from poise.units import counted
 
+_MOST_FAILURES = 10
+"""`poise pub --rate` gives up when so many messages were not taken."""
 _NAMED = re.compile(r"([A-Za-z_]\w*)=(.*)", re.DOTALL)
 Port = Annotated[str, typer.Argument(metavar="COMPONENT.PORT", show_default=False)]
 Limit = Annotated[
@@ -93,15 +95,27 @@ def pub_command(
     component, name = _component(port, robot)
     value = value_of(message)
     most = count or (1 if rate is None else None)
-    sent, began = 0, time.monotonic()
+    sent, began, failures = 0, time.monotonic(), list[RunError]()
     try:
         while most is None or sent < most:
-            component.publish(name, value, limit=limit)
+            try:
+                component.publish(name, value, limit=limit)
+            except NoManager:
+                raise
+            except RunError as error:  # its container ended, say
+                failures.append(error)
+                if rate is None or len(failures) > _MOST_FAILURES:
+                    raise
             sent += 1
             if rate is not None and sent != most:
                 time.sleep(max(0.0, began + sent / rate - time.monotonic()))
     finally:
         sys.stderr.write(f"sent {counted(sent, 'message')} to {port}\n")
+    if failures:
+        raise RunError(
+            f"of {counted(len(failures), 'message')} it is not known whether they were "
+            f"taken; the last: {failures[-1]}"
+        )
 
 
 def _component(port: str, robot: str | None) -> tuple[RunningComponent, str]:

@@ -82,7 +82,7 @@ class RosNode(Component):
 
         before = dict(flat(self.parameters))
         changes = {k: v for k, v in flat(parameters) if before.get(k) != v}
-        if any(name.startswith("ros2.") for name in changes):
+        if any(name.partition(".")[0] == "ros2" for name in changes):
             raise UsageError("how the node is started is not a parameter of it")
         for name, value in changes.items():
             is_real = isinstance(before.get(name), float)

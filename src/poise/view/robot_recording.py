@@ -224,8 +224,9 @@ class Recorder:
         self._silent_since: float | None = None
         self._connectors: dict[str, str] = {}
         """Connector -> why there is no answer; empty: there is."""
-        for connector in connectors:
-            self._connectors[self._read_messages(connector).connector] = ""
+        self._first = [self._read_messages(connector) for connector in connectors]
+        for reading in self._first:
+            self._connectors[reading.connector] = ""
 
     def record(
         self,
@@ -238,6 +239,8 @@ class Recorder:
         """Record for some time, or until `check` raises."""
         began = time.monotonic()
         next_read = began
+        while self._first:
+            self._write_messages(file, self._first.pop(0))
         while (now := time.monotonic()) - began < seconds:
             check()
             if now >= next_read:
@@ -332,7 +335,7 @@ class Recorder:
             is_whole=True,
             latest=self._latest.get(connector, (0, 0)),
         )
-        self._latest[connector] = reading.latest
+        self._latest[reading.connector] = reading.latest
         return reading
 
     def _write_messages(self, file: McapFile, reading: TapReading) -> None:

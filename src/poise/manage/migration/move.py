@@ -131,16 +131,23 @@ def _preparation(
     run: RunningComponents, old: Incarnation, new: Incarnation, by: str = ""
 ) -> Preparation:
     entry = run.robot.component(old.component)
-    found = components_of(run.agents.statuses())
-    has_state = any(c.name == entry.name and c.has_state for c in found)
+    found = [c for c in components_of(run.agents.statuses()) if c.name == entry.name]
+    has_state = any(c.has_state for c in found)
+    # then there is no state to be transferred
+    has_failed = any(c.epoch == old.epoch and c.state == "failed" for c in found)
     report = MigrationReport(
         what=old.component,
         by=by,
         before={old.component: old.computer},
         after={old.component: new.computer},
-        cold=bool(entry.command),
+        cold=bool(entry.command) or has_failed,
         stateless=entry.ros2 is not None and not (entry.command or has_state),
     )
+    if has_failed:
+        fresh = structs.replace(new, fresh=True)
+        return Preparation(
+            run, report, (), (), lambda: _restart(run, report, old, fresh)
+        )
     if report.cold:
         return Preparation(
             run, report, (), (), lambda: _move_cold(run, report, old, new)
@@ -171,15 +178,20 @@ def _move_cold(
         run.commit(desired, f"the cold move of {report.name} is rolled back: {error}")
         phases = {"prepare": time.monotonic() - started}
         return structs.replace(report, reason=str(error), phases=phases)
-    stopped = time.monotonic()
-    reason = _swap(run, old, new)
+    prepared = time.monotonic() - started
     return structs.replace(
-        report,
-        committed=not reason,
-        reason=reason,
-        downtime=time.monotonic() - stopped,
-        phases={"prepare": stopped - started},
+        _restart(run, report, old, new), phases={"prepare": prepared}
     )
+
+
+def _restart(
+    run: RunningComponents, report: MigrationReport, old: Incarnation, new: Incarnation
+) -> MigrationReport:
+    """End an incarnation that has no state, or has failed, and then start the next."""
+    began = time.monotonic()
+    reason = _swap(run, old, new)
+    away = time.monotonic() - began
+    return structs.replace(report, committed=not reason, reason=reason, downtime=away)
 
 
 def _swap(run: RunningComponents, old: Incarnation, new: Incarnation) -> str:

@@ -327,6 +327,12 @@ def time_left() -> float:
     return 0.0 if left > 0.0 and connection.is_gone() else left
 
 
+def _like(before: object, value: object) -> object:
+    """Return a value as a real number where it was one: `5` is 5.0 then."""
+    is_whole = isinstance(value, int) and not isinstance(value, bool)
+    return float(value) if is_whole and isinstance(before, float) else value  # type: ignore[arg-type]
+
+
 def set_parameters(component: Component, changes: Values) -> None:
     """Let a component take other values of some of its parameters, or none of them.
 
@@ -341,6 +347,9 @@ def set_parameters(component: Component, changes: Values) -> None:
                 f"'{component.name}' has no parameter '{name}'"
                 f"{did_you_mean(name, now)}; it has {listed(now)}"
             )
-    new = as_declared(type(component), {**now, **changes})
+    new = as_declared(
+        type(component),
+        now | {name: _like(now.get(name), value) for name, value in changes.items()},
+    )
     component.reconfigure(new)
     component._context = replace(component._context, parameters=new)  # noqa: SLF001, its part

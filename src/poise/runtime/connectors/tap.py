@@ -56,6 +56,8 @@ MOST_PASSED = 100
 _MOST_LETTERS, _DEEPEST = 200, 5
 _LARGEST = 1 << 63
 
+_BURST = 0.1
+"""What comes at once is shown, up to what may come in this time [s]."""
 KEPT_FOR = 3.0
 """A viewer that has not asked for so long does not look any more [s]."""
 MOST_VIEWERS = 16
@@ -105,8 +107,10 @@ class Observer:
             self._times.append(at)
             if now < self._due or len(self._passed) >= MOST_PASSED:
                 return
-            # half a gap early is in time, or a jitter would leave every second out
-            self._due = max(self._due, now - self._every / 2) + self._every
+            # half a gap early is in time, or a jitter would leave every second out;
+            # and so is a burst, where fewer came before
+            early = max(self._every / 2, _BURST)
+            self._due = max(self._due, now - early) + self._every
         passed = (
             self._packed(at, value()) if self._is_whole else self._plain(at, value())
         )

@@ -144,7 +144,7 @@ def program(name: str, folder: str) -> str:
         return sys.executable
     if name.startswith("ros2:"):
         return _ros2_executable(*name.removeprefix("ros2:").split("/", 1))
-    beside = Path(folder, name).resolve()
+    beside = Path(folder, name).absolute()  # the `python` of a venv is a link
     path = shutil.which(str(beside)) if "/" in name else shutil.which(name)
     if path is None:
         where = f"as {beside}" if "/" in name else "on the PATH"

@@ -343,12 +343,21 @@ def _program(
     if PurePosixPath(process.folder) != PurePosixPath(here.folder):
         words = ["-C", process.folder, *found.program]
         return {"executable": "env", "arguments": words}
-    is_own_python = found.program[0] == here.python
+    is_own_python = _is_same(found.program[0], here.python)
     if is_plain and is_own_python and path.suffix == ".py":
         name = _relative(str(path), process.folder, here.folder)
         return {"executable": name if "/" in name else f"./{name}"}
     program = "python" if is_own_python else found.program[0]
     return {"executable": program, "arguments": list(found.program[1:])}
+
+
+def _is_same(one: str, other: str) -> bool:
+    """Return whether two paths name one program of one folder: `python`, `python3`."""
+    paths = PurePosixPath(one), PurePosixPath(other)
+    return one == other or (
+        paths[0].parent == paths[1].parent
+        and all(_PYTHON.fullmatch(path.name) for path in paths)
+    )
 
 
 def _relative(file: str, folder: str, to: str) -> str:

@@ -346,11 +346,11 @@ class Running:
         UsageError
             There is no such component.
         """
-        known = self.status().placement
-        if component and component not in known:
+        reading = ask(self.name, LogCommand(component, most=last), LogReading)
+        known = () if reading.lines else self.status().placement  # one may have ended
+        if component and not reading.lines and component not in known:
             listed = ", ".join(sorted(known))
             raise UsageError(f"no component '{component}' (there are: {listed})")
-        reading = ask(self.name, LogCommand(component, most=last), LogReading)
         yield reading
         while follow:
             time.sleep(_LOOK_EVERY)

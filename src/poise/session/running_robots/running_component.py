@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import secrets
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -10,7 +11,7 @@ from typing import Any, TypeVar, cast, get_type_hints
 import msgspec
 from msgspec import structs
 
-from poise.errors import CalleeError, RunError, Timeout, UsageError
+from poise.errors import CalleeError, PoiseError, RunError, Timeout, UsageError
 from poise.manage.control_socket.commands import (
     ParametersCommand,
     PortCommand,
@@ -22,6 +23,8 @@ from poise.wire.codec import Packed, WireError, pack, unpack
 from poise.wire.records.request_records import PARAMETERS, PortAnswer, TapReading
 
 _LOOK_EVERY = 0.05
+_PATIENCE = 10.0
+"""A source that was killed, and its connector, are there again within this time [s]."""
 I = TypeVar("I")  # noqa: E741, an interface
 T = TypeVar("T")
 
@@ -146,8 +149,16 @@ class RunningComponent:
         """
         viewer, connector = secrets.token_hex(8), f"{self.name}.{port}"
         command = TapCommand(connector, viewer, _ALL, is_whole=True, latest=(0, 0))
+        seen_at = -math.inf
         while True:
-            reading = ask(self._robot, command, TapReading)
+            try:
+                reading = ask(self._robot, command, TapReading)
+            except PoiseError:  # its source may be about to be there again
+                if time.monotonic() - seen_at > _PATIENCE:
+                    raise
+                time.sleep(_LOOK_EVERY)
+                continue
+            seen_at = time.monotonic()
             command = structs.replace(command, latest=reading.latest)
             for passed in reading.passed:
                 if not passed.is_whole:
