@@ -1,11 +1,14 @@
-"""Addresses of containers as text."""
+"""Addresses of containers, as text and as sockets."""
 
 from __future__ import annotations
+
+import socket
+from pathlib import Path
 
 import pytest
 
 from poise.endpoint import Endpoint
-from poise.wire.address import Address
+from poise.wire.address import LONGEST, Address, gateway_path, socket_path
 from poise.wire.codec import WireError
 
 
@@ -40,3 +43,17 @@ def test_an_address_comes_back_from_its_text(text: str, address: Address) -> Non
 def test_what_is_none_is_refused(text: str) -> None:
     with pytest.raises(WireError, match="is no address of a container"):
         Address.parse(text)
+
+
+@pytest.mark.slow
+def test_the_longest_folder_has_room_for_all_sockets_of_a_container(
+    tmp_path: Path,
+) -> None:
+    room = LONGEST - len(socket_path(Path("/"), "mind").name) - 1
+    folder = tmp_path / ("x" * (room - len(str(tmp_path)) - 1))
+    folder.mkdir()
+    for path in (socket_path(folder, "mind"), gateway_path(folder, "mind")):
+        with socket.socket(socket.AF_UNIX) as listening:
+            listening.bind(str(path))
+    with pytest.raises(ValueError, match="choose another"):
+        socket_path(folder.with_name(folder.name + "x"), "mind")

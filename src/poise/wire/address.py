@@ -99,8 +99,11 @@ def socket_path(folder: Path, container: str) -> Path:
 
 
 def gateway_path(folder: Path, container: str) -> Path:
-    """Return the path of the socket over which a container is handed connections."""
-    return socket_path(folder, container).with_suffix(".gateway")
+    """Return the path of the socket over which a container is handed connections.
+
+    It is as long as the other one, so that a folder has room for both or none.
+    """
+    return socket_path(folder, container).with_suffix(".gate")
 
 
 def agent_path(folder: Path) -> Path:
