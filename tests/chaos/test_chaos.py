@@ -12,6 +12,7 @@ import pytest
 from tests.chaos.chaos import Chaos
 
 
+@pytest.mark.exhaustive
 @pytest.mark.slow
 @pytest.mark.timeout(400)
 def test_comes_back_each_time_with_nothing_active_twice(tmp_path: Path) -> None:

@@ -113,6 +113,7 @@ def read(folder: Path) -> Profile:
     return profile_file.read(folder / "profile.yaml")
 
 
+@pytest.mark.exhaustive
 @pytest.mark.slow
 @pytest.mark.timeout(300)
 def test_measures_shared_isolated_and_command_line_components(

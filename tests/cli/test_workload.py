@@ -145,6 +145,7 @@ def test_check_tells_what_is_wrong_with_a_workload(
     assert any(says in problem.message for problem in problems), problems
 
 
+@pytest.mark.exhaustive
 @pytest.mark.slow
 def test_measures_on_what_was_recorded_and_on_what_is_made_up(
     folder: Path, poise: Poise

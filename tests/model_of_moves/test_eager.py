@@ -10,7 +10,11 @@ from tests.model_of_moves.protocol import Protocol, initial
 from tests.model_of_moves.test_protocol import check
 from tests.model_of_moves.world import Bounds, visible
 
-pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("keeps_garbage")]
+pytestmark = [
+    pytest.mark.exhaustive,
+    pytest.mark.slow,
+    pytest.mark.usefixtures("keeps_garbage"),
+]
 
 SMALL = [
     Bounds(messages=1, gives_up=1),
@@ -19,13 +23,8 @@ SMALL = [
     Bounds(messages=1, kills=1, killed="S"),
     Bounds(messages=1, kills=1, killed="on", speaks=True),
     Bounds(messages=0, callers="r", kills=1, killed="on"),
-    *(
-        pytest.param(bounds, marks=pytest.mark.exhaustive)
-        for bounds in (
-            Bounds(messages=0, movers=2, callers="u"),
-            Bounds(messages=0, movers=2, callers="d"),
-        )
-    ),
+    Bounds(messages=0, movers=2, callers="u"),
+    Bounds(messages=0, movers=2, callers="d"),
 ]
 
 

@@ -9,7 +9,11 @@ from tests.model_of_moves.eager import Eager
 from tests.model_of_moves.protocol import Protocol, initial
 from tests.model_of_moves.world import Bounds, State, is_final, trouble_of
 
-pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("keeps_garbage")]
+pytestmark = [
+    pytest.mark.exhaustive,
+    pytest.mark.slow,
+    pytest.mark.usefixtures("keeps_garbage"),
+]
 
 BOUNDS = [
     Bounds(messages=3),
@@ -29,14 +33,9 @@ BOUNDS = [
     Bounds(messages=0, movers=2, kills=1, killed="o"),
     Bounds(messages=0, movers=2, callers="d"),
     Bounds(messages=0, movers=2, callers="u"),
-    *(
-        pytest.param(bounds, marks=pytest.mark.exhaustive)
-        for bounds in (
-            Bounds(messages=0, movers=2, callers="du", gives_up=1, late=False),
-            Bounds(messages=0, movers=2, callers="d", kills=1, killed="n"),
-            Bounds(messages=0, movers=2, callers="u", kills=1, killed="N"),
-        )
-    ),
+    Bounds(messages=0, movers=2, callers="du", gives_up=1, late=False),
+    Bounds(messages=0, movers=2, callers="d", kills=1, killed="n"),
+    Bounds(messages=0, movers=2, callers="u", kills=1, killed="N"),
 ]
 BUGS = [
     ("no drain", Bounds(messages=0, callers="r"), "a chain is inside"),

@@ -8,6 +8,7 @@ import sys
 import pytest
 
 
+@pytest.mark.exhaustive
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["page", "long-lease", "no-revoke", "no-buffer"])
 def test_a_defect_is_found_within_a_few_seeds(name: str) -> None:

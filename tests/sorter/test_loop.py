@@ -9,7 +9,7 @@ import pytest
 from sorter import safety_monitor
 from tests.sorter.loop import LESSER, Loop
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.exhaustive, pytest.mark.slow]
 
 
 @pytest.mark.parametrize("without", [LESSER, {"detector", "inspector"}])

@@ -4,7 +4,7 @@ import pytest
 
 from tests.trot.drive import Drive
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.exhaustive, pytest.mark.slow]
 
 
 def test_reaches_the_goal_within_the_time_of_the_demo() -> None:

@@ -74,6 +74,7 @@ simulator: {{command: "python {folder}/world.py"}}
 """
 
 
+@pytest.mark.exhaustive
 @pytest.mark.slow
 @pytest.mark.timeout(LONG)
 def test_a_run_whose_world_died_is_made_again(tmp_path: Path) -> None:
@@ -117,6 +118,7 @@ def test_a_run_whose_world_died_is_made_again(tmp_path: Path) -> None:
     assert f"{len(valid)} valid runs of 2" in (folder / PAGE).read_text()
 
 
+@pytest.mark.exhaustive
 @pytest.mark.slow
 @pytest.mark.timeout(LONG)
 def test_a_run_ends_with_its_task(tmp_path: Path) -> None:
