@@ -74,6 +74,19 @@ def test_when_all_fits_another_placement_does_not_help(situation: Make) -> None:
     ) in busy.why
 
 
+def test_what_is_starved_is_not_said_to_have_the_cpu_that_it_needs(
+    situation: Make,
+) -> None:
+    estimate = Estimate(mean=0.01, p95=0.01, error=0.001, starved=0.59)
+    starved = DemandEstimate(
+        component="a", computer="left", expected=None, estimate=estimate
+    )
+    found = decide(replace(situation(missed=("a",)), demand_estimates=(starved,)))
+    assert not found.acts
+    assert "all components have the CPU" not in found.why
+    assert "'a' does not do 59% of its work, but by what is known" in found.why
+
+
 def crowded(situation: Make, takes: float) -> Situation:
     """Return a and b of 0.24 on 0.5 cores, late, with runs that take so long [s]."""
     seen = situation(robot=robot_of({"a": 0.24, "b": 0.24}), missed=("a", "b"))

@@ -28,7 +28,7 @@ from poise.manage.adaptation.bad_links import (
     wasted,
     with_bad_links,
 )
-from poise.manage.adaptation.replan import late, nothing_helps, propose
+from poise.manage.adaptation.replan import STARVED, late, nothing_helps, propose
 from poise.manage.adaptation.situation import Situation
 from poise.manage.agent_connections.statuses import components_of
 from poise.manage.migration.migration_report import Proposal, TransitionStep
@@ -44,8 +44,6 @@ DOWNTIME = 0.05
 """The downtime of a component that was not moved yet is taken to be this [s]."""
 START = 0.3
 """The CPU time to start a component is taken to be this, until it was measured [s]."""
-STARVED = 0.1
-"""A component suffers when it does not do this share of its jobs."""
 WORTH = 0.01
 """What a unit of F is worth besides [core-seconds]: it only decides between placements
 that leave the same work undone."""

@@ -92,15 +92,27 @@ def _measured(
     return replace(limit, fixed=fixed, hops=tuple(hops), price=price)
 
 
+STARVED = 0.1
+"""A component suffers when it does not do this share of its jobs."""
+
+
 def nothing_helps(situation: Situation, gone: str = "") -> str:
     """Return that no placement helps what is late, for people.
 
     `gone`: the components that were lost with their computers, in words.
     """
-    what = (
-        f"{late(situation)}all components have the CPU that they need where they are"
-        f"{_others(situation)}: another placement would not help. "
+    starved = ", ".join(
+        f"'{demand.component}' does not do {demand.estimate.starved:.0%} of its work"
+        for demand in situation.demand_estimates
+        if demand.estimate.starved >= STARVED
     )
+    known = (
+        f"{starved}, but by what is known of its demand it has the CPU that it needs"
+        if starved
+        else "all components have the CPU that they need where they are"
+    )
+    others = _others(situation)
+    what = f"{late(situation)}{known}{others}: another placement would not help. "
     if gone:
         return (
             f"{what}Lost with their computers: {gone}; components that need them wait"
