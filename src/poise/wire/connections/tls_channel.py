@@ -37,6 +37,10 @@ _LARGEST_REFUSAL = 1024
 _Result = TypeVar("_Result")
 
 
+_NO_TLS = "WRONG_VERSION_NUMBER"
+"""How OpenSSL calls bytes that are none of TLS."""
+
+
 class Handshake:
     """The beginning of a TLS session over a connected socket, which it takes over."""
 
@@ -67,7 +71,10 @@ class Handshake:
             self.event = select.POLLOUT
             return False
         except OSError as error:
-            raise Unavailable(f"no TLS session: {_reason(error)}") from error
+            why = _reason(error)
+            if why == _NO_TLS and not self._accepts:  # it came after the look for it
+                why = "the answer is plain: no such container, or an agent without keys"
+            raise Unavailable(f"no TLS session: {why}") from error
         role = role_of(self.socket.getpeercert())
         if role != "agent":
             raise Unavailable(f"the other end has a certificate of the role '{role}'")
