@@ -5,7 +5,9 @@ from __future__ import annotations
 import contextlib
 import itertools
 import os
+import re
 import signal
+import subprocess
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,7 +17,8 @@ import pytest
 import poise
 from poise.emulate import EmulatedSet
 from poise.errors import RunError, UsageError
-from tests.command import robot_up, run_poise
+from tests.command import POISE, robot_up, run_poise
+from tests.view.test_robot_recording import read
 from tests.waiting import LONG, wait_long
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(2 * LONG)]
@@ -256,3 +259,57 @@ def test_who_looks_from_outside_sees_it_first(robot: poise.Running) -> None:
     assert list(itertools.islice(messages, 1)) == [{"number": 8}]
     shown = run_poise("echo", "mapper.map", "--robot", NAME, "--count", "1").stdout
     assert "number: 8" in shown
+
+
+def test_who_looks_from_outside_goes_on_after_the_publisher_was_killed(
+    robot: poise.Running,
+) -> None:
+    publish(robot, 7)
+    messages = robot.component("mapper").subscribe("map", dict)
+    assert next(messages) == {"number": 7}
+    wait_checkpoints(robot, 2)
+    kill(robot, "mapper")
+    ended = threading.Event()
+
+    def go_on_publishing() -> None:
+        for number in itertools.count(8):
+            publish(robot, number)
+            if ended.wait(0.2):
+                return
+
+    publisher = threading.Thread(target=go_on_publishing)
+    publisher.start()
+    try:
+        assert next(messages)["number"] >= 8
+    finally:
+        ended.set()
+        publisher.join()
+
+
+def test_a_recording_has_it_though_nothing_goes_out(
+    robot: poise.Running, tmp_path: Path
+) -> None:
+    publish(robot, 9)
+    file = tmp_path / "last.mcap"
+    words = "record", "mapper.map", "--robot", NAME, "--for", "1", "--output", str(file)
+    done = run_poise(*words)
+    assert done.returncode == 0, done.stderr
+    (message,) = (
+        message for topic, *_, message in read(file) if topic.startswith("/messages/")
+    )
+    assert message == {"number": 9}
+
+
+def test_messages_at_a_rate_go_on_after_a_container_was_killed(
+    robot: poise.Running,
+) -> None:
+    words = "pub", "planner.map", "{number: 1}", "--rate", "20", "--count", "60"
+    argv = [*POISE, *words, "--robot", NAME]
+    with subprocess.Popen(argv, stderr=subprocess.PIPE, text=True) as sending:
+        wait_long(lambda: came(robot, "planner"))
+        kill(robot, "planner")
+        _, said = sending.communicate(timeout=LONG)
+    sent, failed = re.search(r"sent (\d+) messages", said), "may be lost" in said
+    assert sent, said
+    assert int(sent[1]) > 50 if failed else int(sent[1]) == 60
+    assert sending.returncode == failed

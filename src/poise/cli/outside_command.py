@@ -20,7 +20,7 @@ from poise.session.running_robots.running_component import RunningComponent
 from poise.units import counted
 
 _MOST_FAILURES = 10
-"""`poise pub --rate` gives up when so many messages were not taken."""
+"""`poise pub --rate` ends when more messages than these fail one after the other."""
 _NAMED = re.compile(r"([A-Za-z_]\w*)=(.*)", re.DOTALL)
 Port = Annotated[str, typer.Argument(metavar="COMPONENT.PORT", show_default=False)]
 Limit = Annotated[
@@ -95,27 +95,29 @@ def pub_command(
     component, name = _component(port, robot)
     value = value_of(message)
     most = count or (1 if rate is None else None)
-    sent, began, failures = 0, time.monotonic(), list[RunError]()
+    tried = failed = in_a_row = 0
+    began, why = time.monotonic(), ""
     try:
-        while most is None or sent < most:
+        while most is None or tried < most:
+            tried += 1
             try:
                 component.publish(name, value, limit=limit)
             except NoManager:
+                failed += 1
                 raise
             except RunError as error:  # its container ended, say
-                failures.append(error)
-                if rate is None or len(failures) > _MOST_FAILURES:
+                failed, in_a_row, why = failed + 1, in_a_row + 1, str(error)
+                if rate is None or in_a_row > _MOST_FAILURES:
                     raise
-            sent += 1
-            if rate is not None and sent != most:
-                time.sleep(max(0.0, began + sent / rate - time.monotonic()))
+            else:
+                in_a_row = 0
+            if rate is not None and tried != most:
+                time.sleep(max(0.0, began + tried / rate - time.monotonic()))
     finally:
-        sys.stderr.write(f"sent {counted(sent, 'message')} to {port}\n")
-    if failures:
-        raise RunError(
-            f"of {counted(len(failures), 'message')} it is not known whether they were "
-            f"taken; the last: {failures[-1]}"
-        )
+        sent = counted(tried - failed, "message")
+        sys.stderr.write(f"sent {sent} to {port}\n")
+    if failed:
+        raise RunError(f"{counted(failed, 'message')} may be lost; the last: {why}")
 
 
 def _component(port: str, robot: str | None) -> tuple[RunningComponent, str]:

@@ -14,11 +14,17 @@ import msgspec
 from poise.clock import SystemClock
 from poise.errors import RobotError, did_you_mean, listed
 from poise.ros2 import ros_context
-from poise.ros2.actions import AsksActions, ServesActions
+from poise.ros2.action_bridges import AsksActions, ServesActions
 from poise.ros2.bridge_node import BridgeLine, BridgeNode, annotated
 from poise.ros2.interfaces import named
-from poise.ros2.services import AsksRos, ServesRos, answering
-from poise.ros2.topics import FromTopics, ToTopics, keeping_last, publishing, taking
+from poise.ros2.service_bridges import AsksRos, ServesRos, answering
+from poise.ros2.topic_bridges import (
+    FromTopics,
+    ToTopics,
+    keeping_last,
+    publishing,
+    taking,
+)
 from poise.runtime.component.component import Component
 from poise.runtime.component.implementation import find
 from poise.runtime.component.ports import Port, Required, methods_of, ports_of

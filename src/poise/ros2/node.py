@@ -84,9 +84,6 @@ class RosNode(Component):
         changes = {k: v for k, v in flat(parameters) if before.get(k) != v}
         if any(name.partition(".")[0] == "ros2" for name in changes):
             raise UsageError("how the node is started is not a parameter of it")
-        for name, value in changes.items():
-            is_real = isinstance(before.get(name), float)
-            changes[name] = float(value) if is_real else value
         new = [Parameter(name, value=value) for name, value in changes.items()]
         result = self.node.set_parameters_atomically(new)
         if not result.successful:

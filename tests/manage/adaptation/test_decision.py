@@ -84,7 +84,7 @@ def test_what_is_starved_is_not_said_to_have_the_cpu_that_it_needs(
     found = decide(replace(situation(missed=("a",)), demand_estimates=(starved,)))
     assert not found.acts
     assert "all components have the CPU" not in found.why
-    assert "'a' does not do 59% of its work, but by what is known" in found.why
+    assert "'a' does not do 59% of its work, but by what is known of" in found.why
 
 
 def crowded(situation: Make, takes: float) -> Situation:

@@ -6,6 +6,7 @@ import pytest
 
 from poise import Component, Message
 from poise.errors import UsageError
+from poise.runtime.component.component import _like
 from poise.runtime.component.parameters import as_declared
 
 
@@ -36,3 +37,10 @@ def test_all_that_is_missing_is_said() -> None:
 def test_what_the_type_checks_itself_is_said() -> None:
     with pytest.raises(UsageError, match=r"Ranged: 2\.0 is above 1\.0"):
         as_declared(Ranged, {"least": 2, "most": 1})
+
+
+def test_a_parameter_that_was_a_real_number_stays_one() -> None:
+    before = {"rate": 10.0, "count": 1, "on": 0.5, "inner": {"gain": 2.0}}
+    after = {"rate": 5, "count": 2, "on": True, "inner": {"gain": 3, "new": 4}}
+    now = {"rate": 5.0, "count": 2, "on": True, "inner": {"gain": 3.0, "new": 4}}
+    assert repr(_like(before, after)) == repr(now)

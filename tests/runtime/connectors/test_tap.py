@@ -63,6 +63,13 @@ def test_messages_are_shown_at_their_rate_though_the_time_of_day_steps_back(
     ]
 
 
+def test_a_burst_below_the_rate_is_shown_whole() -> None:
+    observer = Observer("a-b", Note, rate=400)
+    for number in range(4):  # at once, as the calls of one timer
+        observer.note(lambda number=number: Note(number))  # type: ignore[misc]
+    assert len(observer.read(1).passed) == 4
+
+
 def test_without_viewers_messages_take_the_way_that_they_always_took() -> None:
     sender, _ = publisher()
     assert sender.sending() == sender.send

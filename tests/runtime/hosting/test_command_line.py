@@ -214,6 +214,14 @@ def test_a_program_may_lie_beside_the_robot_file(tmp_path: Path) -> None:
     assert program("./driver", str(tmp_path)) == str(script.resolve())
 
 
+def test_a_link_stays_one_for_so_is_the_python_of_a_virtual_environment(
+    tmp_path: Path,
+) -> None:
+    link = tmp_path / "python"
+    link.symlink_to(sys.executable)
+    assert program(str(link), ".") == str(link)
+
+
 def test_python_is_the_one_that_poise_runs_in() -> None:
     assert program("python", ".") == sys.executable
 

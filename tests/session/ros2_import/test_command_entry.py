@@ -106,6 +106,7 @@ def test_takes_a_script_in_the_folder_of_the_robot_file_as_an_executable() -> No
     assert keys("/venv/bin/python nodes/lidar.py --ros-args -p rate:=5") == {
         "ros2": {"executable": "nodes/lidar.py", "params": {"rate": 5}}
     }
+    assert keys("/venv/bin/python3 lidar.py") == {"ros2": {"executable": "./lidar.py"}}
     assert keys("/venv/bin/python /home/me/robot/lidar.py") == {
         "ros2": {"executable": "./lidar.py"}
     }

@@ -107,7 +107,7 @@ def nothing_helps(situation: Situation, gone: str = "") -> str:
         if demand.estimate.starved >= STARVED
     )
     known = (
-        f"{starved}, but by what is known of its demand it has the CPU that it needs"
+        f"{starved}, but by what is known of demands all have the CPU that they need"
         if starved
         else "all components have the CPU that they need where they are"
     )

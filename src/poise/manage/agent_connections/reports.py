@@ -156,8 +156,8 @@ class AgentReports:
     ) -> None:
         """Wait until the agents of all `computers` are there and reported.
 
-        `check`: called now and then; may raise to end the waiting; `why_silent`: finds
-        out why the agent at an endpoint may let nobody in.
+        `check`: called now and then; may raise to end the waiting; `why_silent`: says
+        why the agent at an endpoint refuses connections; empty: it is not known.
         """
         wanted, deadline = set(computers), self._clock.now() + limit
         while not self.wait_news(lambda: wanted <= self.reached(), LOOK_EVERY):

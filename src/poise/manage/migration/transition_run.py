@@ -129,7 +129,7 @@ def _with_checkpoint(run: RunningComponents, new: Incarnation) -> Incarnation:
 
 
 def _note_lost_state(run: RunningComponents, before: Incarnation) -> None:
-    """Journal, and keep for `status`, that a component begins anew, if it had state."""
+    """Journal that a component lost its state, if it had one; `status` shows it."""
     name = before.component
     by_name = {component.name: component for component in run.robot.components()}
     status = run.agents.statuses().get(before.computer)

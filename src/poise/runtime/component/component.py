@@ -328,9 +328,12 @@ def time_left() -> float:
 
 
 def _like(before: object, value: object) -> object:
-    """Return a value as a real number where it was one: `5` is 5.0 then."""
-    is_whole = isinstance(value, int) and not isinstance(value, bool)
-    return float(value) if is_whole and isinstance(before, float) else value  # type: ignore[arg-type]
+    """Return a value with real numbers where it had some: `5` is 5.0 there."""
+    if isinstance(before, Mapping) and isinstance(value, Mapping):
+        return {name: _like(before.get(name), part) for name, part in value.items()}
+    if isinstance(before, float) and type(value) is int:
+        return float(value)
+    return value
 
 
 def set_parameters(component: Component, changes: Values) -> None:
@@ -347,9 +350,7 @@ def set_parameters(component: Component, changes: Values) -> None:
                 f"'{component.name}' has no parameter '{name}'"
                 f"{did_you_mean(name, now)}; it has {listed(now)}"
             )
-    new = as_declared(
-        type(component),
-        now | {name: _like(now.get(name), value) for name, value in changes.items()},
-    )
+    alike = {name: _like(now.get(name), value) for name, value in changes.items()}
+    new = as_declared(type(component), {**now, **alike})
     component.reconfigure(new)
     component._context = replace(component._context, parameters=new)  # noqa: SLF001, its part

@@ -345,7 +345,8 @@ def restore(
     if transfer.latest and not is_fresh:
         runner.endpoints.buffer_until_active()  # the source may yet go on
         runner.endpoints.latest.restore(transfer.latest)
-    # without a state it begins anew, and gets last messages again: each only once
+    # what starts without its state needs the last messages again, but for those that
+    # it is handed here
     has_state = transfer.state or transfer.delta or runner.copies_ahead
     waiting = {port for port, _, _ in transfer.messages}
     for port, heard in transfer.heard.items():

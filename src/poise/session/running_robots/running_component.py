@@ -138,7 +138,8 @@ class RunningComponent:
     def subscribe(self, port: str, type_: type[T]) -> Iterator[T]:
         """Yield what goes out from a topic, or in at a port with ``@subscribed``.
 
-        Where a port is ``published(latest=True)``, its last message comes first.
+        Where a port is ``published(latest=True)``, its last message comes first. After
+        the component's container ended it waits for the next one, up to 10 s.
         What goes out while nobody takes from the iterator is lost beyond 100 messages
         or 16 MiB, and then `RunError` says how many; a robot waits for no viewer.
 

@@ -9,7 +9,7 @@ from typing import Any
 import msgspec
 
 from poise.errors import CallError, RunError, Timeout, Unavailable
-from poise.ros2.services import LONGEST, AsksRos, Service, Services
+from poise.ros2.service_bridges import LONGEST, AsksRos, Service, Services
 from poise.runtime.component.component import time_left
 from poise.runtime.component.started_calls import MOST_OPEN, StartedCall
 
