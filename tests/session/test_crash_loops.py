@@ -36,6 +36,7 @@ class Worker(Component):
             with open(path + ".crash") as file:
                 where = file.read()
             if where in (here, "everywhere"):
+                print("a last word", flush=True)
                 os._exit(3)
 
     def snapshot(self):
@@ -118,6 +119,8 @@ def test_it_runs_on_the_other_computer_and_is_put_aside_when_it_crashes_there(
             lambda: any("is suspended" in d.what for d in robot.status().deviations)
         )
         assert "shaky" not in robot.status().placement
+        lines = next(robot.log("shaky")).lines
+        assert "a last word" in [line.text for line in lines]
         done = run_poise("status", "--robot", emulated.robot)
         assert done.returncode == 1
         said = " ".join(done.stdout.split())

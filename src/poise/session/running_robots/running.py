@@ -346,11 +346,12 @@ class Running:
         UsageError
             There is no such component.
         """
-        reading = ask(self.name, LogCommand(component, most=last), LogReading)
-        known = () if reading.lines else self.status().placement  # one may have ended
-        if component and not reading.lines and component not in known:
+        status = self.status()
+        known = {*status.placement, *status.memory_demands}  # some may not run now
+        if component and component not in known:
             listed = ", ".join(sorted(known))
             raise UsageError(f"no component '{component}' (there are: {listed})")
+        reading = ask(self.name, LogCommand(component, most=last), LogReading)
         yield reading
         while follow:
             time.sleep(_LOOK_EVERY)
