@@ -16,7 +16,7 @@ from pathlib import Path
 
 from msgspec import Struct
 
-from poise.errors import UsageError
+from poise.errors import RunError, UsageError
 from poise.priority import let_go_first
 
 _PR_SET_DUMPABLE = 4
@@ -106,15 +106,19 @@ class Account(Struct, frozen=True):
 def rights_of(account: Account | None) -> Iterator[None]:
     """Let this thread use files as a user may; None: as it is.
 
-    The kernel takes root's rights over files away meanwhile (setfsuid(2)).
+    The kernel takes root's rights over files away meanwhile (setfsuid(2)). RunError: it
+    does not; nothing is used then.
     """
     if account is None:
         yield
         return
     libc = ctypes.CDLL(None)
-    libc.setfsgid(account.group)
-    libc.setfsuid(account.user)
     try:
+        libc.setfsgid(account.group)
+        libc.setfsuid(account.user)
+        # neither says that it failed; -1 changes nothing, and tells who it is now
+        if (libc.setfsgid(-1), libc.setfsuid(-1)) != (account.group, account.user):
+            raise RunError(f"this agent may not use files as '{account.name}' does")
         yield
     finally:
         libc.setfsuid(0)
