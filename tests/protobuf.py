@@ -16,17 +16,18 @@ def decoded(description: bytes, name: str, data: bytes) -> dict[str, Any]:
     for file in pb2.FileDescriptorSet.FromString(description).file:
         pool.Add(file)
     class_ = factory.GetMessageClass(pool.FindMessageTypeByName(name))
-    return _parts(class_.FromString(data))
+    return plain(class_.FromString(data))
 
 
-def _parts(message: Any) -> dict[str, Any]:
+def plain(message: Any) -> dict[str, Any]:
+    """Return a message as plain data."""
     names = [field.name for field in message.DESCRIPTOR.fields]
     return {name: _plain(getattr(message, name)) for name in names}
 
 
 def _plain(value: Any) -> Any:
     if hasattr(value, "DESCRIPTOR"):
-        return _parts(value)
+        return plain(value)
     if isinstance(value, int | float | str | bytes):
         return value
     return [_plain(each) for each in value]

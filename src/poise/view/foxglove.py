@@ -8,10 +8,13 @@ from __future__ import annotations
 import base64
 import math
 from collections.abc import Iterator, Mapping
-from typing import Any, NamedTuple
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from poise.wire.protobuf import ProtobufEnum, ProtobufField, ProtobufType
 from poise.wire.recording_file import Schema
+
+if TYPE_CHECKING:
+    from google.protobuf.message import Message
 
 _TEXT, _INTEGER = {"type": "string"}, {"type": "integer"}
 
@@ -32,83 +35,6 @@ LOG = _foxglove(
 """Foxglove's own schema of log messages. What the manager knew when it decided is no
 part of it, for Foxglove refuses schemas of objects whose parts are not known."""
 
-
-def _type(name: str, /, **fields: tuple[Any, ...]) -> ProtobufType:
-    return ProtobufType(name, {n: ProtobufField(*f) for n, f in fields.items()})
-
-
-_TIMESTAMP = _type(
-    "google.protobuf.Timestamp", seconds=(1, "int64"), nanos=(2, "int32")
-)
-_VECTOR = _type("foxglove.Vector3", x=(1, "double"), y=(2, "double"), z=(3, "double"))
-_ROTATION = _type(
-    "foxglove.Quaternion",
-    x=(1, "double"),
-    y=(2, "double"),
-    z=(3, "double"),
-    w=(4, "double"),
-)
-_POSE = _type("foxglove.Pose", position=(1, _VECTOR), orientation=(2, _ROTATION))
-_POSE_IN_FRAME = _type(
-    "foxglove.PoseInFrame",
-    timestamp=(1, _TIMESTAMP),
-    frame_id=(2, "string"),
-    pose=(3, _POSE),
-)
-_TRANSFORM = _type(
-    "foxglove.FrameTransform",
-    timestamp=(1, _TIMESTAMP),
-    parent_frame_id=(2, "string"),
-    child_frame_id=(3, "string"),
-    translation=(4, _VECTOR),
-    rotation=(5, _ROTATION),
-)
-_RAW = _type(
-    "foxglove.RawImage",
-    timestamp=(1, _TIMESTAMP),
-    width=(2, "fixed32"),
-    height=(3, "fixed32"),
-    encoding=(4, "string"),
-    step=(5, "fixed32"),
-    data=(6, "bytes"),
-    frame_id=(7, "string"),
-)
-_COMPRESSED = _type(
-    "foxglove.CompressedImage",
-    timestamp=(1, _TIMESTAMP),
-    data=(2, "bytes"),
-    format=(3, "string"),
-    frame_id=(4, "string"),
-)
-_NUMBERS = ProtobufEnum(
-    "foxglove.NumericType",
-    (
-        "UNKNOWN",
-        "UINT8",
-        "INT8",
-        "UINT16",
-        "INT16",
-        "UINT32",
-        "INT32",
-        "FLOAT32",
-        "FLOAT64",
-    ),
-)
-_PACKED = _type(
-    "foxglove.PackedElementField",
-    name=(1, "string"),
-    offset=(2, "fixed32"),
-    type=(3, _NUMBERS),
-)
-_CLOUD = _type(
-    "foxglove.PointCloud",
-    timestamp=(1, _TIMESTAMP),
-    frame_id=(2, "string"),
-    pose=(3, _POSE),
-    point_stride=(4, "fixed32"),
-    fields=(5, _PACKED, True),
-    data=(6, "bytes"),
-)
 _ENCODINGS = {
     ("uint8", 1): "mono8",
     ("uint16", 1): "mono16",
@@ -134,12 +60,22 @@ Vector = dict[str, float]
 
 
 class FoxglovePart(NamedTuple):
-    """What viewers draw of a part of a message; `kind`: the topic's first part."""
+    """What viewers draw of a part of a message; `kind`: the topic's first part.
+
+    `name`: of its type in the package ``foxglove``.
+    """
 
     kind: str
     part: str
-    type: ProtobufType
+    name: str
     content: dict[str, Any]
+
+    @property
+    def type(self) -> type[Message]:
+        """Its type of Protocol Buffers."""
+        module = import_module(f"foxglove_schemas_protobuf.{self.name}_pb2")
+        type_: type[Message] = getattr(module, self.name)
+        return type_
 
 
 def stamp(at: float) -> dict[str, int]:
@@ -172,7 +108,7 @@ def drawings(
         for signature, format_ in _SIGNATURES.items():
             if value.startswith(signature):
                 content = {"data": value, "format": format_}
-                yield _drawing("pictures", part, _COMPRESSED, at, frame, content)
+                yield _drawing("pictures", part, "CompressedImage", at, frame, content)
     elif is_array(value):
         yield from _of_array(value, at, part, frame)
 
@@ -190,13 +126,13 @@ def base64_of(data: bytes | bytearray | memoryview) -> str:
 def _drawing(
     kind: str,
     part: str,
-    type_: ProtobufType,
+    name: str,
     at: float,
     frame: str,
     content: dict[str, Any],
 ) -> FoxglovePart:
     common = {"timestamp": _timestamp(at), "frame_id": frame}
-    return FoxglovePart(kind, part, type_, common | content)
+    return FoxglovePart(kind, part, name, common | content)
 
 
 def _placed(value: Parts, at: float, part: str, frame: str) -> Iterator[FoxglovePart]:
@@ -216,9 +152,9 @@ def _placed(value: Parts, at: float, part: str, frame: str) -> Iterator[Foxglove
             "translation": translation,
             "rotation": rotation,
         }
-        yield FoxglovePart("transforms", part, _TRANSFORM, content)
+        yield FoxglovePart("transforms", part, "FrameTransform", content)
     elif pose := _pose(value):
-        yield _drawing("poses", part, _POSE_IN_FRAME, at, frame, {"pose": pose})
+        yield _drawing("poses", part, "PoseInFrame", at, frame, {"pose": pose})
 
 
 def _pose(value: Parts) -> dict[str, Vector]:
@@ -249,7 +185,7 @@ def _of_array(array: Any, at: float, part: str, frame: str) -> Iterator[Foxglove
             ],
             "data": array.tobytes(),
         }
-        yield _drawing("clouds", part, _CLOUD, at, frame, content)
+        yield _drawing("clouds", part, "PointCloud", at, frame, content)
     elif encoding := _encoding(array):
         content = {
             "width": array.shape[1],
@@ -258,7 +194,7 @@ def _of_array(array: Any, at: float, part: str, frame: str) -> Iterator[Foxglove
             "step": array.nbytes // array.shape[0],
             "data": array.tobytes(),
         }
-        yield _drawing("pictures", part, _RAW, at, frame, content)
+        yield _drawing("pictures", part, "RawImage", at, frame, content)
 
 
 def _cloud_fields(array: Any, part: str) -> tuple[str, ...]:  # noqa: ANN401, of NumPy

@@ -22,10 +22,11 @@ from msgspec import Struct
 from poise.errors import RunError, UsageError
 from poise.units import counted, format_bytes
 from poise.wire.codec import MALFORMED
-from poise.wire.protobuf import ProtobufType
 from poise.wire.records.status_records import AgentSample
 
 if TYPE_CHECKING:
+    from google.protobuf.descriptor import FileDescriptor
+    from google.protobuf.message import Message
     from mcap.records import McapRecord
 
 log = logging.getLogger(__name__)
@@ -116,7 +117,7 @@ class McapFile:
     def add(
         self,
         topic: str,
-        schema: Schema | ProtobufType | None,
+        schema: Schema | type[Message] | None,
         at: float,
         value: Any,  # noqa: ANN401, as the schema says
     ) -> None:
@@ -126,8 +127,8 @@ class McapFile:
         field. A topic has the schema of its first message.
         """
         name, topic, moment = topic, _slashed(topic), int(at * 1e9)
-        if isinstance(schema, ProtobufType):
-            encoding, data = "protobuf", schema.encode(value)
+        if isinstance(schema, type):
+            encoding, data = "protobuf", schema(**value).SerializeToString()
         elif isinstance(value, bytes):
             encoding, data = "msgpack", value
         else:
@@ -191,9 +192,10 @@ class McapFile:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _schema(self, schema: Schema | ProtobufType | None) -> int:
-        if isinstance(schema, ProtobufType):
-            title, encoding, text = schema.name, "protobuf", schema.description()
+    def _schema(self, schema: Schema | type[Message] | None) -> int:
+        if isinstance(schema, type):
+            title, encoding = schema.DESCRIPTOR.full_name, "protobuf"
+            text = _file_descriptors(schema)
         elif schema:
             title, encoding = str(schema["title"]), "jsonschema"
             text = json.dumps(schema).encode()
@@ -326,6 +328,20 @@ class _Whole:
     def read(self, length: int) -> bytes:
         data: bytes = self._file.read(length)
         return data if len(data) == length else b""
+
+
+def _file_descriptors(type_: type[Message]) -> bytes:
+    """Return a type, and all types in it, as a ``FileDescriptorSet``."""
+
+    def needed(file: FileDescriptor) -> Iterator[FileDescriptor]:
+        for other in file.dependencies:
+            yield from needed(other)
+        yield file
+
+    described = import_module("google.protobuf.descriptor_pb2").FileDescriptorSet()
+    for file in dict.fromkeys(needed(type_.DESCRIPTOR.file)):
+        file.CopyToProto(described.file.add())
+    return bytes(described.SerializeToString())
 
 
 def _mcap(module: str) -> Any:  # noqa: ANN401, an extra
