@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 from msgspec.structs import replace
 
+from poise.errors import RunError
 from poise.manage.agent_connections.reports import CheckpointCopies
 from poise.manage.agent_connections.requests import PendingAnswer
 from poise.model.robot import (
@@ -20,6 +21,7 @@ from poise.model.robot import (
     Robot,
 )
 from poise.wire.records.deployment_records import Deployment
+from poise.wire.records.migration_records import MigrationSteps, StepsDone, StepsOutcome
 from poise.wire.records.request_records import (
     Accepted,
     Claimed,
@@ -112,6 +114,8 @@ class FakeAgents:
         self.left_with: dict[str, Deployment] = {}
         self.refusing: set[str] = set()
         self.deaf: set[str] = set()
+        self.unclaimed: set[str] = set()
+        self.halted: dict[str, StepsOutcome] = {}
         self.refused: list[str] = []
         self.lose_when_told = ""
         self.deployed: list[tuple[str, Deployment]] = []
@@ -192,6 +196,8 @@ class FakeAgents:
         self.claimed += sorted(computers)
         self.is_forced = take_over
         assert self.gone.isdisjoint(computers)
+        if not self.unclaimed.isdisjoint(computers):
+            raise RunError("its agent is out of reach")
         return {c: d for c, d in self.deployed if c in computers}
 
     def successor(self) -> ManagerId | None:
@@ -205,7 +211,7 @@ class FakeAgents:
         return computer not in self.lasting
 
     def obey(self, computer: str) -> bool:
-        return computer not in self.strangers
+        return computer not in self.strangers | self.gone
 
     def heard_by(self, computer: str) -> str:
         return self.hearers.get(computer, "")
@@ -241,6 +247,11 @@ class FakeAgents:
 
     def end_claim(self, computer: str, reply: PendingAnswer) -> None:
         pass
+
+    def begin_steps(self, computer: str, steps: MigrationSteps) -> PendingAnswer:
+        reply = PendingAnswer()
+        reply.set(self.halted.get(computer, StepsDone(steps.number)))
+        return reply
 
     def begin_deploy(self, computer: str, deployment: Deployment) -> PendingAnswer:
         reply = PendingAnswer()

@@ -247,9 +247,19 @@ class _Run:
         robot = self.robot
         for computer in robot.computers:
             robot.start_agent(computer)
-        if robot.manager is None:
-            robot.keep_managed(next(iter(robot.computers)))
+        self._keep_managed()
         robot.note("run", "all faults are over")
+
+    def _keep_managed(self) -> None:
+        """Let somebody start a manager where none runs, from now on.
+
+        One that stood still ends as it sees that it was replaced, and who replaced it
+        may be gone by then. Standbys see to that themselves.
+        """
+        self.robot.keep_managed(next(iter(self.robot.computers)))
+        if self._scenario.election is None:
+            soon = self._scheduler.now + _POLL_EVERY
+            self._scheduler.at(soon, self._keep_managed)
 
     def all_faults(self) -> tuple[SimulatedFault, ...]:
         """Return what was to break, in the order of time."""

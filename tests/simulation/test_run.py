@@ -197,6 +197,15 @@ def test_switches_of_tasks_grow_with_the_computers_not_with_their_pairs() -> Non
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("seed", [30220, 30729, 30837, 40682, 41645])
+def test_managers_that_somebody_starts_run_nothing_twice_and_undo_no_move(
+    seed: int,
+) -> None:
+    """As many defects; but with 30729 nobody started a manager, as somebody would."""
+    assert run(seed, 40.0).message == ""
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 17, 37, 555, 774, 2089, 3045])
 def test_standbys_follow_each_other_and_nothing_is_active_twice(seed: int) -> None:
     """These failed for as many different defects (docs/design/simulation.md)."""

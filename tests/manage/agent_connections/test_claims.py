@@ -5,8 +5,9 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from poise.manage.agent_connections.claims import gives_way_to
-from poise.wire.records.request_records import ManagerId
+from poise.manage.agent_connections.claims import Claims, gives_way_to
+from poise.wire.records.deployment_records import Deployment
+from poise.wire.records.request_records import Claimed, ManagerId
 from poise.wire.records.status_records import AgentStatus
 
 EARLIER = ManagerId(key="e", user="ann", host="desk", pid=7, since=9.0, term=1)
@@ -54,6 +55,17 @@ def test_one_that_does_not_know_what_another_told_gives_way_though_that_is_gone(
     """It was paused meanwhile, and would undo what the other one moved."""
     statuses = [agent("a", LATER, 3, unmanaged=5.0)]
     assert gives_way_to(EARLIER, {"a": 2}, {"a": 0}, statuses) == LATER
+
+
+def test_one_that_was_replaced_before_it_told_anything_gives_way_too() -> None:
+    """It knows what it found as it claimed the agent, and that the other told more."""
+    claims = Claims(EARLIER, {}, None, is_leased=True)
+    before = agent("a", None, 1)
+    claims.new("a", before)
+    claims.accept("a", Claimed(Deployment(generation=0, containers=())))
+    assert claims.successor([agent("a", LATER, 3, unmanaged=5.0)]) == LATER
+    claims.accept("a", Claimed(Deployment(generation=1, containers=())))
+    assert claims.successor([agent("a", LATER, 3, unmanaged=5.0)]) is None
 
 
 @given(st.tuples(*[st.booleans()] * 3), st.data())

@@ -12,12 +12,15 @@ from poise.manage.agent_connections.agents import Agents
 from poise.manage.deploy.adoption import authoritative, found_in, joined_by
 from poise.manage.deploy.deployment_plan import DeploymentPlan
 from poise.manage.deploy.desired import Desired, Incarnation
+from poise.manage.deploy.joining_computer import WITNESS_LIMIT
 from poise.manage.deploy.lost_computers import LostComputers
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.deploy.takeover import start_or_take_over
 from poise.manage.journal import Journal
 from poise.model.robot import Robot
+from poise.testing import VirtualClock
 from poise.wire.records.deployment_records import Deployment, Goal
+from poise.wire.records.migration_records import StepsDone, StepsFailed
 from poise.wire.records.status_records import ComponentStatus
 from tests.manage.conftest import FakeAgents
 
@@ -137,6 +140,20 @@ def test_a_person_may_say_that_nobody_else_runs_it(robot: Robot) -> None:
     assert cut.lost.computers() == {"left"}
 
 
+def test_force_starts_nothing_of_a_computer_that_is_there_and_was_not_claimed(
+    robot: Robot,
+) -> None:
+    """It was cut off as the manager claimed it: what it runs may go on there."""
+    cut = Cut(robot, "left", GRABBER, THINKER)
+    cut.agents.gone.clear()
+    cut.agents.unclaimed = {"right"}
+    cut.take_over(by_force=True)
+    assert "thinker" in cut.run.desired.held
+    cut.agents.gone = {"right"}
+    cut.lost.note()
+    assert cut.lost.computers() == frozenset()
+
+
 def test_nothing_of_a_computer_that_was_never_claimed_counts_as_lost(
     robot: Robot,
 ) -> None:
@@ -187,6 +204,54 @@ def test_a_move_that_was_half_done_is_committed_when_its_target_works(
     cut.heal(GRABBER, target.with_goal("inactive"), robot=robot)
     at = ("left", 7, "active") if works else ("right", 4, "active")
     assert cut.goals("thinker") == [at]
+
+
+@pytest.mark.parametrize("is_committed", [True, False])
+def test_the_container_of_a_target_that_is_claimed_late_says_whether_it_counts(
+    robot: Robot, *, is_committed: bool
+) -> None:
+    """Its agent was killed after the commit, so it is inactive: its lease has ended."""
+    cut = Cut(robot, "right", GRABBER, THINKER.with_goal("stay"))
+    cut.take_over()
+    target = Incarnation(component="thinker", computer="left", epoch=7)
+    halted = StepsDone(1, targets=(("thinker", 7),), is_committed=is_committed)
+    cut.agents.halted["left"] = halted
+    cut.heal(GRABBER, target.with_goal("inactive"), robot=robot)
+    at = ("left", 7, "active") if is_committed else ("right", 4, "active")
+    assert cut.goals("thinker") == [at]
+
+
+def test_a_source_waits_for_what_the_container_of_its_target_says(robot: Robot) -> None:
+    """One that says nothing for long may have gone on with the move: it counts."""
+    cut = Cut(robot, "right", GRABBER, THINKER.with_goal("stay"))
+    clock = cut.run.clock = VirtualClock()
+    cut.take_over()
+    target = Incarnation(component="thinker", computer="left", epoch=7)
+    cut.agents.halted["left"] = StepsFailed(1, "it does not respond")
+    cut.heal(GRABBER, target.with_goal("inactive"), robot=robot)
+    told = len(cut.agents.deployed)
+    clock.sleep(WITNESS_LIMIT - 0.1)
+    cut.agents.gone = {"left"}  # there it cannot be asked
+    cut.run.reconcile()
+    cut.agents.gone.clear()
+    clock.sleep(0.2)
+    cut.run.reconcile()
+    assert cut.goals("thinker") == [("right", 4, "inactive")]
+    assert len(cut.agents.deployed) == told
+    clock.sleep(WITNESS_LIMIT)
+    cut.run.reconcile()
+    assert cut.goals("thinker") == [("left", 7, "active")]
+
+
+def test_a_source_that_works_goes_on_rather_than_its_target_that_was_found_alone(
+    robot: Robot,
+) -> None:
+    """The move was rolled back, and the target's agent, which was killed, not told."""
+    cut = Cut(robot, "right", THINKER.with_goal("inactive"))
+    cut.take_over()
+    source = Incarnation(component="thinker", computer="left", epoch=3)
+    cut.heal(GRABBER, source, robot=robot)
+    assert cut.goals("thinker") == [("left", 3, "active")]
 
 
 def test_what_was_moved_away_from_the_other_side_before_does_not_come_back(

@@ -253,3 +253,26 @@ def test_who_does_not_answer_is_asked_again_whether_a_move_was_committed(
     start_or_take_over(run, by_force=False)
     assert run.placement() == {"grabber": "left", "thinker": "right"}
     assert asked[1:] == [[sender]]
+
+
+def test_who_is_replaced_while_it_asks_about_a_move_leaves_the_robot(
+    robot: Robot,
+) -> None:
+    """What it found before the other one began may have been moved since."""
+    source = structs.replace(LEFT[1], goal="stay")
+    target = structs.replace(LEFT[1], computer="right", epoch=5, goal="inactive")
+    run, agents, _ = run_of(robot, LEFT[0], source, target)
+    told = len(agents.deployed)
+
+    def take_steps(
+        batches: Iterable[tuple[str, MigrationSteps]],
+    ) -> Iterator[StepsOutcome]:
+        agents.later = LATER
+        for _, steps in batches:
+            yield StepsFailed(steps.number, "the robot is managed by another one")
+
+    agents.take_steps = take_steps  # type: ignore[attr-defined]
+    with pytest.raises(RunError, match=r"bob on desk .* has taken over the robot"):
+        start_or_take_over(run, by_force=False)
+    assert run.is_left
+    assert len(agents.deployed) == told

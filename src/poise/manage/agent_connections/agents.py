@@ -276,8 +276,8 @@ class Agents(AgentReports):
             lambda: claimed(self.reached() & votes.keys(), is_poll=True)
         )
         answers = claimed(agreed.keys(), is_poll=False)
-        for name in answers:
-            self._claims.accept(name)
+        for name, answer in answers.items():
+            self._claims.accept(name, answer)
         self.heartbeats.start()
         for name in votes.keys() - answers.keys():
             heard = [
@@ -335,7 +335,7 @@ class Agents(AgentReports):
             claim = self._new_claim(computer, take_over=take_over)
             answers, refusals = self._requests.send({computer: claim})
             if not refusals:
-                self._claims.accept(computer)
+                self._claims.accept(computer, answers[computer])
                 return answers[computer]
             if self._clock.now() >= until:
                 raise RunError(refusals[computer])
@@ -347,7 +347,7 @@ class Agents(AgentReports):
 
     def end_claim(self, computer: str, reply: PendingAnswer) -> None:
         """Take note that an agent accepted a claim."""
-        self._claims.accept(computer, reply.token)
+        self._claims.accept(computer, reply.answer, reply.token)
         if self._is_leased:
             self.heartbeats.start()
 
@@ -356,6 +356,10 @@ class Agents(AgentReports):
         with self._changed:
             self._claims.note_told(computer, deployment.generation)
         return self._requests.begin(computer, deployment)
+
+    def begin_steps(self, computer: str, steps: MigrationSteps) -> PendingAnswer:
+        """Let a container take steps; do not wait for its answer."""
+        return self._requests.begin(computer, steps)
 
     def _new_claim(self, computer: str, *, take_over: bool = False) -> Claim:
         status = self.statuses().get(computer)

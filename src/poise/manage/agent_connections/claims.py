@@ -12,7 +12,14 @@ from pathlib import Path
 from msgspec.structs import replace
 
 from poise.clock import wall_time
-from poise.wire.records.request_records import Claim, Election, ManagerId, majority_at
+from poise.wire.records.request_records import (
+    Answer,
+    Claim,
+    Claimed,
+    Election,
+    ManagerId,
+    majority_at,
+)
 from poise.wire.records.status_records import AgentStatus
 
 _REVOKED = 2
@@ -55,9 +62,13 @@ class Claims:
             self.manager, take_over, self._endpoints, self._is_leased, self.election
         )
 
-    def accept(self, computer: str, token: int | None = None) -> None:
+    def accept(
+        self, computer: str, answer: Answer | None, token: int | None = None
+    ) -> None:
         """Note that an agent accepted the claim with a token, by default the last."""
         self.accepted[computer] = self.tokens[computer] if token is None else token
+        found = answer.deployment if isinstance(answer, Claimed) else None
+        self.note_told(computer, found.generation if found is not None else 0)
 
     def revoke(self, computers: Iterable[str]) -> None:
         """Need new claims on agents of computers that are lost."""
@@ -65,7 +76,7 @@ class Claims:
             self.tokens[name] = self.tokens.get(name, 0) + _REVOKED
 
     def note_told(self, computer: str, generation: int) -> None:
-        """Note what an agent was told should run."""
+        """Note what an agent was told should run, by this manager or one before."""
         self._told[computer] = max(self._told.get(computer, 0), generation)
 
     def is_obeyed(self, status: AgentStatus) -> bool:
@@ -124,7 +135,7 @@ def gives_way_to(
     the other is gone, if it told an agent of this one what should run: this one does
     not know what it moved, and would undo it.
 
-    `told`: computer -> the last generation that this one told its agent.
+    `told`: computer -> the last generation that this one told its agent, or found.
     """
     others = {
         status.computer: status.manager

@@ -106,12 +106,16 @@ def changed_parameters(
 
 
 def as_committed(
-    found: Iterable[ReportedIncarnation], statuses: Statuses
+    found: Iterable[ReportedIncarnation],
+    statuses: Statuses,
+    committed: Collection[tuple[str, int]] = (),
 ) -> list[ReportedIncarnation]:
     """Return what was found, with targets of moves that work already as active.
 
     Only its manager knew whether such a move was committed. Its target has the state,
     and its source has ended to work.
+
+    `committed`: targets of which their containers said so.
     """
     working = {
         (computer, component.name, component.epoch)
@@ -122,8 +126,11 @@ def as_committed(
     }
     return [
         structs.replace(reported, spec=structs.replace(reported.spec, goal="active"))
-        if reported.spec.goal == "inactive"
-        and (reported.computer, reported.name, reported.spec.epoch) in working
+        if reported.key in committed
+        or (
+            reported.spec.goal == "inactive"
+            and (reported.computer, reported.name, reported.spec.epoch) in working
+        )
         else reported
         for reported in found
     ]
@@ -359,6 +366,7 @@ def joined_by(
     claimed: Collection[str],
     missing: Collection[str],
     fenced: Collection[str],
+    doubted: Collection[tuple[str, int]] = (),
 ) -> Desired:
     """Return what should run when more computers are claimed.
 
@@ -366,6 +374,9 @@ def joined_by(
     architecture of its function. It is held there when a missing computer may run it,
     as in `components_to_hold`. When none is missing that may run it, what is held is
     active again where it is.
+
+    `doubted`: targets of half-done moves whose sources were not found; nobody said that
+    they were committed.
     """
     placed, held = dict(desired.placed), set(desired.held)
     parameters = dict(desired.parameters)
@@ -381,7 +392,13 @@ def joined_by(
         # on a computer that was not claimed is not there
         is_later = before is not None and (
             before.computer not in claimed
-            or (reported.name in held and reported.spec.epoch > before.epoch)
+            or (
+                reported.name in held
+                and (
+                    reported.spec.epoch > before.epoch
+                    or (before.component, before.epoch) in doubted
+                )
+            )
         )
         is_lacking = (
             before is None

@@ -6,8 +6,10 @@ Nothing here waits for an agent.
 
 from __future__ import annotations
 
+import itertools
+import secrets
 import threading
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from functools import partial
 from typing import Any
 
@@ -21,6 +23,7 @@ from poise.manage.agent_connections.statuses import gateways
 from poise.manage.deploy.adoption import as_committed, found_in, joined_by
 from poise.manage.deploy.deployment_plan import DeploymentPlan
 from poise.manage.deploy.desired import Desired, Incarnation, difference
+from poise.manage.deploy.joining_computer import JoiningComputer
 from poise.manage.deploy.reconciler import Reconciler
 from poise.manage.journal import Journal
 from poise.manage.observe.troubles import SupervisedTick
@@ -70,7 +73,11 @@ class DesiredState:
         self.reconciler = Reconciler(agents, self.clock, self._note_claimed)
         self.claimed: set[str] = set()
         """The computers that this manager has claimed: it knows their components."""
-        self._joining: dict[str, Claimed] = {}
+        self._joining: dict[str, JoiningComputer] = {}
+        self.doubted: Collection[tuple[str, int]] = ()
+        """Targets of half-done moves, as `joined_by` takes them."""
+        self.batch_numbers = itertools.count(secrets.randbits(48))
+        """Tell the batches of migration steps apart, from other managers' too."""
         self._gateways: dict[str, str] = {}
         self._deployments: Mapping[str, Deployment] = {}
         self._deployed_for: object = None
@@ -204,25 +211,36 @@ class DesiredState:
             }
             self._deployed_for = now
         for computer, deployment in self._deployments.items():
-            tell = partial(self.reconciler.step, computer, deployment)
+            wanted = None if computer in self._joining else deployment
+            tell = partial(self.reconciler.step, computer, wanted)
             self.tick.run(f"tell the agent of '{computer}' what should run", tell)
-        if self._joining:
-            self._join_found()
+        known = [name for name, joining in self._joining.items() if joining.is_known()]
+        if known:
+            self._join_found({name: self._joining.pop(name) for name in known})
 
     def _note_claimed(self, computer: str, answer: Claimed) -> None:
         """Take in what an agent works towards that was claimed."""
         deployment = answer.deployment or Deployment(generation=0, containers=())
         if computer in self.claimed:  # this manager knows their components
             deployment = structs.replace(deployment, containers=())
-        self._joining[computer] = structs.replace(answer, deployment=deployment)
+        self._joining[computer] = JoiningComputer(
+            computer,
+            deployment,
+            self.agents,
+            self.clock,
+            self.batch_numbers,
+            is_cut_off=answer.is_cut_off,
+        )
 
-    def _join_found(self) -> None:
+    def _join_found(self, joining: Mapping[str, JoiningComputer]) -> None:
         """Adopt what is at work on computers that were claimed for the first time."""
-        deployments = {
-            n: a.deployment for n, a in self._joining.items() if a.deployment
-        }
-        fenced = {n for n, answer in self._joining.items() if answer.is_cut_off}
-        at_work = as_committed(found_in(deployments), self.agents.statuses())
+        deployments = {name: each.deployment for name, each in joining.items()}
+        fenced = {name for name, each in joining.items() if each.is_cut_off}
+        committed = frozenset[tuple[str, int]]().union(
+            *(each.committed for each in joining.values())
+        )
+        found = found_in(deployments)
+        at_work = as_committed(found, self.agents.statuses(), committed)
         for reported in at_work:
             self._epochs[reported.name] = max(
                 self._epochs.get(reported.name, self._last_epoch), reported.spec.epoch
@@ -232,12 +250,17 @@ class DesiredState:
             {c.name for c in self.robot.computers} - self.claimed - deployments.keys()
         )
         desired = joined_by(
-            self.desired, self.robot, at_work, self.claimed, missing, fenced
+            self.desired,
+            self.robot,
+            at_work,
+            self.claimed,
+            missing,
+            fenced,
+            self.doubted,
         )
         last = max(deployment.generation for deployment in deployments.values())
         desired = structs.replace(
             desired, generation=max(last, self.desired.generation) + 1
         )
         self.claimed |= deployments.keys()
-        self._joining = {}
         self.commit(desired, f"components on {names} keep running")

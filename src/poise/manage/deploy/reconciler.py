@@ -86,8 +86,11 @@ class Reconciler:
         self._on_claimed = on_claimed
         self._known: dict[str, _AskedAgent] = {}
 
-    def step(self, computer: str, wanted: Deployment) -> None:
-        """Take the smallest step towards what should run on a computer."""
+    def step(self, computer: str, wanted: Deployment | None) -> None:
+        """Take the smallest step towards what should run on a computer.
+
+        `wanted`: None: what runs there is to be known first; it is only claimed.
+        """
         away = self._agents.out_of_reach()
         status = None if computer in away else self._agents.statuses().get(computer)
         self._bring(computer, wanted, status)
@@ -109,7 +112,7 @@ class Reconciler:
         return agent.refusal if agent else ""
 
     def _bring(
-        self, computer: str, wanted: Deployment, status: AgentStatus | None
+        self, computer: str, wanted: Deployment | None, status: AgentStatus | None
     ) -> None:
         agent, now = self._known.get(computer), self._clock.now()
         if agent is None:
@@ -127,7 +130,7 @@ class Reconciler:
                 agent.reply = self._agents.begin_claim(computer)
                 agent.is_claim, agent.sent_at = True, now
             return
-        if agent.is_claim and agent.reply is not None:
+        if wanted is None or (agent.is_claim and agent.reply is not None):
             return
         if self.is_current(computer, status) and not agent.refusal:
             agent.trouble = ""  # it took what it did not answer

@@ -6,8 +6,6 @@ the agents there. What does run is what they observed.
 
 from __future__ import annotations
 
-import itertools
-import secrets
 from collections.abc import Callable, Collection, Iterable, Mapping
 
 from msgspec import structs
@@ -64,8 +62,6 @@ class RunningComponents(DesiredState):
             robot, placement, agents, journal, folder, weigh=weigh, clock=clock
         )
         self.switches = Switches()
-        self.batch_numbers = itertools.count(secrets.randbits(48))
-        """Tell the batches of migration steps apart, from other managers' too."""
         self.check: Callable[[], object] = lambda: None
         """Called at all news while agents are waited for; may raise to end that."""
         self.faults_before = last_numbers(agents.statuses())

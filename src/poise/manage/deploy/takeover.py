@@ -25,6 +25,7 @@ from poise.manage.deploy.adoption import (
     where_held,
 )
 from poise.manage.deploy.desired import Desired, Incarnation
+from poise.manage.deploy.joining_computer import WITNESS_LIMIT, halt
 from poise.manage.deploy.running_components import (
     ACTIVE_LIMIT,
     READY_LIMIT,
@@ -37,19 +38,10 @@ from poise.manage.shortages.free_room import placed_beside
 from poise.model.check.allowed_computers import allowed_computers
 from poise.units import counted
 from poise.wire.records.deployment_records import Deployment
-from poise.wire.records.migration_records import (
-    MigrationSteps,
-    Step,
-    StepsDone,
-    StepsOutcome,
-)
+from poise.wire.records.migration_records import StepsDone, StepsOutcome
 
-WITNESS_LIMIT = 5.0
-"""Containers that do not say so are asked again for this time [s], and then ended."""
 _LOOK_EVERY = 0.02
 _TAKE_OVER = "`poise stop` ends the robot, and `poise up --take-over` takes it over"
-HALT_LIMIT = 1.0
-"""Containers say within this time how far a half-done migration came [s]."""
 
 
 def start_or_take_over(
@@ -96,14 +88,14 @@ def start_or_take_over(
         return
     said = next((f" of {manager}" for manager in before if manager), "")
     run.journal.note("seen", f"the robot{said} is running: taking it over")
-    held = frozenset[str]()
     if by_force or run.agents.election is not None:
-        # a person says that nobody else runs anything on the others, or a majority does
-        run.claimed |= {computer.name for computer in run.robot.computers}
-    else:
-        statuses = run.agents.statuses()  # a lease may have ended meanwhile
-        fenced = {name for name, status in statuses.items() if status.cut_off}
-        held = components_to_hold(run.robot, reported, run.claimed, fenced)
+        # a person says that nobody else runs anything on the others, or a majority
+        # does; not on one that was there, and did not let itself be claimed
+        everyone = {computer.name for computer in run.robot.computers}
+        run.claimed |= everyone - unclaimed.keys()
+    statuses = run.agents.statuses()  # a lease may have ended meanwhile
+    fenced = {name for name, status in statuses.items() if status.cut_off}
+    held = components_to_hold(run.robot, reported, run.claimed, fenced)
     try:
         _take_over(run, deployments, unclaimed, reported, held, record, is_rule=is_rule)
     except Exception:
@@ -134,6 +126,8 @@ def _take_over(
     committed = frozenset[tuple[str, int]]()
     if is_half_done(reported, run.robot):
         committed = _committed(run, reported, deployments)
+    targets = {each.key for each in reported if each.goal == "inactive"}
+    run.doubted = targets - committed
     adoption = adopt(
         reported,
         run.robot,
@@ -300,6 +294,8 @@ def _committed(
                 unknown[where] = outcome.reason
             elif outcome.is_committed or not committed.isdisjoint(outcome.targets):
                 committed |= set(outcome.targets)
+        if successor := run.agents.successor():  # what was found is out of date
+            raise RunError(f"{successor} has taken over the robot meanwhile")
         asked = set(unknown)
         doubted = [each for each in targets if each.key not in committed]
         if not asked or not doubted or run.clock.now() >= until:
@@ -332,9 +328,8 @@ def _halted(
 ) -> Iterator[tuple[tuple[str, str], StepsOutcome]]:
     """Let containers go on with nothing of a migration; yield what each answers."""
     by_number = dict(zip(run.batch_numbers, sorted(containers), strict=False))
-    halt = (Step("halt"),)
     batches = [
-        (computer, MigrationSteps(number, 0, container, halt, HALT_LIMIT))
+        (computer, halt(number, container))
         for number, (computer, container) in by_number.items()
     ]
     for outcome in run.agents.take_steps(batches):
