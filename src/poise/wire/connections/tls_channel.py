@@ -25,11 +25,9 @@ from poise.wire.frame import Frame, Pieces, receive_frame
 
 _HEAD = struct.Struct("<II")
 _AHEAD = 1 << 14
-"""Bytes to read at once: nearly every frame comes in one step."""
+"""Bytes to read at once, a whole record: nearly every frame comes in one step."""
 _JOINED = 1 << 14
 """Pieces up to this size share a TLS record [bytes]; no record carries more."""
-_LOOK_EVERY = 0.5
-"""Who waits looks this often whether the other computer is lost [s]."""
 _TLS_RECORDS = b"\x15\x03", b"\x16\x03"
 """How answers to a handshake begin; a frame that begins so would be longer than any
 refusal."""
@@ -83,7 +81,8 @@ class Handshake:
     def finish(self, deadline: float) -> None:
         """Go on until it is done."""
         while not self.go_on():
-            poll = _poll(self.socket, self.event)
+            poll = select.poll()
+            poll.register(self.socket, self.event)
             if not poll.poll(1000 * max(0.0, deadline - time.monotonic())):
                 raise Timeout("the other end does not finish the handshake in time")
 
@@ -105,8 +104,7 @@ class TlsChannel:
         self._socket = connection
         self._inside = threading.Lock()
         self._ahead = b""
-        self._arriving = _poll(connection, select.POLLIN)
-        # it asks the kernel, and reads nothing
+        # it waits and asks the kernel, and reads nothing
         self._kernel = _channel.Channel(connection.fileno(), LOST_AFTER)
 
     def is_lost(self) -> bool:
@@ -166,13 +164,14 @@ class TlsChannel:
         target[:start], self._ahead = self._ahead[_HEAD.size :], b""
         while start < len(target):
             start += self._some(self._socket.recv_into, target[start:], deadline)
+        if rest := self._socket.pending():  # of the last record; of it no poll knows
+            self._ahead = self._do(self._socket.read, rest, deadline)
         return target.toreadonly()
 
     def _some(
         self, step: Callable[..., _Result], argument: object, deadline: float
     ) -> _Result:
-        if not self._socket.pending():
-            self._wait(self._arriving, deadline)
+        self._kernel.wait(select.POLLIN, deadline)
         got = self._do(step, argument, deadline)
         if not got:
             raise Unavailable("the other end is gone: it closed the connection")
@@ -187,33 +186,12 @@ class TlsChannel:
                 with self._inside:
                     return step(argument)
             except ssl.SSLWantReadError:
-                poll = _poll(self._socket, select.POLLIN)
+                event = select.POLLIN
             except ssl.SSLWantWriteError:
-                poll = _poll(self._socket, select.POLLOUT)
+                event = select.POLLOUT
             except OSError as error:
                 raise Unavailable(f"the other end is gone: {_reason(error)}") from error
-            self._wait(poll, deadline)
-
-    def _wait(self, poll: select.poll, deadline: float) -> None:
-        while not poll.poll(_milliseconds(deadline)):
-            if time.monotonic() >= deadline:
-                raise Timeout(
-                    "nothing came from the other end in time"
-                    if poll is self._arriving
-                    else "the other end takes no more bytes"
-                )
-            if self.is_lost():
-                raise Unavailable("the other end is gone: its computer is silent")
-
-
-def _poll(connection: socket.socket, event: int) -> select.poll:
-    poll = select.poll()
-    poll.register(connection, event)
-    return poll
-
-
-def _milliseconds(deadline: float) -> float:
-    return 1000 * min(_LOOK_EVERY, max(0.0, deadline - time.monotonic()))
+            self._kernel.wait(event, deadline)
 
 
 def _joined(head: Bytes, pieces: Pieces) -> Iterator[Bytes]:

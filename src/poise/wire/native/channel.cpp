@@ -117,7 +117,7 @@ int Channel::take_file() {
   return file;
 }
 
-// Sleep until the socket is ready. Reading waits here and not in `recv`, because that is
+// Reading waits here and not in `recv`, because that is
 // woken in vain when the other end takes what was sent.
 Outcome Channel::wait(short event, double deadline) {
   bool looks = is_remote_;

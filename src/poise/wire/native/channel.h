@@ -58,6 +58,9 @@ class Channel {
   // Copy the next bytes to `target`, moving it on, until `left` is 0.
   Outcome take(char*& target, std::size_t& left, double deadline);
 
+  // Sleep until the socket is ready, or its computer is lost.
+  Outcome wait(short event, double deadline);
+
   // Whether the other computer was silent for too long about something that was sent. A
   // process that takes nothing does no harm: its computer says so.
   bool is_lost() const;
@@ -84,7 +87,6 @@ class Channel {
 
   Outcome fetch(std::size_t count, double deadline);
   Outcome read(char* target, std::size_t size, double deadline, std::size_t& got);
-  Outcome wait(short event, double deadline);
 
   int file_;
   double lost_after_;

@@ -1,5 +1,6 @@
 // What Python sees; `make stubs` writes src/poise/wire/_channel.pyi from it.
 #include <nanobind/nanobind.h>
+#include <poll.h>
 
 #include <algorithm>
 #include <array>
@@ -196,12 +197,14 @@ nb::object part(const nb::object& view, std::size_t start, std::size_t end) {
 }
 
 nb::object parse(nb::object data, nb::object buffers) {
-  const auto view = nb::steal(PyMemoryView_FromObject(data.ptr()));
-  if (!view.is_valid()) throw nb::python_error();
   const Memory bytes(data, PyBUF_SIMPLE);
   const std::size_t size = bytes.size();
   const FrameHead head = check_head(bytes.begin(), size);
   const std::size_t end = frame_head + head.length;
+  if (end == size && size <= small && buffers.is_none())
+    return parse_small(bytes.begin(), size, nb::borrow(names().no_buffers));
+  const auto view = nb::steal(PyMemoryView_FromObject(data.ptr()));
+  if (!view.is_valid()) throw nb::python_error();
   if (buffers.is_none()) {
     const std::size_t start = (end + alignment - 1) / alignment * alignment;
     buffers = part(view, std::min(size, start), size);
@@ -244,6 +247,10 @@ nb::list segments(nb::handle codec, nb::handle value, int kind, std::uint16_t ta
 
 std::uintptr_t address(nb::handle memory) {
   return reinterpret_cast<std::uintptr_t>(Memory(memory, PyBUF_SIMPLE).begin());
+}
+
+void wait(Channel& channel, short event, double deadline) {
+  run([&] { return channel.wait(event, deadline); }, event == POLLOUT ? not_taken : not_come);
 }
 
 void send(Channel& channel, nb::list list, double deadline, std::size_t largest,
@@ -340,6 +347,7 @@ NB_MODULE(_channel, module) {
       .def(nb::init<int, double, bool>(), nb::arg("file"), nb::arg("lost_after"),
            nb::arg("reads_ahead") = true)
       .def("is_lost", &Channel::is_lost)
+      .def("wait", &wait, nb::arg("event"), nb::arg("deadline"))
       .def("send", &send, nb::arg("pieces"), nb::arg("deadline"), nb::arg("largest"),
            nb::arg("block") = 0, nb::arg("used") = 0, nb::arg("target") = nb::none(),
            nb::arg("file") = poise::no_file,
