@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -14,6 +15,10 @@ from poise.ros2.bridge_node import BridgeLine, BridgeNode, annotated
 from poise.ros2.conversion import Conversion, Conversions, Convert
 from poise.ros2.interfaces import interface
 from poise.runtime.component.ports import Port, Published, published, subscribed
+
+_HAND_OVER = 1e-6
+"""After each message it sleeps [s], so that subscribers in its process run at once: to
+wait for ROS 2 again, its executor keeps Python's lock for 0.1 ms."""
 
 
 class ToTopics(BridgeNode):
@@ -87,6 +92,7 @@ class FromTopics(ToTopics):
         def take(message: Any) -> None:  # noqa: ANN401, a message
             # the port is wired later, and again
             getattr(self, self.port.name).publish(from_ros(message))
+            time.sleep(_HAND_OVER)
 
         def take_new(message: Any, info: Mapping[str, Any]) -> None:  # noqa: ANN401, a message
             stamp = info["source_timestamp"]
