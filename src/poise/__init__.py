@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from poise.errors import Timeout as Timeout
     from poise.errors import Unavailable as Unavailable
     from poise.errors import UsageError as UsageError
-    from poise.estimate.success_rates import Conditions as Conditions
-    from poise.estimate.success_rates import note_outcome as note_outcome
+    from poise.estimate.outcomes import Conditions as Conditions
+    from poise.estimate.outcomes import note_outcome as note_outcome
     from poise.manage.journal import JournalEntry as JournalEntry
     from poise.manage.journal import read_journal as read_journal
     from poise.model.policy import PolicyAction as PolicyAction
@@ -116,7 +116,7 @@ else:
         "StartedCall": "runtime.component.started_calls",
         "Running": "session.running_robots.running",
         "Seen": "model.policy",
-        "Conditions": "estimate.success_rates",
+        "Conditions": "estimate.outcomes",
         "SimulatedFault": "simulation.faults",
         "Simulation": "session.simulate",
         "SimulationComparison": "session.simulate",
@@ -137,7 +137,7 @@ else:
         "load": "session.robot_file",
         "loan": "wire.connections.blocks",
         "lost": "runtime.component.ports",
-        "note_outcome": "estimate.success_rates",
+        "note_outcome": "estimate.outcomes",
         "oneway": "runtime.component.ports",
         "place": "session.placing.placement",
         "play": "session.running_robots.playback",

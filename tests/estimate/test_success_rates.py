@@ -10,16 +10,13 @@ from msgspec.structs import replace
 
 import poise
 from poise.errors import UsageError
+from poise.estimate.outcomes import KEPT, STORE, forget, note_outcome
 from poise.estimate.success_rates import (
     DISCOUNT,
-    KEPT,
-    STORE,
     SuccessRate,
     beliefs_about,
     change_point,
-    forget,
     learned,
-    note_outcome,
     rates,
 )
 from poise.manage.journal import Journal

@@ -15,7 +15,8 @@ from poise import plan, units
 from poise.cli.main import Interrupts
 from poise.cli.options import AsJson, Set, arguments_of, busy, in_file, print_json
 from poise.errors import UsageError
-from poise.estimate.success_rates import Conditions, learned
+from poise.estimate.outcomes import Conditions
+from poise.estimate.success_rates import learned
 from poise.model import load
 from poise.model.robot import Computer, Robot
 from poise.session.placing.by_time import DecidedByTime

@@ -17,7 +17,8 @@ from rich.table import Table
 
 from poise.cli.options import AsJson, RobotFile, Set, arguments_of, busy, show
 from poise.errors import FileProblem, UsageError, unknown
-from poise.estimate.success_rates import beliefs_about, forget
+from poise.estimate.outcomes import forget
+from poise.estimate.success_rates import beliefs_about
 from poise.model.check.allowed_computers import notes_of
 from poise.model.load import load
 from poise.model.policy import Policy, policies_of

@@ -8,7 +8,8 @@ from collections.abc import Set as AbstractSet
 from msgspec import Struct
 
 from poise.errors import PoiseError
-from poise.estimate.success_rates import Conditions, Ending, learned, note_outcome
+from poise.estimate.outcomes import Conditions, Ending, note_outcome
+from poise.estimate.success_rates import learned
 from poise.manage.adaptation.decision import shortages_of
 from poise.manage.adaptation.situation import Situation
 from poise.manage.agent_connections.statuses import components_of

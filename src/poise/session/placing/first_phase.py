@@ -11,7 +11,8 @@ from poise import plan
 from poise.clock import boot_time
 from poise.errors import FileProblem, RobotError
 from poise.estimate.code_version import hash_of
-from poise.estimate.success_rates import WELL, Belief
+from poise.estimate.outcomes import WELL
+from poise.estimate.success_rates import Belief
 from poise.manage.journal import Journal
 from poise.manage.tasks.component_reports import choose
 from poise.manage.tasks.concurrent_tasks import Tasks

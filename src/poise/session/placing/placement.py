@@ -14,7 +14,8 @@ from rich.console import RenderableType
 
 from poise import plan
 from poise.errors import UsageError
-from poise.estimate.success_rates import WELL, Conditions, learned
+from poise.estimate.outcomes import WELL, Conditions
+from poise.estimate.success_rates import learned
 from poise.model.robot import Robot
 from poise.plan.planner import METHODS as SOLVERS
 from poise.session.placing.by_time import Decide, DecidedByTime, decide_by_time
