@@ -1,7 +1,4 @@
-"""A computer of a running robot is cut off, and its link is healed again.
-
-It imports internal modules: it measures a running robot from outside.
-"""
+"""A computer of a running robot is cut off, and its link is healed again."""
 
 from __future__ import annotations
 
@@ -10,14 +7,8 @@ from collections import Counter
 
 from msgspec import Struct
 
-from examples.demo.waiting import WARM_UP, measures, wait, wait_until
-from poise.manage.agent_connections.statuses import located
-from poise.model.robot import Robot
-from poise.session import Check, Say
-from poise.session.launch.computers import emulated
-from poise.session.placing.placement import place
-from poise.session.running_robots.running import Running
-from poise.session.up import up
+from examples.demo.waiting import WARM_UP, Check, Say, measures, wait, wait_until
+from poise import Robot, Running, emulated, place, up
 
 _MOVED, _CUT = "passer", "right"
 _CUT_FOR = 5.0
@@ -103,6 +94,6 @@ def _active(running: Running) -> Counter[str]:
     status = running.status()
     return Counter(
         component.name
-        for computer, component in located(status.computers)
+        for computer, component in status.located()
         if computer not in status.out_of_reach and component.state == "active"
     )

@@ -16,20 +16,16 @@ from msgspec.structs import replace
 from rich.console import Console
 from rich.markup import escape
 
-from poise.errors import RunError
+from poise import Placement, Robot, RunError, RunReport, load, place, run
 from poise.manage.agent_connections.statuses import components_of
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.migration.migration_report import MigrationReport
 from poise.manage.migration.move import plan_move
-from poise.model.robot import Robot
 from poise.session import Check, nothing
-from poise.session.placing.placement import Placement, place
 from poise.session.profiling.stored_profiles import as_when_profiled
 from poise.session.render.run_progress import progress
 from poise.session.render.tables import outcome_sentence
-from poise.session.robot_file import load
-from poise.session.run import Meanwhile, run
-from poise.session.run_report import RunReport
+from poise.session.run import Meanwhile
 from poise.units import counted, format_seconds
 from poise.wire.records.status_records import Summary, TimerStatus
 

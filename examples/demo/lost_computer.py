@@ -1,7 +1,4 @@
-"""A computer of a running robot loses power.
-
-It imports internal modules: it measures a running robot from outside.
-"""
+"""A computer of a running robot loses power."""
 
 from __future__ import annotations
 
@@ -9,13 +6,15 @@ import time
 
 from msgspec import Struct
 
-from examples.demo.waiting import WARM_UP, active_components, wait, wait_until
-from poise.model.robot import Robot
-from poise.session import Check, Say
-from poise.session.launch.computers import emulated
-from poise.session.placing.placement import place
-from poise.session.running_robots.running import Running
-from poise.session.up import up
+from examples.demo.waiting import (
+    WARM_UP,
+    Check,
+    Say,
+    active_components,
+    wait,
+    wait_until,
+)
+from poise import Robot, Running, emulated, place, up
 
 
 class LostComputerScene(Struct, frozen=True, kw_only=True):

@@ -1,13 +1,11 @@
-"""The manager is killed amid a move, and another one takes the robot over.
-
-It imports internal modules: it measures a running robot from outside.
-"""
+"""The manager is killed amid a move, and another one takes the robot over."""
 
 from __future__ import annotations
 
 import contextlib
 import subprocess
 import sys
+import threading
 import time
 from collections import Counter
 from collections.abc import Iterator
@@ -15,14 +13,16 @@ from pathlib import Path
 
 from msgspec import Struct
 
-from examples.demo.waiting import WARM_UP, active_components, measures, wait, wait_until
-from poise import threads
-from poise.errors import PoiseError
-from poise.manage.agent_connections.statuses import components_of
-from poise.model.robot import Robot
-from poise.session import Check, Say
-from poise.session.launch.computers import emulated
-from poise.session.running_robots.running import Running
+from examples.demo.waiting import (
+    WARM_UP,
+    Check,
+    Say,
+    active_components,
+    measures,
+    wait,
+    wait_until,
+)
+from poise import PoiseError, Robot, Running, emulated
 
 _MOVED, _HOME, _TARGET = "passer", "left", "right"
 _AMID = 0.4
@@ -71,7 +71,7 @@ def kill_manager(robot: Robot, say: Say, check: Check) -> ManagerKilledScene:
             wait(WARM_UP, check)
             before = _places(running)
             say(f"'{_MOVED}' is to move to '{_TARGET}'")
-            threads.daemon(_move, "move", running).start()
+            threading.Thread(target=_move, args=(running,), daemon=True).start()
             wait_until(lambda: _is_prepared(running), time.monotonic(), check)
             wait(_AMID, check)
             first.kill()
@@ -127,7 +127,7 @@ def _manager(robot: Robot, name: str, say: Say) -> Iterator[subprocess.Popen[str
             for line in process.stdout or ():
                 say(f"  {name}: {line.rstrip()}")
 
-        reader = threads.daemon(pass_on, "output")
+        reader = threading.Thread(target=pass_on, daemon=True)
         reader.start()
         try:
             yield process
@@ -152,13 +152,13 @@ def _move(running: Running) -> None:
 
 
 def _is_prepared(running: Running) -> bool:
-    found = [c.name for c in components_of(running.status().computers)]
+    found = [c.name for _, c in running.status().located()]
     return found.count(_MOVED) > 1
 
 
 def _is_whole(running: Running) -> bool:
     status = running.status()
-    found = [c.name for c in components_of(status.computers)]
+    found = [c.name for _, c in status.located()]
     return sorted(found) == sorted(status.placement)
 
 

@@ -1,7 +1,4 @@
-"""Other programs overload a computer of a running robot.
-
-It imports internal modules: it measures a running robot from outside.
-"""
+"""Other programs overload a computer of a running robot."""
 
 from __future__ import annotations
 
@@ -12,14 +9,10 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from examples.adapt.grid import shortest
-from examples.demo.waiting import LOOK_EVERY, WARM_UP, wait
-from poise.emulate.cpu_load import background_load
-from poise.manage.agent_connections.statuses import components_of
-from poise.model.robot import ComponentEntry, Robot
-from poise.session import Check, Say
-from poise.session.placing.placement import place
-from poise.session.running_robots.running import Running
-from poise.session.up import up
+from examples.demo.waiting import LOOK_EVERY, WARM_UP, Check, Say, wait
+from poise import Robot, Running, place, up
+from poise.emulate import background_load
+from poise.model import ComponentEntry
 
 _WATCH = 15.0
 """How long a robot is watched after something happened to it [s]."""
@@ -140,7 +133,7 @@ class Deadlines:
     def look(self) -> bool:
         """Count what came since the last look; return whether a deadline was missed."""
         missed = 0
-        for component in components_of(self._running.status().computers):
+        for _, component in self._running.status().located():
             for timer in component.timers:
                 key = component.name, component.epoch, timer.name
                 released, late = self._before.get(key, (0, 0))

@@ -36,14 +36,13 @@ from examples.demo.drives import (
 )
 from examples.demo.picture import DrivePicture, drives_picture
 from examples.demo.scenes import SCENES
+from poise import RunReport, load
 from poise.cli.main import Interrupts
 from poise.cli.options import print_json
 from poise.emulate import full_speed
 from poise.session.folders import scratch_folder
 from poise.session.launch.printer import STDERR, Printer
 from poise.session.render.tables import table
-from poise.session.robot_file import load
-from poise.session.run_report import RunReport
 from poise.units import format_seconds
 from poise.wire.records.status_records import Summary
 

@@ -1,7 +1,4 @@
-"""A chain over three computers, whose middle must move while something is broken.
-
-It imports internal modules: it measures a running robot from outside.
-"""
+"""A chain over three computers, whose middle must move while something is broken."""
 
 from __future__ import annotations
 
@@ -12,14 +9,9 @@ from pathlib import Path
 from msgspec import Struct
 
 from examples.demo.overlaps import overlaps, read_handler_log
-from examples.demo.waiting import WARM_UP, measures, wait, wait_until
+from examples.demo.waiting import WARM_UP, Check, Say, measures, wait, wait_until
+from poise import Robot, Running, emulated, place, up
 from poise.emulate import EmulatedSet
-from poise.model.robot import Robot
-from poise.session import Check, Say
-from poise.session.launch.computers import emulated
-from poise.session.placing.placement import place
-from poise.session.running_robots.running import Running
-from poise.session.up import up
 
 _MOVED, _END = "relay", "sink"
 _BROKEN_FOR = 6.0

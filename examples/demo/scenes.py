@@ -1,7 +1,4 @@
-"""Scenes that show how a running robot adapts, and measure it from outside.
-
-It imports internal modules: it measures a running robot from outside.
-"""
+"""Scenes that show how a running robot adapts, and measure it from outside."""
 
 from __future__ import annotations
 
@@ -14,8 +11,8 @@ from examples.demo.manager_killed import ManagerKilledScene, kill_manager
 from examples.demo.overload import OverloadScene, overload
 from examples.demo.relayed import RelayScene, cut_one_link, freeze_agent
 from examples.demo.task_scene import TasksScene, tasks
-from poise.model.robot import Robot
-from poise.session import Check, Say
+from examples.demo.waiting import Check, Say
+from poise import Robot
 
 Played = (
     OverloadScene

@@ -1,7 +1,4 @@
-"""Three tasks share functions: one pauses another, and what comes next is prepared.
-
-It imports internal modules: it measures a running robot from outside.
-"""
+"""Three tasks share functions: one pauses another, and what comes next is prepared."""
 
 from __future__ import annotations
 
@@ -12,13 +9,9 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from examples.demo.overload import Deadlines
-from examples.demo.waiting import wait_until
-from poise.manage.tasks.prefetch_report import PrefetchReport
-from poise.model.robot import Robot
-from poise.model.steps import Prefetch
-from poise.session import Check, Say
-from poise.session.running_robots.running import Running
-from poise.session.up import up
+from examples.demo.waiting import Check, Say, wait_until
+from poise import Robot, Running, Status, up
+from poise.model import Prefetch
 
 _TOLD = ("action ", "task ", "switched ")
 """What of the journal a newcomer wants to read begins so, ..."""
@@ -61,14 +54,14 @@ def tasks(robot: Robot, say: Say, check: Check) -> TasksScene:
     plain = replace(robot, prefetch=Prefetch(off=True))
     _, before, missed_before = _play(plain, say, check, _wait_for_all)
     say("with prefetch: three tasks, of which 'wave' has the highest priority")
-    outcomes, report, missed = _play(robot, say, check, _start_others)
-    miss = before.miss
+    outcomes, after, missed = _play(robot, say, check, _start_others)
+    hit, miss = after.prefetch.hit, before.prefetch.miss
     return TasksScene(
         ok=all(each.outcome == "done" for each in outcomes)
-        and report.hit.count > 0
+        and hit.count > 0
         and miss.count > 0,
         tasks=outcomes,
-        switch_hit_s=report.hit.median,
+        switch_hit_s=hit.median,
         switch_miss_s=miss.median,
         deadlines_missed=missed_before + missed,
     )
@@ -79,7 +72,7 @@ def _play(
     say: Say,
     check: Check,
     act: Callable[[Running, Callable[[], object]], None],
-) -> tuple[tuple[TaskOutcome, ...], PrefetchReport, int]:
+) -> tuple[tuple[TaskOutcome, ...], Status, int]:
     """Play the first task; return how all went, and how many deadlines were missed."""
     began = time.monotonic()
 
@@ -101,7 +94,7 @@ def _play(
             TaskOutcome(name=each.name, outcome=each.state)
             for each in running.tasks.started()
         )
-        return outcomes, running.status().prefetch, count.missed
+        return outcomes, running.status(), count.missed
 
 
 def _start_others(running: Running, look: Callable[[], object]) -> None:

@@ -1,16 +1,16 @@
-"""What the scenes have in common: waiting, and what is active.
-
-It imports internal modules: it measures a running robot from outside.
-"""
+"""What the scenes have in common: waiting, and what is active."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
 
-from poise.errors import RunError
-from poise.manage.agent_connections.statuses import components_of, located
-from poise.session.running_robots.running import Running
+from poise import RunError, Running
+
+Say = Callable[[str], object]
+"""Takes a sentence."""
+Check = Callable[[], object]
+"""Called several times a second while a scene waits; may raise to end that."""
 
 WARM_UP = 4.0
 LOOK_EVERY = 0.1
@@ -22,14 +22,12 @@ def active_components(running: Running, lost: str = "") -> list[str]:
     """Return the active components of all computers but a lost one."""
     return [
         component.name
-        for computer, component in located(running.status().computers)
+        for computer, component in running.status().located()
         if computer != lost and component.state == "active"
     ]
 
 
-def wait_until(
-    holds: Callable[[], bool], began: float, check: Callable[[], object]
-) -> float:
+def wait_until(holds: Callable[[], bool], began: float, check: Check) -> float:
     """Return how long after `began` something held [s]; RunError when it never did."""
     while not holds():
         wait(LOOK_EVERY / 5, check)
@@ -38,7 +36,7 @@ def wait_until(
     return time.monotonic() - began
 
 
-def wait(seconds: float, check: Callable[[], object]) -> None:
+def wait(seconds: float, check: Check) -> None:
     """Wait, and call `check` meanwhile."""
     end = time.monotonic() + seconds
     while (left := end - time.monotonic()) > 0:
@@ -50,6 +48,6 @@ def measures(running: Running) -> dict[str, int]:
     """Return the largest value of each measure of all components."""
     return {
         name: int(summary.maximum)
-        for component in components_of(running.status().computers)
+        for _, component in running.status().located()
         for name, summary in component.measures.items()
     }

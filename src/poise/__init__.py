@@ -64,6 +64,7 @@ if TYPE_CHECKING:
     from poise.session.running_robots.running import NoManager as NoManager
     from poise.session.running_robots.running import RolledBack as RolledBack
     from poise.session.running_robots.running import Running as Running
+    from poise.session.running_robots.running import Status as Status
     from poise.session.running_robots.running import connect as connect
     from poise.session.running_robots.running_component import (
         RunningComponent as RunningComponent,
@@ -121,6 +122,7 @@ else:
         "Simulation": "session.simulate",
         "SimulationComparison": "session.simulate",
         "Stamp": "clock",
+        "Status": "session.running_robots.running",
         "TakenOver": "errors",
         "Timeout": "errors",
         "Unavailable": "errors",

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from msgspec import Struct
 
-from poise import Component, Published, Required, Stamp, subscribed
-from poise.errors import CallError
+from poise import CallError, Component, Published, Required, Stamp, subscribed
 from sorter import arm_model, cell
 from sorter.messages import STEP, Belt, Defects, Grip, Guard, Motion, Tracks
 

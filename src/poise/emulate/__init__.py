@@ -1,7 +1,7 @@
 """One Linux machine as a robot's several computers (docs/emulation.md)."""
 
 from poise.emulate.cgroups import Probe, probe_host
-from poise.emulate.cpu_load import full_speed
+from poise.emulate.cpu_load import background_load, full_speed
 from poise.emulate.emulated_set import EmulatedSet, all_sets, find_set, set_for
 from poise.emulate.emulation import EmulatedComputer, Emulation
 from poise.emulate.limits import StarvationWatch, Usage, is_starved
@@ -16,6 +16,7 @@ __all__ = [
     "StarvationWatch",
     "Usage",
     "all_sets",
+    "background_load",
     "find_set",
     "full_speed",
     "is_starved",

@@ -19,6 +19,7 @@ from poise.model.robot import (
     Task,
     Workload,
 )
+from poise.model.steps import Prefetch
 
 __all__ = [
     "Action",
@@ -33,6 +34,7 @@ __all__ = [
     "Generated",
     "Link",
     "Objective",
+    "Prefetch",
     "Robot",
     "Simulator",
     "Task",

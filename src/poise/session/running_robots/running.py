@@ -11,6 +11,7 @@ from msgspec.structs import asdict
 from rich.console import RenderableType
 
 from poise.errors import RunError, Timeout, UsageError
+from poise.manage.agent_connections.statuses import located
 from poise.manage.control_socket.agents_without_manager import NoManager
 from poise.manage.control_socket.commands import (
     JournalCommand,
@@ -41,6 +42,7 @@ from poise.session.render.tables import Outcome, outcome_sentence
 from poise.session.running_robots.running_component import RunningComponent
 from poise.session.running_robots.without_manager import stop_agents
 from poise.wire.records.request_records import SHOWN_ITEMS, TapReading
+from poise.wire.records.status_records import ComponentStatus
 
 _TASK_POLLED_EVERY = 0.05
 
@@ -141,6 +143,10 @@ class RolledBack(RunError):
 
 class Status(Printable, RobotStatus, frozen=True, tag="RobotStatus", kw_only=True):
     """A status that prints itself as tables, in a terminal and in a notebook."""
+
+    def located(self) -> Iterator[tuple[str, ComponentStatus]]:
+        """Yield the components that its computers report, each with its computer."""
+        return located(self.computers)
 
     def parts(self) -> tuple[RenderableType, ...]:
         """Return what is printed."""
