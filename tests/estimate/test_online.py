@@ -193,6 +193,21 @@ def test_a_lower_bound_does_not_lower_the_estimate() -> None:
     estimate = running.estimate()
     assert estimate is not None
     assert estimate.mean == pytest.approx(0.6, rel=0.01)
+    assert (estimate.starved, estimate.is_least) == (1.0, True)
+
+
+def test_what_has_cpu_again_is_starved_no_more() -> None:
+    """Ten seconds after the last window in which it lacked CPU."""
+    running = RunningEstimate()
+    cpu = now = wait = 0.0
+    for k in range(200):
+        now += STEP
+        cpu += STEP * 0.2
+        wait += STEP * 0.8 if 50 <= k < 150 else 0.0
+        running.update(Reading(now, cpu, wait))
+    estimate = running.estimate()
+    assert estimate is not None
+    assert (estimate.starved, estimate.is_least) == (0.0, False)
 
 
 def test_survives_a_restart_of_the_component() -> None:

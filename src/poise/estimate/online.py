@@ -90,13 +90,13 @@ class Demand(Struct, frozen=True):
 
 
 class Sums:
-    """Totals over windows; `cut` is how many are."""
+    """Totals over windows."""
 
-    __slots__ = ("asked", "cpu", "cut", "done", "seconds")
+    __slots__ = ("asked", "cpu", "done", "seconds")
 
     def __init__(self, windows: Iterable[Window] = ()) -> None:
         self.seconds = self.cpu = 0.0
-        self.asked = self.done = self.cut = 0
+        self.asked = self.done = 0
         for window in windows:
             self.add(window, 1)
 
@@ -106,7 +106,6 @@ class Sums:
         self.cpu += sign * window.cpu
         self.asked += sign * window.asked
         self.done += sign * window.done
-        self.cut += sign * window.is_cut
 
     @property
     def is_in_step(self) -> bool:
@@ -188,6 +187,8 @@ class PresentJob:
 
 SPAN = 30.0
 """An estimate covers this time [s]."""
+_LATELY = 50
+"""Without jobs, a component is called starved by so many windows."""
 _NEW = 1 / 6
 """How much single windows differ is looked at when this share of them is new."""
 LEAST_SHARE = 0.25
@@ -220,8 +221,10 @@ class Estimate(Struct, frozen=True, kw_only=True):
         Half the width of the mean's 95 % confidence interval; None: too few windows, or
         too few jobs ended to know the CPU time of one.
     starved
-        The share of its jobs that were not done or, without jobs, of its windows that
-        give only a lower bound; in [0, 1].
+        The share of its jobs that were not done or, without jobs, of its last windows
+        that give only a lower bound; in [0, 1].
+    is_least
+        Whether it may need more than `mean`: it lacked CPU, and has no jobs to count.
     long_job
         For how long a job has run that used far more CPU than any before, and has not
         ended [s]; 0: there is none.
@@ -233,6 +236,7 @@ class Estimate(Struct, frozen=True, kw_only=True):
     p95: float
     error: float | None
     starved: float = 0.0
+    is_least: bool = False
     long_job: float = 0.0
     drift: Drift | None = None
 
@@ -245,6 +249,7 @@ class RunningEstimate:
         self._last: Reading | None = None
         self._windows: deque[Window] = deque()
         self._sums = Sums()
+        self._cut: deque[bool] = deque(maxlen=_LATELY)
         self._spread: tuple[float, float | None] = 0.0, None
         self._since_spread = 0
         self._has_jobs = False
@@ -262,7 +267,10 @@ class RunningEstimate:
         """Add a reading; return the drift that it confirms, if any."""
         before, self._last = self._last, reading
         window = window_between(before, reading) if before else None
-        if window is None or self._is_useless(window):
+        if window is None:
+            return None
+        self._cut.append(window.is_cut)
+        if self._is_useless(window):
             return None
         self._keep(window)
         was_long = self._is_at_long_job
@@ -300,11 +308,13 @@ class RunningEstimate:
         p95, error = self._spread_of_windows()
         if error is not None:
             error = None if demand.error is None else scale * error + demand.error
+        cut = 0.0 if self._has_jobs else sum(self._cut) / len(self._cut)
         return Estimate(
             mean=max(0.0, demand.cores),  # `Window` says why it may be below
             p95=scale * p95,
             error=error,
-            starved=0.0 if is_long else sums.undone or sums.cut / len(self._windows),
+            starved=0.0 if is_long else sums.undone or cut,
+            is_least=cut > 0,
             long_job=self._job.seconds if is_long else 0.0,
             drift=self._drift,
         )

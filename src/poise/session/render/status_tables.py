@@ -232,10 +232,10 @@ def _needs(standing: DemandEstimate | None) -> tuple[str, str]:
         return "", ""
     now, expected = standing.estimate, standing.expected
     text = f"{now.mean:.1%}"
-    if now.error is not None:
-        text += f" ± {now.error:.1%}"
-    elif now.starved:
+    if now.is_least or (now.error is None and now.starved):
         text = f"at least {text}"
+    elif now.error is not None:
+        text += f" ± {now.error:.1%}"
     if now.drift:
         text = f"[yellow]{text}[/]"
     return text, "" if expected is None else f"{expected:.1%}"
