@@ -165,10 +165,11 @@ def _report_silence(measured: Profiling, console: Console) -> None:
                 f"the measurement{'; its figures are discarded' if doubt else ''}[/]"
             )
     if measured.unrecorded:
+        console.print(f"[yellow]not recorded: {', '.join(measured.unrecorded)}[/]")
+    if not measured.silent.keys().isdisjoint(measured.unrecorded):
         console.print(
-            f"[yellow]not recorded: {', '.join(measured.unrecorded)}. Connect what "
-            "sends to these ports, or let the robot file generate messages for them "
-            "(`workload: {generate: ...}`)[/]"
+            "[yellow]Connect what sends to these ports, or let the robot file generate "
+            "messages for them (`workload: {generate: ...}`)[/]"
         )
 
 

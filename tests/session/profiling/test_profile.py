@@ -65,7 +65,50 @@ def test_a_component_without_messages_is_said_and_not_recorded(tmp_path: Path) -
     assert set(written.connectors) == {"clock.now-mind.now"}
 
 
+FAILING = """
+from poise import Component, Message, Published, every, subscribed
+
+class Seen(Message):
+    at: float
+
+class Blind(Component):
+    seen: Published[Seen]
+
+    @every(0.05)
+    def tick(self) -> None:
+        self.seen.publish(Seen(0.0))
+
+class Clock(Component):
+    now: Published[Seen]
+
+    @every(0.05)
+    def tick(self) -> None:
+        self.now.publish(Seen(0.0))
+
+class Mind(Component):
+    @subscribed(keep=1)
+    def seen(self, message: Seen) -> None:
+        raise ValueError("no map")
+
+    @subscribed(keep=1)
+    def now(self, message: Seen) -> None: ...
+"""
+
+
 @pytest.mark.slow
+def test_a_component_whose_work_always_fails_is_said_and_not_recorded(
+    tmp_path: Path,
+) -> None:
+    (tmp_path / "robot.yaml").write_text(ROBOT)
+    (tmp_path / "silent.py").write_text(FAILING)
+    robot = load_bare(tmp_path / "robot.yaml")
+    said: list[str] = []
+    found = profile(robot, seconds=1.0, warm_up=0.2, repeat=1, say=said.append)
+    assert found.unrecorded == ["mind"]
+    assert any("component 'mind'" in s and "ValueError: no map" in s for s in said)
+    assert set(found.profile.components) == {"blind", "clock"}
+
+
 def test_an_unknown_architecture_is_named(tmp_path: Path) -> None:
     (tmp_path / "robot.yaml").write_text(ROBOT)
     (tmp_path / "silent.py").write_text(CODE)

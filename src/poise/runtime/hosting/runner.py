@@ -434,11 +434,12 @@ class Runner:
         # a user's method may raise anything
         except (Exception, SystemExit) as error:  # noqa: BLE001
             self._errors.note(what, error, self.clock.now())
-        finally:
-            self._handler = None
+        else:
             if self.spec.weigh:
                 work = time.thread_time() - began
                 self._work_of.setdefault(what, Histogram()).add(work)
+        finally:
+            self._handler = None
             self.counters.note_done()
             self.exclusion.leave()
             self.gate.note_done()

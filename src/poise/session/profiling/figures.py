@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from itertools import pairwise
 
 import msgspec
@@ -26,6 +26,8 @@ from poise.manage.agent_connections.statuses import (
 from poise.manage.observe.estimates import traffic_between
 from poise.model.robot import Robot
 from poise.session.profiling.rig import EMPTY, ProfilingRig
+from poise.session.render.tables import failed_calls
+from poise.units import counted
 from poise.wire.records.status_records import (
     AgentSample,
     ComponentStatus,
@@ -167,6 +169,38 @@ class Figures(Struct, frozen=True, kw_only=True):
 def disagreeing(runs: Sequence[Observed], names: Iterable[str]) -> list[str]:
     """Return the components whose means differ too much, or that did not keep up."""
     return [name for name in names if not _is_stable(runs, name)]
+
+
+class Failures(Struct, frozen=True):
+    """What failed during a measurement, for people.
+
+    `always`: the components of which something failed each time: it is not known what
+    they need when it does not.
+    """
+
+    sentences: tuple[str, ...] = ()
+    always: frozenset[str] = frozenset()
+
+
+def failures(robot: Robot, run: Observed, names: Collection[str]) -> Failures:
+    """Return what failed of these components in a run: their handlers and calls."""
+    always, sentences = set(), []
+    for component in components_of(run.working):
+        if component.errors and component.name in names:
+            last = component.error.rstrip().rpartition("\n")[2]
+            errors = counted(component.errors, "error")
+            sentences.append(f"component '{component.name}': {errors}, last {last}")
+            if any(e.where not in component.work for e in component.error_counts):
+                always.add(component.name)
+    joined = {
+        str(c): {end.component for end in c.between}.intersection(names)
+        for c in robot.all_connectors()
+    }
+    ends = [end for end in connectors_of(run.working) if joined.get(end.name)]
+    for end in ends:
+        if end.end != "target" and 0 < end.calls <= end.errors:
+            always |= joined[end.name]
+    return Failures((*sentences, *failed_calls(ends)), frozenset(always))
 
 
 def figures(

@@ -27,6 +27,7 @@ from poise.session.profiling.figures import (
     Figures,
     Observed,
     disagreeing,
+    failures,
     figures,
     measure,
 )
@@ -60,7 +61,8 @@ class Profiling(Struct, frozen=True, kw_only=True):
     silent
         Component -> its ports that got nothing during the measurement.
     unrecorded
-        The components whose figures are discarded, because their inputs were silent.
+        The components whose figures are discarded, because their inputs were silent,
+        or something of them failed each time.
     """
 
     profile: Profile
@@ -129,7 +131,7 @@ def profile(  # noqa: PLR0913 - each is a choice of the user
                 found.append(measuring.measure(name, tick))
         done = loops() if robot.is_emulated else 0.0
     silent = {n: p for each in found for n, p in each.silent.items()}
-    unrecorded = [name for each in found for name in each.idle]
+    unrecorded = [name for each in found for name in each.unrecorded]
     new = measuring.profile([each.figures for each in found], unrecorded, done)
     kept = _kept(robot, new)
     return Profiling(
@@ -149,11 +151,21 @@ def _chosen(robot: Robot, names: Sequence[str]) -> list[str]:
 
 
 class _Found(Struct, frozen=True):
-    """Figures of an architecture, ports that got nothing, and who had no work so."""
+    """Figures of an architecture, ports that got nothing, and who did not work so."""
 
     figures: Figures
     silent: Mapping[str, Sequence[str]]
-    idle: Sequence[str]
+    unrecorded: Sequence[str]
+
+
+def _not_stable(runs: int, names: Sequence[str]) -> str:
+    """Return that the components left jobs undone, or differ from run to run."""
+    why = (
+        "one measurement, with jobs that were not done, or no figures"
+        if runs == 1
+        else f"{runs} measurements that differ, or had jobs that were not done"
+    )
+    return f"not stable: {', '.join(names)} ({why})"
 
 
 class _Measuring(Struct, frozen=True):
@@ -175,8 +187,7 @@ class _Measuring(Struct, frozen=True):
         sizes = self._run(apart, tick)
         doubtful = disagreeing(runs, rig.measured)
         if doubtful:
-            names = ", ".join(doubtful)
-            self.say(f"not stable after {len(runs)} measurements: {names}")
+            self.say(_not_stable(len(runs), doubtful))
         versions = {
             c.name: version_of(c, *self.robot.folders) for c in self.robot.components()
         }
@@ -184,7 +195,16 @@ class _Measuring(Struct, frozen=True):
             self.robot, rig, runs, sizes, versions=versions, speed=self._speed()
         )
         silent = self._silent(rig, [*runs, sizes])
-        return _Found(found, silent, self._idle(sizes, silent))
+        failed = failures(rig.robot, runs[-1], rig.measured)
+        for sentence in failed.sentences:
+            self.say(sentence)
+        if failed.always:
+            self.say(
+                f"something failed each time: {', '.join(sorted(failed.always))}: the "
+                "figures are discarded; `poise log` of a run says more"
+            )
+        idle = failed.always.union(self._idle(sizes, silent))
+        return _Found(found, silent, sorted(idle))
 
     def _silent(
         self, rig: ProfilingRig, runs: Sequence[Observed]
