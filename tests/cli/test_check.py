@@ -4,6 +4,7 @@ import contextlib
 import json
 import os
 import pty
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -40,6 +41,18 @@ def test_says_that_a_right_file_has_no_problems() -> None:
     done = called(["check", str(ROOT / "examples/paper/robot.yaml")])
     assert (done.returncode, done.stderr) == (0, "")
     assert done.stdout.endswith("robot.yaml: no problems\n")
+
+
+@pytest.mark.slow
+def test_says_that_the_recording_of_a_workload_is_not_there(tmp_path: Path) -> None:
+    shutil.copytree(ROOT / "examples/hello", tmp_path, dirs_exist_ok=True)
+    path = tmp_path / "robot.yaml"
+    path.write_text(path.read_text() + "workload: {recording: drive.mcap}\n")
+    assert (
+        "recording 'drive.mcap' is not there yet" in called(["check", str(path)]).stdout
+    )
+    (tmp_path / "drive.mcap").touch()
+    assert called(["check", str(path)]).stdout == f"{path}: no problems\n"
 
 
 @pytest.mark.slow

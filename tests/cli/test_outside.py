@@ -65,6 +65,7 @@ class Summer(Component):
     parameters: Gains
     sums: Provided[Sums]
     said: Published[Number]
+    lone: Published[Number]
 
     def configure(self) -> None:
         self.sum = 0
@@ -339,6 +340,21 @@ def test_pictures_are_recorded_whole(robot: api.Running, tmp_path: Path) -> None
         assert played.messages["hearer.said"] == written
     assert len(heard) == 5
     assert all(np.array_equal(each, pixels) for each in heard)
+
+
+def test_a_component_that_is_not_there_is_named_at_once(robot: api.Running) -> None:
+    with pytest.raises(UsageError, match=r"'sumer' \(did you mean 'summer'\?\)"):
+        robot.component("sumer")
+
+
+def test_a_port_without_a_connector_is_shown(robot: api.Running) -> None:
+    readings = robot.echo("summer.lone", rate=1e6)
+    assert not next(readings).passed
+    robot.component("summer").publish("lone", {"value": 7}, limit=10)
+    passed = itertools.chain.from_iterable(reading.passed for reading in readings)
+    assert next(passed).value == {"value": 7}
+    with pytest.raises(RunError, match=r"publishes no 'loan' \(did you mean 'lone'"):
+        next(robot.echo("summer.loan"))
 
 
 def test_the_command_prints_what_a_call_returned(poise: Poise) -> None:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import pytest
+from msgspec.structs import replace
 
 from poise.errors import UsageError
 from poise.manage.control_socket.read_commands import begin_of
 from poise.wire.records.status_records import (
     AgentStatus,
+    ComponentStatus,
     ConnectorStatus,
     ContainerStatus,
     Side,
@@ -52,6 +54,14 @@ def test_an_end_where_different_messages_come_is_ambiguous() -> None:
     }
     with pytest.raises(UsageError, match=r"several .* 'm\.in': a\.x-m\.in; b-m\.in"):
         begin_of(both, "m.in")
+
+
+def test_a_port_without_a_connector_is_looked_at_where_its_component_works() -> None:
+    at = STATUSES["left"]
+    nose = ComponentStatus(name="nose", state="active")
+    senses = replace(at.containers[0], components=(nose,))
+    statuses = {"left": replace(at, containers=(senses,))}
+    assert begin_of(statuses, "nose.smell") == ("nose.smell", "left", "senses")
 
 
 def test_one_that_is_not_there_is_answered_with_those_that_are() -> None:

@@ -72,6 +72,13 @@ def test_says_what_is_needed_how_sure_that_is_and_what_was_expected() -> None:
     assert list(remarks(answer)) == [f"{NAME}: 12 errors, starved 40%"]
 
 
+def test_what_lacks_cpu_and_has_no_jobs_needs_at_least_what_it_got() -> None:
+    estimate = Estimate(mean=0.1, p95=0.1, error=0.01, starved=1.0, is_least=True)
+    (row,) = lines(status(estimate))
+    assert "at least 10.0%" in row
+    assert "±" not in row
+
+
 def test_a_single_missed_deadline_is_counted() -> None:
     timer = TimerStatus(
         name="look",
@@ -148,7 +155,7 @@ def test_says_what_computers_use_and_how_often_containers_restarted() -> None:
     assert row == ["vision", "0.25", "cores", "3", "MiB", "1", "2"]
     (line,) = container_lines(answer)
     assert line.startswith("container 'one' on 'vision': running since ")
-    assert "2 restarts; last fault at " in line
+    assert "2 restarts (counters began again then); last fault at " in line
     assert line.endswith(": was killed by SIGKILL")
 
 

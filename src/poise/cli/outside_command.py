@@ -157,7 +157,7 @@ def list_command(robot: Robot = None, as_json: AsJson = False) -> None:
     silent: list[str] = []
     for name in sorted(up.status().placement):
         try:
-            parameters[name] = up.component(name).parameters()
+            parameters[name] = RunningComponent(up.name, name).parameters()
         except PoiseError as error:
             silent.append(f"{name}: {error}")
     _show(

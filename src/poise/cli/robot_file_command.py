@@ -19,14 +19,13 @@ from poise.cli.options import AsJson, RobotFile, Set, arguments_of, busy, show
 from poise.errors import FileProblem, UsageError, unknown
 from poise.estimate.outcomes import forget
 from poise.estimate.success_rates import beliefs_about
-from poise.model.check.allowed_computers import notes_of
 from poise.model.load import load
 from poise.model.policy import Policy, policies_of
 from poise.session.placing.first_phase import Described, Listed, listed
 from poise.session.recorded_run import PolicyEvent, test_policies
 from poise.session.render.printable import console_to
 from poise.session.render.tables import table
-from poise.session.robot_file import check
+from poise.session.robot_file import check, notes
 from poise.units import counted, format_seconds
 
 
@@ -55,11 +54,11 @@ def check_command(
     with busy("checking"):
         arguments = arguments_of(set_)
         problems = check(file, arguments)
-    notes = () if problems else notes_of(load(file, arguments))
+    said = () if problems else notes(load(file, arguments))
     if as_json:
-        _print_json(problems, notes)
+        _print_json(problems, said)
     else:
-        _print_text(file, problems, notes)
+        _print_text(file, problems, said)
     if problems:
         raise typer.Exit(1)
 

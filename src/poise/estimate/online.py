@@ -267,10 +267,9 @@ class RunningEstimate:
         """Add a reading; return the drift that it confirms, if any."""
         before, self._last = self._last, reading
         window = window_between(before, reading) if before else None
-        if window is None:
-            return None
-        self._cut.append(window.is_cut)
-        if self._is_useless(window):
+        if window is not None:
+            self._cut.append(window.is_cut)
+        if window is None or self._is_useless(window):
             return None
         self._keep(window)
         was_long = self._is_at_long_job

@@ -50,6 +50,7 @@ class BridgeLine(Struct, frozen=True, kw_only=True):
 class BridgeNode(Component):
     """The other end of a port."""
 
+    _start_parameters = frozenset({"of", "port", "bridges", "environment"})
     port: ClassVar[Port]
     entries: ClassVar[Sequence[BridgeLine]]
 

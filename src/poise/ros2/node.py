@@ -21,6 +21,7 @@ from poise.runtime.component.implementation import find_function
 class RosNode(Component):
     """Runs the node that its parameters name, and no other parameter is its own."""
 
+    _start_parameters = frozenset({"ros2"})
     make: Callable[[], Any]
 
     @classmethod
@@ -82,8 +83,6 @@ class RosNode(Component):
 
         before = dict(flat(self.parameters))
         changes = {k: v for k, v in flat(parameters) if before.get(k) != v}
-        if any(name.partition(".")[0] == "ros2" for name in changes):
-            raise UsageError("how the node is started is not a parameter of it")
         new = [Parameter(name, value=value) for name, value in changes.items()]
         result = self.node.set_parameters_atomically(new)
         if not result.successful:

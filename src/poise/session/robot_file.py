@@ -9,6 +9,7 @@ from pathlib import Path
 from msgspec.structs import replace
 
 from poise.errors import FileProblem, RobotError
+from poise.model.check.allowed_computers import notes_of
 from poise.model.check.ros2_components import with_code as connected
 from poise.model.load import Source, load_source
 from poise.model.robot import Robot
@@ -118,6 +119,18 @@ def check_late_chains(robot: Robot) -> Iterator[Finding]:
                 f"{format_seconds(limit.limit)}, wherever its components run: "
                 f"{'; '.join(found.limits)}. It could with {found.relaxation}",
             )
+
+
+def notes(robot: Robot) -> tuple[str, ...]:
+    """Return what a person should know of a robot without problems."""
+    recording = robot.workload.recording if robot.workload else ""
+    if not recording or (path := Path(robot.folder) / recording).exists():
+        return notes_of(robot)
+    note = (
+        f"workload: recording '{recording}' is not there yet ({path.absolute()}): "
+        f"`poise profile` needs it, and `poise run --record {recording}` writes it"
+    )
+    return (*notes_of(robot), note)
 
 
 def with_code(robot: Robot) -> Robot:

@@ -5,8 +5,15 @@ from __future__ import annotations
 import pytest
 
 from poise import Component, Message
+from poise.clock import SystemClock
 from poise.errors import UsageError
-from poise.runtime.component.component import _like
+from poise.runtime.component.component import (
+    Context,
+    _like,
+    create,
+    set_parameters,
+    shown_parameters,
+)
 from poise.runtime.component.parameters import as_declared
 
 
@@ -27,6 +34,31 @@ class Ranged(Component):
 def test_quantities_have_units() -> None:
     given = {"least": "5%", "most": 1, "period": "20 ms"}
     assert as_declared(Ranged, given) == Range(0.05, 1.0, 0.02)
+
+
+class Node(Component):
+    """Is started by a parameter that is none of its own."""
+
+    _start_parameters = frozenset({"ros2"})
+
+    def reconfigure(self, parameters: object) -> None: ...
+
+
+def test_how_a_node_is_started_is_no_parameter_of_it() -> None:
+    given = {"ros2": {"node": "a:B"}, "gain": 1.0}
+    context = Context(
+        name="node",
+        parameters=given,
+        devices={},
+        clock=SystemClock(),
+        measure=lambda *_: None,
+    )
+    node = create(Node, context)
+    assert shown_parameters(node) == {"gain": 1.0}
+    with pytest.raises(UsageError, match="no parameter 'ros2'; it has gain"):
+        set_parameters(node, {"ros2": {}})
+    set_parameters(node, {"gain": 2})
+    assert node.parameters == {"ros2": {"node": "a:B"}, "gain": 2.0}
 
 
 def test_all_that_is_missing_is_said() -> None:

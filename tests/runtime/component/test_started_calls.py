@@ -12,7 +12,9 @@ from typing import cast
 import pytest
 
 import poise
+from poise.clock import SystemClock
 from poise.errors import RunError, Timeout
+from poise.runtime.component.component import Context, create
 from poise.runtime.component.started_calls import (
     MOST_OPEN,
     ImmediateCalls,
@@ -142,3 +144,46 @@ def test_answers_to_be_taken_are_no_calls(component: Component) -> None:
         call.result()
     assert component.calls.num_open >= MOST_OPEN  # answers that nobody has taken
     component.calls.start(int).result()
+
+
+def test_what_it_waits_for_counts_a_call_once(component: Component) -> None:
+    """A call whose answer `then` takes was counted twice."""
+    release = threading.Event()
+    component.calls.start(release.wait).then(StartedCall.result)
+    assert str(component.calls) == "the answers of 1 call that it started"
+    release.set()
+    wait_until(lambda: component.turns)
+    assert str(component.calls) == "its turn to take 1 answer"
+    component.take_turns()
+
+
+def test_a_failure_that_nobody_takes_is_logged(
+    component: Component, caplog: pytest.LogCaptureFixture
+) -> None:
+    component.calls.start(lambda: 1 / 0)
+    wait_until(lambda: "ZeroDivisionError" in caplog.text)
+    assert "a started call failed, and nobody takes its answer" in caplog.text
+
+
+def test_a_failure_that_is_taken_is_not_logged(
+    component: Component, caplog: pytest.LogCaptureFixture
+) -> None:
+    with pytest.raises(ZeroDivisionError):
+        component.calls.start(lambda: 1 / 0).result()
+    assert caplog.text == ""
+
+
+def test_a_method_of_the_component_itself_is_refused() -> None:
+    class Heater(poise.Component):
+        def heat(self) -> None: ...
+
+    context = Context(
+        name="heater",
+        parameters={},
+        devices={},
+        clock=SystemClock(),
+        measure=lambda *_: None,
+    )
+    heater = create(Heater, context)
+    with pytest.raises(poise.UsageError, match="and no method of the component itself"):
+        heater.start_call(heater.heat)

@@ -1,10 +1,15 @@
-"""How often something came, from hand-made moments."""
+"""How often something came, from hand-made moments; and what robots consist of."""
 
 from __future__ import annotations
 
-import pytest
+from io import StringIO
 
-from poise.session.running_robots.local_robots import Rate
+import pytest
+from rich.console import Console
+
+from poise.manage.control_socket.commands import RobotStatus
+from poise.session.running_robots.local_robots import Rate, listing, names_of
+from poise.wire.records.request_records import ManagerId
 
 
 def test_a_rate_is_that_of_the_gaps_between() -> None:
@@ -24,3 +29,21 @@ def test_what_came_once_has_no_rate() -> None:
 def test_what_is_missing_is_said() -> None:
     said = list(Rate.of([0.0, 1.0], missing=5).lines())
     assert said[1] == "5 more had no room to be noted: the rate is higher"
+
+
+def test_topics_between_nodes_of_ros2_are_among_the_connectors() -> None:
+    manager = ManagerId(key="k", user="ann", host="desk", pid=7, since=0.0)
+    status = RobotStatus(
+        robot="r",
+        task="",
+        manager=manager,
+        placement={},
+        computers={},
+        by_ros2=("lidar-planner /scan",),
+    )
+    assert list(names_of({"r": status}, "connectors")) == ["lidar-planner /scan"]
+    out = StringIO()
+    for part in listing({"r": status}):
+        Console(file=out, width=80).print(part)
+    (row,) = [line for line in out.getvalue().splitlines() if "/scan" in line]
+    assert row.split() == ["lidar-planner", "/scan", "ROS", "2"]

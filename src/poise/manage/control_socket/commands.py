@@ -185,6 +185,8 @@ class RobotStatus(Struct, frozen=True, tag=True, kw_only=True):
     robot_tasks: tuple[str, ...] = ()  # those that can be started
     prefetch: PrefetchReport = PrefetchReport()  # what prefetch was good for
     loads: Mapping[str, Load] = {}
+    # the connectors that ROS 2 makes, between nodes: topics, services, actions
+    by_ros2: tuple[str, ...] = ()
     traffic: Mapping[str, ConnectorProfile] = {}  # connector -> what goes over it now
     # whether agents said this, since no manager answers; the first deviation says why.
     # Then `manager` is the last one, `placement` where components are, and what only a

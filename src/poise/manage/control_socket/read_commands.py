@@ -200,7 +200,7 @@ def answer(
             case LogCommand():
                 done = _read_log(run.agents, command)
             case TapCommand():
-                done = _read_tap(run.agents, command)
+                done = _read_tap(run, command)
             case PortCommand():
                 done = ask_port(run, command)
     except PoiseError as error:
@@ -235,7 +235,17 @@ def status_of(
         tasks=tuple(tasks),
         robot_tasks=tuple(task.name for task in run.robot.tasks),
         loads=estimates.loads.loads(),
+        by_ros2=_by_ros2(run),
         traffic=estimates.traffic(),
+    )
+
+
+def _by_ros2(run: RunningComponents) -> tuple[str, ...]:
+    placed = run.placement()
+    return tuple(
+        connector.name
+        for connector in run.robot.all_connectors()
+        if connector.topic and all(end.component in placed for end in connector.between)
     )
 
 
@@ -282,8 +292,15 @@ def _read_log(agents: Agents, command: LogCommand) -> LogReading:
     return LogReading(tuple(last), after, omitted, tuple(sorted(silent)))
 
 
-def _read_tap(agents: Agents, command: TapCommand) -> TapReading:
+def _read_tap(run: RunningComponents, command: TapCommand) -> TapReading:
     """Return what has gone out since the viewer asked last; from any thread."""
+    agents = run.agents
+    if command.connector in _by_ros2(run):
+        topic = command.connector.rpartition(" ")[2]
+        raise UsageError(
+            f"'{command.connector}' is made by ROS 2 alone: `ros2 topic echo {topic}` "
+            "shows it"
+        )
     connector, computer, container = begin_of(agents.statuses(), command.connector)
     asked = Tap(
         number=secrets.randbits(_BITS),
@@ -306,11 +323,17 @@ def _read_tap(agents: Agents, command: TapCommand) -> TapReading:
 
 
 def begin_of(statuses: Statuses, asked: str) -> tuple[str, str, str]:
-    """Return a connector's name, and the computer and container where it begins."""
+    """Return a connector's name, and the computer and container where it begins.
+
+    Or the same of a component's port at which no connector begins or ends.
+    """
     found = dict(_begins(statuses))
     sources = [name for name in found if name.startswith(f"{asked}-")]
     targets = [name for name in found if name.endswith(f"-{asked}")]
     names = [asked] if asked in found else sources or targets
+    component = asked.rpartition(".")[0]
+    if not names and (at := _container_of(statuses, component)):
+        return (asked, *at)  # a port without a connector
     if not names:
         listed = "; ".join(sorted(found)) or "none"
         raise UsageError(f"no connector '{asked}' (there are: {listed})")
@@ -319,6 +342,16 @@ def begin_of(statuses: Statuses, asked: str) -> tuple[str, str, str]:
             f"several connectors end at '{asked}': {'; '.join(sorted(names))}"
         )
     return (names[0], *found[names[0]])
+
+
+def _container_of(statuses: Statuses, component: str) -> tuple[str, str] | None:
+    """Return the computer and container where a component is active."""
+    for computer, status in sorted(statuses.items()):
+        for container in status.containers:
+            names = [c.name for c in container.components if c.state == "active"]
+            if component in names:
+                return computer, container.name
+    return None
 
 
 def _begins(statuses: Statuses) -> Iterator[tuple[str, tuple[str, str]]]:

@@ -109,6 +109,7 @@ class Component:
     are possible from `activate` on.
     """
 
+    _start_parameters: ClassVar[frozenset[str]] = frozenset()
     reentrant: ClassVar[bool] = False
     """Whether others may call it while it waits in a call that it makes itself.
 
@@ -178,7 +179,14 @@ class Component:
         ------
         RunError
             64 of the component's calls wait for answers.
+        UsageError
+            It is a method of the component, which only one thread runs at a time.
         """
+        if getattr(call, "__self__", None) is self:
+            raise UsageError(
+                f"start_call of '{self.name}' takes a method of a Required port, as in "
+                "self.heating.heat, and no method of the component itself"
+            )
         return self._context.calls.start(call, *args, **kwargs)
 
     def age(self, port: str) -> float:
@@ -336,6 +344,12 @@ def _like(before: object, value: object) -> object:
     return value
 
 
+def shown_parameters(component: Component) -> dict[str, Any]:
+    """Return a component's parameters without those that say how it is started."""
+    own = component._start_parameters  # noqa: SLF001, of its own class
+    return {k: v for k, v in plain(component.parameters).items() if k not in own}
+
+
 def set_parameters(component: Component, changes: Values) -> None:
     """Let a component take other values of some of its parameters, or none of them.
 
@@ -343,12 +357,13 @@ def set_parameters(component: Component, changes: Values) -> None:
     its `reconfigure` raises.
     """
     now = plain(component.parameters)
+    settable = shown_parameters(component)
     known = parameters_type(type(component))
     for name in changes:
-        if known is None and name not in now:
+        if known is None and name not in settable:
             raise UsageError(
                 f"'{component.name}' has no parameter '{name}'"
-                f"{did_you_mean(name, now)}; it has {listed(now)}"
+                f"{did_you_mean(name, settable)}; it has {listed(settable)}"
             )
     alike = {name: _like(now.get(name), value) for name, value in changes.items()}
     new = as_declared(type(component), {**now, **alike})

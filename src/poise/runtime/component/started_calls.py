@@ -6,16 +6,18 @@ move waits until all have been answered and taken, since no answer could follow.
 
 from __future__ import annotations
 
+import logging
 import threading
 import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import cache, partial
-from typing import Generic, ParamSpec, TypeVar
+from typing import Any, Generic, ParamSpec, TypeVar
 
 from poise.errors import RunError
 from poise.runtime import _calls
 from poise.runtime._calls import new_chain
+from poise.units import counted
 
 _THREADS = 16
 """So many calls of one container are under way at once; others wait."""
@@ -33,6 +35,11 @@ class StartedCall(Generic[R]):
     def __init__(self, future: Future[R], calls: StartedCalls) -> None:
         self._future = future
         self._calls = calls
+        self._is_awaited = False
+
+    def __del__(self) -> None:
+        if not self._is_awaited:  # a failure would go unnoticed
+            self._future.add_done_callback(self._calls.note_unawaited)
 
     def done(self) -> bool:
         """Return whether it was answered, failed, or was cancelled."""
@@ -48,6 +55,7 @@ class StartedCall(Generic[R]):
         concurrent.futures.CancelledError
             It was cancelled.
         """
+        self._is_awaited = True
         return self._future.result()
 
     def then(self, take: Callable[[StartedCall[R]], object]) -> None:
@@ -56,6 +64,7 @@ class StartedCall(Generic[R]):
         In an order of their own, while nothing else of the component runs, and at once
         when the answer is there. What was cancelled is not taken.
         """
+        self._is_awaited = True
         self._calls.expect()
 
         def turn() -> None:
@@ -119,6 +128,18 @@ class StartedCalls:
     def num_open(self) -> int:
         """How many calls and answers are to be waited for."""
         return self._num_open
+
+    def note_unawaited(self, answer: Future[Any]) -> None:
+        """Log that a call failed whose answer nobody waits for."""
+        if not answer.cancelled() and (error := answer.exception()) is not None:
+            log = logging.getLogger(f"poise.component.{self._name}")
+            log.error("a started call failed, and nobody takes its answer: %r", error)
+
+    def __str__(self) -> str:
+        """Return what it waits for, for people."""
+        if self._num_calls:
+            return f"the answers of {counted(self._num_calls, 'call')} that it started"
+        return f"its turn to take {counted(self._num_open, 'answer')}"
 
     def wait(self, until: float) -> bool:
         """Wait until all were answered and taken, or a moment [s]; whether they are."""

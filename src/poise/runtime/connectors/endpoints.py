@@ -13,8 +13,14 @@ from poise.runtime._calls import ComponentCounters
 from poise.runtime.component.component import Component
 from poise.runtime.component.ports import Port, Published, Queue, methods_of
 from poise.runtime.connectors.interface import Proxy, refusing
-from poise.runtime.connectors.latest import Heard, LatestMessage, LatestMessages
+from poise.runtime.connectors.latest import (
+    Heard,
+    LatestMessage,
+    LatestMessages,
+    Numbered,
+)
 from poise.runtime.connectors.sender import Sender
+from poise.runtime.connectors.tap import Observers, observed_send
 from poise.runtime.execution.data_age import DataAges, SentChains
 from poise.runtime.execution.exclusion import Exclusion
 from poise.runtime.execution.mailbox import Mailbox
@@ -57,6 +63,35 @@ _ONEWAY = Queue("block", 64)
 """One-way calls that may wait for a component; then their callers wait."""
 
 
+class ObservedPort:
+    """A published port at which no connector begins, for those who look at it.
+
+    `rewire`: called when there are others who look.
+    """
+
+    def __init__(
+        self, port: Port, latest: LatestMessage | None, rewire: Callable[[], object]
+    ) -> None:
+        self.port = port
+        self._latest = latest
+        self._rewire = rewire
+        self._observers: Observers = ()
+
+    @property
+    def last(self) -> Numbered | None:
+        """The last message, where late subscribers get it; None: there is none."""
+        return self._latest.last if self._latest else None
+
+    def sending(self) -> Callable[..., None]:
+        """Return a function that lets a message be noted, and sends it to nobody."""
+        return observed_send(lambda *_: None, self._observers)
+
+    def observe(self, observers: Observers) -> None:
+        """Let observers note what is published from now on, instead of those before."""
+        self._observers = observers
+        self._rewire()
+
+
 class Endpoints:
     """The endpoints at the ports of one incarnation of a component."""
 
@@ -89,6 +124,7 @@ class Endpoints:
             if port.latest
         )
         self.senders: dict[str, Sender] = {}
+        self._observed: dict[str, ObservedPort] = {}
         self._name = component.name
         self._markers: dict[str, int] = {}
         self._marker_came = threading.Condition()
@@ -116,6 +152,13 @@ class Endpoints:
         sender = self.senders.pop(name)
         sender.close()
         self._rewire(sender.port)
+
+    def observed(self, port: Port) -> ObservedPort:
+        """Return a published port, to be looked at without a connector."""
+        return self._observed.setdefault(
+            port.name,
+            ObservedPort(port, self.latest.get(port.name), partial(self._rewire, port)),
+        )
 
     def note_marker(self, connector: str, number: int, /) -> None:
         """Note that all that was sent before this marker has come."""
@@ -164,6 +207,8 @@ class Endpoints:
         if port.kind != "publishes":
             return
         sends = [o.sending() for o in self.senders.values() if o.port == port]
+        if observed := self._observed.get(port.name):
+            sends.append(observed.sending())
         send = _to_all(sends)
         if latest := self.latest.get(port.name):
             send = latest.numbering(send)

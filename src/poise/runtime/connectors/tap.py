@@ -46,6 +46,7 @@ from poise.wire.records.request_records import (
 
 if TYPE_CHECKING:
     from poise.runtime.component.ports import Port
+    from poise.runtime.connectors.endpoints import ObservedPort
     from poise.runtime.connectors.sender import Sender
 
 log = logging.getLogger(__name__)
@@ -282,9 +283,9 @@ def _size(value: Any) -> str:  # noqa: ANN401, the same
 class Taps:
     """The observers of a container's senders; used by its control thread alone."""
 
-    def __init__(self, sender_of: Callable[[str], Sender]) -> None:
+    def __init__(self, sender_of: Callable[[str], Sender | ObservedPort]) -> None:
         self._sender_of = sender_of
-        self._observed: dict[tuple[Sender, str], Observer] = {}
+        self._observed: dict[tuple[Sender | ObservedPort, str], Observer] = {}
 
     def read(self, tap: Tap) -> TapReading | StepsFailed:
         """Return what has gone out since a viewer asked last; from now on note it."""
@@ -322,7 +323,7 @@ class Taps:
             del self._observed[key]
             self._show(key[0])
 
-    def _show(self, sender: Sender) -> None:
+    def _show(self, sender: Sender | ObservedPort) -> None:
         sender.observe(
             tuple(
                 o for (observed, _), o in self._observed.items() if observed is sender

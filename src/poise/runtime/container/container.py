@@ -23,10 +23,20 @@ from types import FrameType
 from msgspec import structs
 
 from poise import threads
-from poise.errors import PoiseError, RunError, Timeout, Unavailable
+from poise.errors import (
+    PoiseError,
+    RunError,
+    Timeout,
+    Unavailable,
+    UsageError,
+    did_you_mean,
+    listed,
+)
 from poise.priority import as_usual, go_first
 from poise.runtime.component.error_report import traceback_of
 from poise.runtime.component.implementation import search_also
+from poise.runtime.connectors.endpoints import ObservedPort
+from poise.runtime.connectors.sender import Sender
 from poise.runtime.connectors.tap import Taps
 from poise.runtime.container.agent_link import AgentLink
 from poise.runtime.container.component_import import folder_of, prepare
@@ -96,7 +106,7 @@ class Container:
         self._link = AgentLink(name, agent, stats_page, folder, self._clock)
         self._server = ConnectionServer(folder, name)
         self._wiring = Wiring(self._server, self._clock.ahead)
-        self._taps = Taps(self._wiring.sender)
+        self._taps = Taps(self._sender)
         self._folder = folder
         self._wanted: ContainerSpec | None = None
         self._preparing: dict[ComponentKey, tuple[ComponentSpec, Future[Runner]]] = {}
@@ -265,6 +275,21 @@ class Container:
         ]
         known.sort(key=lambda r: (r.life_cycle.state == "active", r.spec.epoch))
         return known[-1] if known else None
+
+    def _sender(self, asked: str) -> Sender | ObservedPort:
+        """Return the sender of a connector, or a published port that has none."""
+        component, _, name = asked.rpartition(".")
+        runner = self._active(component)
+        if runner is None:
+            return self._wiring.sender(asked)
+        ports = {n: p for n, p in runner.ports.items() if p.kind == "publishes"}
+        if name not in ports:
+            raise UsageError(
+                f"no connector begins or ends at '{asked}', and '{component}' "
+                f"publishes no '{name}'{did_you_mean(name, ports)}; it publishes "
+                f"{listed(ports)}"
+            )
+        return runner.endpoints.observed(ports[name])
 
     def _take_steps(self, take: Callable[[], ContainerAnswer]) -> None:
         outcome = take()

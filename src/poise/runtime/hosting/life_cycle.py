@@ -15,7 +15,6 @@ from poise.runtime.component.component import Verb
 from poise.runtime.component.started_calls import StartedCalls
 from poise.runtime.connectors.endpoints import Endpoints
 from poise.runtime.execution.exclusion import Exclusion, new_chain
-from poise.units import counted
 from poise.wire.records.deployment_records import Aim
 from poise.wire.records.status_records import ActionEnd, State, TaskRequest
 
@@ -189,10 +188,7 @@ class ExecutionGate:
             while self._calls.num_open:  # their answers are still to be taken
                 self._exclusion.resume()
                 if not self._calls.wait(until):
-                    raise Timeout(
-                        f"component '{self._name}' waits for the answers of "
-                        f"{counted(self._calls.num_open, 'call')} that it started"
-                    )
+                    raise Timeout(f"component '{self._name}' waits for {self._calls}")
                 self._exclusion.pause(max(0.0, until - time.monotonic()))
             with self._changed:
                 self._is_paused = True

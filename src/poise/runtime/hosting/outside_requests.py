@@ -23,7 +23,7 @@ from poise.errors import (
     did_you_mean,
     listed,
 )
-from poise.runtime.component.component import set_parameters, within
+from poise.runtime.component.component import set_parameters, shown_parameters, within
 from poise.runtime.component.parameters import plain
 from poise.runtime.component.ports import Port
 from poise.runtime.connectors.interface import Method, message_tag, methods
@@ -193,7 +193,7 @@ def _parameters(runner: Runner, request: PortRequest, until: float) -> dict[str,
     component = runner.component
     _, changes = unpack(request.value, tuple[list[Any], dict[str, Any]])
     if request.method == "get":
-        return plain(component.parameters)
+        return shown_parameters(component)
 
     def change() -> None:
         try:

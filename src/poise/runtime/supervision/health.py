@@ -68,8 +68,14 @@ class HealthRecords:
         self._of: dict[str, ContainerHealth] = {}
 
     def note_start(self, container: str) -> None:
-        """Record that a container is started; after a fault that is a restart."""
+        """Record that a container is started; after a fault that is a restart.
+
+        One that was stopped begins anew: earlier faults are another session's, say.
+        """
         known = self._of.get(container)
+        if known and known.state == "stopped":
+            del self._of[container]
+            known = None
         restarts = known.restarts if known else 0
         if known and known.state == "restarting":
             restarts += 1

@@ -61,7 +61,9 @@ def status_parts(status: RobotStatus) -> Iterator[RenderableType]:
 
 def detail_parts(status: RobotStatus) -> Iterator[RenderableType]:
     """Yield what `poise status --all` adds: connectors, clocks and containers."""
-    yield from connector_tables(connectors_of(status.computers))
+    if tables := connector_tables(connectors_of(status.computers)):
+        yield from tables
+        yield "counted since each component began to run where it is, or restarted"
     known = {name: each.clocks for name, each in sorted(status.computers.items())}
     yield from clock_tables(known)
     yield container_table(status)
@@ -165,6 +167,8 @@ def container_lines(answer: RobotStatus) -> Iterator[str]:
             if fault is None:
                 continue
             restarts = counted(health.restarts, "restart")
+            if health.restarts:
+                restarts += " (counters began again then)"
             yield (
                 f"container '{health.name}' on '{computer}': {health.state} since "
                 f"{_clock(health.since)}, {restarts}; last fault at "

@@ -53,7 +53,8 @@ def _names(status: RobotStatus, what: str) -> Iterable[str]:
     if what == "tasks":
         return [each.name for each in status.tasks]
     if what == "connectors":
-        return [end.name for end in connectors_of(status.computers)]
+        ends = connectors_of(status.computers)
+        return [*(end.name for end in ends), *status.by_ros2]
     return status.computers if what == "computers" else status.placement
 
 
@@ -70,7 +71,7 @@ def listing(robots: Robots) -> Iterator[RenderableType]:
         else:
             yield f"robot '{name}', task '{status.task}'"
         yield component_table(status)
-        kinds: dict[str, str] = {}
+        kinds = dict.fromkeys(status.by_ros2, "ROS 2")
         for computer, report in status.computers.items():
             for end in connectors_of({computer: report}):
                 if computer not in status.not_known():

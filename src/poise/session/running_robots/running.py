@@ -10,7 +10,7 @@ from typing import Literal
 from msgspec.structs import asdict
 from rich.console import RenderableType
 
-from poise.errors import RunError, Timeout, UsageError
+from poise.errors import RunError, Timeout, UsageError, did_you_mean, listed
 from poise.manage.agent_connections.statuses import located
 from poise.manage.control_socket.agents_without_manager import NoManager
 from poise.manage.control_socket.commands import (
@@ -181,8 +181,23 @@ class Running:
         """Return a component of it: to call it, send it messages, hear its own.
 
         ``running.component("heater").call("heating", "heat", 0.4)``
+
+        Raises
+        ------
+        UsageError
+            There is no such component.
         """
+        self._check_component(name)
         return RunningComponent(self.name, name)
+
+    def _check_component(self, name: str) -> None:
+        status = self.status()
+        known = {*status.placement, *status.memory_demands}  # some may not run now
+        if name not in known:
+            raise UsageError(
+                f"no component '{name}'{did_you_mean(name, known)}; there are "
+                f"{listed(known)}"
+            )
 
     def status(self) -> Status:
         """Return where components run, and how they and their computers are.
@@ -352,11 +367,8 @@ class Running:
         UsageError
             There is no such component.
         """
-        status = self.status()
-        known = {*status.placement, *status.memory_demands}  # some may not run now
-        if component and component not in known:
-            listed = ", ".join(sorted(known))
-            raise UsageError(f"no component '{component}' (there are: {listed})")
+        if component:
+            self._check_component(component)
         reading = ask(self.name, LogCommand(component, most=last), LogReading)
         yield reading
         while follow:

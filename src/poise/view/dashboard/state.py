@@ -257,8 +257,8 @@ def _components(status: Status) -> Iterator[tuple[str, dict[str, Any]]]:
                 _round(need.mean),
                 _round(need.starved),
             )
-            is_sure = need.error is not None and not need.is_least
-            shown_as["sure"] = _round(need.error) if is_sure else None
+            error = None if need.is_least else need.error
+            shown_as["sure"] = None if error is None else _round(error)
         if shown_as["at"] in status.not_known():
             shown_as["state"] = "unknown"
         yield name, shown_as

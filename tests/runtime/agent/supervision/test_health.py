@@ -20,6 +20,19 @@ def test_counts_the_restarts_of_the_last_minute() -> None:
         assert (record.restarts, record.restarts_lately) == (3, lately)
 
 
+def test_a_container_that_was_stopped_begins_without_faults_and_restarts() -> None:
+    health = HealthRecords()
+    health.note_start("c")
+    health.note_fault("c", "was killed by SIGKILL")
+    health.enter("c", "restarting")
+    health.note_start("c")
+    health.forget("c")
+    health.note_start("c")
+    (record,) = health.records({})
+    assert (record.restarts, record.last_fault) == (0, None)
+    assert len(health.faults()) == 1
+
+
 def test_a_fault_says_how_long_its_agent_had_run_whatever_the_time_of_day() -> None:
     now = [100.0]
     health = HealthRecords(clock=lambda: now[0])
