@@ -55,7 +55,7 @@ def test_how_a_node_is_started_is_no_parameter_of_it() -> None:
     )
     node = create(Node, context)
     assert shown_parameters(node) == {"gain": 1.0}
-    with pytest.raises(UsageError, match="no parameter 'ros2'; it has gain"):
+    with pytest.raises(UsageError, match="no parameter 'ros2'; it has 'gain'"):
         set_parameters(node, {"ros2": {}})
     set_parameters(node, {"gain": 2})
     assert node.parameters == {"ros2": {"node": "a:B"}, "gain": 2.0}

@@ -45,5 +45,6 @@ def test_topics_between_nodes_of_ros2_are_among_the_connectors() -> None:
     out = StringIO()
     for part in listing({"r": status}):
         Console(file=out, width=80).print(part)
-    (row,) = [line for line in out.getvalue().splitlines() if "/scan" in line]
-    assert row.split() == ["lidar-planner", "/scan", "ROS", "2"]
+    said = out.getvalue()
+    assert "lidar-planner /scan" in said
+    assert "ROS 2" in said
