@@ -362,8 +362,6 @@ class Manager:
         run = self._run
         self._lost.settle()
         match command:
-            case MoveCommand(component, computer, dry=True):
-                return self._adaptation.what_if(component, computer)
             case TaskCommand(verb, task, priority):
                 self.tasks.command(verb, task, priority)
                 return TaskDone(self.tasks.report(task))
@@ -373,6 +371,8 @@ class Manager:
                 return PortAnswer(number=0, outcome="done", value=changes)
             case RebalanceCommand(cost, dry):
                 return Rebalanced(*self._adaptation.balance(cost, dry=dry))
+            case MoveCommand(component, computer, dry=True):
+                return self._adaptation.what_if(component, computer)
             case MoveCommand(component, computer, force):
                 planned = plan_move(run, component, computer, force=force)
                 self._adaptation.check_asked(component, computer, force=force)

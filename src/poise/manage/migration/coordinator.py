@@ -11,23 +11,22 @@ docs/design/moves.md.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
-from msgspec import structs
+from msgspec import Struct, structs
 
 from poise.errors import RunError
-from poise.manage.agent_connections.statuses import calling_ports, components_of
+from poise.manage.agent_connections.statuses import (
+    calling_ports,
+    components_of,
+    cut_links,
+    keeping_ports,
+)
 from poise.manage.deploy.desired import Incarnation
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.migration.migration_plan import MigrationPlan, PlacedStep
 from poise.manage.migration.migration_report import MigrationReport
-from poise.manage.migration.preparation import (
-    PREPARE_LIMIT,
-    STALL_LIMIT,
-    Stall,
-    late_connectors,
-    raise_on_cut_state,
-)
+from poise.manage.migration.preparation import PREPARE_LIMIT, STALL_LIMIT, Stall
 from poise.manage.observe.deviations import explain
 from poise.priority import first
 from poise.wire.address import LOST_AFTER
@@ -362,3 +361,52 @@ def _left(deadline: float) -> float:
     if left <= 0:
         raise RunError(f"the downtime reached {DOWNTIME_LIMIT:g} s")
     return left
+
+
+def raise_on_cut_state(
+    run: RunningComponents,
+    sources: Iterable[Incarnation],
+    targets: Iterable[Incarnation],
+) -> None:
+    """Raise RunError when a state would have to cross a link that is cut."""
+    cut = cut_links(run.agents.statuses())
+    to = {incarnation.component: incarnation.computer for incarnation in targets}
+    for source in sources:
+        between = sorted({source.computer, to.get(source.component, source.computer)})
+        if frozenset(between) in cut:
+            raise RunError(
+                f"link '{'-'.join(between)}' is cut: the state of component "
+                f"'{source.component}' cannot cross it"
+            )
+
+
+class LateConnector(Struct, frozen=True):
+    """A connector whose ends do not reach each other."""
+
+    why: str  # in words
+    keep: int  # how many messages its subscriber keeps
+
+
+def late_connectors(
+    run: RunningComponents,
+    sources: Iterable[Incarnation],
+    others: Mapping[str, Incarnation],
+) -> dict[str, LateConnector]:
+    """Return the connectors of components that migrate over which data is late."""
+    moving = {incarnation.component: incarnation for incarnation in sources}
+    placed = {**others, **moving}
+    unreached = run.unreached_connectors(placed)
+    keeps = keeping_ports(run.agents.statuses())
+    late = {}
+    for connector in run.layout.connectors_at(moving, placed):
+        if (why := unreached.get(str(connector))) is None:
+            continue
+        ends = [placed[end.component] for end in connector.between]
+        subscriber = connector.between[1]
+        keep = keeps.get((subscriber.component, subscriber.port))
+        if keep is None:
+            why += f"; '{subscriber}' has no `keep`, so nothing may be lost"
+        if keep is None or run.unresponsive(ends):
+            raise RunError(f"connector '{connector}' cannot be drained: {why}")
+        late[str(connector)] = LateConnector(why, keep)
+    return late

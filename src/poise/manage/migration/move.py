@@ -55,6 +55,38 @@ def plan_move(
     return _preparation(run, old, new)
 
 
+def _placed(run: RunningComponents, component: str) -> Incarnation:
+    try:
+        return run.placed[component]
+    except KeyError:
+        known = ", ".join(sorted(run.placed))
+        raise UsageError(
+            f"component '{component}' is not running (running: {known})"
+        ) from None
+
+
+def _check_target(
+    run: RunningComponents, component: str, computer: str, *, force: bool
+) -> None:
+    known = [computer.name for computer in run.robot.computers]
+    if computer not in known:
+        raise UsageError(f"no computer '{computer}' (there are {', '.join(known)})")
+    layer = run.robot.architecture_of(component).layer
+    if layer != "sequencing" and not force:
+        raise UsageError(
+            f"component '{component}' is in the {layer} layer, which does not move; "
+            "`--force` moves it anyway"
+        )
+    allowed = allowed_computers(run.robot, layers_stay=False)[component]
+    if computer not in allowed:
+        raise UsageError(
+            f"component '{component}' may not run on '{computer}', only on "
+            f"{' or '.join(allowed) or 'none'}"
+        )
+    if not run.robot.component(component).movable:
+        raise UsageError(f"component '{component}' is not movable (robot file)")
+
+
 def plan_replacement(
     run: RunningComponents,
     component: str,
@@ -210,38 +242,6 @@ def _swap(run: RunningComponents, old: Incarnation, new: Incarnation) -> str:
         return str(error)
     run.commit(run.desired.placing([active]), f"{what} is committed")
     return ""
-
-
-def _placed(run: RunningComponents, component: str) -> Incarnation:
-    try:
-        return run.placed[component]
-    except KeyError:
-        known = ", ".join(sorted(run.placed))
-        raise UsageError(
-            f"component '{component}' is not running (running: {known})"
-        ) from None
-
-
-def _check_target(
-    run: RunningComponents, component: str, computer: str, *, force: bool
-) -> None:
-    known = [computer.name for computer in run.robot.computers]
-    if computer not in known:
-        raise UsageError(f"no computer '{computer}' (there are {', '.join(known)})")
-    layer = run.robot.architecture_of(component).layer
-    if layer != "sequencing" and not force:
-        raise UsageError(
-            f"component '{component}' is in the {layer} layer, which does not move; "
-            "`--force` moves it anyway"
-        )
-    allowed = allowed_computers(run.robot, layers_stay=False)[component]
-    if computer not in allowed:
-        raise UsageError(
-            f"component '{component}' may not run on '{computer}', only on "
-            f"{' or '.join(allowed) or 'none'}"
-        )
-    if not run.robot.component(component).movable:
-        raise UsageError(f"component '{component}' is not movable (robot file)")
 
 
 def plan_alternative(

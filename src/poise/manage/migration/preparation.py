@@ -7,17 +7,13 @@ preparation that makes no progress, or cannot be completed, ends with its reason
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection
 from typing import Self
 
-from msgspec import Struct, structs
+from msgspec import structs
 
 from poise.errors import RunError
-from poise.manage.agent_connections.statuses import (
-    components_of,
-    cut_links,
-    keeping_ports,
-)
+from poise.manage.agent_connections.statuses import components_of
 from poise.manage.deploy.desired import Incarnation
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.migration.migration_report import MigrationReport
@@ -66,55 +62,6 @@ class Stall:
             for computer, status in current.items()
             for health in status.health
         )
-
-
-class LateConnector(Struct, frozen=True):
-    """A connector whose ends do not reach each other."""
-
-    why: str  # in words
-    keep: int  # how many messages its subscriber keeps
-
-
-def late_connectors(
-    run: RunningComponents,
-    sources: Iterable[Incarnation],
-    others: Mapping[str, Incarnation],
-) -> dict[str, LateConnector]:
-    """Return the connectors of components that migrate over which data is late."""
-    moving = {incarnation.component: incarnation for incarnation in sources}
-    placed = {**others, **moving}
-    unreached = run.unreached_connectors(placed)
-    keeps = keeping_ports(run.agents.statuses())
-    late = {}
-    for connector in run.layout.connectors_at(moving, placed):
-        if (why := unreached.get(str(connector))) is None:
-            continue
-        ends = [placed[end.component] for end in connector.between]
-        subscriber = connector.between[1]
-        keep = keeps.get((subscriber.component, subscriber.port))
-        if keep is None:
-            why += f"; '{subscriber}' has no `keep`, so nothing may be lost"
-        if keep is None or run.unresponsive(ends):
-            raise RunError(f"connector '{connector}' cannot be drained: {why}")
-        late[str(connector)] = LateConnector(why, keep)
-    return late
-
-
-def raise_on_cut_state(
-    run: RunningComponents,
-    sources: Iterable[Incarnation],
-    targets: Iterable[Incarnation],
-) -> None:
-    """Raise RunError when a state would have to cross a link that is cut."""
-    cut = cut_links(run.agents.statuses())
-    to = {incarnation.component: incarnation.computer for incarnation in targets}
-    for source in sources:
-        between = sorted({source.computer, to.get(source.component, source.computer)})
-        if frozenset(between) in cut:
-            raise RunError(
-                f"link '{'-'.join(between)}' is cut: the state of component "
-                f"'{source.component}' cannot cross it"
-            )
 
 
 class Preparation:
