@@ -52,6 +52,22 @@ _Insecure = Annotated[
         "--insecure", help="Without keys: any host that reaches it commands it."
     ),
 ]
+_Gateway = Annotated[
+    int,
+    typer.Option(
+        min=0, max=_LAST, help="TCP port for connectors from other computers; 0: any."
+    ),
+]
+_Allow = Annotated[
+    list[Path] | None,
+    typer.Option(
+        help="Run only code and programs in this folder, or `deployed` ones; again "
+        "for more. Default: deployed ones; on loopback any, as by `/`."
+    ),
+]
+_RunAs = Annotated[
+    str, typer.Option(help="For root: the user that the containers run as.")
+]
 _Lifeline = Annotated[
     int | None, typer.Option(hidden=True, help="End at this descriptor's end.")
 ]
@@ -66,31 +82,15 @@ def agent_command(
     robot: RobotName,
     address: AddressOption,
     port: _Port = AGENT_PORT,
-    gateway: Annotated[
-        int,
-        typer.Option(
-            min=0,
-            max=_LAST,
-            help="TCP port for connectors from other computers; 0: any.",
-        ),
-    ] = 0,
+    gateway: _Gateway = 0,
     folder: _Folder = None,
     sample_every: Annotated[
         str, typer.Option(help="How often to sample the CPU use; 0: never.")
     ] = "200 ms",
     keys: _Keys = None,
     insecure: _Insecure = False,
-    allow: Annotated[
-        list[Path] | None,
-        typer.Option(
-            help="Run only code and programs in this folder, or `deployed` ones; again "
-            "for more. Default: deployed ones; on loopback any, as by `/`."
-        ),
-    ] = None,
-    run_as: Annotated[
-        str,
-        typer.Option(help="For root: the user that the containers run as."),
-    ] = "",
+    allow: _Allow = None,
+    run_as: _RunAs = "",
     plain_connectors: Annotated[bool, typer.Option(hidden=True)] = False,
     lifeline: _Lifeline = None,
     session_timeout: _SessionTimeout = SESSION_TIMEOUT,
@@ -273,17 +273,13 @@ def install_command(
     computer: ComputerName,
     robot: RobotName,
     address: AddressOption,
-    port: Annotated[int, typer.Option(help="As of `poise agent`.")] = AGENT_PORT,
-    gateway: Annotated[int, typer.Option(help="As of `poise agent`.")] = 0,
-    keys: Annotated[Path | None, typer.Option(help="As of `poise agent`.")] = None,
-    insecure: Annotated[
-        bool, typer.Option("--insecure", help="As of `poise agent`.")
-    ] = False,
-    allow: Annotated[
-        list[Path] | None, typer.Option(help="As of `poise agent`; again for more.")
-    ] = None,
+    port: _Port = AGENT_PORT,
+    gateway: _Gateway = 0,
+    keys: _Keys = None,
+    insecure: _Insecure = False,
+    allow: _Allow = None,
     user: _OwnUser = _IS_NOT_ROOT,
-    run_as: Annotated[str, typer.Option(help="As of `poise agent`.")] = "",
+    run_as: _RunAs = "",
     unit_folder: _UnitFolder = None,
 ) -> None:
     """Write a unit of systemd that runs the agent, and start it, now and at each boot.
