@@ -13,7 +13,7 @@ from msgspec import Struct
 
 from poise.errors import RunError, UsageError
 from poise.view.robot_recording import schema_like, schema_of
-from poise.wire.recording_file import McapFile
+from poise.wire.recording_file import McapFile, extra
 from tests.protobuf import decoded
 
 reader = pytest.importorskip("mcap.reader", reason="mcap is not installed")
@@ -117,3 +117,10 @@ def test_nothing_is_overwritten(tmp_path: Path) -> None:
     (tmp_path / "a.mcap").write_text("mine")
     with pytest.raises(UsageError, match="cannot be created: File exists"):
         McapFile(tmp_path / "a.mcap", "r")
+
+
+def test_a_library_that_is_not_installed_is_named_with_its_extra() -> None:
+    with pytest.raises(
+        UsageError, match=r"needs absent: pip install 'poise\[record\]'"
+    ):
+        extra("absent.writer")

@@ -8,10 +8,9 @@ from __future__ import annotations
 import base64
 import math
 from collections.abc import Iterator, Mapping
-from importlib import import_module
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from poise.wire.recording_file import Schema
+from poise.wire.recording_file import Schema, extra
 
 if TYPE_CHECKING:
     from google.protobuf.message import Message
@@ -73,7 +72,7 @@ class FoxglovePart(NamedTuple):
     @property
     def type(self) -> type[Message]:
         """Its type of Protocol Buffers."""
-        module = import_module(f"foxglove_schemas_protobuf.{self.name}_pb2")
+        module = extra(f"foxglove_schemas_protobuf.{self.name}_pb2")
         type_: type[Message] = getattr(module, self.name)
         return type_
 

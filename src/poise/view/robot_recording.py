@@ -29,7 +29,7 @@ from poise.view.robot_view import (
     TimerRow,
 )
 from poise.wire.codec import Packed, unpack
-from poise.wire.recording_file import MESSAGES, McapFile, Schema
+from poise.wire.recording_file import MESSAGES, McapFile, Schema, extra
 from poise.wire.records.request_records import TapReading
 
 MOST_LISTED = 1_000
@@ -176,12 +176,14 @@ def record(  # noqa: PLR0913 - each is a choice of the user
     Raises
     ------
     UsageError
-        There is no such robot or connector, or the file cannot be created.
+        There is no such robot or connector, the file cannot be created, or the extra
+        `record` is not installed.
     RunError
         The disk is full, or the robot has ended.
     """
     name = connect(robot).status().robot
-    recorder = Recorder(name, connectors, rate)  # before there is a file
+    extra("foxglove_schemas_protobuf")  # before there is a file
+    recorder = Recorder(name, connectors, rate)
     interrupted, file = False, McapFile(Path(path), name)
     try:
         with file:

@@ -90,7 +90,7 @@ class McapFile:
     def __init__(
         self, path: Path, robot: str, *, at_once: bool = False, replaces: bool = False
     ) -> None:
-        writer = _mcap("writer")
+        writer = extra("mcap.writer")
         self.path = path
         self.counts: Counter[str] = Counter()
         """Topic -> messages written."""
@@ -300,7 +300,7 @@ def messages_of(path: Path, kind: str, type_: type[_Record]) -> Iterator[_Record
 
 def _records(path: Path) -> Iterator[McapRecord]:
     """Yield the records of a file; say when it was not ended."""
-    reader, errors = _mcap("stream_reader"), _mcap("exceptions")
+    reader, errors = extra("mcap.stream_reader"), extra("mcap.exceptions")
     is_recording = False
     try:
         with path.open("rb") as file:
@@ -338,18 +338,21 @@ def _file_descriptors(type_: type[Message]) -> bytes:
             yield from needed(other)
         yield file
 
-    described = import_module("google.protobuf.descriptor_pb2").FileDescriptorSet()
+    described = extra("google.protobuf.descriptor_pb2").FileDescriptorSet()
     for file in dict.fromkeys(needed(type_.DESCRIPTOR.file)):
         file.CopyToProto(described.file.add())
     return bytes(described.SerializeToString())
 
 
-def _mcap(module: str) -> Any:  # noqa: ANN401, an extra
-    """Return a module of the library of the format."""
+def extra(module: str) -> Any:  # noqa: ANN401, of a library without types
+    """Return a module of what recordings need; UsageError: it is not installed."""
     try:
-        return import_module(f"mcap.{module}")
+        return import_module(module)
     except ImportError as error:
-        raise UsageError("recording needs mcap: pip install 'poise[record]'") from error
+        library = module.partition(".")[0]
+        raise UsageError(
+            f"recording needs {library}: pip install 'poise[record]'"
+        ) from error
 
 
 def _slashed(topic: str) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
-from typing import TYPE_CHECKING, Self, TypeGuard
+from typing import TYPE_CHECKING, Self
 
 from msgspec.structs import replace
 
@@ -266,7 +266,9 @@ class Agents(AgentReports):
             answers = self.ask_all(claims, _VOTE_LIMIT)
             accepted = {n: a for n, a in answers.items() if isinstance(a, Claimed)}
             if not self._claims.has_majority(accepted):
-                said = sorted({a.reason for a in answers.values() if is_refused(a)})
+                said = sorted(
+                    {a.reason for a in answers.values() if isinstance(a, Refused)}
+                )
                 away = sorted(votes.keys() - computers)
                 said += [f"not reached: {', '.join(away)}"] if away else []
                 raise RunError(f"no majority of votes: {'; '.join(said)}")
@@ -433,11 +435,6 @@ class Agents(AgentReports):
 
     def _on_ended_agent(self, computer: str) -> None:
         self.heartbeats.note_ended(computer)
-
-
-def is_refused(answer: Answer | None) -> TypeGuard[Refused]:
-    """Return whether an agent refused what it was asked."""
-    return isinstance(answer, Refused)
 
 
 def _datagrams(
