@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Collection, Iterable, Iterator
 from typing import Any
 
 import pytest
@@ -252,6 +252,13 @@ class FakeAgents:
         reply = PendingAnswer()
         reply.set(self.halted.get(computer, StepsDone(steps.number)))
         return reply
+
+    def take_steps(
+        self, batches: Iterable[tuple[str, MigrationSteps]]
+    ) -> Iterator[StepsOutcome]:
+        for computer, steps in batches:
+            done = self.halted.get(computer, StepsDone(steps.number))
+            yield replace(done, number=steps.number)
 
     def begin_deploy(self, computer: str, deployment: Deployment) -> PendingAnswer:
         reply = PendingAnswer()

@@ -243,15 +243,22 @@ def test_a_source_waits_for_what_the_container_of_its_target_says(robot: Robot) 
     assert cut.goals("thinker") == [("left", 7, "active")]
 
 
+@pytest.mark.parametrize("is_committed", [True, False])
 def test_a_source_that_works_goes_on_rather_than_its_target_that_was_found_alone(
-    robot: Robot,
+    robot: Robot, *, is_committed: bool
 ) -> None:
-    """The move was rolled back, and the target's agent, which was killed, not told."""
+    """The move was rolled back, and the target's agent, which was killed, not told.
+
+    Else the source's agent has only kept what it was told long ago.
+    """
     cut = Cut(robot, "right", THINKER.with_goal("inactive"))
+    halted = StepsDone(1, targets=(("thinker", 4),), is_committed=is_committed)
+    cut.agents.halted["right"] = halted
     cut.take_over()
     source = Incarnation(component="thinker", computer="left", epoch=3)
     cut.heal(GRABBER, source, robot=robot)
-    assert cut.goals("thinker") == [("left", 3, "active")]
+    at = ("right", 4, "active") if is_committed else ("left", 3, "active")
+    assert cut.goals("thinker") == [at]
 
 
 def test_what_was_moved_away_from_the_other_side_before_does_not_come_back(

@@ -124,9 +124,10 @@ def _take_over(
         # the tasks go on where they are, and say themselves what they need
         wanted = _at_work(run, reported)
     committed = frozenset[tuple[str, int]]()
-    if is_half_done(reported, run.robot):
-        committed = _committed(run, reported, deployments)
     targets = {each.key for each in reported if each.goal == "inactive"}
+    is_all = run.claimed >= {computer.name for computer in run.robot.computers}
+    if is_half_done(reported, run.robot) or (targets and not is_all):
+        committed = _committed(run, reported, deployments)
     run.doubted = targets - committed
     adoption = adopt(
         reported,
