@@ -196,6 +196,22 @@ def test_a_lower_bound_does_not_lower_the_estimate() -> None:
     assert (estimate.starved, estimate.is_least) == (1.0, True)
 
 
+def test_what_wants_more_than_it_gets_is_known_to_need_that_within_2_s() -> None:
+    """Without jobs: 5 % of a core, then all that it is given, which is 35 %."""
+    running = RunningEstimate()
+    cpu = now = wait = 0.0
+    for k in range(110):
+        now += STEP
+        cpu += STEP * (0.05 if k < 100 else 0.35)
+        wait += 0.0 if k < 100 else STEP * 0.65
+        running.update(Reading(now, cpu, wait))
+    estimate = running.estimate()
+    assert estimate is not None
+    assert estimate.mean == pytest.approx(0.35)
+    assert estimate.error == pytest.approx(0.0, abs=1e-9)
+    assert estimate.is_least
+
+
 def test_what_has_cpu_again_is_starved_no_more() -> None:
     """Ten seconds after the last window in which it lacked CPU."""
     running = RunningEstimate()

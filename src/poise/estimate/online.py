@@ -187,8 +187,9 @@ class PresentJob:
 
 SPAN = 30.0
 """An estimate covers this time [s]."""
-_LATELY = 50
-"""Without jobs, a component is called starved by so many windows."""
+_LATELY, _NOW = 50, 10
+"""Without jobs, a component is called starved by so many windows; where at least half
+of so few give only a lower bound, what it used in them is one of its demand."""
 _NEW = 1 / 6
 """How much single windows differ is looked at when this share of them is new."""
 LEAST_SHARE = 0.25
@@ -241,6 +242,10 @@ class Estimate(Struct, frozen=True, kw_only=True):
     drift: Drift | None = None
 
 
+def _share_of_cut(windows: Collection[Window]) -> float:
+    return sum(window.is_cut for window in windows) / len(windows)
+
+
 class RunningEstimate:
     """The running estimate of one component."""
 
@@ -249,7 +254,7 @@ class RunningEstimate:
         self._last: Reading | None = None
         self._windows: deque[Window] = deque()
         self._sums = Sums()
-        self._cut: deque[bool] = deque(maxlen=_LATELY)
+        self._lately: deque[Window] = deque(maxlen=_LATELY)
         self._spread: tuple[float, float | None] = 0.0, None
         self._since_spread = 0
         self._has_jobs = False
@@ -268,7 +273,7 @@ class RunningEstimate:
         before, self._last = self._last, reading
         window = window_between(before, reading) if before else None
         if window is not None:
-            self._cut.append(window.is_cut)
+            self._lately.append(window)
         if window is None or self._is_useless(window):
             return None
         self._keep(window)
@@ -305,18 +310,29 @@ class RunningEstimate:
         demand = Demand(used, 0.0) if is_long else demand_in(self._windows, sums)
         scale = demand.cores / used if used > 0 else 1.0
         p95, error = self._spread_of_windows()
+        cut = 0.0 if self._has_jobs else _share_of_cut(self._lately)
+        least = None if self._has_jobs else self._used_while_short()
+        if least is not None and least.cores > demand.cores:
+            demand, error = least, 0.0
         if error is not None:
             error = None if demand.error is None else scale * error + demand.error
-        cut = 0.0 if self._has_jobs else sum(self._cut) / len(self._cut)
         return Estimate(
             mean=max(0.0, demand.cores),  # `Window` says why it may be below
             p95=scale * p95,
             error=error,
             starved=0.0 if is_long else sums.undone or cut,
-            is_least=cut > 0,
+            is_least=cut >= _STARVED,
             long_job=self._job.seconds if is_long else 0.0,
             drift=self._drift,
         )
+
+    def _used_while_short(self) -> Demand | None:
+        """Return what it uses now that it lacks CPU; None: it does not."""
+        now = list(self._lately)[-_NOW:]
+        if _share_of_cut(now) < 1 / 2:
+            return None
+        loads = [window.cpu / window.seconds for window in now]
+        return Demand(sum(loads) / len(loads), error_of_mean(loads))
 
     @property
     def _is_at_long_job(self) -> bool:

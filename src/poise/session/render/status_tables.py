@@ -167,7 +167,7 @@ def container_lines(answer: RobotStatus) -> Iterator[str]:
             if fault is None:
                 continue
             restarts = counted(health.restarts, "restart")
-            if health.restarts:
+            if health.restarts and health.state == "running":
                 restarts += " (counters began again then)"
             yield (
                 f"container '{health.name}' on '{computer}': {health.state} since "
