@@ -174,18 +174,20 @@ class ContainerProcess:
         """Return what became of the states of its components, in words."""
         active = [c for c in self._components() if c.state == "active" and c.has_state]
         ages = {c.name: age_of(c.name, c.epoch) for c in active}
-        restored = "; ".join(
+        keeping = {c.name for c in self.spec.components if c.checkpoint}
+        lost = sorted(n for n, age in ages.items() if age is None and n not in keeping)
+        parts = [
             f"'{name}' restarts with its state of {age:.1f} s ago"
-            for name, age in sorted(ages.items())
             if age is not None
-        )
-        lost = sorted(name for name, age in ages.items() if age is None)
-        if not lost:
-            return restored
-        names = ", ".join(f"'{name}'" for name in lost)
-        restart = "it restarts" if len(lost) == 1 else "they restart"
-        lost_states = f"the state of {names} is gone: {restart}"
-        return f"{restored}; {lost_states}" if restored else lost_states
+            else f"'{name}' restarts: it is not known whether it had kept a state yet"
+            for name, age in sorted(ages.items())
+            if name not in lost
+        ]
+        if lost:
+            names = ", ".join(f"'{name}'" for name in lost)
+            restart = "it restarts" if len(lost) == 1 else "they restart"
+            parts.append(f"the state of {names} is gone: {restart}")
+        return "; ".join(parts)
 
     def may_be_oom(self, how: ProcessEnd | str) -> bool:
         """Return whether the kernel may have ended it, or one of its commands."""

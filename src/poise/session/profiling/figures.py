@@ -171,7 +171,7 @@ def disagreeing(runs: Sequence[Observed], names: Iterable[str]) -> list[str]:
     return [name for name in names if not _is_stable(runs, name)]
 
 
-class Failures(Struct, frozen=True):
+class WhatFailed(Struct, frozen=True):
     """What failed during a measurement, for people.
 
     `always`: the components of which something failed each time: it is not known what
@@ -182,7 +182,7 @@ class Failures(Struct, frozen=True):
     always: frozenset[str] = frozenset()
 
 
-def failures(robot: Robot, run: Observed, names: Collection[str]) -> Failures:
+def failures(robot: Robot, run: Observed, names: Collection[str]) -> WhatFailed:
     """Return what failed of these components in a run: their handlers and calls."""
     always, sentences = set(), []
     for component in components_of(run.working):
@@ -200,7 +200,7 @@ def failures(robot: Robot, run: Observed, names: Collection[str]) -> Failures:
     for end in ends:
         if end.end != "target" and 0 < end.calls <= end.errors:
             always |= joined[end.name]
-    return Failures((*sentences, *failed_calls(ends)), frozenset(always))
+    return WhatFailed((*sentences, *failed_calls(ends)), frozenset(always))
 
 
 def figures(
