@@ -131,6 +131,7 @@ def build_wheel(
 def main() -> int:
     """Build what is asked for; 1 when a Python is missing."""
     only = sys.argv[1] if sys.argv[1:] else ""
+    os.umask(0o022)  # wheels say who may read their folders
     pythons = interpreters()
     WORK.mkdir(parents=True, exist_ok=True)
     os.environ["SOURCE_DATE_EPOCH"] = run("git", "log", "-1", "--format=%ct").strip()
