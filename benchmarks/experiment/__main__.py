@@ -1,6 +1,6 @@
 """Lets a robot work again and again: each way to place, each condition, many seeds.
 
-Ctrl-C ends it, and the same command goes on. It takes about five hours, with --quick
+Ctrl-C ends it, and the same command goes on. It takes about two hours, with --quick
 five minutes, with --one half a minute, and writes a line for each run and a page.
 
 Usage: python -m benchmarks.experiment [--robot trot | sorter] [--one | --quick |

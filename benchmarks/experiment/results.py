@@ -85,6 +85,10 @@ ARMS = (
     ),
 )
 QUICK = ("static", "random", "greedy", "Poise")
+USUAL = (
+    *("static, nice", "random", "whole functions", "least allocated", "greedy"),
+    *("Poise", "Poise, adapts"),
+)
 
 
 class TrialCondition(Struct, frozen=True, kw_only=True):
@@ -138,18 +142,23 @@ class Extent(Struct, frozen=True, kw_only=True):
 
     conditions: tuple[TrialCondition, ...]
     arms: tuple[Arm, ...] = ARMS
-    base_seeds: int = 10
-    seeds: int = 6
+    base_seeds: int = 12
+    seeds: int = 12
 
 
 def extents(conditions: tuple[TrialCondition, ...]) -> dict[str, Extent]:
-    """Return the extents to choose from: one, quick, usual, full."""
-    arms = tuple(arm for arm in ARMS if arm.name in QUICK)
+    """Return the extents to choose from: one, quick, usual, full.
+
+    The usual one has the first three conditions, and as few ways and as many runs as it
+    takes that the test, adjusted for all comparisons, can reach its level.
+    """
+    arms = tuple(named(ARMS, name) for name in QUICK)
     quick = Extent(arms=arms, conditions=conditions[:1], base_seeds=2)
+    usual = tuple(named(ARMS, name) for name in USUAL)
     return {
         "one": replace(quick, arms=arms[:1], base_seeds=1),
         "quick": quick,
-        "usual": Extent(conditions=conditions),
+        "usual": Extent(arms=usual, conditions=conditions[:3]),
         "full": Extent(conditions=conditions, base_seeds=79, seeds=20),
     }
 

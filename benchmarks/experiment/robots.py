@@ -14,12 +14,14 @@ from benchmarks.experiment.results import BASE, LOADS, TrialCondition
 
 SLOW_LINK = TrialCondition(name="link of 10 Mbit/s", bandwidth=10e6 / 8)
 FULL_CPU = TrialCondition(name="98 % of the CPU is needed", fill=0.98)
-COMMON = (TrialCondition(name=BASE), *LOADS, SLOW_LINK, FULL_CPU)
 _EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
 class ExperimentRobot(Struct, frozen=True, kw_only=True):
-    """A robot, the task that each run is of, and all conditions; its own one first."""
+    """A robot, the task that each run is of, and all conditions; its own one first.
+
+    The first three are the usual ones.
+    """
 
     file: Path
     task: str
@@ -39,24 +41,30 @@ ROBOTS: Mapping[str, ExperimentRobot] = {
         file=_EXAMPLES / "trot/robot.yaml",
         task="serve",
         conditions=(
-            *COMMON,
+            TrialCondition(name=BASE),
+            FULL_CPU,
             TrialCondition(
                 name="the localiser overruns by half",
                 parameters={"localiser": {"particles": 10500}},
             ),
             _drift("main"),
+            SLOW_LINK,
+            *LOADS,
         ),
     ),
     "sorter": ExperimentRobot(
         file=_EXAMPLES / "sorter/robot.yaml",
         task="sort",
         conditions=(
-            *COMMON,
+            TrialCondition(name=BASE),
+            FULL_CPU,
             TrialCondition(
                 name="the inspector overruns by half",
                 parameters={"inspector": {"directions": 12}},
             ),
             _drift("vision"),
+            SLOW_LINK,
+            *LOADS,
         ),
     ),
 }

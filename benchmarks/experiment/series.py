@@ -67,7 +67,7 @@ def experiment(  # noqa: PLR0913 - each is an option of the command
     to_write(raw)
     trials = schedule(extent)
     results = [each for each in read(raw) if each.trial in trials]
-    todo = remaining(trials, results)
+    todo = remaining(trials, voided(results))
     if results:
         say(f"{raw} has {counted(len(results), 'run')}; {len(todo)} are to be made")
     renamed = replace(robot, name=f"{robot.name}-{os.getpid()}")
@@ -85,20 +85,22 @@ def experiment(  # noqa: PLR0913 - each is an option of the command
                 )
             append(raw, result)
             results.append(result)
-            left = (time.monotonic() - began) / done * (len(todo) - done)
-            say(f"{done} of {len(todo)}, {_minutes(left)} left: {_told(result)}")
+            more = (time.monotonic() - began) / done * (len(todo) - done)
+            say(f"{done} of {len(todo)}, {_minutes(more)} left: {_told(result)}")
     finally:
         results = voided(results)
         arms = [each.name for each in extent.arms]
         conditions = [each.name for each in extent.conditions]
         comparisons = compared(results, arms, conditions)
+        left = remaining(trials, results)
+        state = f"Preliminary, {counted(len(left), 'run')} to go. " if left else ""
         report = ExperimentReport(
             robot=robot.name,
             seconds=seconds,
             planned=len(trials),
             arms=summarised(results, arms, conditions, robot.functions_of(task)),
             comparisons=comparisons,
-            headline=headline(comparisons),
+            headline=state + headline(comparisons),
         )
         page = experiment_page(report, extent, results)
         (folder / PAGE).write_text(page, encoding="utf-8")

@@ -8,6 +8,7 @@ from html.parser import HTMLParser
 from xml.etree import ElementTree as ET
 
 import msgspec
+from msgspec.structs import replace
 from rich.console import Console
 
 from benchmarks.experiment.page import experiment_page
@@ -17,7 +18,8 @@ from benchmarks.experiment.summary import ExperimentReport, summarised
 from benchmarks.experiment.tables import experiment_parts
 
 EXTENTS = extents(ROBOTS["trot"].conditions)
-SHORT, USUAL = EXTENTS["quick"], EXTENTS["usual"]
+SHORT = EXTENTS["quick"]
+FULL = replace(EXTENTS["full"], base_seeds=10, seeds=6)
 
 
 def found(
@@ -80,8 +82,8 @@ def test_it_draws_an_interval_for_each_arm_and_function() -> None:
 
 
 def test_an_arm_has_its_colour_also_where_others_have_no_line() -> None:
-    report, results = found(USUAL, without_chains="static")
-    _, *plots = pictures(experiment_page(report, USUAL, results))
+    report, results = found(FULL, without_chains="static")
+    _, *plots = pictures(experiment_page(report, FULL, results))
     legends = [
         [(each.text, each.get("y")) for each in plot.iter("text")][-8:]
         for plot in plots
@@ -90,7 +92,7 @@ def test_an_arm_has_its_colour_also_where_others_have_no_line() -> None:
 
 
 def test_it_draws_where_each_arm_breaks() -> None:
-    dots, works, misses = pictures(page_of(USUAL))
+    dots, works, misses = pictures(page_of(FULL))
     assert dots is not None
     for picture in (works, misses):
         lines = [
@@ -98,7 +100,7 @@ def test_it_draws_where_each_arm_breaks() -> None:
             for each in picture.iter("polyline")
             if each.get("stroke-width") == "2.5"
         ]
-        assert len(lines) == len(USUAL.arms)
+        assert len(lines) == len(FULL.arms)
         assert {len(points) for points in lines} == {5}
 
 
@@ -109,7 +111,7 @@ def test_without_a_valid_run_it_says_so() -> None:
 
 
 def test_a_terminal_of_80_columns_shows_what_failed() -> None:
-    report, _ = found(USUAL)
+    report, _ = found(FULL)
     console = Console(width=80, record=True, file=io.StringIO())
     console.print(*experiment_parts(report), sep="\n")
     lines = console.export_text().splitlines()
