@@ -163,8 +163,11 @@ def test_the_same_commit_gives_the_same_files_at_another_time_and_place(
     assert differ == []
 
 
-def test_a_robot_runs_and_moves_on_aarch64(dist: Path, tmp_path: Path) -> None:
+def test_a_robot_runs_and_moves_on_aarch64(
+    dist: Path, tmp_path_factory: pytest.TempPathFactory
+) -> None:
     (wheel,) = dist.glob("poise-*-cp311-cp311-manylinux*_aarch64.whl")
+    tmp_path = tmp_path_factory.mktemp("a")  # sockets need a short path
     arm64 = Arm64(tmp_path / "arm64")
     arm64.install(Path(sys.executable), dist / "dependencies.txt", wheel)
     hello = tmp_path / "hello"

@@ -11,7 +11,11 @@ from pathlib import Path
 
 import pytest
 
+from poise.errors import UsageError
+from poise.model.robot import Computer, Robot
+from poise.session import nothing
 from poise.session.folders import scratch_folder
+from poise.session.launch.computers import emulated_agents
 from tests.waiting import wait_until
 
 pytestmark = pytest.mark.slow
@@ -98,3 +102,13 @@ def test_what_only_looks_like_one_is_left_alone(place: Path) -> None:
     with scratch_folder(PREFIX):
         assert (other / "file").exists()
     assert len(list(place.iterdir())) == 3
+
+
+def test_computers_are_not_emulated_where_paths_of_sockets_are_too_long() -> None:
+    robot = Robot(name="long", computers=(Computer(name="left"),))
+    folder = Path("/", 90 * "x")
+    with (
+        pytest.raises(UsageError, match="bytes long, but sockets in a folder need one"),
+        emulated_agents(robot, folder, nothing),
+    ):
+        pass

@@ -33,6 +33,7 @@ from poise.session.folders import scratch_folder
 from poise.session.launch.printer import STDERR, Printer, relay
 from poise.threads import BackOff
 from poise.units import counted
+from poise.wire.address import socket_path
 from poise.wire.control_session import (
     SESSION_TIMEOUT,
     UNCUT_SESSION_TIMEOUT,
@@ -177,6 +178,11 @@ def emulated_agents(
     keep: bool = False,
 ) -> Iterator[EmulatedAgents]:
     """Emulate a robot's computers, with an agent each; `keep`: for others, too."""
+    try:
+        for computer in robot.computers:
+            socket_path(folder / computer.name, "")
+    except ValueError as error:
+        raise UsageError(str(error).replace("TMPDIR, --folder", "TMPDIR")) from error
     say(f"emulating {counted(len(robot.computers), 'computer')} on this one")
     # an agent ends at the end of its lifeline, so even a killed process leaves none
     lifeline, held = os.pipe()
