@@ -87,7 +87,7 @@ def test_shows_what_components_wrote(poise: Poise) -> None:
     assert f" printer@{last[0]['computer']}: " in poise("log", "--robot", NAME).stdout
     done = poise("log", "nobody", "--robot", NAME)
     assert done.returncode == 2
-    assert "there are 'printer', 'counter'" in done.stderr
+    assert "there are 'counter', 'printer'" in done.stderr
 
 
 def test_what_is_not_there_is_refused(poise: Poise) -> None:

@@ -192,7 +192,8 @@ class Running:
 
     def _check_component(self, name: str) -> None:
         status = self.status()
-        known = {*status.placement, *status.memory_demands}  # some may not run now
+        # some may not run now
+        known = sorted({*status.placement, *status.memory_demands})
         if name not in known:
             raise UsageError(
                 f"no component '{name}'{did_you_mean(name, known)}; there are "
