@@ -151,7 +151,7 @@ def test_a_comparison_refuses_what_is_about_one_method(
 ) -> None:
     result = call(problem_file, "--compare", "greedy,search", *other)
     assert isinstance(result.exception, UsageError)
-    assert f"--compare and {' '.join(other)} together" in str(result.exception)
+    assert f"--compare and {' '.join(other)} exclude" in str(result.exception)
 
 
 def test_shows_what_was_put_aside(tmp_path: Path) -> None:
@@ -167,7 +167,7 @@ def test_shows_what_was_put_aside(tmp_path: Path) -> None:
     result = call(path, "--fewer")
     assert result.exit_code == 0
     said = " ".join(result.stdout.split())
-    assert "suspended: B, as not all fits: a, b together need 4 cpu" in said
+    assert "suspended: B (not everything fits: a, b together need 4 cpu" in said
     assert "not feasible" not in said
 
 
@@ -249,13 +249,13 @@ def test_the_cheapest_computers_for_tasks(phases_file: Path) -> None:
     ("options", "words"),
     [
         (("--task", "talk", "--task", "serve"), "several need --smallest"),
-        (("--task", "serve", "--compare", "static,auto"), "take --at-once"),
+        (("--task", "serve", "--compare", "static,auto"), "add --at-once"),
         (("--task", "serve", "--method", "p.yaml"), "a file places all at once"),
         (("--task", "dance"), "no task 'dance'"),
-        (("--smallest", "--explain", "eyes"), "find the computers first"),
+        (("--smallest", "--explain", "eyes"), "run --smallest first"),
         (("--task", "talk", "--explain", "mouth", "--phase", "talk"), "no phases"),
-        (("--task", "serve", "--phase", "go"), "it goes with --explain"),
-        (("--at-once",), "it is about one --task"),
+        (("--task", "serve", "--phase", "go"), "works only together with --explain"),
+        (("--at-once",), "needs exactly one --task"),
     ],
 )
 def test_refuses_what_phases_do_not_have(

@@ -56,7 +56,7 @@ def test_a_chain_that_links_make_late_wherever_it_runs(
     assert len(found) == bool(words)
     for finding in found:
         assert finding.path == ("chains", "hunt", "deadline")
-        assert "chain 'hunt' cannot keep its 50 ms" in finding.message
+        assert "chain 'hunt' cannot meet its deadline of 50 ms" in finding.message
         assert all(word in finding.message for word in words), finding.message
 
 

@@ -28,6 +28,7 @@ from poise.session.render.plan_tables import (
     show_explanation,
     show_smallest,
 )
+from poise.session.robot_file import with_code
 
 
 def plan_command(
@@ -210,26 +211,28 @@ def _check_together(
     other = f"--explain {explain}" if explain is not None else "--smallest"
     if compare is not None and (explain is not None or smallest):
         raise UsageError(
-            f"--compare and {other} together: {other} is about one method's placement; "
-            "take it with --method"
+            f"--compare and {other} exclude each other: choose one method with --method"
         )
     if smallest and explain is not None:
         raise UsageError(
-            f"{other} and --smallest: find the computers first, then ask with --without"
+            f"{other} and --smallest exclude each other: run --smallest first, then "
+            "--explain with --without for the computers that are left out"
         )
     if len(tasks) > 1 and not smallest:
         raise UsageError(f"--task {' --task '.join(tasks)}: several need --smallest")
     if phase is not None and explain is None:
-        raise UsageError(f"--phase {phase}: it goes with --explain")
+        raise UsageError(f"--phase {phase} works only together with --explain")
     if at_once and len(tasks) != 1:
-        raise UsageError("--at-once: it is about one --task")
+        raise UsageError("--at-once needs exactly one --task")
 
 
 def _check_share(*, share: bool, fewer: bool, smallest: bool) -> None:
     """Raise UsageError when CPU is to be short, and is not to be."""
     if share and (fewer or smallest):
         other = "--smallest" if smallest else "--fewer"
-        raise UsageError(f"--share and {other}: either CPU may be short, or not")
+        raise UsageError(
+            f"--share and {other} exclude each other: --share lets CPU run short"
+        )
 
 
 def _check_phases(
@@ -237,9 +240,9 @@ def _check_phases(
 ) -> None:
     """Raise UsageError for options that phases do not have, or only phases have."""
     if has_phases and compare is not None:
-        raise UsageError(f"--compare: task '{tasks[0]}' has phases; take --at-once")
+        raise UsageError(f"--compare: task '{tasks[0]}' has phases; add --at-once")
     if phase is not None and not has_phases:
-        raise UsageError(f"--phase {phase}: there are no phases, all is at once")
+        raise UsageError(f"--phase {phase}: this task has no phases")
 
 
 def _robot(
@@ -252,7 +255,7 @@ def _robot(
 ) -> Robot | None:
     """Return the robot in `file`; None when it is a plain problem."""
     if file.suffix != ".json":
-        measured = profiled(load(file, arguments))
+        measured = profiled(with_code(load(file, arguments)))
         for sentence in measured.says:
             say(sentence)
         return measured.robot

@@ -115,7 +115,7 @@ def check_late_chains(robot: Robot) -> Iterator[Finding]:
         if found is not None:
             yield Finding(
                 ("chains", limit.name, "deadline"),
-                f"chain '{limit.name}' cannot keep its "
+                f"chain '{limit.name}' cannot meet its deadline of "
                 f"{format_seconds(limit.limit)}, wherever its components run: "
                 f"{'; '.join(found.limits)}. It could with {found.relaxation}",
             )
@@ -135,7 +135,7 @@ def notes(robot: Robot) -> tuple[str, ...]:
 
 def with_code(robot: Robot) -> Robot:
     """Return the robot with what its classes declare, unless its code is wrong."""
-    if robot.code:
+    if robot.code or not any(each.implementation for each in robot.components()):
         return robot
     return connected(robot, check_code_isolated(robot).code)
 

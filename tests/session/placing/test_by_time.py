@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import textwrap
 from collections.abc import Callable
 from pathlib import Path
@@ -14,6 +15,7 @@ from poise.model import load
 from poise.runtime.code_check import code_of
 from poise.session.placing import by_time
 from poise.session.placing.placement import Placement, place
+from tests.command import run_poise
 
 CODE = """
 import poise
@@ -145,8 +147,22 @@ def test_a_chain_that_is_late_anywhere_is_placed_and_said(placed: Place) -> None
     assert found.result.objective is not None
     assert found.result.objective.time > 1.0
     said = " ".join(str(found).split())
-    assert "chain 'see' is late: it does not keep its 1 ms, 100% of its data" in said
-    assert "is late" not in str(placed())
+    assert (
+        "chain 'see' misses its deadline: 100% of its data is older than 1 ms" in said
+    )
+    assert "misses its deadline" not in str(placed())
+
+
+@pytest.mark.slow
+def test_a_plan_knows_of_deadlines_that_only_the_code_declares(
+    placed: Place, tmp_path: Path
+) -> None:
+    """`poise plan` read no code of a robot without chains, `poise up` does."""
+    (timer,) = placed(beats="Beat", chains="").predicted["go"].timers
+    assert timer.deadline == 0.005
+    done = run_poise("plan", tmp_path / "robot.yaml", "--task", "go", "--json")
+    (planned,) = json.loads(done.stdout)["predicted"]["go"]["timers"]
+    assert planned["timer"] == "beat"
 
 
 def test_what_was_not_measured_is_said_to_be_a_guess(

@@ -151,7 +151,8 @@ def decide_by_time(
 ) -> DecidedByTime:
     """Return the best placement found, with the times that are predicted for it.
 
-    `robot`: if it has chains and its code was not read yet, another process imports it.
+    `robot`: what its code says of deadlines of timers counts, if it was read. If it has
+    chains and its code was not read yet, another process imports it.
     `decide`: decides a problem.
     """
     if any(phase.problem.time_limits for phase in problem.phases):

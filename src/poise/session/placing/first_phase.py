@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 from msgspec import Struct
+from msgspec.structs import replace
 
 from poise import plan
 from poise.clock import boot_time
@@ -21,7 +23,7 @@ from poise.model.repository import search
 from poise.model.robot import Architecture, Layer, Robot
 from poise.plan.planner import METHODS as SOLVERS
 from poise.session import Say
-from poise.session.placing.placement import Placement, place
+from poise.session.placing.placement import Placement, decided, place
 
 
 class FirstPhase(Struct, frozen=True):
@@ -59,12 +61,14 @@ def first_phase(
         problem = plan.problem_of(
             robot, functions=started.functions_of(started.going())
         )
-        phased = plan.solve_phases(plan.PhasedProblem.of_one(name, problem), fewer=True)
-        chosen = Placement(task=first.name, method="auto", phased=phased)
+        whole = plan.PhasedProblem.of_one(name, problem)
+        found = decided(robot, whole, "auto", partial(plan.solve_phases, fewer=True))
+        chosen = replace(chosen, phased=found.phased, predicted=found.predicted)
     elif len(chosen.phases) > 1:
         phase = next(p for p in chosen.phased.problem.phases if p.name == name)
         phased = plan.PhasedResult.of_one(name, phase.problem, chosen.phases[name])
-        chosen = Placement(task=chosen.task, method=chosen.method, phased=phased)
+        predicted = {n: t for n, t in chosen.predicted.items() if n == name}
+        chosen = replace(chosen, phased=phased, predicted=predicted)
     if not chosen.where or (not chosen.feasible and chosen.method in SOLVERS):
         what = " and ".join(f"'{each.name}'" for each in (first, *others))
         raise RobotError(f"task {what} has no placement: {chosen.reason}")

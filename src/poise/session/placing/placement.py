@@ -102,7 +102,9 @@ def _read(path: Path) -> Mapping[object, object]:
     if isinstance(found, dict) and isinstance(found.get("placement"), dict):
         found = found["placement"]
     if not isinstance(found, dict):
-        raise UsageError(f"placement {path} is no mapping of components to computers")
+        raise UsageError(
+            f"placement {path} is not a mapping of components to computers"
+        )
     return found
 
 
@@ -151,8 +153,8 @@ class Placement(Printable, Struct, frozen=True, kw_only=True):
         The placements of the task's phases with the terms of F, their bounds, and what
         was suspended; or why there are none. There is one phase where all runs at once.
     predicted
-        Phase -> how old the data of its chains is predicted to be; empty where the
-        robot has no chains.
+        Phase -> how old the data of its chains is predicted to be, and when its timers
+        end; empty where there are no deadlines.
     """
 
     task: str | None
