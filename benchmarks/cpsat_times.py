@@ -15,7 +15,8 @@ from typing import Any, NamedTuple
 
 from poise.model.hardware import SLACK, fits
 from poise.plan.problem.arrays import Arrays, LimitArray, Placed, Times
-from poise.plan.violations import loads, longest, seconds
+from poise.plan.summed_times import longest, seconds
+from poise.plan.violations import loads
 
 PARTS = 1_000_000
 """In how many parts a limit is divided."""

@@ -13,7 +13,7 @@ from poise import plan
 from poise.errors import RobotError
 from poise.model.robot import Computer, Link
 from poise.plan import Bundle, Edge, Hop, Item, Planner, Problem, Run, TimeLimit
-from poise.plan.violations import slowdown
+from poise.plan.summed_times import slowdown
 
 SEE = TimeLimit(
     name="see",

@@ -13,7 +13,8 @@ from poise.model.robot import Computer, Objective
 from poise.plan.problem.items import SoftLimit
 from poise.plan.problem.problem import LEAST, MOST, Problem
 from poise.plan.result_records import More
-from poise.plan.violations import amount_of, longest
+from poise.plan.summed_times import longest
+from poise.plan.violations import amount_of
 from poise.units import format_seconds
 
 NEAR = 5e-3

@@ -28,15 +28,8 @@ from poise.plan.result_records import (
     Tightest,
     TimeTaken,
 )
-from poise.plan.violations import (
-    late,
-    loads,
-    obstacle,
-    seconds,
-    shortages,
-    tightest,
-    violations,
-)
+from poise.plan.summed_times import seconds
+from poise.plan.violations import late, loads, obstacle, shortages, tightest, violations
 
 LONGEST_TRACE = 2_000
 """How many trials (components x computers) a trace is worked out for."""
