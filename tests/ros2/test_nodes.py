@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 import poise
+from poise.errors import UsageError
 from poise.manage.agent_connections.statuses import components_of
 from poise.wire.records.status_records import ComponentStatus
 from tests.session.emulated_robot import written
@@ -142,6 +143,9 @@ def test_nodes_work_on_two_computers_and_move(file: Path) -> None:
     with poise.up(robot) as running:
         wait_long(lambda: min(heard(file, "ear"), heard(file, "other")) > 20)
         wait_long(lambda: "five is wrong" in part(running, "ear").error)
+        (topic, *_) = running.status().by_ros2
+        with pytest.raises(UsageError, match="by ROS 2 alone: `ros2 topic echo /heard"):
+            next(running.echo(topic))
         before = running.status()
         to = {
             n: "right" if at == "left" else "left" for n, at in before.placement.items()

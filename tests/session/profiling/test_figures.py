@@ -12,12 +12,18 @@ from poise.model.robot import (
     ConnectorEnd,
     Robot,
 )
-from poise.session.profiling.figures import MeasuredUsage, Observed, disagreeing
+from poise.session.profiling.figures import (
+    MeasuredUsage,
+    Observed,
+    disagreeing,
+    failures,
+)
 from poise.session.profiling.figures import figures as measured_figures
 from poise.session.profiling.rig import EMPTY, ProfilingRig
 from poise.wire.records.status_records import (
     AgentStatus,
     ComponentStatus,
+    ConnectorStatus,
     ContainerStatus,
 )
 
@@ -151,3 +157,25 @@ def test_a_connector_without_traffic_has_no_figures() -> None:
         ),
     )
     assert figures([quiet], quiet).connectors == {}
+
+
+@pytest.mark.parametrize(("errors", "always"), [(2, set()), (5, {*NAMES})])
+def test_calls_that_failed_are_told_and_nothing_is_known_if_all_did(
+    errors: int, always: set[str]
+) -> None:
+    end = ConnectorStatus(
+        name="eye.x-mind.x",
+        kind="direct",
+        end="both",
+        ready=True,
+        calls=5,
+        errors=errors,
+    )
+    container = ContainerStatus(name="see", pid=1, connectors=(end,))
+    status = AgentStatus(
+        computer="a", generation=1, uptime=1.0, cpu=0.0, containers=(container,)
+    )
+    run = replace(observed(0.1), working={"a": status})
+    found = failures(ROBOT, run, NAMES)
+    assert found.sentences == (f"eye.x-mind.x: {errors} of 5 calls failed",)
+    assert found.always == always
