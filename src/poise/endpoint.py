@@ -39,7 +39,9 @@ class Endpoint(Struct, frozen=True):
             given, fault = rest if colon else None, ""
         fault = fault or _host_fault(host) or _port_fault(given)
         if fault:
-            raise ValueError(f"{quoted(text)} is no address: {fault}; write {_FORMS}")
+            raise ValueError(
+                f"{quoted(text)} is not a valid address: {fault}; write {_FORMS}"
+            )
         return cls(host, port if given is None else int(given))
 
     @property
@@ -56,11 +58,11 @@ def _host_fault(host: str) -> str:
     if _is_ip(host):
         return ""
     if ":" in host:
-        return f"{quoted(host)} is no IPv6 address"
+        return f"{quoted(host)} is not a valid IPv6 address"
     if re.fullmatch(r"[0-9.]+", host):
-        return f"{quoted(host)} is no IPv4 address"
+        return f"{quoted(host)} is not a valid IPv4 address"
     if len(host) > _LONGEST_NAME or not _NAME.fullmatch(host):
-        return f"{quoted(host)} is no host name"
+        return f"{quoted(host)} is not a valid host name"
     return ""
 
 
@@ -69,7 +71,7 @@ def _port_fault(port: str | None) -> str:
         re.fullmatch(r"[0-9]{1,5}", port) and 0 < int(port) <= _LAST_PORT
     ):
         return ""
-    return f"the port {quoted(port)} is no number from 1 to {_LAST_PORT}"
+    return f"the port {quoted(port)} must be a number from 1 to {_LAST_PORT}"
 
 
 def _is_ip(host: str) -> bool:

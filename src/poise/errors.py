@@ -165,5 +165,5 @@ def why_too_old(least: str) -> str:
 def _minor(text: str) -> tuple[int, int]:
     found = _MINOR.fullmatch(text)
     if found is None:
-        raise ValueError(f"{text!r} is no version, such as 0.2")
+        raise ValueError(f"{text!r} is not a valid version; one is 0.2")
     return int(found[1]), int(found[2])

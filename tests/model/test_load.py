@@ -229,7 +229,7 @@ def test_a_file_for_a_newer_poise_is_refused_by_that_alone(find: Find) -> None:
     assert problem.line == 1
     assert "it needs Poise 99.1, and this is" in problem.message
     (problem,) = find(f"poise: soon\n{ROBOT}")
-    assert "'soon' is no version, such as 0.2" in problem.message
+    assert "'soon' is not a valid version; one is 0.2" in problem.message
 
 
 def test_a_file_for_this_poise_or_an_older_one_is_read(robot_file: Path) -> None:

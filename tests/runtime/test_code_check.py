@@ -457,7 +457,7 @@ def test_an_action_ends_by_a_published_bool(
     [
         ("deciding:decide", ""),
         ("deciding:decides", "module 'deciding' has no function 'decides'"),
-        ("deciding:LIMIT", "'deciding:LIMIT' is no function: 3"),
+        ("deciding:LIMIT", "'deciding:LIMIT' is not a function: 3"),
         ("decidign:decide", "there is no module 'decidign'"),
     ],
 )

@@ -82,7 +82,9 @@ def draw_command(
     poise draw robot.yaml --what transition --compare static,auto -o -
     """
     if placement is not None and compare is not None:
-        raise UsageError("--placement and --compare together: --compare names them all")
+        raise UsageError(
+            "--placement and --compare exclude each other: --compare lists placements"
+        )
     names = [n.strip() for n in (compare or placement or "").split(",") if n.strip()]
     chosen: What = what or ("deployment" if names else "components")
     if chosen != "components" and not names:

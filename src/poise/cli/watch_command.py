@@ -401,7 +401,7 @@ def _free_port(host: str, port: int) -> int:
             probe.bind((host, port))
         except OSError as error:
             raise UsageError(
-                f"{host}:{port} cannot be listened on ({error.strerror}): choose "
+                f"cannot listen on {host}:{port} ({error.strerror}): choose "
                 "another with --host or --port; --port 0 takes any that is free"
             ) from error
         return int(probe.getsockname()[1])

@@ -226,7 +226,9 @@ class EmulatedSet:
     def _network(self) -> NetworkPlan:
         if self.layout.network is None:
             without = "; ".join(self.state().without)
-            raise UsageError(f"there is no network to act on: without {without}")
+            raise UsageError(
+                f"this machine does not emulate the network: without {without}"
+            )
         return self.layout.network
 
     def _link(self, on: tuple[str, ...]) -> Shape:

@@ -102,7 +102,7 @@ def check_sentence(text: str, record: type[Struct]) -> None:
     for _, name, form, conversion in Formatter().parse(text):
         if name is not None and (name not in names or form or conversion):
             raise ValueError(
-                f"{{{name}}} is no value{did_you_mean(name, names)}; "
+                f"{{{name}}} is not a value{did_you_mean(name, names)}; "
                 f"values: {listed(names)}"
             )
 

@@ -119,7 +119,7 @@ def _without(problem: Problem, dropped: set[str]) -> Problem:
     smaller = without(problem, dropped)
     # Of architectures, not all may have to be placed.
     if not smaller.architectures and is_hopeless(arrays_of(smaller)):
-        raise UsageError("the other computers have too little")
+        raise UsageError("the remaining computers have too little")
     return smaller
 
 

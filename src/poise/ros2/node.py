@@ -122,7 +122,7 @@ def _made(make: Callable[[], Any], reference: str) -> Any:  # noqa: ANN401, a no
     node = make()
     if not isinstance(node, Node):
         raise RobotError(
-            f"'{reference}' made a {type(node).__qualname__}, which is no node of rclpy"
+            f"'{reference}' made a {type(node).__qualname__}, not a node of rclpy"
         )
     return node
 

@@ -108,7 +108,7 @@ class FromTopics(ToTopics):
                     "the bridge asks for: nothing comes from it"
                 )
             self.log.warning(
-                "'%s' has a publisher without %s: so take what comes",
+                "'%s' has a publisher without %s: subscribed without it, too",
                 entry.ros2,
                 policy,
             )

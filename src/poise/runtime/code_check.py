@@ -170,7 +170,7 @@ def _check_functions(robot: Robot) -> Iterator[Finding]:
         module, _, name = policy.call.partition(":")
         try:
             function = operator.attrgetter(name)(load_module(module, robot.folder))
-            text = f"'{policy.call}' is no function: {function!r}"
+            text = f"'{policy.call}' is not a function: {function!r}"
         except RobotError as error:
             function, text = None, str(error)
         except AttributeError:

@@ -26,9 +26,12 @@ def robot(left: str, right: str) -> str:
 @pytest.mark.parametrize(
     ("address", "words"),
     [
-        ("10.77.0.999", ["'10.77.0.999' is no IPv4 address", "[fd00::2]:7447"]),
-        ("host:abc", ["the port 'abc' is no number from 1 to 65535"]),
-        ("fe80:::1", ["'fe80:::1' is no IPv6 address"]),
+        (
+            "10.77.0.999",
+            ["'10.77.0.999' is not a valid IPv4 address", "[fd00::2]:7447"],
+        ),
+        ("host:abc", ["the port 'abc' must be a number from 1 to 65535"]),
+        ("fe80:::1", ["'fe80:::1' is not a valid IPv6 address"]),
     ],
 )
 def test_an_address_that_is_none_is_a_problem_at_its_place(

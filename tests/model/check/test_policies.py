@@ -41,7 +41,7 @@ def test_an_action_for_another_subject_is_found(refuse: Refuse) -> None:
 
 
 def test_a_sentence_with_an_unknown_value_is_found(refuse: Refuse) -> None:
-    refuse(ROBOT + "overload: {▸say: '{nam} is full'}", "{nam} is no value")
+    refuse(ROBOT + "overload: {▸say: '{nam} is full'}", "{nam} is not a value")
 
 
 def test_what_a_policy_lacks_is_found(refuse: Refuse) -> None:

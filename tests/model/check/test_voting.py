@@ -53,7 +53,7 @@ KEPT = "\n".join(
         (WITNESSED.replace("manager: [left, right]", ""), "no computer may lead"),
         (
             KEPT.replace("manager: [left, right]", "keeps: [lamp]"),
-            "no computer may lead",
+            "no computer may have the manager",
         ),
     ],
 )

@@ -36,7 +36,7 @@ def test_scale_takes_a_resource_or_a_computer(two_computers: Problem) -> None:
     assert [h.capacity["cpu"] for h in half.computers] == [2.0, 1.0]
     twice = plan.scale(two_computers, {"small": 2.0})
     assert [h.capacity["cpu"] for h in twice.computers] == [4.0, 4.0]
-    with pytest.raises(UsageError, match="no computer or resource"):
+    with pytest.raises(UsageError, match="neither a computer nor a resource"):
         plan.scale(two_computers, {"gpu": 2.0})
 
 

@@ -160,7 +160,7 @@ def test_a_hostile_archive_is_refused_and_writes_nothing(
         tar.addfile(member, io.BytesIO())
     folder = CodeFolder(tmp_path / "code")
     why = refusal(install(folder, packed.getvalue()))
-    assert "is no plain file" in why or "leads out of its folder" in why
+    assert "is not a plain file" in why or "leads out of its folder" in why
     assert not [*(tmp_path / "code").glob("*.new")]
     assert [path.name for path in tmp_path.iterdir()] == ["code"]
     assert folder.versions() == ()
@@ -169,8 +169,8 @@ def test_a_hostile_archive_is_refused_and_writes_nothing(
 @pytest.mark.parametrize(
     ("data", "why"),
     [
-        (b"no archive", "this is no archive of code"),
-        (CODE[:700], "this is no archive of code"),
+        (b"no archive", "this is not an archive of code"),
+        (CODE[:700], "this is not an archive of code"),
         (archive_of(("code/a.py", b""), ("code/a.py", b"")), "File exists"),
         (
             archive_of(("code/a.py", b""), wheels={"tiny.whl": "1" * 64}),

@@ -130,7 +130,9 @@ def test_two_handlers_are_no_one_port() -> None:
 
 
 def test_a_port_is_named_as_python_names_things() -> None:
-    with pytest.raises(UsageError, match="a port's name is one like 'scan'"):
+    with pytest.raises(
+        UsageError, match="a port's name must be an identifier, such as 'scan'"
+    ):
         subscribed("front scan")
 
 

@@ -244,8 +244,8 @@ def check_voting(robot: Robot) -> Iterator[Finding]:
     elif robot.keeps:
         yield Finding(
             ("keeps",),
-            "`keeps` says who goes on with a manager, but no computer may lead: name "
-            "some in `manager`",
+            "`keeps` decides which computer continues alone, but no computer may have "
+            "the manager: name some in `manager`",
         )
 
 
@@ -269,17 +269,17 @@ def _majority(robot: Robot) -> Iterator[Finding]:
         if count < LEAST_VOTES:
             yield Finding(
                 ("manager",),
-                "a manager is followed by a vote of most computers, and of "
+                "a new manager needs the votes of most computers, and of "
                 f"{count} no majority is left when one dies: {_ALONE} that only votes "
-                "(`witness: true`), or name in `keeps` the devices whose computer goes "
-                "on",
+                "(`witness: true`), or name in `keeps` the devices whose computer "
+                "continues alone",
             )
         return
     keepers = {d.computer for d in robot.devices if d.name in robot.keeps}
     if len(keepers) > 1:
         named = " and ".join(sorted(keepers))
         yield Finding(
-            ("keeps",), f"the devices are on {named}, and only one can go on alone"
+            ("keeps",), f"the devices are on {named}, and only one can continue alone"
         )
     if count % 2:
         yield Finding(

@@ -41,7 +41,7 @@ def check_ros2(robot: Robot) -> Iterator[Finding]:
 def _wrong_node(component: ComponentEntry) -> Iterator[tuple[str, str]]:
     node = component.ros2
     if component.environment and not (component.command or (node and node.executable)):
-        yield "environment", "is no process of its own: it takes no `environment`"
+        yield "environment", "has no process of its own, so it takes no `environment`"
     if node is None:
         return
     for key in ("implementation", "command", "ports"):

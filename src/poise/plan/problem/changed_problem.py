@@ -139,7 +139,9 @@ def scale(problem: Problem, factors: Mapping[str, float]) -> Problem:
     for name in factors:
         if name.lower() not in {**computers, **resources}:
             choices = ", ".join([*computers.values(), *resources.values()])
-            raise UsageError(f"{name!r} is no computer or resource ({choices})")
+            raise UsageError(
+                f"{name!r} is neither a computer nor a resource ({choices})"
+            )
     lower = {name.lower(): factor for name, factor in factors.items()}
     return replace(
         problem,

@@ -175,8 +175,8 @@ class Agent:
         go_first()
         if not goes_first():
             self._say(
-                "its heartbeats do not go before other programs: beside busy ones this "
-                "computer may be taken for lost (systemd: LimitNICE=-10)"
+                "it cannot raise the priority of its heartbeats: beside busy programs "
+                "this computer may be considered lost (systemd: LimitNICE=-10)"
             )
         closing.callback(disk.stop)
         with contextlib.ExitStack() as working:

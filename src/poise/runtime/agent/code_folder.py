@@ -162,7 +162,7 @@ class CodeFolder:
         try:
             wheels = msgspec.json.decode(manifest.read_bytes(), type=Manifest).wheels
         except (FileNotFoundError, *MALFORMED) as error:
-            raise RunError(f"this is no robot's code: {error}") from error
+            raise RunError(f"this is not the code of a robot: {error}") from error
         if wheels and this_platform() not in wheels:
             raise RunError(
                 f"there are no wheels for {this_platform()}, only for "
@@ -215,12 +215,14 @@ def unpack(archive: Path, into: Path, left: int = MOST_CODE) -> int:
             for member in tar:
                 content = tar.extractfile(member) if member.isreg() else None
                 if content is None:
-                    raise RunError(f"{member.name!r} in the archive is no plain file")
+                    raise RunError(
+                        f"{member.name!r} in the archive is not a plain file"
+                    )
                 is_program = bool(member.mode & 0o100)
                 place = _place(into, member.name)
                 left = _write(place, content, left, is_program=is_program)
     except tarfile.TarError as error:
-        raise RunError(f"this is no archive of code: {error}") from error
+        raise RunError(f"this is not an archive of code: {error}") from error
     return left
 
 
@@ -234,7 +236,7 @@ def unpack_wheel(wheel: Path, into: Path, left: int) -> int:
                     with archive.open(member) as content:
                         left = _write(_place(into, name), content, left)
     except _NO_WHEEL as error:
-        raise RunError(f"{wheel.name} is no wheel: {error}") from error
+        raise RunError(f"{wheel.name} is not a valid wheel: {error}") from error
     return left
 
 

@@ -48,7 +48,7 @@ class StandbyWatch:
         elif self._due == inf:
             self._due = now + self._pause(election)
         elif now >= self._due:
-            self._world.say("nobody leads the robot: the standby here tries to")
+            self._world.say("no manager leads the robot: the standby here tries to")
             self._world.standby.lead()
             self._due = now + _AGAIN * (1 + self._world.random.random())
 

@@ -185,7 +185,7 @@ class Component:
         if getattr(call, "__self__", None) is self:
             raise UsageError(
                 f"start_call of '{self.name}' takes a method of a Required port, as in "
-                "self.heating.heat, and no method of the component itself"
+                "self.heating.heat, not a method of the component itself"
             )
         return self._context.calls.start(call, *args, **kwargs)
 

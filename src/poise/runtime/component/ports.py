@@ -183,9 +183,11 @@ def subscribed(
     while nothing else of the component runs.
     """
     if not isinstance(port, str):
-        raise UsageError("@subscribed takes what to queue, as in @subscribed(keep=1)")
+        raise UsageError("@subscribed needs parentheses, as in @subscribed(keep=1)")
     if port and not port.isidentifier():
-        raise UsageError(f"subscribed({port!r}): a port's name is one like 'scan'")
+        raise UsageError(
+            f"subscribed({port!r}): a port's name must be an identifier, such as 'scan'"
+        )
     if keep is not None and block is not None:
         msg = f"subscribed(keep={keep}, block={block}): give one of them, not both"
         raise UsageError(msg)

@@ -135,7 +135,9 @@ class ChannelRoute:
             chain, left = current_chain(), time_left(limit)
             if left <= 0.0:
                 counts.add_call(0.0, failed=True)
-                raise Timeout(f"connector {name}: no call was made: no time is left")
+                raise Timeout(
+                    f"connector {name}: call not made: its time limit has passed"
+                )
             values = bind(*args, **kwargs)
             waits = int(1e9 * min(left, _LONGEST)) or 1  # 0 were no limit
             answer: Frame | None = None

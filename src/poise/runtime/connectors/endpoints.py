@@ -49,8 +49,8 @@ class OvertakenSources:
         """Note that a message came; WireError when a later incarnation has sent."""
         if self.note(spec.name, spec.source_epoch):
             raise WireError(
-                f"a message of '{spec.source}' ({spec.source_epoch}) comes after one "
-                "of a later incarnation: it was under way for too long"
+                f"dropped a message of '{spec.source}', incarnation "
+                f"{spec.source_epoch}: one of a later incarnation has come already"
             )
 
     def forget(self, connector: str, epoch: int) -> None:

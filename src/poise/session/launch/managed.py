@@ -62,8 +62,8 @@ def without_standbys(robot: Robot) -> str:
     else:
         cure = "a witness, or `keeps` in the robot file, lets the other one lead then"
     return (
-        "without standbys: when the computer of this manager dies, its components are "
-        f"away until the next `poise up`; {cure}"
+        "without standbys: when the computer of this manager dies, its components "
+        f"stay down until the next `poise up`; {cure}"
     )
 
 

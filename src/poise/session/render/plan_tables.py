@@ -69,9 +69,9 @@ def _chains(
             if chain.margin < 0:
                 where = f" in {name}" if phase else ""
                 yield _line(
-                    f"chain '{chain.name}' is late{where}",
-                    f"it does not keep its {units.format_seconds(chain.deadline)}, "
-                    f"{chain.late:.0%} of its data is older; most time goes to "
+                    f"chain '{chain.name}' misses its deadline{where}",
+                    f"{chain.late:.0%} of its data is older than "
+                    f"{units.format_seconds(chain.deadline)}; most time goes to "
                     f"{chain.slowest}",
                 )
         if predicted.unknown:
@@ -82,7 +82,7 @@ def _chains(
             )
             yield _line(
                 "not predicted",
-                f"{'; '.join(ages)}: as far as is known, data does not get to the end. "
+                f"{'; '.join(ages)}: nothing is known to carry data to the end. "
                 f"{'; '.join(predicted.guesses)}",
             )
         late = [
@@ -113,7 +113,7 @@ def _phase(result: plan.Result) -> tuple[RenderableType, ...]:
     if not result.feasible:
         parts.append(_line("not feasible", result.reason))
     if result.suspended:
-        why = f", as not all fits: {result.reason}" if result.feasible else ""
+        why = f" (not everything fits: {result.reason})" if result.feasible else ""
         parts.append(_line("suspended", f"{', '.join(result.suspended)}{why}"))
     parts += [f"{what}: by {by}" for what, by in result.architectures.items()]
     parts += _short(result)
@@ -223,7 +223,7 @@ def _phases(phased: plan.PhasedResult) -> tuple[RenderableType, ...]:
         )
     parts: list[RenderableType] = [rows]
     if phased.reason:
-        head = "suspended, as not all fits" if phased.feasible else "not feasible"
+        head = "suspended: not everything fits" if phased.feasible else "not feasible"
         parts.append(_line(head, phased.reason))
     for name, result in phased.results.items():
         parts += [f"{name}: {f} by {by}" for f, by in result.architectures.items()]

@@ -122,7 +122,7 @@ def _in_order(said: Iterable[Said]) -> Iterator[Said]:
 def _source(said: Said) -> str:
     """Return what published it, as ``component.port``."""
     if (found := _SOURCE.fullmatch(said.connector)) is None:
-        raise UsageError(f"'{said.connector}' in the recording is no connector")
+        raise UsageError(f"'{said.connector}' in the recording is not a connector")
     return f"{found[1]}.{found[2]}"
 
 
