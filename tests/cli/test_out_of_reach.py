@@ -347,6 +347,11 @@ def test_a_component_moves_where_it_does_not_fit_only_by_force(
     field: Field, up: Up
 ) -> None:
     there = "third" if at(field) == "left" else "left"
+    rehearsed = run_poise("move", "large", there, "--dry-run")
+    assert rehearsed.returncode == 2
+    assert "it would be refused" in rehearsed.stdout
+    allowed = run_poise("move", "large", there, "--dry-run", "--force")
+    assert allowed.returncode == 0, allowed.stderr
     refused = run_poise("move", "large", there)
     assert refused.returncode == 2
     words = (

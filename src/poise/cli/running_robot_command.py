@@ -132,16 +132,16 @@ def move_command(
     something fails it goes on where it was, and the exit code is 1. A command-line
     component is stopped and started. A component that does not fit beside
     the running ones is refused, unless --force is given. With --dry-run it says
-    what the move would change and cost; the exit code is 1 when it would be refused.
+    what the move would change and cost; the exit code is 2 when it would be refused.
 
     Example: poise move localiser vision
     """
     running = Running(robot)
     if dry:
-        seen = running.what_if(component, computer)
+        seen = running.what_if(component, computer, force=force)
         show(seen, map(escape, what_if_lines(seen)), as_json=as_json)
-        if seen.breaks:
-            raise typer.Exit(1)
+        if seen.breaks and not force:
+            raise typer.Exit(2)
         return
     with telling_progress(running):
         _act(lambda: running.move(component, computer, force=force), as_json=as_json)

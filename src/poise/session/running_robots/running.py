@@ -231,9 +231,14 @@ class Running:
         """
         return self._migrate(MoveCommand(component, computer, force))
 
-    def what_if(self, component: str, computer: str) -> WhatIf:
-        """Return what a move would change; nothing happens."""
-        return ask(self.name, MoveCommand(component, computer, dry=True), WhatIf)
+    def what_if(self, component: str, computer: str, *, force: bool = False) -> WhatIf:
+        """Return what a move would change; nothing happens.
+
+        Raises what `move` with the same `force` would; limits that it would break are
+        in the answer.
+        """
+        command = MoveCommand(component, computer, force=force, dry=True)
+        return ask(self.name, command, WhatIf)
 
     def journal(self, after: int = 0) -> tuple[JournalEntry, ...]:
         """Return the last entries of its journal, oldest first: 500 at most.
