@@ -8,7 +8,7 @@ from __future__ import annotations
 import difflib
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 from msgspec import Struct
 
@@ -127,6 +127,13 @@ def quoted(value: object) -> str:
 def counted(count: int, noun: str) -> str:
     """Return a number of things for people: "1 message", "2 messages"."""
     return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
+
+
+def named(noun: str, names: Iterable[str]) -> str:
+    """Return names with their noun for people: "task 'a'", "tasks 'a' and 'b'"."""
+    shown = [f"'{name}'" for name in names]
+    several = ", ".join(filter(None, [", ".join(shown[:-2]), " and ".join(shown[-2:])]))
+    return f"{noun} {several}" if len(shown) == 1 else f"{noun}s {several}"
 
 
 def format_cores(cores: float) -> str:

@@ -103,7 +103,7 @@ def test_half_a_line_of_a_killed_manager_is_left_out_and_said(
     second.close()
     with caplog.at_level(logging.WARNING):
         assert whats(path) == ["before", "after"]
-    assert "left out, being no entry" in caplog.text
+    assert "without a journal entry" in caplog.text
 
 
 def test_a_fact_that_json_refuses_is_said_once_and_the_robot_goes_on(
@@ -200,7 +200,7 @@ def test_who_may_not_read_it_is_told(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="cannot be read: No such file"):
         read_journal(tmp_path / "nowhere")
     (tmp_path / "text").write_text("no journal")
-    with pytest.raises(UsageError, match="cannot be read: it is no journal"):
+    with pytest.raises(UsageError, match="cannot be read: it is not a journal"):
         read_journal(tmp_path / "text")
     os.truncate(tmp_path / "text", 0)
     assert read_journal(tmp_path / "text") == []

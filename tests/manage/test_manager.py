@@ -147,6 +147,18 @@ def test_other_commands_are_carried_out_while_a_target_is_configured(
     assert managed.run.desired.configured_ahead == ()
 
 
+def test_a_rehearsed_move_is_refused_as_the_move_would_be(managed: Managed) -> None:
+    """A dry run looked at limits alone."""
+    fixed = managed.run.robot.with_components(lambda c: replace(c, movable=False))
+    managed.run.robot = fixed
+    for dry in (True, False):
+        asked = managed.manager.submit(MoveCommand("thinker", "left", dry=dry))
+        managed.manager.work(0.0)
+        refusal = asked.result(0.0)
+        assert isinstance(refusal, Refusal)
+        assert "'thinker' is not movable" in refusal.reason
+
+
 def test_a_move_to_a_computer_that_is_out_of_reach_is_refused_at_once(
     managed: Managed,
 ) -> None:

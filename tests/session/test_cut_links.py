@@ -170,7 +170,7 @@ def test_a_component_leaves_a_cut_link_with_what_is_late_dropped(
     if known == "by its connection, too":
         wait_long(lambda: "mid.out-sink.out" in unjoined(running))
     report, took = moved(running, "c")
-    assert report.late == {"mid.out-sink.out": "link 'a-b' is cut"}
+    assert report.dropped == {"mid.out-sink.out": "link 'a-b' is cut"}
     assert took < ACTS_WITHIN
     before = measures(running)["came"]
     wait_long(lambda: measures(running)["came"] > before + 20)
@@ -183,7 +183,7 @@ def test_a_component_gets_no_late_data_after_it_left_the_link_to_its_source(
 ) -> None:
     cut(running, emulated, "c")
     report, took = moved(running, "b")
-    assert report.late == {"source.tick-mid.tick": "link 'a-c' is cut"}
+    assert report.dropped == {"source.tick-mid.tick": "link 'a-c' is cut"}
     assert took < ACTS_WITHIN
     before = measures(running)["came"]
     wait_long(lambda: measures(running)["came"] > before + 20)

@@ -19,6 +19,7 @@ from typing import Any, cast
 
 from msgspec import structs
 
+from poise.manage.adaptation import failover
 from poise.manage.agent_connections import claims
 from poise.manage.agent_connections.agents import Agents
 from poise.manage.agent_connections.reports import AgentReports
@@ -31,7 +32,6 @@ from poise.manage.migration import transition_run
 from poise.manage.migration.coordinator import Migration
 from poise.manage.migration.migration_plan import MigrationPlan
 from poise.manage.observe.troubles import SupervisedTick
-from poise.manage.shortages import failover
 from poise.manage.tasks.prefetch import Prefetcher
 from poise.runtime.agent import fence
 from poise.runtime.agent.fence import Fence, Lease

@@ -219,10 +219,10 @@ def read_journal(path: Path | str, after: int = 0) -> list[JournalEntry]:
     except OSError as error:
         raise _unreadable(path, error.strerror or str(error)) from error
     if num_others and not found and not after:
-        raise _unreadable(path, "it is no journal")
+        raise _unreadable(path, "it is not a journal")
     if num_others:
         lines = counted(num_others, "line")
-        log.warning("the journal %s: %s left out, being no entry", path, lines)
+        log.warning("the journal %s: skipped %s without a journal entry", path, lines)
     return found[::-1]
 
 

@@ -46,8 +46,13 @@ from poise.manage.deploy.lost_computers import LostComputers
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.migration.canary import Canaries
 from poise.manage.migration.migration_report import MigrationReport
-from poise.manage.migration.move import plan_alternative, plan_move, plan_replacement
-from poise.manage.migration.preparation import Preparation
+from poise.manage.migration.move import (
+    check_target,
+    plan_alternative,
+    plan_move,
+    plan_replacement,
+)
+from poise.manage.migration.prepared_migration import PreparedMigration
 from poise.manage.observe.deviations import Deviation
 from poise.manage.observe.estimates import Estimates
 from poise.manage.observe.sample_recording import Recording, RecordingFile
@@ -97,7 +102,7 @@ class Manager:
         self._commands: queue.Queue[tuple[Command, Results]] = queue.Queue(
             MOST_COMMANDS
         )
-        self._preparations: list[tuple[Command, Preparation, Results]] = []
+        self._preparations: list[tuple[Command, PreparedMigration, Results]] = []
         self._unstored: list[tuple[int, float, Results, Result | Refusal]] = []
         self._stops: list[Results] = []
         self._stopping = threading.Event()
@@ -240,7 +245,9 @@ class Manager:
         while not self._commands.empty():
             _answer(self._commands.get_nowait()[1], Refusal(text, "RunError"))
         for _, _, future, _ in self._unstored:
-            future.set_result(Refusal(f"{text}; it may have been done", "RunError"))
+            future.set_result(
+                Refusal(f"{text}; the command may have taken effect", "RunError")
+            )
         self._unstored.clear()
 
     def end_estimates(self) -> None:
@@ -252,7 +259,7 @@ class Manager:
 
     def _take_samples(self) -> None:
         """Estimate from samples, keep them, and say which demands have shifted."""
-        prepared = self._run.prepared.items()
+        prepared = self._run.prefetched.items()
         self._estimates.idle = {(name, idle.epoch) for name, idle in prepared}
         for sample in self._samples.drain():
             if self._estimates_end:
@@ -307,7 +314,7 @@ class Manager:
         Meanwhile other commands are carried out, and the robot is looked after.
         """
         result = self._carry_out(command, partial(self._do, command))
-        if isinstance(result, Preparation):
+        if isinstance(result, PreparedMigration):
             self._preparations.append((command, result, future))
         else:
             self._answer_when_stored(future, result)
@@ -324,8 +331,8 @@ class Manager:
             if not self._run.agents.has_stored(generation):
                 if self._run.clock.now() < until:
                     continue
-                why = "no majority of agents has stored it: it may not last"
-                result = Refusal(f"{why} ({result})", "RunError")
+                why = "it was done, but no majority of agents has stored it: the next "
+                result = Refusal(f"{why}manager may undo it", "RunError")
             self._unstored.remove(waiting)
             future.set_result(result)
 
@@ -352,12 +359,15 @@ class Manager:
 
     def _refusal_of_bug(self, command: Command, error: Exception) -> Refusal:
         """Journal an error that nobody foresaw, and let what was placed go on."""
-        what = f"{command} ended by a bug in Poise: {type(error).__name__}: {error}"
+        what = (
+            f"{type(command).__name__} failed because of a bug in Poise: "
+            f"{type(error).__name__}: {error}"
+        )
         self._run.journal.note("failed", what, traceback=traceback.format_exc())
         self._run.release(what)
         return Refusal(f"{what}. The robot keeps its placement", "RunError")
 
-    def _do(self, command: Command) -> Result | Preparation:
+    def _do(self, command: Command) -> Result | PreparedMigration:
         """Do what a command asks for; return a migration that is prepared first."""
         run = self._run
         self._lost.settle()
@@ -371,7 +381,8 @@ class Manager:
                 return PortAnswer(number=0, outcome="done", value=changes)
             case RebalanceCommand(cost, dry):
                 return Rebalanced(*self._adaptation.balance(cost, dry=dry))
-            case MoveCommand(component, computer, dry=True):
+            case MoveCommand(component, computer, force, dry=True):
+                check_target(run, component, computer, force=force)
                 return self._adaptation.what_if(component, computer)
             case MoveCommand(component, computer, force):
                 planned = plan_move(run, component, computer, force=force)

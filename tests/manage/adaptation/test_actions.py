@@ -12,7 +12,7 @@ from poise.manage.adaptation.actions import Actions
 from poise.manage.adaptation.loop import Adaptation
 from poise.manage.adaptation.policies import Policies
 from poise.manage.adaptation.policy_values import values_of
-from poise.manage.adaptation.transitions import BUDGET, MoveLimits
+from poise.manage.adaptation.when_to_act import BUDGET, MoveLimits
 from poise.manage.migration.migration_report import TransitionStep
 from poise.model.policy import Policy
 from poise.model.robot import Computer
@@ -99,7 +99,7 @@ def test_a_move_keeps_the_budget_and_does_not_return_too_soon() -> None:
     with pytest.raises(RunError, match="'low' left 'right' only recently"):
         take(robbed_of_two(), policy, limits, 1.0)
     limits.note([back] * BUDGET, 1.0)
-    with pytest.raises(RunError, match="over the budget of a minute"):
+    with pytest.raises(RunError, match="too many moves in the last minute"):
         take(robbed_of_two(), policy, limits, 2.0)
 
 

@@ -14,7 +14,7 @@ from poise.manage.adaptation.decision import decide
 from poise.manage.adaptation.policies import Policies
 from poise.manage.adaptation.policy_values import values_of
 from poise.manage.adaptation.situation import Situation
-from poise.manage.adaptation.transitions import MoveLimits
+from poise.manage.adaptation.when_to_act import MoveLimits
 from poise.model.policy import LinkValues, policies_of
 from poise.model.robot import Computer, Connector, ConnectorEnd, Link, Robot
 from poise.wire.records.heartbeat_records import LinkQuality
@@ -164,9 +164,7 @@ def test_what_nothing_crosses_changes_nothing(situation: Make, two: Robot) -> No
     robot = replace(joined(two), connectors=())
     found = decide(over(situation, robot, quality(silent=1.0)))
     assert not found.acts
-    assert found.why.startswith(
-        "link 'left-right' is cut, and no connector crosses it; "
-    )
+    assert found.why.startswith("link 'left-right' is cut; ")
 
 
 def test_a_slow_link_that_costs_little_is_not_worth_a_move(

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from msgspec import Struct
 
 from poise.estimate.online import Estimate
-from poise.manage.adaptation import transitions
+from poise.manage.adaptation import placement_responders
 from poise.manage.adaptation.decision import DOWNTIME, START
 from poise.manage.adaptation.loop import Adaptation
 from poise.manage.adaptation.situation import Situation
@@ -198,7 +198,7 @@ class Unsupervised:
 def run(world: World, seconds: float) -> World:
     """Let the loop look after a world for some time, then keep its load as it is."""
     patch = pytest.MonkeyPatch()
-    patch.setattr(transitions, "transit", world.transit)
+    patch.setattr(placement_responders, "transit", world.transit)
     try:
         adaptation = Adaptation(
             cast("RunningComponents", Robotless(world.robot)),

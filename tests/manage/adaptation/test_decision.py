@@ -144,7 +144,7 @@ def test_when_nothing_fits_it_says_what_is_missing(situation: Make) -> None:
         "and its runs take 30 ms (p99); 0.4 cores on 'left' are missing; "
     )
     assert (
-        "components need 0.4 cores in all, and beside other programs and reserves "
+        "components need 0.4 cores in all; after other programs and reserves "
         "'left' has 0 cores, 'right' has 0 cores"
     ) in found.why
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from poise.manage.adaptation.transitions import JUDGE_AFTER, LossSuffered
+from poise.manage.adaptation.when_to_act import JUDGE_AFTER, LossSuffered
 
 
 def test_a_change_is_made_when_as_much_is_lost_as_it_costs() -> None:

@@ -7,7 +7,7 @@ import random
 import pytest
 
 from poise.manage.adaptation.decision import decide
-from poise.manage.adaptation.transitions import BUDGET, SETTLE, LossSuffered, MoveLimits
+from poise.manage.adaptation.when_to_act import BUDGET, SETTLE, LossSuffered, MoveLimits
 from poise.manage.migration.migration_report import TransitionStep
 from tests.manage.adaptation.conftest import Make
 

@@ -12,9 +12,9 @@ from msgspec.structs import replace
 from poise import plan
 from poise.errors import UsageError
 from poise.manage.adaptation.decision import decide
+from poise.manage.adaptation.failover import plan_failover
 from poise.manage.adaptation.situation import Situation
 from poise.manage.migration.move import plan_alternative, plan_move, plan_replacement
-from poise.manage.shortages.failover import fail_over
 from poise.model.policy import Policy
 from poise.model.robot import Computer, Robot
 from tests.manage.adaptation.shortages.test_suspension import BOTH, Robbed, robot_with
@@ -82,7 +82,7 @@ def test_an_overload_moves_none(layer: str) -> None:
 def test_a_lost_computer_takes_them_with_it(layer: str) -> None:
     robbed = Robbed(robot_of_two(layer))
     situation: Situation = replace(robbed.situation(), lost=frozenset({"left"}))
-    found = fail_over(situation, {"left"})
+    found = plan_failover(situation, {"left"})
     assert not found.placement
     assert set(found.missing) == {"high", "low"}
     assert found.missing["low"] == f"it belongs to the {layer} layer, which stays"

@@ -261,7 +261,7 @@ def test_only_what_runs_or_comes_may_fail_a_wait(
     run.start()
     ahead = structs.replace(run.placed["grabber"], epoch=7, goal="inactive")
     agents.states["grabber"] = ComponentStatus(name="grabber", epoch=7, state="failed")
-    run.commit(run.desired.configuring([ahead]), "a test")
+    run.commit(run.desired.with_configured_ahead([ahead]), "a test")
     run.watch(0.0)
 
 

@@ -132,7 +132,7 @@ def test_code_that_misses_more_deadlines_gives_its_state_back(robot: Robot) -> N
     assert not robot.restarted
     (deviation,) = robot.canaries.deviations()
     assert deviation.what == (
-        "component 'eye' returns to the code before: timer 'look' missed 4 of 20 "
+        "component 'eye' returns to its previous code: timer 'look' missed 4 of 20 "
         "deadlines, and 10% before"
     )
     robot.now = 61.0

@@ -25,7 +25,7 @@ from poise.manage.journal import Journal
 from poise.manage.migration.coordinator import DOWNTIME_LIMIT, RESUME_LIMIT
 from poise.manage.migration.migration_report import MigrationReport
 from poise.manage.migration.move import plan_move, plan_replacement
-from poise.manage.migration.preparation import PREPARE_LIMIT
+from poise.manage.migration.prepared_migration import PREPARE_LIMIT
 from poise.model.robot import (
     Architecture,
     ComponentEntry,

@@ -40,7 +40,7 @@ def rounds_of(
     layout = DeploymentPlan(robot, "/run")
     sources, targets = placed(olds, 0), placed(news, 1)
     return MigrationPlan(
-        layout, sources, targets, rest, calls, GATEWAYS, late=late, away=away
+        layout, sources, targets, rest, calls, GATEWAYS, lossy=late, away=away
     )
 
 

@@ -126,7 +126,7 @@ def test_nothing_begins_where_no_cpu_is_left_but_what_is_ready_stays(
     cpu = {"left": 0.001, "right": 0.2}
     found = chosen(robot, likely(1, arm="left"), cpu=cpu)
     assert found.why_not == {
-        ("arm", "t"): "the running components leave no CPU of computer 'left'"
+        ("arm", "t"): "the running components leave no CPU free on 'left'"
     }
     found = chosen(robot, likely(1, arm="left"), cpu=cpu, held={"arm": "left"})
     assert found.placement == {"arm": "left"}

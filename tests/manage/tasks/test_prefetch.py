@@ -61,7 +61,7 @@ def rig(robot: Robot) -> Rig:
 
 def test_the_next_action_is_prepared_in_half_of_the_cpu_that_is_left(rig: Rig) -> None:
     rig.look(NEXT)
-    assert rig.run.prepared["thinker"].computer == "right"
+    assert rig.run.prefetched["thinker"].computer == "right"
     assert rig.told("right") == [("mind", 0.5)]
     assert not rig.agents.deployed[-1][1].containers[0].connectors
     rig.look(NEXT)
@@ -94,18 +94,18 @@ def test_switches_are_reported_with_and_without(rig: Rig) -> None:
 def test_nothing_is_prepared_when_that_is_off(robot: Robot) -> None:
     rig = Rig(replace(robot, prefetch=Prefetch(off=True)))
     rig.look(NEXT)
-    assert not rig.run.prepared
+    assert not rig.run.prefetched
 
 
 def test_nothing_begins_while_other_programs_use_all_cpu(rig: Rig) -> None:
     full = Load(capacity=1.0, used=1.0, background=0.9)
     rig.look(NEXT, loads={"right": full})
-    assert not rig.run.prepared
+    assert not rig.run.prefetched
     rig.look(NEXT, loads={"right": full})
     assert rig.said("seen") == [
         (
             "nothing is prepared for action 'think' of task 'serve': the running "
-            "components leave no CPU of computer 'right'"
+            "components leave no CPU free on 'right'"
         )
     ]
 
@@ -123,13 +123,13 @@ def test_a_preparation_that_fails_is_said_and_dropped(rig: Rig) -> None:
             "its action: KeyError: 'map'"
         )
     ]
-    assert not rig.run.prepared
+    assert not rig.run.prefetched
     assert rig.told("right") == []
     rig.look(NEXT)
-    assert not rig.run.prepared
+    assert not rig.run.prefetched
     rig.now += TRY_AGAIN
     rig.look(NEXT)
-    assert rig.run.prepared
+    assert rig.run.prefetched
 
 
 def test_a_container_that_crashes_as_it_is_prepared_is_not_tried_on(rig: Rig) -> None:
@@ -141,7 +141,7 @@ def test_a_container_that_crashes_as_it_is_prepared_is_not_tried_on(rig: Rig) ->
     )
     rig.agents._statuses["right"] = replace(status, health=(health,))
     rig.look(NEXT)
-    assert not rig.run.prepared
+    assert not rig.run.prefetched
     assert rig.said("failed") == [
         (
             "component 'thinker' cannot be prepared on 'right'; it starts only with "
@@ -161,16 +161,16 @@ def test_an_action_begins_anew_what_failed_when_it_was_prepared(rig: Rig) -> Non
 def test_what_is_not_likely_any_more_rests_once_it_is_ready(rig: Rig) -> None:
     rig.look(NEXT)
     rig.look(NEXT)
-    assert rig.run.prepared["thinker"].gently
+    assert rig.run.prefetched["thinker"].gently
     rig.look()
-    assert not rig.run.prepared["thinker"].gently
+    assert not rig.run.prefetched["thinker"].gently
 
 
 def test_what_is_not_likely_any_more_and_not_ready_is_dropped(rig: Rig) -> None:
     rig.agents.states["thinker"] = ComponentStatus(name="thinker", state="unconfigured")
     rig.look(NEXT)
     rig.look()
-    assert not rig.run.prepared
+    assert not rig.run.prefetched
 
 
 def test_what_is_dropped_unused_counts_as_wasted(rig: Rig, robot: Robot) -> None:
@@ -186,8 +186,8 @@ def test_what_is_dropped_unused_counts_as_wasted(rig: Rig, robot: Robot) -> None
     rig.now += 1.0
     rig.look(NEXT)
     rig.look(NEXT)
-    assert not rig.run.prepared
-    assert rig.said("decided")[-1] == "'thinker' no longer prepared"
+    assert not rig.run.prefetched
+    assert rig.said("decided")[-1] == "'thinker' no longer kept prepared"
     assert rig.prefetch.report().wasted == 7_000_000
 
 

@@ -144,7 +144,7 @@ class Rig:
         return set(self.run.placed)
 
     def resting(self) -> set[str]:
-        return set(self.run.prepared)
+        return set(self.run.prefetched)
 
     def states(self) -> dict[str, tuple[str, str]]:
         return {each.name: (each.state, each.why) for each in self.manager.reports}
@@ -241,7 +241,7 @@ def test_the_task_of_higher_priority_gets_the_room_and_the_other_goes_on_later()
     assert rig.resting() == {"seeer", "goer"}
     state, why = rig.states()["low"]
     assert state == "waiting"
-    assert why.startswith("task 'high' uses capacity that it needs: ")
+    assert why.startswith("task 'high' uses capacity that this one needs: ")
     rig.end("sayer")
     assert rig.active() == {"seeer", "goer"}
     assert rig.run.placed["goer"].epoch == before  # it kept its state
@@ -408,7 +408,7 @@ def test_how_actions_end_is_learned_and_decides_choices(tmp_path: Path) -> None:
     assert (belief.action, belief.failed) == ("a", 1)
     rig.manager.command("start", "t")
     assert rig.active() == {"goer"}  # it promises more now
-    assert "choice of 'b': promised are 'a' 50%, 'b' 100%" in rig.said()
+    assert "chose 'b'; expected: 'a' 50%, 'b' 100%" in rig.said()
 
 
 @pytest.mark.parametrize("verb", ["pause", "resume", "cancel"])

@@ -79,7 +79,7 @@ def test_steps_of_the_migration_before_are_not_taken(
     assert isinstance(executor.receive(batch(OFFER, migration=2))(), StepsDone)
     outcome = late()
     assert isinstance(outcome, StepsFailed)
-    assert outcome.reason == "'offer state' is late: a deployment came before it"
+    assert outcome.reason == "'offer state' was overtaken by a deployment"
     assert is_at_work(runner)
 
 
@@ -169,7 +169,7 @@ def test_a_halt_says_that_nothing_was_committed_and_refuses_what_came_before(
     assert not executor.halt(batch(HALT)).is_committed
     outcome = late()
     assert isinstance(outcome, StepsFailed)
-    assert "'resume' is late" in outcome.reason
+    assert "'resume' was overtaken" in outcome.reason
     assert is_at_work(runner)
 
 

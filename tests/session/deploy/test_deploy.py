@@ -232,7 +232,7 @@ def test_new_code_of_one_component_takes_its_state_and_comes_back_when_it_crashe
         assert code == 0, said
         watched = "new code of component 'ticker' is watched for 5"
         wait_long(lambda: watched in field.poise("status")[1])
-        returned = "component 'ticker' returns to the code before: its container"
+        returned = "component 'ticker' returns to its previous code: its container"
         wait_long(lambda: returned in field.poise("status")[1])
         wait_long(lambda: field.log().count("second of") >= 2)
         assert returned in field.poise("journal")[1]
@@ -261,7 +261,7 @@ def test_new_code_that_crashes_at_once_comes_back(field: Field) -> None:
         assert field.poise("replace", "ticker", by, "--watch", "60s")[0] == 0
         wait_long(lambda: field.log().count("first of") >= 2)
         wait_long(lambda: "watched" not in field.poise("status")[1])
-        assert "returns to the code before" in field.poise("journal")[1]
+        assert "returns to its previous code" in field.poise("journal")[1]
 
 
 def test_new_code_that_misses_deadlines_comes_back_with_its_state(

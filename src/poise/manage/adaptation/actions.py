@@ -16,7 +16,7 @@ from poise.manage.adaptation.bad_links import check_links
 from poise.manage.adaptation.move_forecast import check_move
 from poise.manage.adaptation.policies import Policies, Symptom, saw
 from poise.manage.adaptation.situation import Change, Situation
-from poise.manage.adaptation.transitions import MoveLimits
+from poise.manage.adaptation.when_to_act import MoveLimits
 from poise.manage.deploy.desired import Desired
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.migration.migration_report import (
@@ -31,6 +31,7 @@ from poise.manage.shortages.suspension import Suspensions
 from poise.model.check.allowed_computers import pinned_components
 from poise.model.policy import Do
 from poise.model.robot import Architecture, Robot
+from poise.units import named
 
 
 class Actions:
@@ -96,7 +97,7 @@ class Actions:
         check_links(situation, component, target)
         if not policy.force:
             if not self._limits.may_move(1, now):
-                raise RunError("the move is over the budget of a minute")
+                raise RunError("too many moves in the last minute")
             if target in self._limits.quarantined(now).get(component, ()):
                 raise RunError(f"'{component}' left '{target}' only recently")
             check_move(situation, component, target)
@@ -220,8 +221,8 @@ class CrashLoops:
             if start_together(run, where, situation.lost):
                 return
             if lost := set(where.values()) - run.computers():
-                away = " and ".join(f"'{name}'" for name in sorted(lost))
-                raise RunError(f"{away} is out of reach meanwhile")
+                away = named("computer", sorted(lost))
+                raise RunError(f"{away} went out of reach in the meantime")
             crashed |= dict.fromkeys(where.values(), now)
         del self._crashed[container]
         self._suspend(names, symptom, situation, sorted(crashed), now)

@@ -156,14 +156,14 @@ def reason(situation: Situation, bad: Sequence[LinkState]) -> str:
     for connector, state in crossing(situation, situation.placement, bad):
         across[str(state)].append(f"'{connector}'")
     return "".join(
-        f"link '{state}' is {'cut' if state.cut else 'slow'}, and {_cross(names)} it; "
+        f"link '{state}' is {'cut' if state.cut else 'slow'}{_cross(names)}; "
         for state, names in zip(bad, across.values(), strict=True)
     )
 
 
 def _cross(connectors: Sequence[str]) -> str:
     verb = "cross" if len(connectors) > 1 else "crosses"
-    return f"{' and '.join(connectors) or 'no connector'} {verb}"
+    return f", and {' and '.join(connectors)} {verb} it" if connectors else ""
 
 
 def with_bad_links(robot: Robot, bad: Sequence[LinkState]) -> Robot:

@@ -217,9 +217,8 @@ def _room(situation: Situation) -> str:
         if cores > 0
     )
     return (
-        f"{short} are missing; components need {format_cores(needed)} in all, and "
-        f"beside other programs and reserves {usable}; no move of them leaves less "
-        "missing"
+        f"{short} are missing; components need {format_cores(needed)} in all; after "
+        f"other programs and reserves {usable}; no move reduces the shortage"
     )
 
 

@@ -18,16 +18,16 @@ from poise.clock import wall_time
 from poise.errors import PoiseError
 from poise.manage.adaptation.actions import Actions
 from poise.manage.adaptation.bad_links import check_links
+from poise.manage.adaptation.failover import FailoverResponder
 from poise.manage.adaptation.move_forecast import alternatives, check_move, what_if
+from poise.manage.adaptation.placement_responders import Replan, Transitions, UseAgain
 from poise.manage.adaptation.policies import Key, Policies, Symptom, saw
 from poise.manage.adaptation.policy_values import values_of
 from poise.manage.adaptation.replan import propose
 from poise.manage.adaptation.situation import Responder, Situation
-from poise.manage.adaptation.transitions import Replan, Transitions, UseAgain
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.migration.migration_report import Proposal, TransitionReport, WhatIf
 from poise.manage.observe.deviations import Deviation
-from poise.manage.shortages.failover import FailOver
 from poise.manage.shortages.suspension import (
     NeededFunctions,
     ResumeSuspended,
@@ -66,7 +66,7 @@ class Adaptation:
         self._transitions = Transitions(run, self._policies, suspensions)
         limits = self._transitions.limits
         self.responders: tuple[Responder, ...] = (
-            FailOver(run, suspensions),
+            FailoverResponder(run, suspensions),
             StopWithoutNeeded(suspensions),
             Actions(run, suspensions, limits, self._policies),
             ResumeSuspended(run, suspensions),
@@ -133,8 +133,13 @@ class Adaptation:
         return proposal, self._transitions.carry_out(proposal.steps, situation.now)
 
     def what_if(self, component: str, computer: str) -> WhatIf:
-        """Return what a move would change, for a person who asks."""
-        return what_if(self._situation(), component, computer)
+        """Return what a move would change, for a person who asks.
+
+        Raises UsageError when a cut link forbids it.
+        """
+        situation = self._situation()
+        check_links(situation, component, computer)
+        return what_if(situation, component, computer)
 
     def check_asked(self, component: str, computer: str, *, force: bool) -> None:
         """Check a move that a person asks for; journal it, and what else could be done.
@@ -147,7 +152,7 @@ class Adaptation:
             check_move(situation, component, computer)
         try:
             change = what_if(situation, component, computer)
-        except PoiseError:  # the move itself says why not
+        except PoiseError:  # with what runs now, no placement can be judged
             return
         what = f"asked to move '{component}' to '{computer}'"
         others = alternatives(situation)

@@ -117,7 +117,7 @@ def nothing_helps(situation: Situation, gone: str = "") -> str:
         return (
             f"{what}Lost with their computers: {gone}; components that need them wait"
         )
-    return f"{what}Is a component blocked, or its deadline too short for its work?"
+    return f"{what}Check whether a component is blocked, or a deadline too short"
 
 
 def _others(situation: Situation) -> str:

@@ -187,7 +187,11 @@ class Change(Struct, frozen=True, kw_only=True):
 
 
 class Responder(Protocol):
-    """Reacts to one kind of trouble. Changes nothing by itself, and never waits."""
+    """Reacts to one kind of trouble; never waits.
+
+    It changes nothing that runs: what it wants done it returns. It may journal, and
+    remember what it has seen and answered.
+    """
 
     @property
     def purpose(self) -> str:

@@ -75,7 +75,9 @@ def send_command(robot: str | None, command: Command) -> Result:
     except BlockingIOError:  # its queue is full
         raise _no_answer(name) from None
     except (OSError, RunError, WireError) as error:
-        done = "" if isinstance(command, _LOOKS) else "; it may have been done"
+        done = (
+            "" if isinstance(command, _LOOKS) else "; the command may have taken effect"
+        )
         raise RunError(f"robot '{name}' gave no answer: {error}{done}") from error
     if isinstance(told, Refusal):
         raise told.to_error()
@@ -86,7 +88,10 @@ def ask(robot: str | None, command: Command, type_: type[R]) -> R:
     """Return the result of a command, which is of a type; raises as `send_command`."""
     result = send_command(robot, command)
     if not isinstance(result, type_):
-        raise RunError(f"the manager answered {result!r} to {command!r}")
+        raise RunError(
+            f"unexpected answer '{type(result).__name__}' of the manager: is it "
+            "another version of Poise?"
+        )
     return result
 
 
@@ -142,7 +147,7 @@ def _told_elsewhere(addresses: AgentAddresses, command: Command) -> Response:
     """Return what a manager says that runs beside another agent, once one does."""
     keys = addresses.credentials()
     if keys is not None and keys.role == "viewer":
-        raise _no_manager(addresses, f"the keys in {keys.folder} only let look")
+        raise _no_manager(addresses, f"the keys in {keys.folder} allow no commands")
     session = open_session(connect=tuple(addresses.endpoints.values()), keys=keys)
     try:
         key = _manager_key(session, addresses.robot, _REACH_LIMIT)

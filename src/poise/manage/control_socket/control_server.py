@@ -56,8 +56,8 @@ class ControlServer:
             self._inode = self._path.stat().st_ino
         except OSError as error:
             raise RunError(
-                f"{self._path} cannot be listened on ({error}): set XDG_RUNTIME_DIR to "
-                "a folder of yours with a short path"
+                f"cannot listen on {self._path} ({error}): set XDG_RUNTIME_DIR to a "
+                "folder that you own, with a short path"
             ) from error
 
     def __enter__(self) -> Self:

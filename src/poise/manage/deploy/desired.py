@@ -31,8 +31,10 @@ class Incarnation(Struct, frozen=True, kw_only=True):
     # the version of the code that it runs instead of the robot's; empty: the robot's
     code: str = ""
     gently: bool = False  # whether it is prepared with the CPU time that others leave
+    # whether it has no connectors yet: the target of a migration that has not begun
     unjoined: bool = False
     held: bool = False  # whether it is inactive only because `Desired.held` names it
+    # the action of the task that it works for, and its number since the start
     action_number: int = 0
     action: str = ""
 
@@ -49,9 +51,13 @@ class Desired(Struct, frozen=True, kw_only=True):
     """What should run on all computers of a robot."""
 
     placed: Mapping[str, Incarnation] = {}  # component -> its authoritative incarnation
+    # what the change under way brings, beside or instead of what is placed
     coming: tuple[Incarnation, ...] = ()
+    # targets of migrations that have not begun: they are configured meanwhile
     configured_ahead: tuple[Incarnation, ...] = ()
-    prepared: Mapping[str, Incarnation] = {}
+    # component -> an idle incarnation, ready for an action that may come
+    prefetched: Mapping[str, Incarnation] = {}
+    # components that pause until it is known whether they also run elsewhere
     held: frozenset[str] = frozenset()
     # computer -> CPU for what is being prepared there [cores]
     preparation_cpu: Mapping[str, float] = {}
@@ -72,7 +78,7 @@ class Desired(Struct, frozen=True, kw_only=True):
         }
         idle = (
             incarnation
-            for name, incarnation in self.prepared.items()
+            for name, incarnation in self.prefetched.items()
             if name not in busy
         )
         wanted = (*self.placed.values(), *self.coming, *self.configured_ahead, *idle)
@@ -96,16 +102,16 @@ class Desired(Struct, frozen=True, kw_only=True):
             if incarnation.goal == "active" and name not in changing | self.held
         }
 
-    def starting(self, coming: Iterable[Incarnation]) -> Desired:
-        """Return this with a change under way, instead of any other."""
+    def with_coming(self, coming: Iterable[Incarnation]) -> Desired:
+        """Return this with another change under way; none: nothing is under way."""
         coming = tuple(coming)
-        return replace(self.configured(coming), coming=coming)
+        return replace(self.without_configured_ahead(coming), coming=coming)
 
-    def configuring(self, targets: Iterable[Incarnation]) -> Desired:
+    def with_configured_ahead(self, targets: Iterable[Incarnation]) -> Desired:
         """Return this with targets of a migration to come."""
         return replace(self, configured_ahead=(*self.configured_ahead, *targets))
 
-    def configured(self, targets: Iterable[Incarnation]) -> Desired:
+    def without_configured_ahead(self, targets: Iterable[Incarnation]) -> Desired:
         """Return this without targets of a migration that begins, or never will."""
         keys = {(incarnation.component, incarnation.epoch) for incarnation in targets}
         ahead = (e for e in self.configured_ahead if (e.component, e.epoch) not in keys)
@@ -117,7 +123,7 @@ class Desired(Struct, frozen=True, kw_only=True):
         return replace(
             self,
             placed={**self.placed, **new},
-            prepared={n: e for n, e in self.prepared.items() if n not in new},
+            prefetched={n: e for n, e in self.prefetched.items() if n not in new},
             coming=(),
         )
 
@@ -126,14 +132,16 @@ class Desired(Struct, frozen=True, kw_only=True):
         return replace(
             self,
             placed={n: e for n, e in self.placed.items() if n not in components},
-            prepared={n: e for n, e in self.prepared.items() if n not in components},
+            prefetched={
+                n: e for n, e in self.prefetched.items() if n not in components
+            },
             coming=tuple(e for e in self.coming if e.component not in components),
         )
 
-    def preparing(self, incarnations: Iterable[Incarnation]) -> Desired:
+    def with_prefetched(self, incarnations: Iterable[Incarnation]) -> Desired:
         """Return this with incarnations that are idle from now on."""
         new = {incarnation.component: incarnation for incarnation in incarnations}
-        return replace(self, prepared={**self.prepared, **new})
+        return replace(self, prefetched={**self.prefetched, **new})
 
     def aiming(self, goal: Goal, components: Collection[str]) -> Desired:
         """Return this with another goal for placed components."""

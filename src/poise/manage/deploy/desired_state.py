@@ -90,9 +90,9 @@ class DesiredState:
         return self.desired.placed
 
     @property
-    def prepared(self) -> Mapping[str, Incarnation]:
+    def prefetched(self) -> Mapping[str, Incarnation]:
         """Component -> its idle incarnation, to be active soon."""
-        return self.desired.prepared
+        return self.desired.prefetched
 
     def placement(self) -> dict[str, str]:
         """Return component -> computer, as it is now; from any thread."""

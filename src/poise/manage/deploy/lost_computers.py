@@ -150,7 +150,7 @@ class LostComputers:
         back = f"computer '{computer}' was cut off, or its agent was restarted"
         away = run.unreached().get(computer, back)
         if self._is_replaced(computer):
-            away = f"the agent of '{computer}' ends for another one to follow"
+            away = f"the agent of '{computer}' is being replaced by another one"
         run.journal.note("wrong", away)
 
     def _note_back(self, computer: str, status: AgentStatus) -> None:

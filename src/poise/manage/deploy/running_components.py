@@ -142,7 +142,7 @@ class RunningComponents(DesiredState):
 
     def bring(self, coming: Collection[Incarnation], limit: float, why: str) -> None:
         """Let something run beside all else, and wait for it."""
-        self.commit(self.desired.starting(coming), why)
+        self.commit(self.desired.with_coming(coming), why)
         self.wait(coming, limit)
 
     def wait(
@@ -184,7 +184,7 @@ class RunningComponents(DesiredState):
             return self.agents.has_stored(generation)
 
         if not self.agents.wait_news(is_stored, READY_LIMIT):
-            raise RunError(f"no majority of agents has stored that {why}")
+            raise RunError(f"no majority of agents has stored {why}")
 
     def current(self) -> dict[str, AgentStatus]:
         """Return the statuses that speak of what the agents were told last."""

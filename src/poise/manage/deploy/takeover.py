@@ -190,7 +190,9 @@ def _elected(
             if run.clock.now() >= until:
                 run.leave()
                 names = ", ".join(f"'{name}'" for name in sorted(away))
-                raise RunError(f"the leases of {names} may not have ended")
+                raise RunError(
+                    f"the leases of components on {names} may not have ended"
+                )
             run.clock.sleep(_LOOK_EVERY)
     known = {(each.component, each.epoch) for each in record.incarnations()}
     return {name: _with_only(known, each) for name, each in found.items()}
@@ -306,8 +308,10 @@ def _committed(
     # nothing goes on in the container of a target before the commit
     asked &= {(each.computer, each.container) for each in doubted}
     for where in sorted(asked):
-        why = f"{unknown[where]}: it is ended, for it may have gone on with the move"
-        run.journal.note("decided", f"amid a migration, {why}")
+        why = (
+            f"{unknown[where]}: it is stopped, since it may have gone on with the move"
+        )
+        run.journal.note("decided", f"during a migration, {why}")
     if asked:
         _end_containers(run, asked, deployments)
     return frozenset(committed & {each.key for each in targets})
@@ -410,8 +414,8 @@ def _start(
         if new:
             run.journal.note("done", f"started {counted(len(new), 'component')}")
     except RunError as error:
-        run.journal.note("failed", f"not all that is missing started: {error}")
-    run.commit(run.desired.placing(starts), "missing components belong there")
+        run.journal.note("failed", f"some missing components did not start: {error}")
+    run.commit(run.desired.placing(starts), "missing components are placed")
 
 
 def _claim(

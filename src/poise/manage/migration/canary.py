@@ -125,7 +125,7 @@ class Canaries:
     def _return(self, trial: _Trial, placed: Incarnation, why: str) -> None:
         """Let the code before take over; what cannot give its state is restarted."""
         run, name = self._run, placed.component
-        what = f"component '{name}' returns to the code before: {why}"
+        what = f"component '{name}' returns to its previous code: {why}"
         run.journal.note("decided", what)
         until = run.clock.now() + SHOWN_FOR
         shown = Deviation(

@@ -26,9 +26,10 @@ from poise.manage.deploy.desired import Incarnation
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.migration.migration_plan import MigrationPlan, PlacedStep
 from poise.manage.migration.migration_report import MigrationReport
-from poise.manage.migration.preparation import PREPARE_LIMIT, STALL_LIMIT, Stall
+from poise.manage.migration.prepared_migration import PREPARE_LIMIT, STALL_LIMIT, Stall
 from poise.manage.observe.deviations import explain
 from poise.priority import first
+from poise.units import named
 from poise.wire.address import LOST_AFTER
 from poise.wire.records.migration_records import (
     MigrationPhases,
@@ -79,7 +80,7 @@ class Migration:
         self._what = f"migration of {report.name}"
         self._phases = MigrationPhases("manager", self._what)
         self._taken: list[StepTaken] = []
-        self._late: list[PlacedStep] = []
+        self._unanswered: list[PlacedStep] = []
         self._committed_generation = 0  # 0: it is not committed
 
     def run(self) -> MigrationReport:
@@ -103,14 +104,14 @@ class Migration:
                 reason = self._switch(plan, paused + DOWNTIME_LIMIT)
                 downtime = time.monotonic() - paused
         phases = self._phases.seconds()
-        if not reason:
-            self._linger()
         if reason:
             reason = self._with_losses(reason)
-            desired = self._run.desired.configured(self._targets).starting(())
+            desired = self._run.desired.without_configured_ahead(self._targets)
+            desired = desired.with_coming(())
             desired = desired.aiming("active", self._names)
             self._run.commit(desired, f"{self._what} is rolled back: {reason}")
         else:
+            self._linger()
             self._run.reconcile()
         self._wait_ended(self._targets if reason else self._sources)
         self._raise_on_successor()
@@ -126,7 +127,7 @@ class Migration:
             downtime=downtime,
             phases=phases,
             steps=tuple(self._taken),
-            late={} if reason else self._dropped,
+            dropped={} if reason else self._dropped,
         )
 
     def _is_known(self) -> bool:
@@ -162,8 +163,8 @@ class Migration:
             if placed is None or placed.epoch != source.epoch:
                 raise RunError(f"component '{source.component}' was changed meanwhile")
         raise_on_cut_state(run, self._sources, self._targets)
-        late = late_connectors(run, self._sources, self._others)
-        self._dropped = {name: connector.why for name, connector in late.items()}
+        lossy = lossy_connectors(run, self._sources, self._others)
+        self._dropped = {name: connector.why for name, connector in lossy.items()}
         return MigrationPlan(
             run.layout,
             self._sources,
@@ -171,12 +172,14 @@ class Migration:
             self._others,
             calling_ports(run.agents.statuses()),
             run.gateways(),
-            late={name: connector.keep for name, connector in late.items()},
+            lossy={name: connector.keep for name, connector in lossy.items()},
             away=self._away,
         )
 
     def _prepare(self, plan: MigrationPlan) -> None:
-        desired = self._run.desired.aiming("stay", self._names).starting(self._targets)
+        desired = self._run.desired.aiming("stay", self._names).with_coming(
+            self._targets
+        )
         self._run.commit(desired, f"prepare the {self._what}")
         # higher than that of any earlier migration, whatever the clock says
         self._number = self._run.desired.generation
@@ -227,12 +230,12 @@ class Migration:
         """Let the sources redirect callers until all senders have left them."""
         deadline = time.monotonic() + LONGEST_LINGER
         time.sleep(LINGER)
-        late = self._late
-        while late and time.monotonic() < deadline:
-            late = self._tell_all(late)
+        unanswered = self._unanswered
+        while unanswered and time.monotonic() < deadline:
+            unanswered = self._tell_all(unanswered)
             time.sleep(LINGER)
-        if late:
-            self._note_failure(f"{_names(late)} may still call its earlier place")
+        if unanswered:
+            self._note_failure(f"{_names(unanswered)} may still call its earlier place")
 
     def _take(
         self,
@@ -259,7 +262,9 @@ class Migration:
         route only, and sends there what it buffered.
         """
         failed = self._tell_all(steps, self._note_failure)
-        self._late = [step for step in failed if step[1].name == "release to targets"]
+        self._unanswered = [
+            step for step in failed if step[1].name == "release to targets"
+        ]
 
     def _tell_all(
         self,
@@ -317,7 +322,7 @@ class Migration:
         run.agents.wait_news(have_ended, REMOVE_LIMIT)
         if hanging := [e.component for e in gone if not run.has_ended(e)]:
             self._note_failure(
-                f"'{', '.join(hanging)}' has not stopped within {REMOVE_LIMIT:g} s"
+                f"{named('component', hanging)} did not stop within {REMOVE_LIMIT:g} s"
             )
 
     def _with_losses(self, reason: str) -> str:
@@ -380,24 +385,24 @@ def raise_on_cut_state(
             )
 
 
-class LateConnector(Struct, frozen=True):
+class LossyConnector(Struct, frozen=True):
     """A connector whose ends do not reach each other."""
 
     why: str  # in words
     keep: int  # how many messages its subscriber keeps
 
 
-def late_connectors(
+def lossy_connectors(
     run: RunningComponents,
     sources: Iterable[Incarnation],
     others: Mapping[str, Incarnation],
-) -> dict[str, LateConnector]:
-    """Return the connectors of components that migrate over which data is late."""
+) -> dict[str, LossyConnector]:
+    """Return connectors of components that migrate which cannot be drained now."""
     moving = {incarnation.component: incarnation for incarnation in sources}
     placed = {**others, **moving}
     unreached = run.unreached_connectors(placed)
     keeps = keeping_ports(run.agents.statuses())
-    late = {}
+    lossy = {}
     for connector in run.layout.connectors_at(moving, placed):
         if (why := unreached.get(str(connector))) is None:
             continue
@@ -408,5 +413,5 @@ def late_connectors(
             why += f"; '{subscriber}' has no `keep`, so nothing may be lost"
         if keep is None or run.unresponsive(ends):
             raise RunError(f"connector '{connector}' cannot be drained: {why}")
-        late[str(connector)] = LateConnector(why, keep)
-    return late
+        lossy[str(connector)] = LossyConnector(why, keep)
+    return lossy

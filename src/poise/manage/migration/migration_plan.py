@@ -36,11 +36,11 @@ class MigrationPlan:
         calls: Collection[tuple[str, str]],
         gateways: Mapping[str, str],
         *,
-        late: Mapping[str, int] = {},
+        lossy: Mapping[str, int] = {},
         away: Collection[str] = (),
     ) -> None:
         self._layout = layout
-        self._late = late
+        self._lossy = lossy
         self._away = away
         self._gateways = gateways
         self._others = others
@@ -145,15 +145,15 @@ class MigrationPlan:
         return _step("pause", self._sources[name], late=self._keys(begin))
 
     def _timely(self, connectors: Iterable[Connector]) -> tuple[str, ...]:
-        return tuple(str(c) for c in connectors if str(c) not in self._late)
+        return tuple(str(c) for c in connectors if str(c) not in self._lossy)
 
     def _keys(self, connectors: Iterable[Connector]) -> dict[str, int]:
-        """Return the keys of those that are late, and what their subscribers keep."""
+        """Return the keys of lossy connectors, and what their subscribers keep."""
         before = {**self._others, **self._sources}
         return {
-            self._layout.key_of(c, before): self._late[str(c)]
+            self._layout.key_of(c, before): self._lossy[str(c)]
             for c in connectors
-            if str(c) in self._late
+            if str(c) in self._lossy
         }
 
     def _drain_mailboxes(

@@ -34,7 +34,8 @@ class MigrationReport(Struct, frozen=True, tag=True, kw_only=True):
     downtime: float = 0.0
     phases: Mapping[str, float] = {}  # how long each phase took [s]
     steps: tuple[StepTaken, ...] = ()
-    late: Mapping[str, str] = {}
+    # connector over a cut or slow link -> why messages on it may have been dropped
+    dropped: Mapping[str, str] = {}
 
     @property
     def prepared(self) -> float:
@@ -78,7 +79,7 @@ class MigrationReport(Struct, frozen=True, tag=True, kw_only=True):
     def _losses(self) -> str:
         return "".join(
             f"; messages under way over '{connector}' were dropped: {why}"
-            for connector, why in self.late.items()
+            for connector, why in self.dropped.items()
         )
 
     def _times(self) -> str:

@@ -1,6 +1,6 @@
 """Plans the move of a component, its replacement, or that of an architecture.
 
-Each is checked, and returned as a `Preparation` to be run.
+Each is checked, and returned as a `PreparedMigration` to be run.
 
 A component in Python takes its state along, and loses no call or message. A
 command-line component makes a cold move: it is stopped, and started at the target. The
@@ -25,24 +25,21 @@ from poise.manage.deploy.running_components import (
 )
 from poise.manage.migration.coordinator import Migration
 from poise.manage.migration.migration_report import MigrationReport
-from poise.manage.migration.preparation import Preparation
+from poise.manage.migration.prepared_migration import PreparedMigration
 from poise.model.check.allowed_computers import allowed_computers
 from poise.model.robot import Architecture, Robot
+from poise.units import named
 from poise.wire.records.code_records import SHOWN
 
 
 def plan_move(
     run: RunningComponents, component: str, computer: str, *, force: bool = False
-) -> Preparation:
+) -> PreparedMigration:
     """Return the move of a running component to a computer, to be run.
 
-    `force`: whether it goes even when it is in the reactive or the deliberative layer;
-    only people may ask so.
+    `force`: as of `check_target`.
     """
-    old = _placed(run, component)
-    _check_target(run, component, computer, force=force)
-    if old.computer == computer:
-        raise UsageError(f"component '{component}' runs on '{computer}' already")
+    old = check_target(run, component, computer, force=force)
     new = Incarnation(
         component=component,
         computer=computer,
@@ -65,9 +62,15 @@ def _placed(run: RunningComponents, component: str) -> Incarnation:
         ) from None
 
 
-def _check_target(
+def check_target(
     run: RunningComponents, component: str, computer: str, *, force: bool
-) -> None:
+) -> Incarnation:
+    """Return what is to move; UsageError when it may not.
+
+    `force`: whether it goes even when it is in the reactive or the deliberative layer;
+    only people may ask so.
+    """
+    old = _placed(run, component)
     known = [computer.name for computer in run.robot.computers]
     if computer not in known:
         raise UsageError(f"no computer '{computer}' (there are {', '.join(known)})")
@@ -85,6 +88,9 @@ def _check_target(
         )
     if not run.robot.component(component).movable:
         raise UsageError(f"component '{component}' is not movable (robot file)")
+    if old.computer == computer:
+        raise UsageError(f"component '{component}' runs on '{computer}' already")
+    return old
 
 
 def plan_replacement(
@@ -94,7 +100,7 @@ def plan_replacement(
     adapt: str = "",
     *,
     fresh: bool = False,
-) -> Preparation:
+) -> PreparedMigration:
     """Return the swap of an implementation for another, to be run.
 
     `by`: ``package.module:Class``, or with ``@VERSION`` of deployed code.
@@ -125,7 +131,7 @@ def plan_replacement(
     return _preparation(run, old, new, by)
 
 
-def plan_return(run: RunningComponents, before: Incarnation) -> Preparation:
+def plan_return(run: RunningComponents, before: Incarnation) -> PreparedMigration:
     """Return the swap of a component's code for that of an earlier incarnation."""
     old = _placed(run, before.component)
     new = structs.replace(
@@ -161,7 +167,7 @@ def _code(run: RunningComponents, computer: str, version: str) -> str:
 
 def _preparation(
     run: RunningComponents, old: Incarnation, new: Incarnation, by: str = ""
-) -> Preparation:
+) -> PreparedMigration:
     entry = run.robot.component(old.component)
     found = [c for c in components_of(run.agents.statuses()) if c.name == entry.name]
     has_state = any(c.has_state for c in found)
@@ -177,14 +183,14 @@ def _preparation(
     )
     if has_failed:
         fresh = structs.replace(new, fresh=True)
-        return Preparation(
+        return PreparedMigration(
             run, report, (), (), lambda: _restart(run, report, old, fresh)
         )
     if report.cold:
-        return Preparation(
+        return PreparedMigration(
             run, report, (), (), lambda: _move_cold(run, report, old, new)
         )
-    return Preparation(
+    return PreparedMigration(
         run,
         report,
         (old,),
@@ -206,7 +212,7 @@ def _move_cold(
     try:
         run.bring([new], READY_LIMIT, f"prepare the cold move of {report.name}")
     except RunError as error:
-        desired = run.desired.starting(())
+        desired = run.desired.with_coming(())
         run.commit(desired, f"the cold move of {report.name} is rolled back: {error}")
         phases = {"prepare": time.monotonic() - started}
         return structs.replace(report, reason=str(error), phases=phases)
@@ -231,13 +237,13 @@ def _swap(run: RunningComponents, old: Incarnation, new: Incarnation) -> str:
     what, active = f"cold move of '{old.component}'", new.with_goal("active")
     try:
         # the two must not run at the same time
-        desired = run.desired.without([old.component]).starting([new])
+        desired = run.desired.without([old.component]).with_coming([new])
         run.commit(desired, f"{what}: it ends where it was")
         run.wait_ended(old)
         run.bring([active], ACTIVE_LIMIT, f"{what}: it starts")
     except RunError as error:
         again = structs.replace(old, epoch=run.next_epoch(old.component))
-        desired = run.desired.starting(()).placing([again])
+        desired = run.desired.with_coming(()).placing([again])
         run.commit(desired, f"{what} is rolled back: {error}")
         return str(error)
     run.commit(run.desired.placing([active]), f"{what} is committed")
@@ -251,7 +257,7 @@ def plan_alternative(
     adapt: str = "",
     *,
     fresh: bool = False,
-) -> Preparation:
+) -> PreparedMigration:
     """Return the replacement of an architecture by another, to be run.
 
     What waits at its ports goes to the alternative where the same source is joined to
@@ -283,7 +289,7 @@ def plan_alternative(
         before={incarnation.component: incarnation.computer for incarnation in sources},
         after=where,
     )
-    return Preparation(
+    return PreparedMigration(
         run,
         report,
         sources,
@@ -317,7 +323,7 @@ def _checked(
     commands = [c.name for c in (*old.components, *new.components) if c.command]
     if commands:
         raise UsageError(
-            f"'{', '.join(commands)}' are command lines, which take over no state: "
+            f"{named('executable', commands)} cannot take over state: "
             "stop the robot, and start it with the other architecture"
         )
     _check_callers(run, old, new)
@@ -333,8 +339,8 @@ def _check_stateless(run: RunningComponents, old: Architecture) -> None:
     lost = sorted({c.name for c in found if c.has_state} & names)
     if lost:
         raise UsageError(
-            f"the state of '{', '.join(lost)}' would be lost: map it with --adapt, or "
-            "drop it with --fresh"
+            f"the state of {named('component', lost)} would be lost: map it with "
+            "--adapt, or drop it with --fresh"
         )
 
 

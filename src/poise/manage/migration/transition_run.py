@@ -59,21 +59,21 @@ def start_together(
     desired = run.desired.without([incarnation.component for incarnation in ends])
     inactive = [incarnation.with_goal("inactive") for incarnation in new]
     try:
-        run.commit(desired.starting(inactive), "start components together")
+        run.commit(desired.with_coming(inactive), "start components together")
         run.wait(inactive, READY_LIMIT)
         for incarnation in ends:
             run.wait_ended(incarnation)
         _revoke_leases(run, lost)
         if run.agents.election is not None:
             # else a later leader would let what ran before go on beside them
-            run.commit_lastingly(run.desired.placing(inactive), "they belong there")
+            run.commit_lastingly(run.desired.placing(inactive), "the new placement")
     except RunError as error:
         run.journal.note("failed", f"components did not start: {error}")
         # computers may have been joined meanwhile: what is desired then stays
         mine = {None, *inactive}
         back = [each for each in old if run.placed.get(each.component) in mine]
         run.commit(
-            run.desired.starting(()).placing(back),
+            run.desired.with_coming(()).placing(back),
             "components did not start: all is as it was",
         )
         return False
@@ -120,7 +120,7 @@ def _with_checkpoint(run: RunningComponents, new: Incarnation) -> Incarnation:
         return structs.replace(new, fresh=True)
     mine = structs.replace(copy, epoch=new.epoch)
     if refusal := run.agents.keep_checkpoint(new.computer, mine):
-        what = f"the state of '{name}' does not get to '{new.computer}': {refusal}"
+        what = f"the state of '{name}' could not be sent to '{new.computer}': {refusal}"
         run.journal.note("failed", f"{what}; it starts without")
         return structs.replace(new, fresh=True)
     what = f"component '{name}' goes on from its state of {copy.age:.1f} s ago"
@@ -222,7 +222,7 @@ class _Transition:
             run.bring(inactive, READY_LIMIT, f"prepare '{component}'")
             run.bring([new], ACTIVE_LIMIT, f"activate '{component}'")
         except RunError as error:
-            run.commit(run.desired.starting(()), f"it does not start: {error}")
+            run.commit(run.desired.with_coming(()), f"it does not start: {error}")
             raise
         run.commit(run.desired.placing([new]), f"'{component}' is at work")
 

@@ -17,7 +17,7 @@ METRICS = {
     "poise_deviations": "How much of a computer is not as the robot file wants it",
     "poise_computer_lost": "1 while a computer is out of reach, else 0",
     "poise_timer_releases_total": "How often a timer was due",
-    "poise_timer_missed_total": "How often it ended after its deadline, or never began",
+    "poise_timer_missed_total": "Of these, ended after the deadline or skipped",
     "poise_component_cpu_cores": "Mean CPU that a component needs, of the reference "
     "computer's cores",
     "poise_component_cpu_expected_cores": "What its profile says",
@@ -38,8 +38,8 @@ METRICS = {
     "poise_connector_wait_seconds": "Messages: until they went out, or were taken",
     "poise_connector_latency_seconds": "From the other end to this one",
     "poise_connector_size_bytes": "Calls, both ways, and messages over a wire",
-    "poise_connector_latency_error_seconds": "How far latencies are off at most, in "
-    "the mean: so much is not known of the other computer's clock",
+    "poise_connector_latency_error_seconds": "Mean bound of the error of latencies: "
+    "what is not known of the other computer's clock",
 }
 """Name -> meaning. Kinds and units are at the end of names, as Prometheus has them."""
 _AGE = "poise_chain_age_seconds"

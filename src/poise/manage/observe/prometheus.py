@@ -1,4 +1,4 @@
-"""Estimates and counts to Prometheus, which asks for them over HTTP."""
+"""Gives Prometheus what it asks for over HTTP; names and values are in `metrics`."""
 
 from __future__ import annotations
 

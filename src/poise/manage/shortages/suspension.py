@@ -27,6 +27,7 @@ from poise.manage.observe.deviations import Deviation
 from poise.manage.shortages.free_room import room_for_components
 from poise.model.policy import LASTS
 from poise.model.robot import Architecture, Robot, Task
+from poise.units import named
 
 FIRST = 10.0
 """An architecture is suspended for this time at least [s]; twice as long each time."""
@@ -275,8 +276,9 @@ class NeededFunctions:
 
 def lacking(task: str, functions: Iterable[str]) -> str:
     """Return why a task stops, for people."""
-    names = " and ".join(f"'{name}'" for name in sorted(functions))
-    return f"task '{task}' needs function {names}, which is missing"
+    names = sorted(functions)
+    are = "is" if len(names) == 1 else "are"
+    return f"task '{task}' needs {named('function', names)}, which {are} missing"
 
 
 def missing_functions(situation: Situation) -> AbstractSet[str]:

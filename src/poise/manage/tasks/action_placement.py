@@ -21,6 +21,7 @@ from poise.manage.tasks.component_reports import Serving, conditions_of
 from poise.manage.tasks.concurrent_tasks import Tasks
 from poise.manage.tasks.task_progress import Attempt, TaskRecord
 from poise.model.robot import Robot
+from poise.units import named
 
 MOVE = 0.01
 """What F grows by for a component that moves, and for each MB of its state."""
@@ -247,9 +248,10 @@ class Admission:
             return whole
         for count in range(len(going) - 1, 0, -1):
             if not self._beside(situation, going[:count], left_out, by_plan).why:
-                others = " and ".join(f"'{record.name}'" for record in going[:count])
+                others = named("task", [record.name for record in going[:count]])
                 for record in going[count:]:
-                    text = f"task {others} uses capacity that it needs: {whole.why}"
+                    use = "uses" if count == 1 else "use"
+                    text = f"{others} {use} capacity that this one needs: {whole.why}"
                     self._tasks.block(record.name, text)
                 return whole
         self._end_or_block(going[0], whole.why)
@@ -278,7 +280,7 @@ class Admission:
         functions -= left_out
         runs = situation.robot.components_for(functions)
         placement = {n: at for n, at in situation.placement.items() if n in runs}
-        idle = self._run.prepared
+        idle = self._run.prefetched
         hint = {
             n: idle[n].computer if n in idle else at
             for n, at in by_plan.items()

@@ -38,7 +38,7 @@ class ComponentReports:
 
     def ends(self) -> Mapping[str, EndReport]:
         """Return what was said at each port that ends an action, as component.port."""
-        placed, prepared = self._run.placed, self._run.prepared
+        placed, prepared = self._run.placed, self._run.prefetched
         return {
             f"{component.name}.{end.port}": EndReport(
                 component.epoch, end.count, end.done
@@ -149,7 +149,7 @@ def choose(
         promises.append((action.name, promise_of(known, action)))
     best = max(range(len(promises)), key=lambda index: promises[index][1])
     said = ", ".join(f"'{name}' {promise:.0%}" for name, promise in promises)
-    note(f"choice of '{promises[best][0]}': promised are {said}")
+    note(f"chose '{promises[best][0]}'; expected: {said}")
     return best
 
 

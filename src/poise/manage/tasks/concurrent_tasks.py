@@ -26,6 +26,7 @@ from poise.manage.tasks.task_progress import (
 from poise.model.phases import clashes
 from poise.model.robot import Robot
 from poise.model.steps import Until
+from poise.units import named
 
 _SAYINGS = {
     "paused": "is paused",
@@ -284,8 +285,9 @@ class Tasks:
             users = [n for n in actions if any(f"'{n}'" in u for u in clash.users)]
             others = {actions[n] for n in users} - {mine[0][0].name} if mine else ()
             if others and any(actions[n] == mine[0][0].name for n in users):
-                who = " and ".join(f"'{name}'" for name in sorted(others))
-                return f"task {who} uses the {clash.kind} '{clash.name}'"
+                use = "uses" if len(others) == 1 else "use"
+                who = named("task", sorted(others))
+                return f"{who} {use} the {clash.kind} '{clash.name}'"
         return ""
 
     def _stop_clocks(self, record: TaskRecord, now: float) -> None:

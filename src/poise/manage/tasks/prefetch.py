@@ -102,7 +102,7 @@ def _without_cpu(computers: Collection[str], cpu: Mapping[str, float]) -> str:
         if name not in cpu:
             return f"computer '{name}' is out of reach"
         if cpu[name] < LEAST_CPU:
-            return f"the running components leave no CPU of computer '{name}'"
+            return f"the running components leave no CPU free on '{name}'"
     return ""
 
 
@@ -163,7 +163,7 @@ class Prefetcher:
         return PrefetchReport(
             hit=switches.summary(is_hit=True),
             miss=switches.summary(is_hit=False),
-            prepared={n: e.computer for n, e in self._run.prepared.items()},
+            prepared={n: e.computer for n, e in self._run.prefetched.items()},
             memory=sum(self._memory.copy().values()),
             wasted=self._wasted,
         )
@@ -179,7 +179,7 @@ class Prefetcher:
         if self._run.robot.prefetch.off:
             likely = ()
         now, placement = self._clock(), self._run.placement()
-        situation = [*likely], placement, [*self._run.prepared], self._run.computers()
+        situation = [*likely], placement, [*self._run.prefetched], self._run.computers()
         if situation == self._chosen_for and now < self._chosen_at + LOOK_EVERY:
             return
         self._chosen_at = now
@@ -187,11 +187,11 @@ class Prefetcher:
         cpu = self._cpu_left(placement, loads())
         held = {
             name: incarnation.computer
-            for name, incarnation in self._run.prepared.items()
+            for name, incarnation in self._run.prefetched.items()
         }
         choice = choose(self._run.robot, placement, likely, cpu=cpu, held=held)
         self._go_to(choice, likely, cpu)
-        self._chosen_for = [*likely], placement, [*self._run.prepared], cpu.keys()
+        self._chosen_for = [*likely], placement, [*self._run.prefetched], cpu.keys()
 
     def _go_to(
         self,
@@ -206,7 +206,7 @@ class Prefetcher:
         self._why_not = choice.why_not
         wanted = choice.placement
         held = {
-            name: incarnation.computer for name, incarnation in run.prepared.items()
+            name: incarnation.computer for name, incarnation in run.prefetched.items()
         }
         drops = [name for name in held if wanted.get(name) != held[name]]
         drops += self._make_idle(likely, drops)
@@ -214,7 +214,7 @@ class Prefetcher:
         if not drops and not begins:
             return
         if drops:
-            note("decided", f"{_list(drops)} no longer prepared")
+            note("decided", f"{_list(drops)} no longer kept prepared")
             drop(run, drops)
         for likely_action in likely:
             mine = {
@@ -235,7 +235,8 @@ class Prefetcher:
         if begins:
             prepare(run, begins, {at: cpu[at] for at in begins.values()})
         new = [
-            run.prepared[name] for name in sorted(begins.keys() & run.prepared.keys())
+            run.prefetched[name]
+            for name in sorted(begins.keys() & run.prefetched.keys())
         ]
         self._begun |= {
             (incarnation.component, incarnation.epoch): incarnation
@@ -257,7 +258,7 @@ class Prefetcher:
         """Leave idle what no action is likely to need; return what is not ready."""
         run, unready, ready = self._run, list[str](), list[Incarnation]()
         needed = {name for action in likely for name in action.placement}
-        for name, incarnation in run.prepared.items():
+        for name, incarnation in run.prefetched.items():
             if not incarnation.gently or name in needed or name in drops:
                 continue
             if (name, incarnation.epoch) in self._ready:
@@ -265,7 +266,9 @@ class Prefetcher:
             else:
                 unready.append(name)
         if ready:
-            run.commit(run.desired.preparing(ready), "prepared components are idle")
+            run.commit(
+                run.desired.with_prefetched(ready), "prepared components are idle"
+            )
         return unready
 
     def _cpu_left(
@@ -289,7 +292,7 @@ class Prefetcher:
         run = self._run
         failed: dict[str, str] = {}
         statuses = run.current()
-        for name, incarnation in run.prepared.items():
+        for name, incarnation in run.prefetched.items():
             status = statuses.get(incarnation.computer)
             if status is None or (name, incarnation.epoch) not in self._begun:
                 continue
@@ -300,7 +303,7 @@ class Prefetcher:
             if why:
                 failed[name] = why
         for name, why in failed.items():
-            computer = run.prepared[name].computer
+            computer = run.prefetched[name].computer
             where = f"component '{name}' cannot be prepared on '{computer}'"
             text = f"{where}; it starts only with its action: {why}"
             run.journal.note("failed", text)
@@ -311,11 +314,11 @@ class Prefetcher:
     def _note_ready(self) -> None:
         """Journal what is ready now, and count what was dropped that never worked."""
         run = self._run
-        here = {(n, e.epoch) for n, e in run.prepared.items()}
+        here = {(n, e.epoch) for n, e in run.prefetched.items()}
         at_work = {(n, e.epoch) for n, e in run.placed.items()}
         used = {
             self._container(incarnation)
-            for incarnation in (*run.prepared.values(), *run.placed.values())
+            for incarnation in (*run.prefetched.values(), *run.placed.values())
         }
         gone = {
             self._container(incarnation)
@@ -327,7 +330,7 @@ class Prefetcher:
             k: incarnation for k, incarnation in self._begun.items() if k in here
         }
         self._ready &= self._begun.keys()
-        statuses, waiting = run.current(), map(self._container, run.prepared.values())
+        statuses, waiting = run.current(), map(self._container, run.prefetched.values())
         self._memory = {
             key: health.memory
             for key in waiting

@@ -43,14 +43,14 @@ def prepare(
     ]
     preparation_cpu = {**run.desired.preparation_cpu, **cpu}
     run.commit(
-        replace(run.desired, preparation_cpu=preparation_cpu).preparing(new),
+        replace(run.desired, preparation_cpu=preparation_cpu).with_prefetched(new),
         "prepare the next action",
     )
 
 
 def drop(run: RunningComponents, components: Iterable[str]) -> None:
     """End prepared components; their state is lost."""
-    gone = [name for name in components if name in run.prepared]
+    gone = [name for name in components if name in run.prefetched]
     if gone:
         run.commit(run.desired.without(gone), "idle components end")
 
@@ -72,14 +72,14 @@ def switch(
         for name, at in begins.items()
     ]
     active = [incarnation.with_goal("active") for incarnation in new]
-    desired = run.desired.without([*ends, *begins]).preparing(idle)
+    desired = run.desired.without([*ends, *begins]).with_prefetched(idle)
     try:
-        run.commit(desired.starting(new), "switch to the next action")
+        run.commit(desired.with_coming(new), "switch to the next action")
         _wait(run, [*idle, *new], READY_LIMIT)
-        run.commit(run.desired.starting(active), "activate the next action")
+        run.commit(run.desired.with_coming(active), "activate the next action")
         _wait(run, active, ACTIVE_LIMIT)
     except RunError as error:
-        run.commit(run.desired.starting(()), f"it cannot begin: {error}")
+        run.commit(run.desired.with_coming(()), f"it cannot begin: {error}")
         raise
     run.commit(run.desired.placing(active), "the next action is at work")
     return are_ready
@@ -89,7 +89,7 @@ def _are_ready(run: RunningComponents, components: Mapping[str, str]) -> bool:
     """Return whether all of some components are prepared where they are to work."""
     states = _states(run)
     return all(
-        (idle := run.prepared.get(name)) is not None
+        (idle := run.prefetched.get(name)) is not None
         and idle.computer == computer
         and states.get((name, idle.epoch)) == "inactive"
         for name, computer in components.items()
@@ -103,7 +103,7 @@ def _states(run: RunningComponents) -> dict[tuple[str, int], State]:
 def _prepared(
     run: RunningComponents, name: str, computer: str, *, gently: bool = False
 ) -> Incarnation:
-    before = run.prepared.get(name)
+    before = run.prefetched.get(name)
     if (
         before is not None
         and before.computer == computer
@@ -155,7 +155,7 @@ class IdleComponents:
     def drop_expired(self, kept: Collection[str]) -> None:
         """End what has been idle for too long."""
         run, now = self._run, time.monotonic()
-        idle = {n for n, e in run.prepared.items() if not e.gently}
+        idle = {n for n, e in run.prefetched.items() if not e.gently}
         self._since = {n: self._since.get(n, now) for n in sorted(idle)}
         for architecture in run.robot.architectures:
             names = [
@@ -177,7 +177,7 @@ class IdleComponents:
         Those that become idle now come last.
         """
         run, now = self._run, time.monotonic()
-        known = {name: self._since.get(name, 0.0) for name in run.prepared}
+        known = {name: self._since.get(name, 0.0) for name in run.prefetched}
         return sorted(prepared, key=lambda name: known.get(name, now))
 
     def limit(self, architecture: Architecture) -> float:
@@ -192,6 +192,6 @@ class IdleComponents:
         share = sum(
             c.demand.get("memory", 0.0) / capacity[idle.computer]
             for c in architecture.components
-            if (idle := run.prepared.get(c.name)) and capacity.get(idle.computer)
+            if (idle := run.prefetched.get(c.name)) and capacity.get(idle.computer)
         )
         return min(LONGEST, max(SHORTEST, start / share)) if share else LONGEST

@@ -105,7 +105,7 @@ class TaskManager:
         """Return what may be needed next and does not run, the most probable first."""
         run = self._run
         idle = {
-            name: incarnation.computer for name, incarnation in run.prepared.items()
+            name: incarnation.computer for name, incarnation in run.prefetched.items()
         }
         self._ahead = self.tasks.next_actions()
         return likely_next(self._ahead, self._plans, run.placement(), idle)
@@ -257,7 +257,7 @@ class TaskManager:
             if not report.committed:
                 raise RunError(report.reason)
         away = run.agents.out_of_reach()
-        idle = {n: e.computer for n, e in run.prepared.items() if n not in begins}
+        idle = {n: e.computer for n, e in run.prefetched.items() if n not in begins}
         idle |= {n: run.placed[n].computer for n in stops if n not in begins}
         works = {n: at for n, at in run.placement().items() if n not in idle}
         order = self._idle.oldest_first(idle)

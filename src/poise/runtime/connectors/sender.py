@@ -35,6 +35,7 @@ from poise.runtime.execution.container_lease import LeaseEnded
 from poise.runtime.execution.counters import Counts
 from poise.runtime.execution.data_age import SentChains, Stamped
 from poise.runtime.execution.exclusion import Exclusion, stepping_out
+from poise.runtime.execution.mailbox import MOST_AHEAD
 from poise.wire.codec import WireError
 
 log = logging.getLogger(__name__)
@@ -44,7 +45,7 @@ _WHILE_MOVING = 2
 _ASK_FIRST, _ASK_LAST = 0.005, 0.1
 """A sender without room asks for it after this time, and then ever less often [s]."""
 
-MOST_BUFFERED = 5_000
+MOST_BUFFERED = MOST_AHEAD
 """Messages that a sender buffers while a component moves; then publishers wait."""
 Waiting = tuple[Method | None, Any, float]
 """A one-way call's method, what is sent, and since when it waits [s, monotonic]."""

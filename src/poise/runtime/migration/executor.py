@@ -208,10 +208,10 @@ class MigrationExecutor:
         return StepsDone(batch.number, tuple(taken))
 
     def _begin(self, step: Step, deployment: int, targets: Targets) -> None:
-        """Note whether there is a way back; raise RunError when the step is late."""
+        """Note whether there is a way back; raise RunError for a step overtaken."""
         with self._beginning:
             if deployment != self._num_deployments:
-                text = f"'{step.name}' is late: a deployment came before it"
+                text = f"'{step.name}' was overtaken by a deployment"
                 raise RunError(text)
             if targets != self._targets:
                 self._targets, self._is_committed = targets, False

@@ -200,7 +200,7 @@ class MigrationModel:
 
     def _begin(self, step: Step, deployment: int, targets: Targets) -> None:
         if deployment != self._num_deployments:
-            raise RunError(f"'{step.name}' is late: a deployment came before it")
+            raise RunError(f"'{step.name}' was overtaken by a deployment")
         if targets != self._targets:
             self._targets, self._is_committed = targets, False
         if step.phase in {"commit", "resume"}:

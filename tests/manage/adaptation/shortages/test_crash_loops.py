@@ -111,7 +111,7 @@ def test_what_could_not_be_tried_elsewhere_is_not_held_to_crash_there() -> None:
     robbed = Crashing(robot_with())
     robbed.agents.lose_when_told = "right"
     robbed.look()
-    assert "'right' is out of reach meanwhile" in robbed.wrong()[-1]
+    assert "computer 'right' went out of reach in the meantime" in robbed.wrong()[-1]
     assert robbed.run.placement() == {"high": "left", "low": "left"}
     robbed.agents.lose_when_told = ""
     robbed.agents.gone.clear()

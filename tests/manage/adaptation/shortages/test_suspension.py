@@ -10,13 +10,13 @@ from msgspec.structs import replace
 
 from poise.errors import UsageError
 from poise.manage.adaptation.decision import decide
+from poise.manage.adaptation.failover import plan_failover
 from poise.manage.adaptation.policies import Symptom
 from poise.manage.adaptation.situation import Responder, Situation
 from poise.manage.agent_connections.agents import Agents
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.journal import Journal
 from poise.manage.observe.estimates import Load
-from poise.manage.shortages.failover import fail_over
 from poise.manage.shortages.suspension import (
     CALM,
     FIRST,
@@ -262,14 +262,14 @@ def test_a_lost_computer_puts_lower_priorities_aside_for_higher_ones() -> None:
         placement={"high": "right", "middle": "left", "low": "left"},
         lost=frozenset({"right"}),
     )
-    found = fail_over(situation, {"right"})
+    found = plan_failover(situation, {"right"})
     assert (found.placement, found.suspended) == ({"high": "left"}, ("low-task",))
     assert not found.missing
     # the lowest itself gets only what is left
     swapped = replace(
         situation, placement={"low": "right", "middle": "left", "high": "left"}
     )
-    found = fail_over(swapped, {"right"})
+    found = plan_failover(swapped, {"right"})
     assert (found.placement, found.suspended) == ({}, ())
     assert found.missing["low"].startswith(
         "it fits nowhere beside the running components"
@@ -287,6 +287,6 @@ def test_of_what_was_lost_the_higher_is_restarted_when_not_all_fits() -> None:
         placement=BOTH,
         lost=frozenset({"left"}),
     )
-    found = fail_over(situation, {"left"})
+    found = plan_failover(situation, {"left"})
     assert found.placement == {"high": "small"}
     assert set(found.missing) == {"low"}

@@ -9,8 +9,8 @@ from collections.abc import Iterator, Mapping
 import pytest
 from msgspec.structs import replace
 
+from poise.manage.adaptation.failover import plan_failover
 from poise.manage.adaptation.situation import Situation
-from poise.manage.shortages.failover import fail_over
 from poise.model.robot import (
     Action,
     Architecture,
@@ -36,13 +36,13 @@ def with_first(robot: Robot, **fields: object) -> Robot:
 
 def test_what_may_run_elsewhere_begins_again_there(situation: Make, two: Robot) -> None:
     linked = replace(two, links=(Link(between=("left", "right")),))
-    found = fail_over(situation(APART, robot=linked), {"left"})
+    found = plan_failover(situation(APART, robot=linked), {"left"})
     assert found.placement == {"a": "right"}
     assert not found.missing
 
 
 def test_nothing_moves_when_nothing_ran_there(situation: Make) -> None:
-    found = fail_over(situation({"a": "left", "b": "left"}), {"right"})
+    found = plan_failover(situation({"a": "left", "b": "left"}), {"right"})
     assert found.placement == {}
     assert found.missing == {}
 
@@ -52,19 +52,19 @@ def test_what_its_device_holds_there_is_missing(situation: Make, two: Robot) -> 
         with_first(two, devices=("laser",)),
         devices=(Device(name="laser", computer="left"),),
     )
-    found = fail_over(situation(APART, robot=robot), {"left"})
+    found = plan_failover(situation(APART, robot=robot), {"left"})
     assert found.placement == {}
     assert found.missing == {"a": "it may run on left only"}
 
 
 def test_what_may_not_move_is_missing(situation: Make, two: Robot) -> None:
     robot = with_first(two, movable=False)
-    found = fail_over(situation(APART, robot=robot), {"left"})
+    found = plan_failover(situation(APART, robot=robot), {"left"})
     assert found.missing == {"a": "it is not movable (robot file)"}
 
 
 def test_what_is_short_of_cpu_runs_with_what_there_is(situation: Make) -> None:
-    found = fail_over(situation(APART, background={"right": 0.2}), {"left"})
+    found = plan_failover(situation(APART, background={"right": 0.2}), {"left"})
     assert found.placement == {"a": "right"}
     assert not found.missing
 
@@ -73,7 +73,7 @@ def test_what_does_not_fit_beside_the_others_is_missing(
     situation: Make, two: Robot
 ) -> None:
     robot = with_memory(two, {"left": 9, "right": 9}, {"a": 5, "b": 5})
-    found = fail_over(situation(APART, robot=robot), {"left"})
+    found = plan_failover(situation(APART, robot=robot), {"left"})
     assert found.placement == {}
     assert found.missing["a"].startswith(
         "it fits nowhere beside the running components: "
@@ -87,7 +87,7 @@ def test_what_works_moves_when_only_that_makes_room(
     (left, right) = two.computers
     robot = replace(two, computers=(left, right, replace(right, name="small")))
     robot = with_memory(robot, {"left": 9, "right": 9, "small": 5}, {"a": 8, "b": 5})
-    found = fail_over(situation(APART, robot=robot), {"left"})
+    found = plan_failover(situation(APART, robot=robot), {"left"})
     assert found.placement == {"a": "right"}
     assert [(s.component, s.target) for s in found.steps] == [("b", "small")]
     assert not found.missing
@@ -148,7 +148,7 @@ def test_nothing_is_missing_where_memory_is_enough(seed: int) -> None:
     if before is None:
         return
     now = Situation(robot=robot, task="work", placement=before, lost=frozenset("x"))
-    found = fail_over(now, {"x"})
+    found = plan_failover(now, {"x"})
     if not any(map(fits, placements(("y", "z")))):
         assert found.missing
         return
@@ -160,7 +160,7 @@ def test_nothing_is_missing_where_memory_is_enough(seed: int) -> None:
 def test_what_runs_elsewhere_stays(situation: Make, two: Robot) -> None:
     """Also where it could not be placed now."""
     robot = with_first(two, only=("left",))
-    found = fail_over(situation(APART, robot=robot), {"right"})
+    found = plan_failover(situation(APART, robot=robot), {"right"})
     assert found.placement == {"b": "left"}
 
 
@@ -182,7 +182,7 @@ def test_of_what_does_not_fit_whole_architectures_are_dropped_by_priority(
     )
     robot = replace(two, architectures=parts, connectors=())
     robot = with_memory(robot, {"left": 9, "right": 7}, {"a": 4, "b": 4})
-    found = fail_over(situation({"a": "left", "b": "left"}, robot=robot), {"left"})
+    found = plan_failover(situation({"a": "left", "b": "left"}, robot=robot), {"left"})
     assert found.placement == {"a": "right"}
     assert found.missing["b"].startswith(
         "it fits nowhere beside the running components: "
@@ -193,7 +193,7 @@ def test_of_what_does_not_fit_whole_architectures_are_dropped_by_priority(
 def test_what_belongs_to_another_layer_is_missing(situation: Make, two: Robot) -> None:
     (work,) = two.architectures
     robot = replace(two, architectures=(replace(work, layer="reactive", home="left"),))
-    found = fail_over(situation({"a": "left", "b": "left"}, robot=robot), {"left"})
+    found = plan_failover(situation({"a": "left", "b": "left"}, robot=robot), {"left"})
     assert found.placement == {}
     assert set(found.missing.values()) == {
         "it belongs to the reactive layer, which stays"

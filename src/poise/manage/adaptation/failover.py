@@ -12,7 +12,7 @@ from poise import plan
 from poise.errors import RobotError
 from poise.manage.adaptation.replan import explain
 from poise.manage.adaptation.situation import Change, Homes, Situation
-from poise.manage.adaptation.transitions import MoveLimits
+from poise.manage.adaptation.when_to_act import MoveLimits
 from poise.manage.deploy.desired import Desired
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.migration.migration_report import TransitionStep
@@ -27,7 +27,7 @@ _ROOM_EVERY = 5.0
 """Whether components of a lost computer fit meanwhile is tried this often [s]."""
 
 
-class Failover(Struct, frozen=True, kw_only=True):
+class FailoverPlan(Struct, frozen=True, kw_only=True):
     """What becomes of the components of lost computers."""
 
     placement: Mapping[str, str]  # component -> the computer where it restarts
@@ -37,7 +37,7 @@ class Failover(Struct, frozen=True, kw_only=True):
     steps: tuple[TransitionStep, ...] = ()  # moves of what works that make room before
 
 
-class FailOver:
+class FailoverResponder:
     """Restarts elsewhere what was on lost computers, once for each loss."""
 
     purpose = "restart components of lost computers"
@@ -59,7 +59,7 @@ class FailOver:
         self._missing &= stranded
         if stranded <= self._missing and now < self._tries_again:
             return None
-        failover = fail_over(situation, lost)
+        failover = plan_failover(situation, lost)
         before, self._missing = self._missing, set(failover.missing)
         self._tries_again = (
             now + _ROOM_EVERY if failover.waits_for_room else float("inf")
@@ -77,7 +77,9 @@ class FailOver:
             carry_out=partial(self._restart, failover, lost, now),
         )
 
-    def _restart(self, failover: Failover, lost: Collection[str], now: float) -> None:
+    def _restart(
+        self, failover: FailoverPlan, lost: Collection[str], now: float
+    ) -> None:
         if failover.suspended:
             why = "components of a lost computer that have a higher priority need room"
             self._suspensions.suspend(failover.suspended, why, now)
@@ -94,7 +96,7 @@ def _sentence(placement: Mapping[str, str]) -> str:
     return f"components of a lost computer restart: {where}"
 
 
-def fail_over(situation: Situation, lost: Collection[str]) -> Failover:
+def plan_failover(situation: Situation, lost: Collection[str]) -> FailoverPlan:
     """Return where the components of lost computers can run.
 
     All run that memory and devices allow: CPU that is short is shared by priority. What
@@ -119,7 +121,7 @@ def fail_over(situation: Situation, lost: Collection[str]) -> Failover:
             homes[name] = choices
     stranded = [name for name in homes if name not in works]
     if not stranded:
-        return Failover(placement={}, missing=missing)
+        return FailoverPlan(placement={}, missing=missing)
     result = placed_beside(situation, homes)
     if result.feasible:
         where = {name: result.placement[name] for name in stranded}
@@ -130,7 +132,7 @@ def fail_over(situation: Situation, lost: Collection[str]) -> Failover:
                 situation.of_running_components().robot
             )  # no way leads over what is lost
             steps = plan_transition(robot, works, then, shares_cpu=True)
-            return Failover(placement=where, missing=missing, steps=steps)
+            return FailoverPlan(placement=where, missing=missing, steps=steps)
     kept = {name: (at,) for name, at in works.items()}
     wanted = {name: homes[name] for name in stranded}
     return _by_priority(situation, kept, wanted, missing)
@@ -141,7 +143,7 @@ def _by_priority(
     kept: Homes,
     stranded: Homes,
     missing: Mapping[str, str],
-) -> Failover:
+) -> FailoverPlan:
     """Return what fits of the stranded, the highest priority first.
 
     Architectures that run are suspended for higher ones only.
@@ -170,7 +172,7 @@ def _by_priority(
             explain(result)
             why = f"it fits nowhere beside the running components: {result.reason}"
             missing |= dict.fromkeys(names, why)
-    return Failover(
+    return FailoverPlan(
         placement=placement,
         missing=missing,
         suspended=suspended,

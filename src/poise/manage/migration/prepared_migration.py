@@ -64,7 +64,7 @@ class Stall:
         )
 
 
-class Preparation:
+class PreparedMigration:
     """A migration to be run, and before that prepared. Use it once.
 
     All but `under_way` is for the manager's thread.
@@ -96,7 +96,7 @@ class Preparation:
         """Let the targets be configured; waits for nothing."""
         self._began = time.monotonic()
         self._stall = Stall(self._run)
-        desired = self._run.desired.configuring(self._targets)
+        desired = self._run.desired.with_configured_ahead(self._targets)
         self._run.commit(desired, f"configure for the migration of {self._report.name}")
         return self
 
@@ -121,8 +121,8 @@ class Preparation:
         configured = time.monotonic() - self._began if self._began else 0.0
         if self._reason:
             report = structs.replace(self._report, reason=self._reason)
-            desired = self._run.desired.configured(self._targets)
-            why = f"migration of {report.name} is not begun: {self._reason}"
+            desired = self._run.desired.without_configured_ahead(self._targets)
+            why = f"migration of {report.name} was not started: {self._reason}"
             self._run.commit(desired, why)
         else:
             report = self._migrate()

@@ -1,0 +1,203 @@
+"""When to change the placement: what a rule with a guarantee says.
+
+A change that helps costs its moves, and nobody knows for how long it will help. So it
+is made when the work that was lost because it had not been made equals its cost, as one
+buys skis when the rents paid come to their price (Karlin, Manasse, Rudolph, Sleator
+1988; for more than two states Borodin, Linial, Saks 1992, metrical task systems). Then
+moves never cost more than the losses that led to them. docs/design/decisions.md says
+how far from the best this is at worst.
+
+What a change gains is a forecast. When it turns out to have gained less than half, as
+where other programs follow the components, costs count twice from then on, and twice
+again; each change that gains what it should takes half of such a step back. So what
+gains only every other time comes to rest.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable, Mapping
+from typing import NamedTuple
+
+from poise.manage.migration.migration_report import TransitionStep
+
+Amounts = Mapping[str, float]
+"""What a decision depends on: an amount for each thing [cores]."""
+
+# the loop waits so long after a transition [s]: loads are means over a second
+SETTLE = 2.0
+# when nothing can be done, it thinks again after a time that doubles up to the longest
+FIRST_BACKOFF, LONGEST_BACKOFF = 2.0, 300.0
+# this wait ends after this time [s] when amounts have changed ...
+CHANGED_AFTER = 0.5
+# ... by this share, and by more than this [cores]
+_CHANGED, _NOTICEABLE = 0.1, 0.05
+# a component does not return to a computer for this time [s]; then twice as long
+STAY_AWAY = 300.0
+# after this time [s] it stays away for the first, shortest time again
+FORGET_QUARANTINE = 600.0
+# the most components that move within a minute
+BUDGET = 60
+_MINUTE = 60.0
+
+
+def has_changed(before: Amounts, now: Amounts) -> bool:
+    """Return whether a decision may be another one now."""
+    return before.keys() != now.keys() or any(
+        abs(now[name] - amount) > max(_NOTICEABLE, _CHANGED * max(amount, now[name]))
+        for name, amount in before.items()
+    )
+
+
+class MoveLimits:
+    """What the loop did lately, and so whether it may act now; times are in [s]."""
+
+    def __init__(self) -> None:
+        self._idle_until = 0.0
+        self._backoff = FIRST_BACKOFF
+        self._moves: deque[float] = deque()
+        self._left: dict[tuple[str, str], tuple[float, float]] = {}
+        self._in_vain: tuple[float, Amounts] | None = None
+
+    def is_backing_off(self, now: float, amounts: Amounts | None = None) -> bool:
+        """Return whether to wait: a transition settles, or nothing could be done.
+
+        The second ends when `amounts` have changed since.
+        """
+        if self._in_vain is not None and amounts is not None:
+            at, before = self._in_vain
+            if now >= at + CHANGED_AFTER and has_changed(before, amounts):
+                self.reset_backoff()
+                return False
+        return now < self._idle_until
+
+    def may_move(self, number: int, now: float) -> bool:
+        """Return whether `number` components may move within the budget."""
+        while self._moves and now - self._moves[0] >= _MINUTE:
+            self._moves.popleft()
+        return len(self._moves) + number <= BUDGET
+
+    def quarantined(self, now: float) -> dict[str, set[str]]:
+        """Return component -> computers to which it may not return yet."""
+        away: dict[str, set[str]] = {}
+        for (component, computer), (until, _) in self._left.items():
+            if now < until:
+                away.setdefault(component, set()).add(computer)
+        return away
+
+    def start_backoff(self, now: float, amounts: Amounts | None = None) -> None:
+        """Remember that nothing could be done about what is wrong."""
+        self._in_vain = None if amounts is None else (now, amounts)
+        self._idle_until = now + self._backoff
+        self._backoff = min(2 * self._backoff, LONGEST_BACKOFF)
+
+    def reset_backoff(self) -> None:
+        """Think at once about what goes wrong next: nothing is wrong now."""
+        self._backoff = FIRST_BACKOFF
+        self._in_vain = None
+
+    def note(self, steps: Iterable[TransitionStep], now: float) -> None:
+        """Remember a transition, whether it went well or not."""
+        self.reset_backoff()
+        self._idle_until = now + SETTLE
+        steps = tuple(steps)
+        self._moves.extend(now for step in steps if step.target)
+        for component, (source, target) in _paths(steps).items():
+            if not source or not target or source == target:
+                continue
+            key = component, source
+            until, stay = self._left.get(key, (0.0, STAY_AWAY / 2))
+            forgotten = now - until >= FORGET_QUARANTINE
+            stay = STAY_AWAY if forgotten else 2 * stay
+            self._left[key] = now + stay, stay
+
+
+def _paths(steps: Iterable[TransitionStep]) -> dict[str, tuple[str, str]]:
+    """Return from where to where components go; a cold move is a stop and a start."""
+    moves: dict[str, tuple[str, str]] = {}
+    for step in steps:
+        source, _ = moves.get(step.component, (step.source, ""))
+        moves[step.component] = source, step.target
+    return moves
+
+
+FORGET_AFTER = 600.0
+"""After so long without a symptom [s] what was lost before counts no more."""
+JUDGE_AFTER = 2.0
+"""What a change has gained is looked at after this time [s]: loads are means."""
+MOST_DOUBT = 1024.0
+"""Costs never count more times."""
+
+
+class LossSuffered:
+    """What was lost because a better placement was not taken.
+
+    Times are of one clock [s].
+
+    `lost`: since the last change [core-seconds]; `doubt`: how many times a cost counts,
+    >= 1: twice more after each change in vain.
+    """
+
+    def __init__(self) -> None:
+        self.lost = 0.0
+        self.doubt = 1.0
+        self._change: _Change | None = None
+        self._gain = 0.0
+        self._at: float | None = None
+        self._begins = self._ended = float("-inf")
+
+    def note(self, gain: float, since: float, now: float) -> None:
+        """Take note of what the best change would gain now [cores].
+
+        `since`: when it began that something is wrong [s].
+        """
+        if self._at is None:
+            if now - self._ended > FORGET_AFTER:
+                self.lost = 0.0
+            self.lost += gain * (now - max(since, self._begins))
+        else:
+            self.lost += self._gain * (now - self._at)
+        self._gain, self._at = gain, now
+
+    def earned_at(self, cost: float, now: float) -> float:
+        """Return when the loss will equal a cost [core-seconds], as things go."""
+        if self.lost >= cost:
+            return now
+        return now + (cost - self.lost) / self._gain if self._gain > 0 else float("inf")
+
+    def lasts(self, since: float, now: float) -> float:
+        """Return for how long it has been wrong in this placement [s]."""
+        return now - max(since, self._begins)
+
+    def end(self, now: float) -> None:
+        """Take note that nothing is wrong any more."""
+        self.judge(0.0, now)
+        if self._at is not None:
+            self.lost += self._gain * (now - self._at)
+            self._gain, self._at, self._begins, self._ended = 0.0, None, now, now
+
+    def note_change(self, undone: float, gain: float, now: float) -> None:
+        """Count from zero again, as the placement changes.
+
+        `undone`: work that is not done before [cores]; `gain`: by how much that should
+        fall [cores]; 0: nothing moves, so there is nothing to be judged.
+        """
+        self.lost = self._gain = 0.0
+        self._at, self._begins = None, now
+        self._change = _Change(undone, gain, now) if gain > 0 else None
+
+    def judge(self, undone: float, now: float) -> None:
+        """See whether the last change has gained what it should."""
+        change = self._change
+        if change is None or now < change.at + JUDGE_AFTER:
+            return
+        is_in_vain = change.undone - undone < change.gain / 2
+        factor = 2.0 if is_in_vain else 0.5**0.5
+        self.doubt = min(max(1.0, factor * self.doubt), MOST_DOUBT)
+        self._change = None
+
+
+class _Change(NamedTuple):
+    undone: float
+    gain: float
+    at: float
