@@ -103,7 +103,7 @@ def test_a_cut_cable_is_noticed_at_both_ends_and_its_mending_too(
     with pytest.raises(Unavailable):
         channel.request(call("lost"), 100.0)
     assert time.monotonic() - began > LOST_AFTER / 2  # a short cut would do no harm
-    wait_until(lambda: not channel.is_ready())
+    wait_until(lambda: not channel.try_connect())
     assert there.line() == "alone"
     began = time.monotonic()
     for _ in range(100):  # whoever publishes is not held up each time
@@ -111,7 +111,7 @@ def test_a_cut_cable_is_noticed_at_both_ends_and_its_mending_too(
             channel.push(message("lost"), LIMIT)
     assert time.monotonic() - began < 2 * LIMIT
     there.set_cable("up")
-    wait_until(channel.is_ready)
+    wait_until(channel.try_connect)
     assert channel.request(call("ab"), LIMIT).value(TEXT) == "ba"
     channel.push(message("last"), LIMIT)
     assert there.line() == "last"

@@ -42,7 +42,7 @@ class FakeRoute:
         self.room = 1_000
         self.asked = threading.Event()
 
-    def is_ready(self) -> bool:
+    def try_connect(self) -> bool:
         return self.ready
 
     def function(self, method: Method, sender: Sender) -> Callable[..., Any]:

@@ -519,7 +519,7 @@ def test_what_comes_back_late_does_not_enter_beside_its_caller(pair: Pair) -> No
     (method,) = methods(Back).values()
     pieces = segments(method.arguments, (), Kind.CALL, tag=method.tag, chain=chain)
     channel = Channel(back.key, Address.parse(back.address), pair.folder)
-    wait_until(channel.is_ready)
+    wait_until(channel.try_connect)
     answer = channel.request(pieces, LIMIT)
     assert answer.value(FAILURE)[0] == "Timeout"
     assert caller.num_back == 0

@@ -109,7 +109,7 @@ class DirectPipe(Channel):
         self.sender = StateSender(runner, 1, server)
         _, self._serve = server.open.call_args.args
 
-    def is_ready(self) -> bool:
+    def try_connect(self) -> bool:
         return True
 
     def is_calling(self) -> bool:

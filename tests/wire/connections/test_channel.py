@@ -204,13 +204,13 @@ def test_each_connection_for_messages_says_first_how_many_went_before(
 
     wire.server().open("echo", receiver)
     channel = wire.channel(use=MESSAGES, first=lambda: message(f"{sent[0]} went"))
-    wait_until(channel.is_ready)
+    wait_until(channel.try_connect)
     channel.push(message("a"), LIMIT, count)
     channel.push(message("b"), LIMIT, count)
     assert receiver.wait_for(3) == ["0 went", "a", "b"]
     (connection,) = channel._messages
     connection.end()
-    wait_until(channel.is_ready)  # although nothing more is sent
+    wait_until(channel.try_connect)  # although nothing more is sent
     assert receiver.wait_for(4)[-1] == "2 went"
 
 
@@ -256,7 +256,7 @@ def test_a_message_waits_no_more_for_a_computer_that_is_given_up(wire: Wire) -> 
         with pytest.raises(Unavailable):
             filling.result(LIMIT)
     go_on.set()
-    wait_until(channel.is_ready)
+    wait_until(channel.try_connect)
 
 
 def _push_for_ever(channel: Channel, limit: float = SHORT) -> None:
@@ -314,9 +314,9 @@ def test_what_nobody_uses_is_closed_in_time(
         assert [a.value(TEXT) for a in callers.map(ask, ["ab", "cd"])] == ["ba", "dc"]
     before = [*channel._calls, *channel._messages]
     monkeypatch.setattr(channels, "_IDLE", 0.0)
-    assert channel.is_ready()  # they were used since it was last asked
+    assert channel.try_connect()  # they were used since it was last asked
     assert [*channel._calls, *channel._messages] == before
-    assert channel.is_ready()
+    assert channel.try_connect()
     left = [*channel._calls, *channel._messages]
     assert len(left) == 2  # one of each: to open it takes time
     assert {*left} <= {*before}
@@ -333,7 +333,7 @@ def test_a_call_that_takes_too_long_is_given_up(wire: Wire) -> None:
 
     wire.server().open("echo", answer)
     channel = wire.channel()
-    wait_until(channel.is_ready)
+    wait_until(channel.try_connect)
     with pytest.raises(Timeout, match="no answer came in time"):
         channel.request(call("late"), SHORT)
     go_on.set()
@@ -343,7 +343,7 @@ def test_a_call_that_takes_too_long_is_given_up(wire: Wire) -> None:
 @both
 def test_nobody_there_is_unavailable(wire: Wire) -> None:
     channel = wire.channel()
-    assert not channel.is_ready()
+    assert not channel.try_connect()
     why = {
         "local": "nothing listens at there",
         "remote": "no container 'there' is here",
@@ -359,7 +359,7 @@ def test_nobody_there_is_unavailable(wire: Wire) -> None:
 def test_a_connector_that_does_not_end_there_is_unavailable(wire: Wire) -> None:
     wire.server().open("other", Receiver())
     channel = wire.channel()
-    assert not channel.is_ready()
+    assert not channel.try_connect()
     with pytest.raises(Unavailable, match="echo: its other end is not here"):
         channel.request(call("?"), LIMIT)
 
@@ -370,11 +370,11 @@ def test_who_was_refused_is_not_asked_all_the_time(
 ) -> None:
     monkeypatch.setattr(channels, "_PAUSE", 1e6)
     server, channel = wire.server(), wire.channel()
-    wait_until(lambda: not channel.is_ready() and channel._ask_at > 0.0)
+    wait_until(lambda: not channel.try_connect() and channel._ask_at > 0.0)
     server.open("echo", Receiver())
-    assert not channel.is_ready()
+    assert not channel.try_connect()
     assert channel.request(call("ab"), LIMIT).value(TEXT) == "ba"  # a call does ask
-    assert channel.is_ready()
+    assert channel.try_connect()
 
 
 @both
@@ -581,10 +581,10 @@ def _wait_until_gone(channel: Channel) -> None:
 def test_a_pipe_is_ready_no_more_when_its_peer_ended(wire: Wire) -> None:
     server, channel = wire.server(), wire.channel()
     server.open("echo", Receiver())
-    wait_until(channel.is_ready)
+    wait_until(channel.try_connect)
     server.close()
     _wait_until_gone(channel)
-    assert not channel.is_ready()
+    assert not channel.try_connect()
 
 
 @both
@@ -593,7 +593,7 @@ def test_a_channel_whose_only_connection_is_used_is_ready(wire: Wire) -> None:
     found = []
 
     def answer(received: Frame) -> Pieces | None:
-        found.append(channel.is_ready())
+        found.append(channel.try_connect())
         return Receiver()(received)
 
     wire.server().open("echo", answer)
@@ -608,7 +608,7 @@ def test_what_is_looked_for_is_used(wire: Wire, use: int) -> None:
     server, receiver = wire.server(), Receiver()
     server.open("echo", receiver)
     channel = wire.channel(use=use)
-    wait_until(channel.is_ready)
+    wait_until(channel.try_connect)
     if use == CALLS:
         channel.request(call("a"), LIMIT)
     else:
@@ -654,7 +654,7 @@ def test_a_socket_left_by_a_killed_container_is_replaced(wire: Wire) -> None:
         killed.bind(str(path))
     server, channel = wire.server(), wire.channel()
     server.open("echo", Receiver())
-    wait_until(channel.is_ready)
+    wait_until(channel.try_connect)
     server.close()
     assert not [*wire.folder.iterdir()]
 
@@ -667,8 +667,8 @@ def test_whoever_looks_does_not_wait_for_a_computer_that_is_silent(wire: Wire) -
         with socket.create_connection(address):
             there = Address("there", Endpoint(*address))
             channel = Channel("echo", there, wire.folder)
-            assert not channel.is_ready()
-            assert not channel.is_ready()
+            assert not channel.try_connect()
+            assert not channel.try_connect()
             (opening,) = channel._openings.values()
             assert not opening._has_asked
             with pytest.raises(Unavailable, match="no answer from"):
@@ -688,7 +688,7 @@ def test_the_first_call_after_a_short_cut_reaches_the_other_computer(
         there = Address("there", Endpoint(*cut.getsockname()))
         channel = Channel("echo", there, wire.folder)
         with socket.create_connection(cut.getsockname()):
-            assert not channel.is_ready()  # the SYN is lost
+            assert not channel.try_connect()  # the SYN is lost
             with pytest.raises(Unavailable, match="no answer from"):
                 channel.push(message("a"), SHORT)
             assert channel._is_lost
@@ -716,7 +716,7 @@ def test_a_channel_without_a_free_file_is_unavailable(
         raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
 
     monkeypatch.setattr(socket, "socket", fail)
-    assert not channel.is_ready()
+    assert not channel.try_connect()
     with pytest.raises(Unavailable, match="Too many open files"):
         channel.request(call("a"), LIMIT)
 
@@ -756,7 +756,7 @@ def test_nobody_waits_for_a_container_that_stands_still(
             queued.connect_ex(path)
         channels = [wire.channel() for _ in range(100)]
         began = time.monotonic()
-        assert not any(channel.is_ready() for channel in channels)
+        assert not any(channel.try_connect() for channel in channels)
         assert time.monotonic() - began < LIMIT / 2  # it waited 0.2 s for each
         frozen.listen(64)
         with pytest.raises(Unavailable, match="no answer from"):

@@ -162,10 +162,10 @@ def test_a_container_that_is_started_anew_is_reached_where_it_was(wire: Wire) ->
     for _ in range(2):
         server = wire.server()
         server.open("echo", Receiver())
-        wait_until(channel.is_ready)
+        wait_until(channel.try_connect)
         assert channel.request(call("ab"), LIMIT).value(TEXT) == "ba"
         server.close()
-        wait_until(lambda: not channel.is_ready())
+        wait_until(lambda: not channel.try_connect())
 
 
 @remote

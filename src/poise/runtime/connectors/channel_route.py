@@ -73,9 +73,9 @@ class ChannelRoute:
         if port.latest:
             self._tag, self._codec = numbered_tag(port.type), numbered(self._codec)
 
-    def is_ready(self) -> bool:
+    def try_connect(self) -> bool:
         """Return whether the receiving end is there."""
-        return self._channel.is_ready()
+        return self._channel.try_connect()
 
     def give_up(self) -> None:
         """Wait no more for a computer that is cut off."""

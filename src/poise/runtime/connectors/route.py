@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 class Route(Protocol):
     """A way to one incarnation of the target."""
 
-    def is_ready(self) -> bool:
-        """Return at once whether the other end is there."""
+    def try_connect(self) -> bool:
+        """Connect if needed; return at once whether the other end is there."""
         ...
 
     def function(self, method: Method, sender: Sender) -> Callable[..., Any]:
@@ -83,7 +83,7 @@ class DirectRoute:
         self._feed.on_room = sender.room
         self._tag = message_tag(port.type)
 
-    def is_ready(self) -> bool:
+    def try_connect(self) -> bool:
         """Return True: it is here."""
         return True
 

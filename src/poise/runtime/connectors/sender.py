@@ -263,7 +263,7 @@ class Sender:
 
     def _offer_latest(self, route: Route, heard: Number | None) -> None:
         # one that is not there is asked as soon as it is
-        if heard is None and not route.is_ready():
+        if heard is None and not route.try_connect():
             return
         with self._lock:
             is_free = self._wait(self._is_free, self._limit)

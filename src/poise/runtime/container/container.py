@@ -159,7 +159,7 @@ class Container:
         self._waker.wake()
 
     def _serve(self) -> None:
-        report_at, unjoined, missed = 0.0, self._wiring.unjoined(), 0
+        report_at, unjoined, missed = 0.0, self._wiring.connect(), 0
         has_news = False
         orphans = Orphans()
         while not self._stopping:
@@ -177,7 +177,7 @@ class Container:
             self._note_pauses()
             self._taps.end_unread()
             before = unjoined, missed
-            unjoined, missed = self._wiring.unjoined(), self._missed()
+            unjoined, missed = self._wiring.connect(), self._missed()
             has_news |= (unjoined, missed) != before
             now = self._clock.now()
             if now >= report_at or (has_news and now >= self._news_waits_until):

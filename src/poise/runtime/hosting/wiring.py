@@ -48,9 +48,9 @@ class OpenEndpoints:
         self.counts: Counts = Counts()
         self.remote_clock = RemoteClock()
 
-    def is_ready(self) -> bool:
-        """Return whether the other end is there, so far as this one can know."""
-        return self.route is None or self.route.is_ready()
+    def try_connect(self) -> bool:
+        """Connect if needed; return whether the other end is there, if known."""
+        return self.route is None or self.route.try_connect()
 
     def status(self) -> ConnectorStatus:
         """Return what was counted, and whether the other end is there."""
@@ -60,7 +60,7 @@ class OpenEndpoints:
             end = "both"
         spec = self.spec
         return self.counts.status(
-            spec.name, spec.key, spec.kind, end, ready=self.is_ready()
+            spec.name, spec.key, spec.kind, end, ready=self.try_connect()
         )
 
 
@@ -123,10 +123,10 @@ class Wiring:
         if ends := self._open.pop(key, None):
             ends.closing.close()
 
-    def unjoined(self) -> frozenset[str]:
-        """Return the keys of the connectors whose other end is not there."""
+    def connect(self) -> frozenset[str]:
+        """Connect what can be; return the keys of connectors without another end."""
         return frozenset(
-            ends.spec.key for ends in self.endpoints() if not ends.is_ready()
+            ends.spec.key for ends in self.endpoints() if not ends.try_connect()
         )
 
     def joined_inputs(

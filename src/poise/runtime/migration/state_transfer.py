@@ -249,7 +249,7 @@ class StateReceiver:
         give_up_at = min(deadline, time.monotonic() + CONNECT_LIMIT)
         for name, channel in self._channels.items():
             late = f"component '{name}' ({self._sources[name][0]}) is not reached"
-            poll_until(channel.is_ready, give_up_at, late)
+            poll_until(channel.try_connect, give_up_at, late)
         if self._is_same and self._runner.copies_ahead:
             left = max(0.0, deadline - time.monotonic())
             (channel,) = self._channels.values()

@@ -134,7 +134,7 @@ class Channel:
         self._looked_at = time.monotonic()
         self._ask_at = 0.0
 
-    def is_ready(self) -> bool:
+    def try_connect(self) -> bool:
         """Connect if needed, and return at once whether the receiving end is there."""
         now = time.monotonic()
         if now - self._looked_at > _IDLE:
