@@ -12,7 +12,7 @@ from poise.plan.alternatives import needs, part
 from poise.plan.problem.items import Bundle, Edge, Hop, Item, TimeLimit
 from poise.plan.problem.problem import Problem
 
-LATE = 10.0
+LATENESS_PRICE = 10.0
 """What F grows by when data takes twice as long as its deadline says: more than all
 other terms of a normalised F."""
 MEGABYTE = 1e6
@@ -230,7 +230,7 @@ def _time_limits(robot: model.Robot, names: set[str]) -> Iterator[TimeLimit]:
                     Hop(between=pair, size=sizes.get(frozenset(pair), 0.0))
                     for pair in pairwise(chain.through)
                 ),
-                price=LATE,
+                price=LATENESS_PRICE,
             )
 
 

@@ -230,33 +230,36 @@ class ProcessEnd(Struct, frozen=True):
 
 
 class _Pending(Struct, frozen=True):
-    steps: ContainerRequest
+    request: ContainerRequest
     reply: Reply
     limit: float
 
 
-class MigrationRelay:
-    """The migration steps and taps in progress in one agent's containers."""
+class ContainerRequests:
+    """What one agent's containers were asked and have not answered yet.
+
+    Steps of migrations, taps, and calls and messages from outside.
+    """
 
     def __init__(self, processes: Mapping[str, ContainerProcess]) -> None:
         self._processes = processes
         self._pending: dict[int, _Pending] = {}
 
-    def pass_on(self, steps: ContainerRequest, reply: Reply, now: float) -> None:
-        """Pass steps or a tap, which came at `now` [s], to their container."""
-        process = self._processes.get(steps.container)
+    def pass_on(self, request: ContainerRequest, reply: Reply, now: float) -> None:
+        """Pass a request, which came at `now` [s], to its container."""
+        process = self._processes.get(request.container)
         if process is None or process.is_deaf:
-            reason = f"container '{steps.container}' does not run"
-            if isinstance(steps, PortRequest):  # it may be asked again
-                reply(PortAnswer(number=steps.number, outcome="away", reason=reason))
+            reason = f"container '{request.container}' does not run"
+            if isinstance(request, PortRequest):  # it may be asked again
+                reply(PortAnswer(number=request.number, outcome="away", reason=reason))
             else:
-                reply(StepsFailed(steps.number, reason))
+                reply(StepsFailed(request.number, reason))
             return
         if process.is_stuck():
-            reply(StepsFailed(steps.number, _why_silent(process)))
+            reply(StepsFailed(request.number, _why_silent(process)))
             return
-        process.pass_on(steps)
-        self._pending[steps.number] = _Pending(steps, reply, now + steps.limit)
+        process.pass_on(request)
+        self._pending[request.number] = _Pending(request, reply, now + request.limit)
 
     def end(self, outcome: ContainerAnswer) -> None:
         """Answer with an outcome, unless that was answered before."""
@@ -267,21 +270,23 @@ class MigrationRelay:
     def give_up(self, now: float) -> None:
         """Answer for containers that are gone, silent or too slow at `now` [s]."""
         for pending in list(self._pending.values()):
-            container = pending.steps.container
+            container = pending.request.container
             process = self._processes.get(container)
             if process is None or process.is_deaf:
                 reason = f"container '{container}' ended"
             elif process.is_stuck():
                 reason = _why_silent(process)
             elif now > pending.limit:
-                reason = f"container '{container}' took over {pending.steps.limit:g} s"
+                reason = (
+                    f"container '{container}' took over {pending.request.limit:g} s"
+                )
                 reason = _why_silent(process) if process.silence else reason
             else:
                 continue
-            self.end(StepsFailed(pending.steps.number, reason))
+            self.end(StepsFailed(pending.request.number, reason))
 
     def moment(self) -> float:
-        """Return when the next steps are given up [s]."""
+        """Return when the next request is given up [s]."""
         limits = (pending.limit for pending in self._pending.values())
         return min(limits, default=float("inf"))
 

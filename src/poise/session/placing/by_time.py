@@ -20,7 +20,7 @@ from poise.estimate.demands import kinds_together
 from poise.manage.deploy.deployment_plan import DeploymentPlan
 from poise.model.robot import Chain, Connector, Robot
 from poise.plan import Hop, Run, TimeLimit
-from poise.plan.from_robot import LATE
+from poise.plan.from_robot import LATENESS_PRICE
 from poise.session.profiling.stored_profiles import read_profile
 from poise.session.robot_file import with_code
 from poise.simulation.component_models import ComponentModel, HandlerModel
@@ -64,7 +64,7 @@ def timer_limits(work: SimulatedWork) -> Iterator[TimeLimit]:
                     limit=each.timer.deadline,
                     runs=(Run(component=component, seconds=each.handler.work),),
                     shared=True,
-                    price=LATE,
+                    price=LATENESS_PRICE,
                 )
 
 
