@@ -72,4 +72,4 @@ def test_check_says_it_with_its_line(tmp_path: Path) -> None:
     file = tmp_path / "robot.yaml"
     file.write_text(FILE.format(**(ROOM | {"cpu": "40%"})), encoding="utf-8")
     (problem,) = check(file)
-    assert (problem.line, "cannot keep" in problem.message) == (16, True)
+    assert (problem.line, "cannot meet" in problem.message) == (16, True)

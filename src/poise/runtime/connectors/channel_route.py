@@ -136,7 +136,7 @@ class ChannelRoute:
             if left <= 0.0:
                 counts.add_call(0.0, failed=True)
                 raise Timeout(
-                    f"connector {name}: call not made: its time limit has passed"
+                    f"connector {name}: the call was not made: no time is left"
                 )
             values = bind(*args, **kwargs)
             waits = int(1e9 * min(left, _LONGEST)) or 1  # 0 were no limit
