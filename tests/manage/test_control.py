@@ -185,7 +185,8 @@ def test_a_socket_that_cannot_be_had_says_where(
 ) -> None:
     monkeypatch.setenv("XDG_RUNTIME_DIR", runtime)
     try:
-        with pytest.raises(RunError, match=rf"cannot listen on {runtime}/poise/first.sock"):
+        where = rf"cannot listen on {runtime}/poise/first.sock"
+        with pytest.raises(RunError, match=where):
             ControlServer("first")
     finally:
         shutil.rmtree(runtime, ignore_errors=True)

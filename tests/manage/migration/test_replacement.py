@@ -300,7 +300,8 @@ def test_a_state_is_matched_by_the_names_of_its_fields(
 def test_no_state_of_an_architecture_is_lost_unsaid(
     world: RobotWithAlternatives,
 ) -> None:
-    with pytest.raises(UsageError, match=r"'adder' and 'counter' would be lost: .*--fresh"):
+    words = r"'adder' and 'counter' would be lost: .*--fresh"
+    with pytest.raises(UsageError, match=words):
         plan_alternative(world.run, "halves", "one").run()
     report = plan_alternative(world.run, "halves", "one", "replaced:misadapt").run()
     assert "--adapt makes no state for 'whole', only for broken" in report.reason
