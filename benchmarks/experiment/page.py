@@ -138,7 +138,7 @@ def experiment_page(
         _counted(report),
         _HOW,
         html_table(("arm", "placement"), arms),
-        *_comparisons(report.comparisons),
+        *_comparisons(report.comparisons, report.criteria),
         "<h2>Which functions work</h2>",
         intervals(
             {
@@ -158,17 +158,17 @@ def experiment_page(
 
 
 _CRITERIA = """<p>Measures, exclusions and analysis were written down before the data
-(<code>benchmarks/experiment/criteria.md</code>). Of each run the chain counts that
-missed its declared deadline most; a chain whose data never came missed all. An effect
+(<code>benchmarks/experiment/criteria.md</code>{commit}). Of each run the chain counts
+that missed its declared deadline most; a chain whose data never came missed all. An effect
 is Poise's share minus the other's, of runs with the same seed: the Hodges-Lehmann
 estimate and its bootstrap interval of 95 %; p is of Wilcoxon's signed-rank test,
 adjusted by Holm.</p>"""
 
 
-def _comparisons(comparisons: Sequence[Comparison]) -> Iterator[str]:
+def _comparisons(comparisons: Sequence[Comparison], criteria: str) -> Iterator[str]:
     """Yield a table for each condition: how Poise did against each other way."""
     yield "<h2>Poise against the others</h2>"
-    yield _CRITERIA
+    yield _CRITERIA.format(commit=f", commit {escape(criteria)}" if criteria else "")
     for condition in dict.fromkeys(each.condition for each in comparisons):
         rows = [
             (

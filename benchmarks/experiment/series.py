@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 import os
+import subprocess
 import time
 from pathlib import Path
 
@@ -101,10 +102,23 @@ def experiment(  # noqa: PLR0913 - each is an option of the command
             arms=summarised(results, arms, conditions, robot.functions_of(task)),
             comparisons=comparisons,
             headline=state + headline(comparisons),
+            criteria=_commit_of_criteria(),
         )
         page = experiment_page(report, extent, results)
         (folder / PAGE).write_text(page, encoding="utf-8")
     return report
+
+
+def _commit_of_criteria() -> str:
+    """Return which commit the criteria are of; empty: this is no clone."""
+    asked = ("git", "log", "-1", "--format=%h of %cs", "--", "criteria.md")
+    try:
+        done = subprocess.run(
+            asked, cwd=Path(__file__).parent, capture_output=True, text=True, check=True
+        )
+    except (OSError, subprocess.CalledProcessError):
+        return ""
+    return done.stdout.strip()
 
 
 def _minutes(seconds: float) -> str:

@@ -95,6 +95,8 @@ class ExperimentReport(Struct, frozen=True, kw_only=True):
         How many runs were to be made.
     comparisons, headline
         Poise against each other way by the criteria, and that in a sentence.
+    criteria
+        The commit of the criteria and its date; empty: it is not known.
     """
 
     robot: str
@@ -103,6 +105,7 @@ class ExperimentReport(Struct, frozen=True, kw_only=True):
     arms: tuple[ArmSummary, ...]
     comparisons: tuple[Comparison, ...] = ()
     headline: str = ""
+    criteria: str = ""
 
 
 def wilson(held: int, of: int) -> Share:
