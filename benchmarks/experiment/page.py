@@ -158,11 +158,11 @@ def experiment_page(
 
 
 _CRITERIA = """<p>Measures, exclusions and analysis were written down before the data
-(<code>benchmarks/experiment/criteria.md</code>{commit}). Of each run the chain counts
-that missed its declared deadline most; a chain whose data never came missed all. An effect
-is Poise's share minus the other's, of runs with the same seed: the Hodges-Lehmann
-estimate and its bootstrap interval of 95 %; p is of Wilcoxon's signed-rank test,
-adjusted by Holm.</p>"""
+(<code>benchmarks/experiment/criteria.md</code>{commit}). Of each run the chain
+counts that missed its declared deadline most; a chain whose data never came missed all.
+An effect is Poise's share minus the other's, of runs with the same seed: the
+Hodges-Lehmann estimate and its bootstrap interval of 95 %; p is of Wilcoxon's
+signed-rank test, adjusted by Holm.</p>"""
 
 
 def _comparisons(comparisons: Sequence[Comparison], criteria: str) -> Iterator[str]:
