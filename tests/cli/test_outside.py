@@ -527,6 +527,7 @@ def test_calls_wait_for_a_container_that_was_killed(robot: api.Running) -> None:
     caller.start()
     try:
         for _ in range(3):
+            wait_long(lambda: pids(robot))  # the one before is started again
             killed = min(pids(robot))
             os.kill(killed, signal.SIGKILL)
             wait_long(lambda pid=killed: pid not in pids(robot))  # type: ignore[misc]
