@@ -21,6 +21,7 @@ from poise.units import (
     format_bytes,
     format_cores,
     format_seconds,
+    named,
     parse,
     quoted,
 )
@@ -162,3 +163,17 @@ def test_a_suggested_unit_means_what_was_written(
         assert suggestion in str(error.value)
     else:
         assert "did you mean" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("names", "text"),
+    [
+        (["a"], "task 'a'"),
+        (["a", "b"], "tasks 'a' and 'b'"),
+        (["a", "b", "c"], "tasks 'a', 'b' and 'c'"),
+    ],
+)
+def test_several_names_have_their_noun_in_the_plural(
+    names: list[str], text: str
+) -> None:
+    assert named("task", names) == text

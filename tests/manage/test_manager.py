@@ -164,6 +164,9 @@ def test_a_move_to_a_computer_that_is_out_of_reach_is_refused_at_once(
 ) -> None:
     managed.agents.gone.add("left")
     managed.manager.work(0.0)  # from here on the manager goes on without it
+    rehearsed = managed.manager.submit(MoveCommand("thinker", "left", dry=True))
+    managed.manager.work(0.0)
+    assert "computer 'left' has been out of reach since" in str(rehearsed.result(0.0))
     sentences = managed.sentences_of_move()
     assert "computer 'left' has been out of reach since" in sentences[-1]
 

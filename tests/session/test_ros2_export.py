@@ -114,6 +114,7 @@ def test_each_computer_starts_its_nodes_as_poise_would(
     }
 
 
+@pytest.mark.slow  # the code is read in a process of its own
 def test_the_command_writes_a_file_for_each_computer(tmp_path: Path) -> None:
     robot, where = write(tmp_path), tmp_path / "where.json"
     where.write_text(str(WHERE).replace("'", '"'))

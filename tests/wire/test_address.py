@@ -41,7 +41,7 @@ def test_an_address_comes_back_from_its_text(text: str, address: Address) -> Non
     ],
 )
 def test_what_is_none_is_refused(text: str) -> None:
-    with pytest.raises(WireError, match="is no address of a container"):
+    with pytest.raises(WireError, match="is not the address of a container"):
         Address.parse(text)
 
 

@@ -28,7 +28,7 @@ from poise.session.diagrams.draw import FORMATS, What, draw
 from poise.session.placing.placement import place
 from poise.session.profiling.stored_profiles import profiled
 from poise.session.render.printable import console_to
-from poise.session.robot_file import check
+from poise.session.robot_file import check, with_code
 from poise.session.running_robots.running import Running
 from poise.units import SECONDS, format_bytes
 
@@ -108,6 +108,8 @@ def _placements(
     robot: Robot, task: str | None, names: list[str]
 ) -> Mapping[str, Mapping[str, str]]:
     placements: dict[str, Mapping[str, str]] = {}
+    if {*names} - {_RUNNING}:
+        robot = with_code(robot)  # deadlines of timers stand there
     for name in names:
         if name == _RUNNING:
             placements[name] = Running(robot.name).status().placement

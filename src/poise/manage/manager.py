@@ -359,11 +359,13 @@ class Manager:
 
     def _refusal_of_bug(self, command: Command, error: Exception) -> Refusal:
         """Journal an error that nobody foresaw, and let what was placed go on."""
+        asked = type(command).__name__.removesuffix("Command").lower()
         what = (
-            f"{type(command).__name__} failed because of a bug in Poise: "
+            f"command '{asked}' failed because of a bug in Poise: "
             f"{type(error).__name__}: {error}"
         )
-        self._run.journal.note("failed", what, traceback=traceback.format_exc())
+        trace = traceback.format_exc()
+        self._run.journal.note("failed", what, command=command, traceback=trace)
         self._run.release(what)
         return Refusal(f"{what}. The robot keeps its placement", "RunError")
 

@@ -45,7 +45,7 @@ class Address(Struct, frozen=True):
             if gateway.is_ip and gateway.port:
                 return cls(container, gateway)
         raise WireError(
-            f"'{text}' is no address of a container: CONTAINER or "
+            f"'{text}' is not the address of a container: CONTAINER or "
             "IP-ADDRESS:PORT/CONTAINER"
         )
 

@@ -474,7 +474,7 @@ def test_a_component_recovers_when_it_is_given_the_right_address(
             status = manager.wait_for(
                 lambda s: bool(s.containers) and states(s) == {"speaking": "failed"}
             )
-            assert "'nowhere/far' is no address" in only(status).error
+            assert "'nowhere/far' is not the address" in only(status).error
     assert manager.wait_active("speaking").components[0].error == ""
 
 
@@ -787,7 +787,7 @@ def test_what_is_no_container_at_its_socket_is_shown_and_stops_nothing(
             socket.send_fds(asking, [data], [out, into])
     if data:
         status = doomed.wait_for(lambda status: bool(status.errors))
-        assert "no container of this version" in status.errors[0].text
+        assert "not a container of this version" in status.errors[0].text
     os.close(out)
     os.close(into)
     doomed.deploy("quiet", "stubborn")

@@ -12,8 +12,11 @@ from msgspec.structs import replace
 
 from poise.estimate.profiles import Profile
 from poise.model import load
+from poise.model.robot import Action, Architecture, ComponentEntry, Task
 from poise.runtime.code_check import code_of
+from poise.session import nothing
 from poise.session.placing import by_time
+from poise.session.placing.first_phase import first_phase
 from poise.session.placing.placement import Placement, place
 from tests.command import run_poise
 
@@ -163,6 +166,27 @@ def test_a_plan_knows_of_deadlines_that_only_the_code_declares(
     done = run_poise("plan", tmp_path / "robot.yaml", "--task", "go", "--json")
     (planned,) = json.loads(done.stdout)["predicted"]["go"]["timers"]
     assert planned["timer"] == "beat"
+
+
+def test_tasks_that_start_together_are_placed_by_deadlines(
+    placed: Place, tmp_path: Path
+) -> None:
+    placed(beats="Beat", chains="")
+    robot = load(tmp_path / "robot.yaml")
+    code = {c.name: code_of(c, robot.folder) for c in robot.components()}
+    other = ComponentEntry(name="other", demand={"cpu": 0.1})
+    also = Architecture(name="also", function="also", components=(other,))
+    task = Task(name="also", actions=(Action(name="also", functions=("also",)),))
+    robot = replace(
+        robot,
+        code=code,
+        architectures=(*robot.architectures, also),
+        tasks=(*robot.tasks, task),
+    )
+    found = first_phase(robot, ["go", "also"], None, nothing).placed
+    assert found.where.keys() == {c.name for c in robot.components()}
+    (predicted,) = found.predicted.values()
+    assert [timer.timer for timer in predicted.timers] == ["beat"]
 
 
 def test_what_was_not_measured_is_said_to_be_a_guess(

@@ -15,7 +15,7 @@ from functools import cache, partial
 from msgspec.structs import replace
 
 from poise.clock import wall_time
-from poise.errors import PoiseError
+from poise.errors import PoiseError, UsageError
 from poise.manage.adaptation.actions import Actions
 from poise.manage.adaptation.bad_links import check_links
 from poise.manage.adaptation.failover import FailoverResponder
@@ -135,8 +135,10 @@ class Adaptation:
     def what_if(self, component: str, computer: str) -> WhatIf:
         """Return what a move would change, for a person who asks.
 
-        Raises UsageError when a cut link forbids it.
+        Raises UsageError when a cut link forbids it, or the computer is out of reach.
         """
+        if away := self._run.unreached().get(computer):
+            raise UsageError(away)
         situation = self._situation()
         check_links(situation, component, computer)
         return what_if(situation, component, computer)

@@ -310,7 +310,7 @@ def _checked(
     if new.function != old.function:
         raise UsageError(
             f"architecture '{by}' provides '{new.function}', not '{old.function}': "
-            f"it is no alternative to '{name}'"
+            f"it is not an alternative to '{name}'"
         )
     for architecture in (old, new):
         if architecture.layer != "sequencing":

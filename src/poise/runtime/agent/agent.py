@@ -414,8 +414,8 @@ class Agent:
                     kill_all({pid})
         except WireError as error:
             raise RunError(
-                f"something that is no container of this version of Poise asked to be "
-                f"adopted: {error}"
+                "something that is not a container of this version of Poise asked to "
+                f"be adopted: {error}"
             ) from error
 
     def _end_all(self) -> None:

@@ -81,7 +81,7 @@ class AdoptedContainers:
             if is_left or self.watch(orphan.pid):
                 self.num_adopted += 1
             elif self._is_foreign(orphan.pid):
-                log.warning("process %d is no container of this agent", orphan.pid)
+                log.warning("process %d is not a container of this agent", orphan.pid)
                 connection.close()
                 os.close(stats_page)
                 continue

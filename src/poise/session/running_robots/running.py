@@ -234,8 +234,8 @@ class Running:
     def what_if(self, component: str, computer: str, *, force: bool = False) -> WhatIf:
         """Return what a move would change; nothing happens.
 
-        Raises what `move` with the same `force` would; limits that it would break are
-        in the answer.
+        Raises UsageError when it would be refused, but for limits that it would break:
+        they are in the answer.
         """
         command = MoveCommand(component, computer, force=force, dry=True)
         return ask(self.name, command, WhatIf)
