@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 
 import pytest
+from msgspec.structs import replace
 
 from poise.estimate import profiles as profile_file
 from poise.estimate.profiles import Profile, Store
@@ -139,12 +140,16 @@ def test_measures_shared_isolated_and_command_line_components(
     assert kept.size == pytest.approx(kept.median, rel=0.06)
     assert 1000 < kept.largest < 1200
 
-    done = poise(
-        *("profile", "robot.yaml", "--architecture", "seeing", *quick),
-        *("--on", "main", "--write"),
-    )
+    # as if measured on a machine twice as quick: what joins is given in its cores
+    quicker = replace(profile, loops=2 * profile.loops)
+    (folder / "profile.yaml").write_text(profile_file.to_text(quicker))
+    both = ("--architecture", "seeing", "--architecture", "thinking")
+    done = poise("profile", "robot.yaml", *both, *quick, "--on", "main", "--write")
     assert done.returncode == 0, done.stdout + done.stderr
     profile = read(folder)
+    assert profile.loops == pytest.approx(quicker.loops, rel=1e-3)
+    thinks = profile.components["mind"].handlers["think"].mean
+    assert thinks == pytest.approx(mind.handlers["think"].mean / 2, rel=0.4)
     assert set(profile.components) == {"eye", "memory", "heart", "mind", "archive"}
     assert profile.components["eye"].timers["see"].missed >= 0
     assert profile.components["heart"].start > 0

@@ -261,6 +261,13 @@ def predict_times(
     )
 
 
+def predict_uncrowded(
+    robot: Robot, placement: Mapping[str, str], work: SimulatedWork
+) -> PredictedTimes:
+    """Return what is predicted of a placement if nobody waited for CPU."""
+    return predict_times(_uncrowded(robot, len(placement)), placement, work)
+
+
 def _uncrowded(robot: Robot, cores: int) -> Robot:
     """Return the robot with a core of the reference for each component."""
     return structs.replace(

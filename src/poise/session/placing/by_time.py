@@ -3,7 +3,9 @@
 How old data gets, and when a timer's run ends, depends on all that runs beside it,
 which no sum over components and connectors tells. So a placement is decided by what can
 be summed (`chain_limits`, `timer_limits`), simulated, and decided again with what was
-missing from the sums, until all is in time or nothing changes any more.
+missing from the sums, until all is in time or nothing changes any more. A simulation in
+which nobody waits for CPU tells what is missing wherever components run, such as phases
+of timers, from what they wait for each other.
 """
 
 from __future__ import annotations
@@ -24,7 +26,11 @@ from poise.plan.from_robot import LATENESS_PRICE
 from poise.session.profiling.stored_profiles import read_profile
 from poise.session.robot_file import with_code
 from poise.simulation.component_models import ComponentModel, HandlerModel
-from poise.simulation.predicted_times import PredictedTimes, predict_times
+from poise.simulation.predicted_times import (
+    PredictedTimes,
+    predict_times,
+    predict_uncrowded,
+)
 from poise.simulation.workload import SimulatedWork, workload_of
 
 
@@ -133,7 +139,7 @@ def _sends(handler: HandlerModel, slot: str) -> bool:
 
 SURE = 1.25
 """What is predicted counts 1.25 times, as predictions may be wrong."""
-_ROUNDS = 4
+_ROUNDS = 6
 _ROUNDING = 1e-6
 
 Decide = Callable[[plan.PhasedProblem], plan.PhasedResult]
@@ -147,7 +153,9 @@ class DecidedByTime(Struct, frozen=True):
 
 
 def decide_by_time(
-    robot: Robot, problem: plan.PhasedProblem, decide: Decide
+    robot: Robot,
+    problem: plan.PhasedProblem,
+    decide: Decide,
 ) -> DecidedByTime:
     """Return the best placement found, with the times that are predicted for it.
 
@@ -164,19 +172,24 @@ def decide_by_time(
     timers = tuple(timer_limits(work))
     problem = problem.changed(lambda each: _with_limits(each, chains, timers))
     found: list[tuple[float, DecidedByTime]] = []
+    calibrated = problem
     for _ in range(_ROUNDS):
-        result = decide(problem)
+        result = decide(calibrated)
         decided = DecidedByTime(result, dict(_predicted(robot, work, result)))
         is_known = any(_placed(each.phased) == _placed(result) for _, each in found)
         found.append((_total(decided), decided))
         if is_known or result.total is None or not any(_excesses(decided)):
             break
-        problem = _calibrated(problem, decided)
+        alone = dict(_predicted(robot, work, result, predict_uncrowded))
+        calibrated = _calibrated(problem, decided, alone, calibrated)
     # the last of equally good ones: what it was decided by is what was predicted of it
-    return _as_predicted(min(reversed(found), key=lambda each: each[0])[1])
+    best = min(reversed(found), key=lambda each: each[0])[1]
+    return _as_predicted(best, problem)
 
 
-def _as_predicted(decided: DecidedByTime) -> DecidedByTime:
+def _as_predicted(
+    decided: DecidedByTime, summed_problem: plan.PhasedProblem
+) -> DecidedByTime:
     """Return a placement whose F has the times that are predicted of it.
 
     It may have been decided by what was predicted of another one.
@@ -186,7 +199,7 @@ def _as_predicted(decided: DecidedByTime) -> DecidedByTime:
     is_whole = all(r.placement and not r.suspended for r in result.results.values())
     if not is_whole or isclose(summed, sum(_excesses(decided)), abs_tol=_ROUNDING):
         return decided
-    problem = _calibrated(result.problem, decided)
+    problem = _calibrated(summed_problem, decided, {}, result.problem)
     results = {
         phase.name: plan.evaluate(phase.problem, found.placement, found.method)
         for phase in problem.phases
@@ -217,13 +230,16 @@ def _with_limits(
 
 
 def _predicted(
-    robot: Robot, work: SimulatedWork, result: plan.PhasedResult
+    robot: Robot,
+    work: SimulatedWork,
+    result: plan.PhasedResult,
+    predict: Callable[..., PredictedTimes] = predict_times,
 ) -> Iterator[tuple[str, PredictedTimes]]:
     """Yield what is predicted of each phase that has a placement."""
     here = replace(robot, computers=result.problem.computers)
     for name, each in result.results.items():
         if each.placement:
-            yield name, predict_times(here, each.placement, work)
+            yield name, predict(here, each.placement, work)
 
 
 def _placed(result: plan.PhasedResult) -> Mapping[str, Mapping[str, str]]:
@@ -266,21 +282,73 @@ def _ages(times: PredictedTimes) -> dict[str, float]:
 
 
 def _calibrated(
-    problem: plan.PhasedProblem, decided: DecidedByTime
+    problem: plan.PhasedProblem,
+    decided: DecidedByTime,
+    alone: Mapping[str, PredictedTimes],
+    before: plan.PhasedProblem,
 ) -> plan.PhasedProblem:
-    """Return the problem that says of the placement what is predicted of it."""
+    """Return the problem that says of the placement what is predicted of it.
+
+    `problem`: the problem as it can be summed.
+    `alone`: phase -> what is predicted if nobody waited for CPU.
+    `before`: says the same of other placements, which counts for limits that this one
+    does not have.
+    """
     phases = []
-    for phase in problem.phases:
-        ages = _ages(decided.predicted.get(phase.name, PredictedTimes()))
-        summed = {e.name: e.seconds for e in decided.phased.results[phase.name].times}
-        limits = (
-            replace(
-                each, fixed=max(0.0, each.fixed + ages[each.name] - summed[each.name])
+    for phase, earlier in zip(problem.phases, before.phases, strict=True):
+        result = decided.phased.results[phase.name]
+        summed = {each.name: each for each in phase.problem.time_limits}
+        fitted = {
+            each.name: each
+            for each in _fitted(
+                summed,
+                result,
+                _ages(decided.predicted.get(phase.name, PredictedTimes())),
+                _ages(alone.get(phase.name, PredictedTimes())),
             )
-            if each.name in ages and each.name in summed
-            else each
-            for each in phase.problem.time_limits
+        }
+        limits = tuple(fitted.get(e.name, e) for e in earlier.problem.time_limits)
+        phases.append(
+            replace(earlier, problem=replace(earlier.problem, time_limits=limits))
         )
-        changed = replace(phase.problem, time_limits=tuple(limits))
-        phases.append(replace(phase, problem=changed))
-    return replace(problem, phases=tuple(phases))
+    return replace(before, phases=tuple(phases))
+
+
+def _fitted(
+    summed: Mapping[str, TimeLimit],
+    result: plan.Result,
+    ages: Mapping[str, float],
+    alone: Mapping[str, float],
+) -> Iterator[TimeLimit]:
+    """Yield the limits of a placement such that their sums are what is predicted.
+
+    What would be missing from a sum if nobody waited for CPU is missing on any
+    placement; the rest grows with the waiting for CPU that the sum has.
+    """
+    limits = [
+        summed[each.name] for each in result.problem.time_limits if each.name in ages
+    ]
+    seconds = _seconds(result, limits)
+    hops = _seconds(result, [_without_runs(each) for each in limits])
+    for each in limits:
+        name, age = each.name, ages[each.name]
+        own = sum(run.seconds for run in each.runs)
+        waits = max(0.0, alone.get(name, age) - hops[name] - own)
+        shared, rest = seconds[name] - hops[name], age - hops[name] - waits
+        if shared > 0 and rest > shared:
+            factor = rest / shared
+            runs = (replace(run, seconds=factor * run.seconds) for run in each.runs)
+            yield replace(each, fixed=waits, runs=tuple(runs))
+        else:
+            yield replace(each, fixed=max(0.0, age - seconds[name]))
+
+
+def _without_runs(limit: TimeLimit) -> TimeLimit:
+    return replace(limit, runs=tuple(replace(run, seconds=0.0) for run in limit.runs))
+
+
+def _seconds(result: plan.Result, limits: Iterable[TimeLimit]) -> dict[str, float]:
+    """Return the name of each limit -> its sum on a placement [s]."""
+    asked = replace(result.problem, time_limits=tuple(limits))
+    found = plan.evaluate(asked, result.placement, result.method)
+    return {each.name: each.seconds for each in found.times}

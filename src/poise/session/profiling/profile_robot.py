@@ -120,19 +120,29 @@ def profile(  # noqa: PLR0913 - each is a choice of the user
         raise UsageError("a measurement must last longer than 0 s")
     names = _chosen(robot, architectures)
     check_keepable(robot)
-    measuring = _Measuring(
-        robot, computer or robot.computers[0].name, seconds, warm_up, repeat, say, check
-    )
+    computer = computer or robot.computers[0].name
     found = []
     with steady(robot):
+        reference = here = loops() if robot.is_emulated else 0.0
+        if architectures and robot.is_emulated:
+            reference = _loops_of_others(robot, computer) or here
+        measuring = _Measuring(
+            robot=robot,
+            computer=computer,
+            seconds=seconds,
+            warm_up=warm_up,
+            repeat=repeat,
+            say=say,
+            check=check,
+            quicker=here / reference if reference else 1.0,
+        )
         for name in names:
             total = (repeat + 1) * (seconds + warm_up)
             with progress(name, total) as tick:
                 found.append(measuring.measure(name, tick))
-        done = loops() if robot.is_emulated else 0.0
     silent = {n: p for each in found for n, p in each.silent.items()}
     unrecorded = [name for each in found for name in each.unrecorded]
-    new = measuring.profile([each.figures for each in found], unrecorded, done)
+    new = measuring.profile([each.figures for each in found], unrecorded, reference)
     kept = _kept(robot, new)
     return Profiling(
         profile=kept, file=_write(robot, kept), silent=silent, unrecorded=unrecorded
@@ -168,8 +178,24 @@ def _not_stable(runs: int, names: Sequence[str]) -> str:
     return f"not stable: {', '.join(names)} ({why})"
 
 
-class _Measuring(Struct, frozen=True):
-    """Measures architectures, one after the other."""
+def _loops_of_others(robot: Robot, computer: str) -> float:
+    """Return the `loops` of the profile that new figures join; 0: not known.
+
+    They are given for a core of its machine, as the others in it are.
+    """
+    old = read_profile(robot)
+    return old.loops if old is not None and _is_of(old, robot, computer) else 0.0
+
+
+def _is_of(profile: Profile, robot: Robot, computer: str) -> bool:
+    return (profile.robot, profile.computer) == (robot.name, computer)
+
+
+class _Measuring(Struct, frozen=True, kw_only=True):
+    """Measures architectures, one after the other.
+
+    `quicker`: what a core here does, of what a core of the profile's machine does.
+    """
 
     robot: Robot
     computer: str
@@ -178,6 +204,7 @@ class _Measuring(Struct, frozen=True):
     repeat: int
     say: Say
     check: Check
+    quicker: float
 
     def measure(self, architecture: str, tick: Tick) -> _Found:
         """Measure one architecture: as it is used, and with its components apart."""
@@ -241,7 +268,7 @@ class _Measuring(Struct, frozen=True):
         ]
 
     def profile(
-        self, found: Sequence[Figures], unrecorded: Iterable[str], done: float
+        self, found: Sequence[Figures], unrecorded: Iterable[str], reference: float
     ) -> Profile:
         """Return the profile of the measured components without `unrecorded`."""
         components = {n: c for each in found for n, c in each.components.items()}
@@ -252,7 +279,7 @@ class _Measuring(Struct, frozen=True):
             speed=self.robot.computer(self.computer).speed,
             at=dt.datetime.now(dt.UTC).isoformat(timespec="seconds"),
             seconds=self.seconds,
-            loops=done,
+            loops=reference,
             agent=max(each.agent for each in found),
             components={n: c for n, c in components.items() if n not in unrecorded},
             connectors={n: c for each in found for n, c in each.connectors.items()},
@@ -277,10 +304,11 @@ class _Measuring(Struct, frozen=True):
     def _speed(self) -> float:
         """Return the factor from the computer's CPU time to the reference computer's.
 
-        An emulated computer of speed 0.5 runs half of the time, at full speed.
+        An emulated computer of speed 0.5 runs half of the time, at full speed; its
+        reference is a core of the machine of the profile.
         """
         if self.robot.is_emulated:
-            return 1.0
+            return self.quicker
         return self.robot.computer(self.computer).speed
 
 
@@ -300,7 +328,7 @@ def _merged(new: Profile, old: Profile | None, robot: Robot) -> Profile:
 
     Figures of another computer, or of components that no longer exist, are dropped.
     """
-    if old is None or (old.computer, old.robot) != (new.computer, new.robot):
+    if old is None or not _is_of(old, robot, new.computer):
         return new
     names = {c.name for c in robot.components()}
     components = {n: c for n, c in old.components.items() if n in names}
