@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from math import isfinite
 from pathlib import Path
@@ -20,7 +20,7 @@ from poise.estimate.success_rates import learned
 from poise.model import load
 from poise.model.robot import Computer, Robot
 from poise.session.placing.by_time import DecidedByTime
-from poise.session.placing.placement import ALL, decided
+from poise.session.placing.placement import ALL, decided, problem_of_task
 from poise.session.profiling.stored_profiles import profiled
 from poise.session.render.plan_tables import (
     show,
@@ -147,17 +147,7 @@ def plan_command(
 
     if smallest and robot is not None and not tasks:
         tasks = [task.name for task in robot.tasks]
-    if tasks and not at_once:
-        problems = {
-            name: plan.phased_problem_of(each, name)
-            for name in tasks
-            if (each := known(name)) is not None
-        }
-    else:
-        name = tasks[0] if tasks else None
-        each = known(name)
-        problem = plan.problem_of(each, name) if each else plan.load(file)
-        problems = {name or ALL: plan.PhasedProblem.of_one(name or ALL, problem)}
+    problems = dict(_problems(file, tasks, known, at_once=at_once))
     has_phases = len(tasks) > 1 or any(len(p.phases) > 1 for p in problems.values())
     _check_phases(tasks, phase, compare, has_phases=has_phases)
     problems = {name: problem.changed(changed) for name, problem in problems.items()}
@@ -182,6 +172,21 @@ def plan_command(
                 feasible = _answer(one, partial(how, method), explain, phase, json=json)
     if not feasible:
         raise typer.Exit(1)
+
+
+def _problems(
+    file: Path,
+    tasks: Sequence[str],
+    known: Callable[[str | None], Robot | None],
+    *,
+    at_once: bool,
+) -> Iterator[tuple[str, plan.PhasedProblem]]:
+    """Yield what is to be decided for each task, or for all functions at once."""
+    for name in (*tasks,) or (None,):
+        if (robot := known(name)) is None:
+            yield ALL, plan.PhasedProblem.of_one(ALL, plan.load(file))
+        else:
+            yield name or ALL, problem_of_task(robot, name, at_once=at_once)
 
 
 Decider = Callable[[plan.PhasedProblem], DecidedByTime]

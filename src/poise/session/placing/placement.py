@@ -301,11 +301,7 @@ def place(  # noqa: PLR0913 - each is a choice of the user
         explore=explore,
         seed=seed,
     ).robot
-    if task is None or at_once:
-        name = task or ALL
-        problem = plan.PhasedProblem.of_one(name, plan.problem_of(robot, task))
-    else:
-        problem = plan.phased_problem_of(robot, task)
+    problem = problem_of_task(robot, task, at_once=at_once)
     solve = partial(
         plan.solve_phases, budget=budget, method=method, seed=seed, fewer=fewer
     )
@@ -313,6 +309,15 @@ def place(  # noqa: PLR0913 - each is a choice of the user
     return Placement(
         task=task, method=method, phased=found.phased, predicted=found.predicted
     )
+
+
+def problem_of_task(
+    robot: Robot, task: str | None, *, at_once: bool = False
+) -> plan.PhasedProblem:
+    """Return what is to be decided for a task; None: for all functions, at once."""
+    if task is None or at_once:
+        return plan.PhasedProblem.of_one(task or ALL, plan.problem_of(robot, task))
+    return plan.phased_problem_of(robot, task)
 
 
 def decided(
