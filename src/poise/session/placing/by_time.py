@@ -10,7 +10,7 @@ of timers, from what they wait for each other.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import pairwise
 from math import isclose
 
@@ -139,10 +139,11 @@ def _sends(handler: HandlerModel, slot: str) -> bool:
 
 SURE = 1.25
 """What is predicted counts 1.25 times, as predictions may be wrong."""
-_ROUNDS = 6
+_ROUNDS = 8
 _ROUNDING = 1e-6
 
-Decide = Callable[[plan.PhasedProblem], plan.PhasedResult]
+Decide = Callable[..., plan.PhasedResult]
+"""Decides a problem, by another `method` if one is given."""
 
 
 class DecidedByTime(Struct, frozen=True):
@@ -153,38 +154,48 @@ class DecidedByTime(Struct, frozen=True):
 
 
 def decide_by_time(
-    robot: Robot,
-    problem: plan.PhasedProblem,
-    decide: Decide,
+    robot: Robot, problem: plan.PhasedProblem, *solvers: Decide
 ) -> DecidedByTime:
     """Return the best placement found, with the times that are predicted for it.
 
     `robot`: what its code says of deadlines of timers counts, if it was read. If it has
     chains and its code was not read yet, another process imports it.
-    `decide`: decides a problem.
+    `solvers`: the next one decides when what one decides was looked at already.
     """
     if any(phase.problem.time_limits for phase in problem.phases):
         robot = with_code(robot)
     elif not _has_deadlines(robot):
-        return DecidedByTime(decide(problem))
+        return DecidedByTime(solvers[0](problem))
     work = workload_of(robot, read_profile(robot))
     chains = {each.name: each for each in chain_limits(robot, work)}
     timers = tuple(timer_limits(work))
     problem = problem.changed(lambda each: _with_limits(each, chains, timers))
-    found: list[tuple[float, DecidedByTime]] = []
+    found: list[DecidedByTime] = []
     calibrated = problem
     for _ in range(_ROUNDS):
-        result = decide(calibrated)
-        decided = DecidedByTime(result, dict(_predicted(robot, work, result)))
-        is_known = any(_placed(each.phased) == _placed(result) for _, each in found)
-        found.append((_total(decided), decided))
-        if is_known or result.total is None or not any(_excesses(decided)):
+        for decide in solvers:
+            result = decide(calibrated)
+            if result.total is None:
+                return _best(found, problem) if found else DecidedByTime(result)
+            same = (d for d in found if _placed(d.phased) == _placed(result))
+            known = next((each.predicted for each in same), None)
+            predicted = known or dict(_predicted(robot, work, result))
+            found.append(DecidedByTime(result, predicted))
+            if known is None:
+                break
+        if known is not None or not any(_excesses(found[-1])):
             break
         alone = dict(_predicted(robot, work, result, predict_uncrowded))
-        calibrated = _calibrated(problem, decided, alone, calibrated)
+        calibrated = _calibrated(problem, found[-1], alone, calibrated)
+    return _best(found, problem)
+
+
+def _best(
+    found: Sequence[DecidedByTime], summed_problem: plan.PhasedProblem
+) -> DecidedByTime:
+    """Return the one with the least F: its times are those that are predicted."""
     # the last of equally good ones: what it was decided by is what was predicted of it
-    best = min(reversed(found), key=lambda each: each[0])[1]
-    return _as_predicted(best, problem)
+    return _as_predicted(min(reversed(found), key=_total), summed_problem)
 
 
 def _as_predicted(

@@ -330,7 +330,8 @@ def decided(
 
     if robot is None:
         return DecidedByTime(decide(problem))
-    return decide_by_time(robot, problem, decide)
+    others = () if is_rule(method) else (partial(solve, method="greedy"),)
+    return decide_by_time(robot, problem, decide, *others)
 
 
 def _ruled(
