@@ -98,7 +98,7 @@ class DoomedAgents(Agents):
         self._step()
         return reply
 
-    def take_steps(
+    def send_steps(
         self,
         batches: Iterable[tuple[str, MigrationSteps]],
         check: Callable[[], object] = lambda: None,
@@ -109,7 +109,7 @@ class DoomedAgents(Agents):
         if self._is_last() and self.doom is not None:
             told = self.doom.sample(told, self.doom.randint(0, len(told)))
             threading.Timer(self.doom.uniform(0, _LATER), _die).start()
-        for outcome in super().take_steps(told, check):
+        for outcome in super().send_steps(told, check):
             self._step()
             yield outcome
         self._step()

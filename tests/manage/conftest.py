@@ -253,7 +253,7 @@ class FakeAgents:
         reply.set(self.halted.get(computer, StepsDone(steps.number)))
         return reply
 
-    def take_steps(
+    def send_steps(
         self, batches: Iterable[tuple[str, MigrationSteps]]
     ) -> Iterator[StepsOutcome]:
         for computer, steps in batches:

@@ -6,7 +6,7 @@ import pytest
 from msgspec.structs import replace
 
 from poise.errors import UsageError
-from poise.manage.control_socket.read_commands import begin_of
+from poise.manage.control_socket.immediate_commands import begin_of
 from poise.wire.records.status_records import (
     AgentStatus,
     ComponentStatus,

@@ -46,7 +46,7 @@ def initial(bounds: Bounds, bug: str = "") -> State:
 
 
 def prepare(bounds: Bounds) -> tuple[Order, ...]:
-    """Return `MigrationPlan.prepare`."""
+    """Return `MigrationRounds.prepare`."""
     steps: dict[str, tuple[str, ...]] = {}
     for k in range(bounds.movers):
         steps[f"old {k}"] = "offer state", "await idle"
@@ -55,7 +55,7 @@ def prepare(bounds: Bounds) -> tuple[Order, ...]:
 
 
 def transfer(bounds: Bounds, bug: str) -> list[tuple[Order, ...]]:
-    """Return `MigrationPlan.transfer`: callers pause before their callees."""
+    """Return `MigrationRounds.transfer`: callers pause before their callees."""
     movers = range(bounds.movers)
     levels = [list(movers)] if bug == "pause at once" else bounds.levels()
     rounds: list[tuple[Order, ...]] = []
@@ -76,7 +76,7 @@ def transfer(bounds: Bounds, bug: str) -> list[tuple[Order, ...]]:
 
 
 def resuming(side: Side, bounds: Bounds) -> tuple[Order, ...]:
-    """Return `MigrationPlan.resume`, or `MigrationPlan.roll_back`."""
+    """Return `MigrationRounds.resume`, or `MigrationRounds.roll_back`."""
     movers = range(bounds.movers)
     step = "resume" if side == "new" else "roll back"
     steps: dict[str, tuple[str, ...]] = {f"{side} {k}": (step,) for k in movers}

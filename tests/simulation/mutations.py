@@ -30,7 +30,7 @@ from poise.manage.deploy.desired_state import DesiredState
 from poise.manage.deploy.reconciler import Reconciler
 from poise.manage.migration import transition_run
 from poise.manage.migration.coordinator import Migration
-from poise.manage.migration.migration_plan import MigrationPlan
+from poise.manage.migration.migration_rounds import MigrationRounds
 from poise.manage.observe.troubles import SupervisedTick
 from poise.manage.tasks.prefetch import Prefetcher
 from poise.runtime.agent import fence
@@ -206,7 +206,7 @@ def _no_roll_back() -> None:
     def without(self: Desired, goal: Any, names: Any) -> Desired:
         return self if goal == "active" else aiming(self, goal, names)
 
-    setattr(MigrationPlan, "roll_back", lambda _: [])
+    setattr(MigrationRounds, "roll_back", lambda _: [])
     setattr(Desired, "aiming", without)
 
 
@@ -317,11 +317,11 @@ DEFECTS: Defects = {
     "no-roll-back": ("a move is not rolled back", _no_roll_back),
     "no-buffer": (
         "senders do not buffer during a move",
-        _put(MigrationPlan, "_buffer", lambda _: []),
+        _put(MigrationRounds, "_buffer", lambda _: []),
     ),
     "no-drain": (
         "a state is sent while messages are under way",
-        _put(MigrationPlan, "_drain_channels", lambda *_: []),
+        _put(MigrationRounds, "_drain_channels", lambda *_: []),
     ),
     "false-commit": ("a failed move counts as committed", _commit_that_rolls_back),
     "any-claim": ("an agent obeys whoever claims it", _claims_by_force),

@@ -40,7 +40,11 @@ from poise.manage.control_socket.commands import (
     TaskCommand,
     TaskDone,
 )
-from poise.manage.control_socket.read_commands import answer, set_parameters, status_of
+from poise.manage.control_socket.immediate_commands import (
+    answer,
+    set_parameters,
+    status_of,
+)
 from poise.manage.deploy.deactivation import stop
 from poise.manage.deploy.lost_computers import LostComputers
 from poise.manage.deploy.running_components import RunningComponents
@@ -52,7 +56,7 @@ from poise.manage.migration.move import (
     plan_move,
     plan_replacement,
 )
-from poise.manage.migration.prepared_migration import PreparedMigration
+from poise.manage.migration.preparation import MigrationPreparation
 from poise.manage.observe.deviations import Deviation
 from poise.manage.observe.estimates import Estimates
 from poise.manage.observe.sample_recording import Recording, RecordingFile
@@ -102,7 +106,7 @@ class Manager:
         self._commands: queue.Queue[tuple[Command, Results]] = queue.Queue(
             MOST_COMMANDS
         )
-        self._preparations: list[tuple[Command, PreparedMigration, Results]] = []
+        self._preparations: list[tuple[Command, MigrationPreparation, Results]] = []
         self._unstored: list[tuple[int, float, Results, Result | Refusal]] = []
         self._stops: list[Results] = []
         self._stopping = threading.Event()
@@ -314,7 +318,7 @@ class Manager:
         Meanwhile other commands are carried out, and the robot is looked after.
         """
         result = self._carry_out(command, partial(self._do, command))
-        if isinstance(result, PreparedMigration):
+        if isinstance(result, MigrationPreparation):
             self._preparations.append((command, result, future))
         else:
             self._answer_when_stored(future, result)
@@ -369,7 +373,7 @@ class Manager:
         self._run.release(what)
         return Refusal(f"{what}. The robot keeps its placement", "RunError")
 
-    def _do(self, command: Command) -> Result | PreparedMigration:
+    def _do(self, command: Command) -> Result | MigrationPreparation:
         """Do what a command asks for; return a migration that is prepared first."""
         run = self._run
         self._lost.settle()

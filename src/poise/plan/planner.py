@@ -224,8 +224,8 @@ def _check_call(
     given: object = budget
     if not (isinstance(given, float | int) and 0 <= given < inf):
         raise UsageError(f"budget is {budget!r} s, must be finite and >= 0")
-    if method not in METHODS:
-        raise UsageError(f"no method {method!r} (there are: {', '.join(METHODS)})")
+    if method not in SOLVERS:
+        raise UsageError(f"no method {method!r} (there are: {', '.join(SOLVERS)})")
     for name, count in (("seed", seed), ("steps", steps)):
         if name == "steps" and count is None:
             continue
@@ -309,7 +309,7 @@ class Budget:
         return self._seconds - max(thread_time() - self._cpu, waited)
 
 
-METHODS = ("auto", "greedy", "exact", "search")
+SOLVERS = ("auto", "greedy", "exact", "search")
 
 UNLIMITED = 1 << 62
 """A number of steps that no solver reaches."""

@@ -5,11 +5,25 @@
     version u8, kind u8, tag u16, body length u32, number u64, chain u64, sent u64,
     body, padding, buffers
 
-Little endian. `tag` is a checksum of the name and types of a method or message type.
-`number` identifies a marker, counts messages and one-way calls, and is the time that
-the caller of a call still waits [ns]; 0: no limit. `chain` is the call chain of a call,
-or identifies the route of a message (`poise.runtime.connectors.flow_control`). `sent`
-is the time on the sender's monotonic clock [ns]. The buffers may lie in shared memory.
+Little endian. `sent` is the time on the sender's monotonic clock [ns]. The buffers may
+lie in shared memory. By kind, where they say something:
+
+===============  =============================  ==============================
+kind             number                         tag
+===============  =============================  ==============================
+MESSAGE, ONEWAY  how many went out              what it is: a checksum of name
+CALL             how long the caller waits      and types of the method or the
+                 [ns]; 0: no limit              message
+ERROR            `connection.LAST_ANSWER`: the
+                 connection ends behind it
+HELLO            what the connection is for
+MARKER           which marker it is
+CREDIT_REQUEST   how many messages went out     whether a first answer came
+CREDIT           how many may have gone out
+===============  =============================  ==============================
+
+`chain` is the call chain of a call; of messages, and of what is about their credit, it
+identifies the route (`poise.runtime.connectors.flow_control`).
 """
 
 from __future__ import annotations

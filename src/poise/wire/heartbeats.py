@@ -40,12 +40,14 @@ _PATIENT = 0.13
 ASK_AFTER = 0.2
 """Who is silent for longer is asked for a heartbeat [s]."""
 ASK_EVERY = 0.025
-DETECTED = 0.4
+UNHEARD_AFTER = 0.4
 """Who is silent for longer is out of reach [s]."""
 LEASE = 0.7
 """An agent that its manager has not heard for longer is cut off [s]."""
 SURELY_ENDED = 0.95
 """The lease of an agent that is silent for longer has ended, on its clock, too [s]."""
+LEASES_END_WITHIN = 3.0
+"""So long is waited for the leases of lost computers, unless others hear them [s]."""
 UNCUT_LEASE = 10.0
 """The lease of agents that nothing can cut off from their manager, but that may have to
 wait for CPU: each holds it while it runs [s]."""
@@ -200,7 +202,7 @@ class Contacts:
         echoes = [
             (contact.heard_at - echo.held, other)
             for other, contact in self._contacts.items()
-            if other not in {name, MANAGER} and now - contact.heard_at < DETECTED
+            if other not in {name, MANAGER} and now - contact.heard_at < UNHEARD_AFTER
             for echo in [contact.last.heard.get(name)]
             if echo is not None and not echo.is_cut_off
         ]

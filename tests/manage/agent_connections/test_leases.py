@@ -12,7 +12,7 @@ import pytest
 
 from poise.manage.agent_connections.reachability import Reachability
 from poise.runtime.agent.fence import Lease
-from poise.wire.heartbeats import DETECTED, EVERY, LEASE, SURELY_ENDED, Contacts
+from poise.wire.heartbeats import EVERY, LEASE, SURELY_ENDED, UNHEARD_AFTER, Contacts
 from poise.wire.records.heartbeat_records import MANAGER, Heartbeat
 
 AGENTS = ("left", "right", "third")
@@ -116,10 +116,10 @@ def test_a_computer_that_is_cut_off_is_lost_and_its_lease_ends_first(
     world: World,
 ) -> None:
     world.isolate("left")
-    world.run(DETECTED + 2 * EVERY)
+    world.run(UNHEARD_AFTER + 2 * EVERY)
     assert world.lost() == {"left"}
     assert not world.have_leases_ended("left")
-    world.run(LEASE - DETECTED)
+    world.run(LEASE - UNHEARD_AFTER)
     assert not world.is_held("left")
     assert world.is_held("right")
     assert world.is_held("third")

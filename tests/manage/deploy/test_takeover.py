@@ -235,7 +235,7 @@ def test_who_does_not_answer_is_asked_again_whether_a_move_was_committed(
     sender = run.layout.container_of(LEFT[0])
     asked: list[list[str]] = []
 
-    def take_steps(
+    def send_steps(
         batches: Iterable[tuple[str, MigrationSteps]],
     ) -> Iterator[StepsOutcome]:
         batches = list(batches)
@@ -249,7 +249,7 @@ def test_who_does_not_answer_is_asked_again_whether_a_move_was_committed(
                 targets = (("thinker", 5), ("grabber", 0))
                 yield StepsDone(steps.number, targets=targets, is_committed=True)
 
-    agents.take_steps = take_steps  # type: ignore[method-assign]
+    agents.send_steps = send_steps  # type: ignore[method-assign]
     start_or_take_over(run, by_force=False)
     assert run.placement() == {"grabber": "left", "thinker": "right"}
     assert asked[1:] == [[sender]]
@@ -264,14 +264,14 @@ def test_who_is_replaced_while_it_asks_about_a_move_leaves_the_robot(
     run, agents, _ = run_of(robot, LEFT[0], source, target)
     told = len(agents.deployed)
 
-    def take_steps(
+    def send_steps(
         batches: Iterable[tuple[str, MigrationSteps]],
     ) -> Iterator[StepsOutcome]:
         agents.later = LATER
         for _, steps in batches:
             yield StepsFailed(steps.number, "the robot is managed by another one")
 
-    agents.take_steps = take_steps  # type: ignore[method-assign]
+    agents.send_steps = send_steps  # type: ignore[method-assign]
     with pytest.raises(RunError, match=r"bob on desk .* has taken over the robot"):
         start_or_take_over(run, by_force=False)
     assert run.is_left

@@ -25,7 +25,7 @@ from poise.manage.journal import Journal
 from poise.manage.migration.coordinator import DOWNTIME_LIMIT, RESUME_LIMIT
 from poise.manage.migration.migration_report import MigrationReport
 from poise.manage.migration.move import plan_move, plan_replacement
-from poise.manage.migration.prepared_migration import PREPARE_LIMIT
+from poise.manage.migration.preparation import PREPARE_LIMIT
 from poise.model.robot import (
     Architecture,
     ComponentEntry,
@@ -240,7 +240,7 @@ class Striking:
     def __getattr__(self, name: str) -> object:
         return getattr(self._agents, name)
 
-    def take_steps(
+    def send_steps(
         self,
         batches: Iterable[tuple[str, MigrationSteps]],
         check: Callable[[], object] = lambda: None,
@@ -249,7 +249,7 @@ class Striking:
         names = {step.name for _, batch in told for step in batch.steps}
         for name in names & self.before.keys():
             self.before.pop(name)()
-        return self._agents.take_steps(told, check)
+        return self._agents.send_steps(told, check)
 
 
 class MovingRobot:
@@ -421,7 +421,9 @@ def world(
     pair: TwoAgents, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
 ) -> Iterator[MovingRobot]:
     # a busy machine may keep these agents silent for longer; they live
-    monkeypatch.setattr("poise.manage.agent_connections.reachability.DETECTED", LIMIT)
+    monkeypatch.setattr(
+        "poise.manage.agent_connections.reachability.UNHEARD_AFTER", LIMIT
+    )
     yield from _world(pair, request.node.name)
 
 

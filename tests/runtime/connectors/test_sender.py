@@ -49,7 +49,7 @@ class FakeRoute:
         def call(*args: Any, **kwargs: Any) -> Any:
             if not self.ready:  # its target has moved
                 deadline = time.monotonic() + LONG
-                return sender.again(self, method.name, args, kwargs, deadline)
+                return sender.repeat_call(self, method.name, args, kwargs, deadline)
             return (self, *args)
 
         return call
@@ -292,7 +292,7 @@ def test_a_publisher_waits_for_room_and_asks_for_it(
         assert old.asked.wait(LONG)
         assert old.went == []
         old.room = 1
-        sender.room()
+        sender.note_room()
         sent.result(LONG)
     assert (old.went, sender.counts.drops) == ([1], 0)
 
@@ -317,7 +317,7 @@ def test_a_reentrant_publisher_lets_others_in_while_it_waits(old: FakeRoute) -> 
         exclusion.leave()
         assert old.went == []
         old.room = 1
-        sender.room()
+        sender.note_room()
         sent.result(LONG)
     assert old.went == [1]
 
@@ -395,7 +395,7 @@ def test_a_call_does_not_wait_for_ever_for_its_target(
     path = FakeRoute()
     sender.add("old", path)
     with pytest.raises(Timeout, match="its target did not come back"):
-        sender.again(path, "add", (1,), {}, time.monotonic())
+        sender.repeat_call(path, "add", (1,), {}, time.monotonic())
 
 
 def test_without_a_path_calls_are_unavailable(calling: tuple[Sender, Any]) -> None:
@@ -429,7 +429,7 @@ def test_only_the_publisher_waits_for_a_receiver_that_takes_nothing(
     with ThreadPoolExecutor(2) as pool:
         sent = pool.submit(sender.send, 1)
         assert slow.begun.wait(LONG)
-        sender.room()
+        sender.note_room()
         sender.add("old", old)
         sender.buffer_for_move()
         sender.send(2)

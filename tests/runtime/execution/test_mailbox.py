@@ -10,16 +10,16 @@ from poise.runtime._calls import ComponentCounters
 from poise.runtime.component.ports import Queue
 from poise.runtime.execution import mailbox as module
 from poise.runtime.execution.counters import Counts
-from poise.runtime.execution.mailbox import Feed, Filled, Inbox, Mailbox
+from poise.runtime.execution.mailbox import Feed, FilledQueues, Mailbox, PortQueue
 
 LIMIT = 20.0
 
 
-def inbox_of(queue: Queue) -> Inbox:
-    return Inbox("scan", queue, Filled(), ComponentCounters())
+def inbox_of(queue: Queue) -> PortQueue:
+    return PortQueue("scan", queue, FilledQueues(), ComponentCounters())
 
 
-def feed(inbox: Inbox) -> Feed:
+def feed(inbox: PortQueue) -> Feed:
     return Feed(inbox, Counts())
 
 
@@ -28,7 +28,7 @@ def put(feed: Feed, *numbers: int) -> None:
         feed.put((0, number))
 
 
-def waiting(inbox: Inbox) -> list[int]:
+def waiting(inbox: PortQueue) -> list[int]:
     return [value for _, value in inbox.waiting()]
 
 

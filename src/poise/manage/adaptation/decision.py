@@ -28,7 +28,7 @@ from poise.manage.adaptation.bad_links import (
     wasted,
     with_bad_links,
 )
-from poise.manage.adaptation.replan import STARVED, late, nothing_helps, propose
+from poise.manage.adaptation.proposal import STARVED, late, nothing_helps, propose
 from poise.manage.adaptation.situation import Situation
 from poise.manage.agent_connections.statuses import components_of
 from poise.manage.migration.migration_report import Proposal, TransitionStep

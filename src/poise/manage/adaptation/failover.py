@@ -10,7 +10,7 @@ from msgspec import Struct
 
 from poise import plan
 from poise.errors import RobotError
-from poise.manage.adaptation.replan import explain
+from poise.manage.adaptation.proposal import explain
 from poise.manage.adaptation.situation import Change, Homes, Situation
 from poise.manage.adaptation.when_to_act import MoveLimits
 from poise.manage.deploy.desired import Desired

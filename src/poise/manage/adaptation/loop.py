@@ -20,10 +20,14 @@ from poise.manage.adaptation.actions import Actions
 from poise.manage.adaptation.bad_links import check_links
 from poise.manage.adaptation.failover import FailoverResponder
 from poise.manage.adaptation.move_forecast import alternatives, check_move, what_if
-from poise.manage.adaptation.placement_responders import Replan, Transitions, UseAgain
+from poise.manage.adaptation.placement_responders import (
+    ReplanResponder,
+    Transitions,
+    UseAgainResponder,
+)
 from poise.manage.adaptation.policies import Key, Policies, Symptom, saw
 from poise.manage.adaptation.policy_values import values_of
-from poise.manage.adaptation.replan import propose
+from poise.manage.adaptation.proposal import propose
 from poise.manage.adaptation.situation import Responder, Situation
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.migration.migration_report import Proposal, TransitionReport, WhatIf
@@ -41,8 +45,9 @@ from poise.units import counted
 class Adaptation:
     """Watches a running robot, and changes its placement when that helps.
 
-    `acts`: whether it changes anything; else it only reports what is wrong; `keep`:
-    takes what policies see, to record it; None: that is not computed.
+    `acts`: whether it changes anything; else it only reports what is wrong.
+    `keep`: gets what policies see, each time that they are asked; None: nobody wants
+    it, and it is not computed.
     """
 
     def __init__(
@@ -70,8 +75,8 @@ class Adaptation:
             StopWithoutNeeded(suspensions),
             Actions(run, suspensions, limits, self._policies),
             ResumeSuspended(run, suspensions),
-            Replan(self._transitions),
-            UseAgain(self._transitions),
+            ReplanResponder(self._transitions),
+            UseAgainResponder(self._transitions),
         )
         self._troubles: set[str] = set()
         self._reported: dict[Key, Deviation] = {}

@@ -15,7 +15,7 @@ from poise.manage.adaptation.decision import (
     cost_of,
     move_costs,
 )
-from poise.manage.adaptation.replan import share_what_is_left, with_costs
+from poise.manage.adaptation.proposal import share_what_is_left, with_costs
 from poise.manage.adaptation.situation import Situation
 from poise.manage.agent_connections.statuses import components_of
 from poise.manage.migration.migration_report import TransitionStep, WhatIf

@@ -90,7 +90,7 @@ class Transitions:
         return ""
 
 
-class Replan:
+class ReplanResponder:
     """Decides on another placement while something is wrong that one may mend."""
 
     purpose = "plan again"
@@ -147,7 +147,7 @@ class Replan:
             note("seen", why, decision=decision, alternatives=others)
 
 
-class UseAgain:
+class UseAgainResponder:
     """Thinks once about each computer that is back, when nothing is wrong.
 
     By then what components need there, and beside it, has been measured again.

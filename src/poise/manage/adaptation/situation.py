@@ -50,10 +50,11 @@ class Situation(Struct, frozen=True, kw_only=True, dict=True):
     traffic: Mapping[str, ConnectorProfile] = {}  # connector -> what goes over it now
     # component -> the downtime of its last move [s]
     downtimes: Mapping[str, float] = {}
+    # the links that are cut or slow, of which a placement is wanted without them
     bad_links: frozenset[str] = frozenset()
     now: float = 0.0  # the moment, by a clock that never goes back [s]
     symptoms: tuple[Symptom, ...] = ()  # what policies have seen for long enough
-    missing: frozenset[str] = frozenset()
+    missing: frozenset[str] = frozenset()  # what a task needs, and nothing provides
     # how much the planner searches; None: as its time allows
     solve_steps: int | None = None
 

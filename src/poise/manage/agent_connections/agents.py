@@ -169,8 +169,9 @@ class Agents(AgentReports):
         """Store what an agent reported.
 
         One that obeys another manager answers the heartbeats of that one only: for this
-        one it would be out of reach for ever, also once that manager is gone. When the
-        lease of one ends that did not vote for this one is known, and stays so.
+        one it would be out of reach for ever, also once that manager is gone. If it did
+        not vote for this manager, the end of its lease is known already, and does not
+        change.
         """
         manager = status.manager
         if manager is not None and manager.key != self.manager.key:
@@ -404,7 +405,7 @@ class Agents(AgentReports):
         why = answer.reason if isinstance(answer, Refused) else str(answer)
         return why if answer else f"no answer within {limit:.0f} s"
 
-    def take_steps(
+    def send_steps(
         self,
         batches: Iterable[tuple[str, MigrationSteps]],
         check: Callable[[], object] = nothing,

@@ -16,9 +16,9 @@ from poise.wire.control_session import endpoint_of
 from poise.wire.heartbeats import (
     ASK_AFTER,
     ASK_EVERY,
-    DETECTED,
     EVERY,
     LEASE,
+    UNHEARD_AFTER,
     Contacts,
     Datagrams,
     Heartbeats,
@@ -27,8 +27,6 @@ from poise.wire.heartbeats import (
 from poise.wire.records.heartbeat_records import MANAGER, Heartbeat
 from poise.wire.records.request_records import majority_at
 
-LEASE_LIMIT = 3.0
-"""The leases of lost computers end within this time [s], unless others hear them."""
 _STALLED = 1.5 * EVERY
 """Between two looks no more than this counts [s]."""
 _NAP = 0.05
@@ -148,7 +146,7 @@ class Reachability:
         return [
             name
             for name, agent in self._agents.items()
-            if ASK_AFTER <= agent.direct.seconds < DETECTED
+            if ASK_AFTER <= agent.direct.seconds < UNHEARD_AFTER
         ]
 
     def silent(self) -> set[str]:
@@ -156,7 +154,7 @@ class Reachability:
         return {
             name
             for name, agent in self._agents.items()
-            if agent.direct.seconds >= DETECTED
+            if agent.direct.seconds >= UNHEARD_AFTER
         }
 
     def heard_by(self, computer: str, now: float) -> str:
@@ -170,7 +168,7 @@ class Reachability:
             last, silent = self._ended_at.get(computer, now), now - at
         else:
             last, silent = agent.direct.last, agent.any.seconds
-        return other if silent < DETECTED and at - last > _LATER else ""
+        return other if silent < UNHEARD_AFTER and at - last > _LATER else ""
 
     def have_leases_ended(self, computers: Collection[str], now: float) -> bool:
         """Return whether the leases of lost agents have surely ended at `now` [s]."""

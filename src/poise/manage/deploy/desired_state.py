@@ -111,7 +111,7 @@ class DesiredState:
         It is journalled, and agents are told; nothing is waited for. For the manager's
         thread.
 
-        `desired`: made from `desired` as it is; its generation is set here.
+        `desired`: made from `self.desired`; its generation is overwritten.
         """
         before = self.desired
         statuses = self.agents.statuses()

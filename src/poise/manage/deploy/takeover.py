@@ -11,7 +11,6 @@ from msgspec import structs
 
 from poise.errors import PoiseError, RobotError, RunError
 from poise.manage.adaptation.situation import Situation
-from poise.manage.agent_connections.reachability import LEASE_LIMIT
 from poise.manage.agent_connections.reports import LOOK_EVERY
 from poise.manage.deploy.adoption import (
     Adoption,
@@ -37,6 +36,7 @@ from poise.manage.migration.transition_run import transit
 from poise.manage.shortages.free_room import placed_beside
 from poise.model.check.allowed_computers import allowed_computers
 from poise.units import counted
+from poise.wire.heartbeats import LEASES_END_WITHIN
 from poise.wire.records.deployment_records import Deployment
 from poise.wire.records.migration_records import StepsDone, StepsOutcome
 
@@ -185,7 +185,7 @@ def _elected(
     found = {n: answer.deployment for n, answer in answers.items() if answer.deployment}
     record = newest_record(found.values())
     if away and record.incarnations():
-        until = run.clock.now() + LEASE_LIMIT
+        until = run.clock.now() + LEASES_END_WITHIN
         while not run.agents.heartbeats.have_leases_ended(away):
             if run.clock.now() >= until:
                 run.leave()
@@ -337,7 +337,7 @@ def _halted(
         (computer, halt(number, container))
         for number, (computer, container) in by_number.items()
     ]
-    for outcome in run.agents.take_steps(batches):
+    for outcome in run.agents.send_steps(batches):
         yield by_number[outcome.number], outcome
 
 

@@ -24,9 +24,9 @@ from poise.manage.agent_connections.statuses import (
 )
 from poise.manage.deploy.desired import Incarnation
 from poise.manage.deploy.running_components import RunningComponents
-from poise.manage.migration.migration_plan import MigrationPlan, PlacedStep
 from poise.manage.migration.migration_report import MigrationReport
-from poise.manage.migration.prepared_migration import PREPARE_LIMIT, STALL_LIMIT, Stall
+from poise.manage.migration.migration_rounds import MigrationRounds, PlacedStep
+from poise.manage.migration.preparation import PREPARE_LIMIT, STALL_LIMIT, Stall
 from poise.manage.observe.deviations import explain
 from poise.priority import first
 from poise.units import named
@@ -154,7 +154,7 @@ class Migration:
                 "`poise status` says where it runs now"
             )
 
-    def _plan(self) -> MigrationPlan:
+    def _plan(self) -> MigrationRounds:
         """Return the steps; raise RunError when they could not all be taken."""
         self._raise_on_failed()
         run = self._run
@@ -165,7 +165,7 @@ class Migration:
         raise_on_cut_state(run, self._sources, self._targets)
         lossy = lossy_connectors(run, self._sources, self._others)
         self._dropped = {name: connector.why for name, connector in lossy.items()}
-        return MigrationPlan(
+        return MigrationRounds(
             run.layout,
             self._sources,
             self._targets,
@@ -176,7 +176,7 @@ class Migration:
             away=self._away,
         )
 
-    def _prepare(self, plan: MigrationPlan) -> None:
+    def _prepare(self, plan: MigrationRounds) -> None:
         desired = self._run.desired.aiming("stay", self._names).with_coming(
             self._targets
         )
@@ -202,7 +202,7 @@ class Migration:
             if (component.name, component.epoch) in targets
         )
 
-    def _switch(self, plan: MigrationPlan, deadline: float) -> str:
+    def _switch(self, plan: MigrationRounds, deadline: float) -> str:
         """Pause, and let the targets go on, or the sources again; return why those."""
         self._phases.enter("quiesce")
         try:
@@ -302,7 +302,7 @@ class Migration:
             )
             for number, (computer, container) in by_number.items()
         ]
-        for outcome in self._run.agents.take_steps(told, check):
+        for outcome in self._run.agents.send_steps(told, check):
             self._taken += outcome.taken
             yield batches[by_number[outcome.number]], outcome
 

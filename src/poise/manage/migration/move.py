@@ -1,6 +1,6 @@
 """Plans the move of a component, its replacement, or that of an architecture.
 
-Each is checked, and returned as a `PreparedMigration` to be run.
+Each is checked, and returned as a `MigrationPreparation` to be run.
 
 A component in Python takes its state along, and loses no call or message. A
 command-line component makes a cold move: it is stopped, and started at the target. The
@@ -25,7 +25,7 @@ from poise.manage.deploy.running_components import (
 )
 from poise.manage.migration.coordinator import Migration
 from poise.manage.migration.migration_report import MigrationReport
-from poise.manage.migration.prepared_migration import PreparedMigration
+from poise.manage.migration.preparation import MigrationPreparation
 from poise.model.check.allowed_computers import allowed_computers
 from poise.model.robot import Architecture, Robot
 from poise.units import named
@@ -34,7 +34,7 @@ from poise.wire.records.code_records import SHOWN
 
 def plan_move(
     run: RunningComponents, component: str, computer: str, *, force: bool = False
-) -> PreparedMigration:
+) -> MigrationPreparation:
     """Return the move of a running component to a computer, to be run.
 
     `force`: as of `check_target`.
@@ -100,7 +100,7 @@ def plan_replacement(
     adapt: str = "",
     *,
     fresh: bool = False,
-) -> PreparedMigration:
+) -> MigrationPreparation:
     """Return the swap of an implementation for another, to be run.
 
     `by`: ``package.module:Class``, or with ``@VERSION`` of deployed code.
@@ -131,7 +131,7 @@ def plan_replacement(
     return _preparation(run, old, new, by)
 
 
-def plan_return(run: RunningComponents, before: Incarnation) -> PreparedMigration:
+def plan_return(run: RunningComponents, before: Incarnation) -> MigrationPreparation:
     """Return the swap of a component's code for that of an earlier incarnation."""
     old = _placed(run, before.component)
     new = structs.replace(
@@ -167,7 +167,7 @@ def _code(run: RunningComponents, computer: str, version: str) -> str:
 
 def _preparation(
     run: RunningComponents, old: Incarnation, new: Incarnation, by: str = ""
-) -> PreparedMigration:
+) -> MigrationPreparation:
     entry = run.robot.component(old.component)
     found = [c for c in components_of(run.agents.statuses()) if c.name == entry.name]
     has_state = any(c.has_state for c in found)
@@ -183,14 +183,14 @@ def _preparation(
     )
     if has_failed:
         fresh = structs.replace(new, fresh=True)
-        return PreparedMigration(
+        return MigrationPreparation(
             run, report, (), (), lambda: _restart(run, report, old, fresh)
         )
     if report.cold:
-        return PreparedMigration(
+        return MigrationPreparation(
             run, report, (), (), lambda: _move_cold(run, report, old, new)
         )
-    return PreparedMigration(
+    return MigrationPreparation(
         run,
         report,
         (old,),
@@ -257,7 +257,7 @@ def plan_alternative(
     adapt: str = "",
     *,
     fresh: bool = False,
-) -> PreparedMigration:
+) -> MigrationPreparation:
     """Return the replacement of an architecture by another, to be run.
 
     What waits at its ports goes to the alternative where the same source is joined to
@@ -289,7 +289,7 @@ def plan_alternative(
         before={incarnation.component: incarnation.computer for incarnation in sources},
         after=where,
     )
-    return PreparedMigration(
+    return MigrationPreparation(
         run,
         report,
         sources,

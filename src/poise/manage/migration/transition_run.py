@@ -9,7 +9,6 @@ from msgspec import structs
 
 from poise.clock import wall_time
 from poise.errors import RunError, UsageError
-from poise.manage.agent_connections.reachability import LEASE_LIMIT
 from poise.manage.agent_connections.statuses import components_of
 from poise.manage.deploy.desired import Incarnation
 from poise.manage.deploy.running_components import (
@@ -25,6 +24,7 @@ from poise.manage.migration.migration_report import (
 from poise.manage.migration.move import plan_move
 from poise.manage.observe.deviations import Deviation
 from poise.units import counted
+from poise.wire.heartbeats import LEASES_END_WITHIN
 
 _LOOK_EVERY = 0.02
 
@@ -98,7 +98,7 @@ def _revoke_leases(run: RunningComponents, lost: Collection[str]) -> None:
         run.poll()
         return not run.computers().isdisjoint(lost)
 
-    deadline = time.monotonic() + LEASE_LIMIT
+    deadline = time.monotonic() + LEASES_END_WITHIN
     while not run.agents.revoke(lost):
         if run.agents.wait_news(is_back, _LOOK_EVERY):
             raise RunError(f"{_names(lost)} is reached again")

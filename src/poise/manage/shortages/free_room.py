@@ -9,7 +9,7 @@ from msgspec.structs import replace
 from poise import plan
 from poise.errors import RobotError
 from poise.manage.adaptation.decision import HORIZON, WORTH, move_costs
-from poise.manage.adaptation.replan import (
+from poise.manage.adaptation.proposal import (
     DECIDE_FOR,
     SOLVE_FOR,
     share_what_is_left,

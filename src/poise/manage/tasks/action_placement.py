@@ -12,7 +12,7 @@ from poise import plan
 from poise.clock import boot_time
 from poise.errors import PoiseError, RobotError
 from poise.estimate.success_rates import learned
-from poise.manage.adaptation.replan import SOLVE_FOR
+from poise.manage.adaptation.proposal import SOLVE_FOR
 from poise.manage.adaptation.situation import Situation
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.migration.migration_report import TransitionStep

@@ -29,7 +29,7 @@ from poise.runtime.agent.surroundings import (
 from poise.runtime.supervision.adopted_containers import ADOPT_LIMIT
 from poise.runtime.supervision.container_processes import (
     STOP_LIMIT,
-    ContainerRequests,
+    PendingRequests,
     ProcessEnd,
 )
 from poise.runtime.supervision.health import HealthRecords, Silence
@@ -98,7 +98,7 @@ class AgentCore:
         if left.wanted is not None:
             self.supervisor.deploy(left.wanted, is_left=True)
             self._keep_only(left.wanted)
-        self._relay = ContainerRequests(self.supervisor.processes)
+        self._relay = PendingRequests(self.supervisor.processes)
         self.fence = Fence(
             setup.robot,
             setup.computer,

@@ -24,9 +24,9 @@ from poise.wire.control_session import endpoint_of
 from poise.wire.heartbeats import (
     ASK_AFTER,
     ASK_EVERY,
-    DETECTED,
     LEASE,
     UNCUT_LEASE,
+    UNHEARD_AFTER,
     Address,
     Contacts,
     Hear,
@@ -241,7 +241,7 @@ class HeartbeatExchange:
         with self._lock:
             manager = self._contacts.get(MANAGER)
             heard_at = manager.heard_at if manager else self._claimed_at
-            return max(heard_at + DETECTED, self._grace_until)
+            return max(heard_at + UNHEARD_AFTER, self._grace_until)
 
     def silent(self) -> dict[str, float]:
         """Return who was heard, and for how long it was not [s]."""
@@ -288,7 +288,7 @@ class HeartbeatExchange:
             is_mine = key == self._claimed_by and self.is_leased
             if is_mine and not is_there:
                 self._token_gone = now
-        has_ended = not is_mine or (silent < DETECTED and unheard < LEASE)
+        has_ended = not is_mine or (silent < UNHEARD_AFTER and unheard < LEASE)
         self._fence.note_liveliness(key, is_there=is_there, has_ended=has_ended)
 
     def links(self) -> Mapping[str, LinkQuality]:
@@ -367,7 +367,7 @@ class HeartbeatExchange:
         silent = frozenset(
             name
             for name, contact in contacts.items()
-            if name != MANAGER and contact and now - contact.heard_at > DETECTED
+            if name != MANAGER and contact and now - contact.heard_at > UNHEARD_AFTER
         )
         if silent != self.silent_computers:
             self.silent_computers = silent

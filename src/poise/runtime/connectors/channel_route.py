@@ -161,7 +161,7 @@ class ChannelRoute:
                 raise _told(error, f"{method.name} over {name}", left) from None
             if answer is None or answer.kind is _MOVED:  # it was not run
                 deadline = started + left
-                return sender.again(self, method.name, args, kwargs, deadline)
+                return sender.repeat_call(self, method.name, args, kwargs, deadline)
             took = time.monotonic() - started
             latency = answer.age + remote.ahead
             size = size_of(pieces)

@@ -80,7 +80,7 @@ class DirectRoute:
         self._limit = limit
         self._port = port.name
         self._feed = target.mailbox.feed(port.name, sender.counts)
-        self._feed.on_room = sender.room
+        self._feed.on_room = sender.note_room
         self._tag = message_tag(port.type)
 
     def try_connect(self) -> bool:
@@ -96,7 +96,7 @@ class DirectRoute:
 
         def resend(*args: object, **kwargs: object) -> Any:  # noqa: ANN401, the call's
             deadline = time.monotonic() + self._limit
-            return sender.again(self, method.name, args, kwargs, deadline)
+            return sender.repeat_call(self, method.name, args, kwargs, deadline)
 
         run = getattr(self._target.component, method.name)
         if sender.chains is not None:

@@ -130,7 +130,7 @@ class Sender:
 
     def send(self, value: object, method: Method | None = None) -> None:
         """Send or buffer a message or one-way call; what cannot go out is counted."""
-        if self._exclusion is None or self._is_free():
+        if self._exclusion is None or self._can_take():
             self._send(value, method)
         else:
             stepping_out(self._exclusion, self._send)(value, method)
@@ -190,7 +190,7 @@ class Sender:
         finally:
             self._release()
 
-    def again(
+    def repeat_call(
         self,
         route: Route,
         name: str,
@@ -210,7 +210,7 @@ class Sender:
         for key in list(self._routes):
             self.remove(key)
 
-    def room(self) -> None:
+    def note_room(self) -> None:
         """Wake senders that wait for room: the target may have some."""
         with self._lock:
             self._changed.notify_all()
@@ -229,7 +229,7 @@ class Sender:
     def _send(self, value: object, method: Method | None) -> None:
         began = time.monotonic()
         with self._lock:  # every message comes this way: no call more than needed
-            is_free = self._is_free()
+            is_free = self._can_take()
             if is_free:
                 if self._buffer is not None:
                     self._buffer.add((method, value, began))
@@ -246,7 +246,7 @@ class Sender:
         while True:
             left = deadline - time.monotonic()
             with self._lock:
-                if self._wait(self._is_free, min(pause, left)):
+                if self._wait(self._can_take, min(pause, left)):
                     if self._buffer is not None:
                         self._buffer.add((method, value, began))
                         return
@@ -266,7 +266,7 @@ class Sender:
         if heard is None and not route.try_connect():
             return
         with self._lock:
-            is_free = self._wait(self._is_free, self._limit)
+            is_free = self._wait(self._can_take, self._limit)
             is_current = self._current is route and self._buffer is None
             if not is_free or not is_current:  # what ends that offers it, too
                 return
@@ -276,19 +276,21 @@ class Sender:
                 heard = route.ask()
             last = self.last
             if heard is not None and last is not None and last.number > heard:
-                self.counts.add_message(route.push(None, self._again(last)))
+                self.counts.add_message(
+                    route.push(None, self._marked_as_repeated(last))
+                )
         except (CallError, WireError) as error:
             log.debug("connector %s: %s", self.name, error)
         finally:
             self._release()
 
-    def _again(self, last: Numbered) -> Numbered | Stamped:
+    def _marked_as_repeated(self, last: Numbered) -> Numbered | Stamped:
         """Return a message as it is sent again: how old its data is is not known."""
         again = last._replace(is_again=True)
         chains = self.chains.carries if self.chains else ()
         return Stamped(chains, (nan,) * len(chains), again) if chains else again
 
-    def _is_free(self) -> bool:
+    def _can_take(self) -> bool:
         """Return whether a message may be sent or buffered now."""
         if self._buffer is not None:
             return self._buffer.has_room()

@@ -117,9 +117,7 @@ class Container:
         self._steps = MigrationExecutor(self._runners, self._wiring, self._server)
         # steps wait for components and for other computers; the control thread must not
         self._step_threads = ThreadPoolExecutor(_STEP_THREADS, "step", go_first)
-        self._outside = OutsideRequests(
-            self._active, lambda answer: self._take_steps(lambda: answer)
-        )
+        self._outside = OutsideRequests(self._active, self._answer)
         self._paused: dict[Runner, float] = {}
         self._news_waits_until = 0.0
         self._stopping = False
@@ -249,19 +247,17 @@ class Container:
         if isinstance(what, Clocks):
             self._clock.others, self._silent = what.known, what.silent
         elif isinstance(what, Tap):
-            reading = self._taps.read(what)
-            self._take_steps(lambda: reading)
+            self._answer(self._taps.read(what))
         elif isinstance(what, PortRequest):
             self._outside.take(what)
         elif isinstance(what, MigrationSteps) and what.steps[0].name == "halt":
             # at once: all threads for steps may be waiting
-            outcome = self._steps.halt(what)
-            self._take_steps(lambda: outcome)
+            self._answer(self._steps.halt(what))
         elif isinstance(what, MigrationSteps):
             is_paused = what.steps[-1].phase in {"quiesce", "transfer"}
             wait = _WHILE_PAUSED if is_paused else _WHILE_RESUMED
             self._news_waits_until = self._clock.now() + wait
-            self._step_threads.submit(self._take_steps, self._steps.receive(what))
+            self._step_threads.submit(self._run_steps, self._steps.receive(what))
         else:
             self._steps.note_deployment(what)
             self._wanted, self._news_waits_until = what, 0.0
@@ -291,10 +287,12 @@ class Container:
             )
         return runner.endpoints.observed(ports[name])
 
-    def _take_steps(self, take: Callable[[], ContainerAnswer]) -> None:
-        outcome = take()
+    def _run_steps(self, run: Callable[[], ContainerAnswer]) -> None:
+        self._answer(run())
+
+    def _answer(self, answer: ContainerAnswer) -> None:
         with contextlib.suppress(Timeout):  # the agent gave up on us
-            self._link.send(outcome)
+            self._link.send(answer)
 
     def _apply(self, spec: ContainerSpec) -> None:
         folder = folder_of(spec)

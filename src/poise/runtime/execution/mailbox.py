@@ -40,16 +40,16 @@ class WorkSource(Protocol):
         """Let `wait` return, now or when it is called next; from any thread."""
 
 
-class Filled:
+class FilledQueues:
     """Which queues have a message; whoever fills one wakes the source, too."""
 
     source: WorkSource | None = None
 
     def __init__(self) -> None:
-        self._queue: SimpleQueue[Inbox | None] = SimpleQueue()
+        self._queue: SimpleQueue[PortQueue | None] = SimpleQueue()
         self.get, self.is_empty = self._queue.get, self._queue.empty
 
-    def put(self, inbox: Inbox | None) -> None:
+    def put(self, inbox: PortQueue | None) -> None:
         """Let the component's thread look into a queue; None: at its goal."""
         self._queue.put(inbox)
         if self.source is not None:
@@ -59,7 +59,7 @@ class Filled:
 class Feed:
     """One connector's way into the queue of a port, with room of its own."""
 
-    def __init__(self, inbox: Inbox, counts: Counts) -> None:
+    def __init__(self, inbox: PortQueue, counts: Counts) -> None:
         self.counts = counts
         self.waiting = 0
         self.on_room: Callable[[], None] = lambda: None
@@ -79,14 +79,14 @@ class Feed:
         return self._inbox.room(self)
 
 
-class Inbox:
+class PortQueue:
     """The queue of one port, filled by any thread, emptied by the component's."""
 
     def __init__(
         self,
         port: str,
         queue: Queue,
-        filled: Filled,
+        filled: FilledQueues,
         counters: ComponentCounters,
     ) -> None:
         self.port = port
@@ -173,9 +173,9 @@ class Mailbox:
     def __init__(
         self, queues: Mapping[str, Queue], counters: ComponentCounters
     ) -> None:
-        self._filled = Filled()
+        self._filled = FilledQueues()
         self._inboxes = {
-            port: Inbox(port, queue, self._filled, counters)
+            port: PortQueue(port, queue, self._filled, counters)
             for port, queue in queues.items()
         }
         self._bounding = threading.Lock()
@@ -237,14 +237,14 @@ class Mailbox:
         """Let `work` come from a source, too; None: no more."""
         self._filled.source = source
 
-    def work(self, limit: float | None) -> Inbox | Work | None:
+    def work(self, limit: float | None) -> PortQueue | Work | None:
         """Wait up to `limit` [s] for a queue with a message, or for the source."""
         source = self._filled.source
         if source is not None and self._filled.is_empty():
             return source.wait(limit)
         return self.next(limit)
 
-    def next(self, limit: float | None) -> Inbox | None:
+    def next(self, limit: float | None) -> PortQueue | None:
         """Wait up to `limit` [s] for a queue with a message; None when none came."""
         try:
             return self._filled.get(timeout=limit)

@@ -31,7 +31,7 @@ from poise.runtime.execution.container_lease import LeaseEnd, LeaseEnded
 from poise.runtime.execution.data_age import DataAges, Stamped
 from poise.runtime.execution.exclusion import Exclusion, Redirected, new_chain
 from poise.runtime.execution.input_watch import InputWatch
-from poise.runtime.execution.mailbox import Inbox, Work
+from poise.runtime.execution.mailbox import PortQueue, Work
 from poise.runtime.execution.timers import Releases, Timers, release_offset
 from poise.runtime.hosting.checkpoints import Checkpoints
 from poise.runtime.hosting.life_cycle import ENDED, ExecutionGate, LifeCycle, TaskNews
@@ -76,7 +76,7 @@ class Runner:
                 give_up=self._give_up,
                 request=self._news.request,
                 calls=calls,
-                listen=lambda source: self.endpoints.mailbox.listen(source),  # noqa: PLW0108, which come below
+                listen=lambda source: self.endpoints.mailbox.listen(source),  # noqa: PLW0108, made later
                 takes_over=lambda: self.life_cycle.goal == "ready",
                 age=lambda port: self.endpoints.mailbox.age(port),  # noqa: PLW0108
             ),
@@ -380,7 +380,7 @@ class Runner:
         self._run(getattr(self.component, name), name, is_timer=True)
         releases.end(release, began, self.clock.now())
 
-    def _deliver(self, inbox: Inbox) -> None:
+    def _deliver(self, inbox: PortQueue) -> None:
         entry = inbox.pop()
         if entry is None:  # it was dropped for a newer one
             self.exclusion.leave()

@@ -209,7 +209,7 @@ class Wiring:
             ends.closing.callback(_forget, spec, target)
         else:
             credit = Credit()
-            credit.on_credit = sender.room
+            credit.on_credit = sender.note_room
             if port.latest:
                 credit.on_heard = lambda heard: sender.offer_latest(ends.route, heard)
             use = CALLS if port.kind == "requires" else MESSAGES

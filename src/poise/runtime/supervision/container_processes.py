@@ -235,7 +235,7 @@ class _Pending(Struct, frozen=True):
     limit: float
 
 
-class ContainerRequests:
+class PendingRequests:
     """What one agent's containers were asked and have not answered yet.
 
     Steps of migrations, taps, and calls and messages from outside.

@@ -186,7 +186,7 @@ def decide_by_time(
         if known is not None or not any(_excesses(found[-1])):
             break
         alone = dict(_predicted(robot, work, result, predict_uncrowded))
-        calibrated = _calibrated(problem, found[-1], alone, calibrated)
+        calibrated = _with_predictions(problem, found[-1], alone, calibrated)
     return _best(found, problem)
 
 
@@ -210,7 +210,7 @@ def _as_predicted(
     is_whole = all(r.placement and not r.suspended for r in result.results.values())
     if not is_whole or isclose(summed, sum(_excesses(decided)), abs_tol=_ROUNDING):
         return decided
-    problem = _calibrated(summed_problem, decided, {}, result.problem)
+    problem = _with_predictions(summed_problem, decided, {}, result.problem)
     results = {
         phase.name: plan.evaluate(phase.problem, found.placement, found.method)
         for phase in problem.phases
@@ -292,7 +292,7 @@ def _ages(times: PredictedTimes) -> dict[str, float]:
     return chains | {each.name: SURE * each.p99 for each in times.timers}
 
 
-def _calibrated(
+def _with_predictions(
     problem: plan.PhasedProblem,
     decided: DecidedByTime,
     alone: Mapping[str, PredictedTimes],
@@ -311,7 +311,7 @@ def _calibrated(
         summed = {each.name: each for each in phase.problem.time_limits}
         fitted = {
             each.name: each
-            for each in _fitted(
+            for each in _as_predicted_limits(
                 summed,
                 result,
                 _ages(decided.predicted.get(phase.name, PredictedTimes())),
@@ -325,7 +325,7 @@ def _calibrated(
     return replace(before, phases=tuple(phases))
 
 
-def _fitted(
+def _as_predicted_limits(
     summed: Mapping[str, TimeLimit],
     result: plan.Result,
     ages: Mapping[str, float],

@@ -21,7 +21,7 @@ from poise.manage.tasks.concurrent_tasks import Tasks
 from poise.model.load import load_source
 from poise.model.repository import search
 from poise.model.robot import Architecture, Layer, Robot
-from poise.plan.planner import METHODS as SOLVERS
+from poise.plan.planner import SOLVERS
 from poise.session import Say
 from poise.session.placing.placement import Placement, decided, place
 

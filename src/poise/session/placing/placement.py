@@ -17,7 +17,7 @@ from poise.errors import UsageError
 from poise.estimate.outcomes import WELL, Conditions
 from poise.estimate.success_rates import learned
 from poise.model.robot import Robot
-from poise.plan.planner import METHODS as SOLVERS
+from poise.plan.planner import SOLVERS
 from poise.session.placing.by_time import Decide, DecidedByTime, decide_by_time
 from poise.session.render.picture import planned_picture
 from poise.session.render.plan_tables import plan_parts

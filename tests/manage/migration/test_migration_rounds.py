@@ -6,7 +6,7 @@ from collections.abc import Collection, Mapping
 
 from poise.manage.deploy.deployment_plan import DeploymentPlan
 from poise.manage.deploy.desired import Incarnation
-from poise.manage.migration.migration_plan import MigrationPlan
+from poise.manage.migration.migration_rounds import MigrationRounds
 from poise.model.robot import (
     Architecture,
     ComponentEntry,
@@ -27,7 +27,7 @@ def rounds_of(
     away: Collection[str] = (),
     /,
     **others: str,
-) -> MigrationPlan:
+) -> MigrationRounds:
     """Return the rounds when all components call over ports named ``calls``."""
 
     def placed(where: dict[str, str], epoch: int) -> tuple[Incarnation, ...]:
@@ -39,7 +39,7 @@ def rounds_of(
     calls = {(component.name, "calls") for component in robot.components()}
     layout = DeploymentPlan(robot, "/run")
     sources, targets = placed(olds, 0), placed(news, 1)
-    return MigrationPlan(
+    return MigrationRounds(
         layout, sources, targets, rest, calls, GATEWAYS, lossy=late, away=away
     )
 

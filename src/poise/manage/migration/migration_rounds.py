@@ -24,7 +24,7 @@ PlacedStep = tuple[Incarnation, Step]
 Round = list[PlacedStep]
 
 
-class MigrationPlan:
+class MigrationRounds:
     """The steps by which targets take the place of sources."""
 
     def __init__(  # noqa: PLR0913, all that runs

@@ -64,7 +64,7 @@ class Stall:
         )
 
 
-class PreparedMigration:
+class MigrationPreparation:
     """A migration to be run, and before that prepared. Use it once.
 
     All but `under_way` is for the manager's thread.

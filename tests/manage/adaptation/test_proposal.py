@@ -9,7 +9,7 @@ from msgspec.structs import replace
 
 from poise.errors import RobotError
 from poise.estimate.online import Drift, Estimate, Reading, RunningEstimate
-from poise.manage.adaptation.replan import propose
+from poise.manage.adaptation.proposal import propose
 from poise.manage.adaptation.situation import Situation
 from poise.manage.migration.migration_report import Proposal
 from poise.manage.observe.estimates import DemandEstimate
