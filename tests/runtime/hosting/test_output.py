@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import errno
 import logging
 import os
 import sys
 import threading
 from io import StringIO
 from pathlib import Path
+from typing import NoReturn
 
 import pytest
 
@@ -107,7 +109,6 @@ def test_a_component_goes_on_when_the_disk_is_full(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     file = OutputFile(tmp_path, "hall")
-    os.close(file._fd)
     file._fd = os.open("/dev/full", os.O_WRONLY)
     terminal = StringIO()
     stream = KeptStream(terminal, file)
@@ -117,6 +118,45 @@ def test_a_component_goes_on_when_the_disk_is_full(
     said = capfd.readouterr().err  # once
     assert said.startswith("output of 'hall' is not kept: [Errno 28] No space left")
     assert said.count("\n") == 1
+
+
+@pytest.mark.parametrize("failing", ["open", "rename"])
+def test_a_file_that_cannot_be_followed_by_another_writes_to_none_of_a_component(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+    failing: str,
+) -> None:
+    monkeypatch.setattr(output, "LARGEST", 100)
+    file = OutputFile(tmp_path, "hall")
+    file.add("before")
+
+    def fail(*_: object) -> NoReturn:
+        raise OSError(errno.EMFILE, "no descriptor is free")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, failing, fail)
+        file.add("x" * 100)
+    its_own = tmp_path / "of the component"
+    with its_own.open("wb", buffering=0) as component:  # it gets the first free number
+        file.add("after")
+        component.write(b"mine")
+    assert its_own.read_bytes() == b"mine"
+    assert "after" in [o.text for o in read(tmp_path).lines]
+    assert capfd.readouterr().err.count("no descriptor is free") == 1
+
+
+def test_a_file_that_somebody_removed_is_begun_again_when_it_would_be_full(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(output, "LARGEST", 100)
+    file = OutputFile(tmp_path, "hall")
+    file.add("before")
+    forget_output(tmp_path)
+    file.add("x" * 100)
+    file.add("after")
+    assert [o.text for o in read(tmp_path).lines] == ["after"]
+    assert capfd.readouterr().err == ""
 
 
 def test_moments_grow_even_when_the_clock_does_not(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import os
 import sys
@@ -40,8 +41,9 @@ class OutputFile:
         self._container = container
         self._lock = threading.Lock()
         self._at = 0
+        self._fd = -1
+        self._size = 0
         self._trouble = ""
-        self._open()
 
     def add(self, text: str) -> None:
         """Add a line; standard error is told when it cannot be."""
@@ -51,16 +53,30 @@ class OutputFile:
             self._at = max(self._at + 1, int(wall_time() * 1e9))
             line = f"{self._at}\t{component}\t{text[:LONGEST]}\n"
             try:
+                if self._fd < 0:
+                    self._open()
                 self._size += os.write(self._fd, line.encode(errors="replace"))
                 if self._size > LARGEST:
-                    os.close(self._fd)
-                    self._path.rename(self._path.with_suffix(_BEFORE))
-                    self._open()
+                    self._begin_another()
             except OSError as error:  # the component goes on; all was passed on
-                if str(error) != self._trouble:
-                    self._trouble = str(error)
-                    message = f"output of '{self._container}' is not kept: {error}\n"
-                    os.write(_STDERR, message.encode())
+                self._tell(error)
+
+    def _tell(self, error: OSError) -> None:
+        if str(error) != self._trouble:
+            self._trouble = str(error)
+            message = f"output of '{self._container}' is not kept: {error}\n"
+            with contextlib.suppress(OSError):
+                os.write(_STDERR, message.encode())
+
+    def _begin_another(self) -> None:
+        # the number is free once it is closed, and may be a component's the next moment
+        full, self._fd = self._fd, -1
+        try:
+            with contextlib.suppress(FileNotFoundError):  # somebody removed it
+                self._path.rename(self._path.with_suffix(_BEFORE))
+            self._open()
+        finally:
+            os.close(full)
 
     def _open(self) -> None:
         self._fd = os.open(self._path, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o600)
