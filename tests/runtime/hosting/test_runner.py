@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import sys
 import threading
+import time
+from asyncio import CancelledError
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from typing import ClassVar
@@ -14,7 +16,7 @@ from poise import Component, Message, every, subscribed
 from poise.clock import SystemClock
 from poise.errors import RunError, Timeout
 from poise.runtime.execution.counters import Counts
-from poise.runtime.execution.exclusion import Redirected
+from poise.runtime.execution.exclusion import Redirected, new_chain
 from poise.runtime.hosting.runner import Runner
 from poise.wire.records.deployment_records import ComponentSpec
 from poise.wire.records.status_records import State
@@ -177,6 +179,81 @@ def test_a_handler_that_fails_is_counted_and_the_component_goes_on(
     told = runner.status()
     assert (told.state, told.errors) == ("active", 1)
     assert told.error.endswith("LookupError: bad went wrong")
+
+
+def test_a_handler_may_raise_what_is_no_exception(running: Fixture) -> None:
+    class Cancelled(Recorder):
+        @subscribed(keep=5)
+        def note(self, message: Note) -> None:
+            self._do(message.text)
+            if message.text == "bad":
+                raise CancelledError
+
+    runner = running.start(Cancelled)
+    component = reach(runner, "active")
+    receive(runner, "bad", "good")
+    component.wait_for("good")
+    assert (runner.status().state, runner.status().errors) == ("active", 1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("keep", [1, 5])
+def test_a_message_that_came_as_it_was_deactivated_is_handled_later(
+    running: Fixture, keep: int
+) -> None:
+    class Keeping(Recorder):
+        @subscribed(keep=keep)
+        def note(self, message: Note) -> None:
+            self._do(message.text)
+
+    runner = running.start(Keeping)
+    component = reach(runner, "active")
+    runner.exclusion.enter(new_chain(), LIMIT)
+    receive(runner, "first")
+    time.sleep(0.2)  # it was seen
+    runner.aim("inactive")
+    time.sleep(1.5)  # it no longer waits to enter
+    runner.exclusion.leave()
+    reach(runner, "inactive")
+    assert "first" not in component.record
+    reach(runner, "active")
+    component.wait_for("first")
+    receive(runner, "second")
+    component.wait_for("second")
+
+
+@pytest.mark.slow
+def test_what_is_busy_when_it_is_deactivated_works_when_it_is_active_again(
+    running: Fixture,
+) -> None:
+    runner = running.start(Recorder)
+    component = reach(runner, "active")
+    runner.exclusion.enter(new_chain(), LIMIT)  # a call that takes long
+    runner.aim("inactive")
+    assert runner.life_cycle.wait_state({"inactive"}, 1.5) == "active"
+    runner.exclusion.leave()
+    reach(runner, "inactive")
+    reach(runner, "active")
+    receive(runner, "works")
+    component.wait_for("works")
+
+
+@pytest.mark.slow
+def test_answers_are_taken_before_it_is_deactivated(running: Fixture) -> None:
+    goes_on = threading.Event()
+
+    class Asking(Recorder):
+        def activate(self) -> None:
+            call = self._context.calls.start(goes_on.wait, LIMIT)
+            call.then(lambda _: self._do("answer"))
+            self._do("activate")
+
+    runner = running.start(Asking)
+    component = reach(runner, "active")
+    runner.aim("inactive")
+    goes_on.set()
+    reach(runner, "inactive")
+    assert component.record[-2:] == ["answer", "deactivate"]
 
 
 def test_a_timer_that_fails_goes_on_ticking(running: Fixture) -> None:

@@ -229,6 +229,10 @@ class Mailbox:
             with self._bounding:
                 self._set_unbounded(unbounded=self._is_unbounded)
 
+    def put_back(self, inbox: PortQueue) -> None:
+        """Let `work` return a queue again, of which nothing was taken."""
+        self._filled.put(inbox)
+
     def wake(self) -> None:
         """Let `next` and `work` return."""
         self._filled.put(None)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import threading
 import time
 from collections import deque
@@ -22,7 +21,8 @@ ENDED: AbstractSet[State] = {"finalized", "failed"}
 
 _MOST_REQUESTS = 16
 """As many requests are reported again and again, in case that a status is lost."""
-log = logging.getLogger(__name__)
+_TURN = 0.01
+"""A component that waits for answers looks for them this often [s]."""
 BORROW_LIMIT = 5.0
 """Whoever wants the component's code waits this long for another who has it [s]."""
 
@@ -179,29 +179,44 @@ class ExecutionGate:
         """Pause; raise Timeout when it was busy for `limit` [s]."""
         if not self._is_paused:
             until = time.monotonic() + limit
-            try:
-                self._exclusion.pause(limit)
-            except Timeout as error:
-                what, seconds = self._hang()
-                runs = f": {what}, for {seconds:.1f} s by now" if what else ""
-                raise Timeout(f"{error}{runs}") from None
+            self._keep_out(limit)
             while self._calls.num_open:  # their answers are still to be taken
                 self._exclusion.resume()
                 if not self._calls.wait(until):
                     raise Timeout(f"component '{self._name}' waits for {self._calls}")
                 self._exclusion.pause(max(0.0, until - time.monotonic()))
-            with self._changed:
-                self._is_paused = True
-                self._endpoints.mailbox.set_unbounded(unbounded=True)
+            self._note_paused()
 
-    def pause_or_redirect(self, limit: float) -> None:
-        """Pause for good; after `limit` [s] without its callers: its process ends."""
+    def pause_oneself(self, limit: float, take_answers: Callable[[], bool]) -> None:
+        """Pause, on the component's own thread; Timeout when others stay inside.
+
+        Answers of calls that it started are taken within `limit` [s], the others when
+        it is active again. `take_answers` takes those that have come; False: none may
+        be taken now.
+        """
+        until = time.monotonic() + limit
+        while take_answers() and self._calls.num_open and time.monotonic() < until:
+            self._calls.wait(min(until, time.monotonic() + _TURN))
+        self._keep_out(max(0.0, until - time.monotonic()))
+        self._note_paused()
+
+    def pause_for_good(self) -> None:
+        """Pause although others are inside: their process ends."""
+        self._exclusion.redirect()
+        self._is_paused = True
+
+    def _keep_out(self, limit: float) -> None:
         try:
-            self.pause(limit)
+            self._exclusion.pause(limit)
         except Timeout as error:
-            log.warning("%s", error)
-            self._exclusion.redirect()
+            what, seconds = self._hang()
+            runs = f": {what}, for {seconds:.1f} s by now" if what else ""
+            raise Timeout(f"{error}{runs}") from None
+
+    def _note_paused(self) -> None:
+        with self._changed:
             self._is_paused = True
+            self._endpoints.mailbox.set_unbounded(unbounded=True)
 
     def resume(self) -> None:
         """Go on after a pause, if it is active; harmless when repeated."""

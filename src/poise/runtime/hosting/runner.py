@@ -237,6 +237,9 @@ class Runner:
         finally:
             # nobody waits for what has ended: calls go where the component is now
             self.exclusion.redirect()
+            if self.life_cycle.state not in ENDED:  # a defect ended its thread
+                self.life_cycle.enter("failed")
+                self._on_change()
             self.counters.end()
 
     def _go_to_goal(self) -> None:
@@ -255,7 +258,7 @@ class Runner:
     def _take(self, hook: str, state: State) -> None:
         if hook == "deactivate":
             self.counters.plan([])
-            self.gate.pause_or_redirect(_PATIENCE)
+            self._pause()
             self.timers.stop(self.clock.now())
         elif hook == "activate":
             # the incarnation before it may still be at work, and goes first
@@ -270,7 +273,7 @@ class Runner:
                 if hook == "deactivate" and self.spec.weigh:
                     self._weigh()
         # a user's hook may raise anything
-        except (Exception, SystemExit) as error:  # noqa: BLE001
+        except BaseException as error:  # noqa: BLE001
             self._errors.note(hook, error, self.clock.now())
             # one that may say no farewell keeps its state
             if hook != "deactivate" or not isinstance(error, LeaseEnded):
@@ -286,6 +289,27 @@ class Runner:
         self.life_cycle.enter(state)
         self.gate.resume()
         self._on_change()
+
+    def _pause(self) -> None:
+        """Pause before it is deactivated, once nobody is inside, unless it ends."""
+        while not self.gate.is_paused:
+            try:
+                self.gate.pause_oneself(_PATIENCE, self._take_answers)
+            except Timeout as error:
+                log.warning("%s", error)
+                if self.life_cycle.goal == "finalized":
+                    self.gate.pause_for_good()
+
+    def _take_answers(self) -> bool:
+        """Run what waits for its turn; return False when nothing may: no lease."""
+        while self._turns and not self.is_fenced:
+            try:
+                self.exclusion.enter(new_chain(), _PATIENCE)
+            except (Timeout, Redirected):
+                break
+            what, method = self._turns.popleft()
+            self._run(method, what)
+        return not self.is_fenced
 
     def _weigh(self) -> None:
         state = self.component.snapshot()
@@ -304,7 +328,7 @@ class Runner:
         try:
             with self.gate.borrowed(by_hook=True):
                 self.component.cleanup()
-        except (Exception, SystemExit):
+        except BaseException:
             log.exception("component '%s': cleanup after an error", self.spec.name)
 
     def _work(self) -> None:
@@ -333,6 +357,8 @@ class Runner:
             self._turns.append(work)
         elif work is not None and self._enter():
             self._deliver(work)
+        elif work is not None:
+            self.endpoints.mailbox.put_back(work)
 
     @property
     def watches_inputs(self) -> bool:
@@ -432,7 +458,7 @@ class Runner:
             else:
                 method(*args)
         # a user's method may raise anything
-        except (Exception, SystemExit) as error:  # noqa: BLE001
+        except BaseException as error:  # noqa: BLE001
             self._errors.note(what, error, self.clock.now())
         else:
             if self.spec.weigh:
