@@ -82,3 +82,37 @@ def test_names_every_limit_that_a_given_placement_breaks(
     result = plan.evaluate(two_computers, placement)
     assert not result.feasible
     assert result.reason == "small: cpu needs 4, has 2: 2 short"
+
+
+def test_a_split_set_is_a_broken_limit_and_f_stays_comparable(
+    two_computers: Problem,
+) -> None:
+    """Of 3 and 1 only c-d can be cut where a and b stay together: a-b costs 3 times."""
+    problem = replace(two_computers, together=(("a", "b"),))
+    kept = plan.evaluate(
+        problem, {"a": "large", "b": "large", "c": "large", "d": "small"}
+    )
+    split = plan.evaluate(
+        problem, {"a": "large", "b": "small", "c": "large", "d": "large"}
+    )
+    assert (kept.feasible, split.feasible) == (True, False)
+    assert split.reason == "a, b must share a computer: a is on large, b is on small"
+    assert kept.objective is not None
+    assert split.objective is not None
+    assert kept.objective.communication == pytest.approx(0.5 * 1 / 1)
+    assert split.objective.communication == pytest.approx(0.5 * 3 / 1)
+    # large has 1 of 4 left, small 1 of 2
+    assert split.objective.balance == pytest.approx(0.5 * 0.25)
+
+
+def test_of_overlapping_sets_only_the_split_one_is_broken(
+    two_computers: Problem,
+) -> None:
+    problem = replace(two_computers, together=(("a", "b"), ("b", "c")))
+    placement = {"a": "large", "b": "large", "c": "small", "d": "large"}
+    result = plan.evaluate(problem, placement)
+    assert result.broken == ["b, c must share a computer: b is on large, c is on small"]
+    assert result.placement == placement
+    joined = plan.explain(problem, placement, "a")
+    assert isinstance(joined, plan.Explanation)
+    assert joined.together == ("b",)

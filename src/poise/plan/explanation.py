@@ -98,7 +98,7 @@ def explain(
             if name == bundle.name and name not in placement:
                 name = bundle.components[0]
     _, placed_part = chosen_by(problem, placement, partial=True)
-    snapshot = Snapshot(placed_part)
+    snapshot = Snapshot(placed_part, given=placement)
     arrays = snapshot.arrays
     placed = arrays.placed(placement)
     names = [c.name for c in placed_part.components]

@@ -280,11 +280,10 @@ def evaluate(
     Raises
     ------
     UsageError
-        When a component has no computer, or one that is not there, or components that
-        must share a computer do not.
+        When a component has no computer, or one that is not there.
     """
     choice, part = alternatives.chosen_by(problem, placement)
-    snapshot = Snapshot(part)
+    snapshot = Snapshot(part, given=placement)
     placed = snapshot.arrays.placed(placement)
     result = Result.of(snapshot, placed, method, given=True)
     result.choice = choice

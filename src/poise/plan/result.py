@@ -302,15 +302,21 @@ def _sentence(conflict: Conflict) -> str:
 class Snapshot:
     """A problem as it was when it was decided, compiled.
 
-    `core` is given where it has other demands than the problem says. Then the problem
-    with these, and its arrays, are made when they are asked for.
+    `given` is a placement that may split sets that must share a computer. `core` is
+    given where it has other demands than the problem says. Then the problem with these,
+    and its arrays, are made when they are asked for.
     """
 
-    def __init__(self, problem: Problem, core: Core | None = None) -> None:
+    def __init__(
+        self,
+        problem: Problem,
+        core: Core | None = None,
+        given: Mapping[str, str] | None = None,
+    ) -> None:
         self._problem = problem
         self._is_current = core is None
         if core is None:
-            self.arrays = arrays_of(problem)
+            self.arrays = arrays_of(problem, given)
             core = Core(self.arrays)
         self.core = core
 

@@ -63,6 +63,7 @@ def _in_place(arrays: Arrays, placed: Placed) -> list[str]:
         *_overfull(arrays, placed),
         *_misplaced(arrays, placed),
         *_crowded(arrays, placed),
+        *_scattered(arrays, placed),
         *_overloaded(arrays, placed),
     ]
 
@@ -105,6 +106,14 @@ def _crowded(arrays: Arrays, placed: Placed) -> Iterator[str]:
         if placed[i] >= 0 and (i == j or placed[i] == placed[j]):
             names = f"{arrays.name(i)} and {arrays.name(j)}"
             yield f"{names} must be apart, both are on {arrays.computer(placed[i])}"
+
+
+def _scattered(arrays: Arrays, placed: Placed) -> Iterator[str]:
+    for group in arrays.problem.together:
+        at = {name: placed[arrays.unit_of[arrays.index[name]]] for name in group}
+        if len({*at.values()} - {-1}) > 1:
+            where = (f"{n} is on {arrays.computer(h)}" for n, h in at.items() if h >= 0)
+            yield f"{', '.join(group)} must share a computer: {', '.join(where)}"
 
 
 def _overloaded(arrays: Arrays, placed: Placed) -> Iterator[str]:

@@ -7,6 +7,7 @@ from msgspec.structs import replace
 
 from poise.errors import UsageError
 from poise.manage.adaptation.move_forecast import alternatives, check_move, what_if
+from poise.manage.adaptation.proposal import propose
 from poise.model.robot import Architecture, Computer, Robot
 from poise.session.render.tables import what_if_lines
 from tests.manage.adaptation.conftest import Make
@@ -86,3 +87,49 @@ def test_force_is_offered_only_where_it_helps(situation: Make, two: Robot) -> No
 def _held(architecture: Architecture) -> Architecture:
     components = [replace(each, only=("left",)) for each in architecture.components]
     return replace(architecture, components=tuple(components))
+
+
+def test_components_that_share_a_computer_move_together(
+    situation: Make, two: Robot
+) -> None:
+    together = replace(two, together=(("a", "b"),))
+    stays, move = alternatives(situation(robot=together))
+    assert not stays.breaks
+    assert move.what == "move a from left to right, move b from left to right"
+    assert not move.breaks
+    assert move.cost == pytest.approx(2 * (0.3 + 0.2 * 0.05))
+
+
+def test_a_move_that_splits_components_is_refused_unless_forced(
+    situation: Make, two: Robot
+) -> None:
+    together = situation(robot=replace(two, together=(("a", "b"),)))
+    seen = what_if(together, "a", "right")
+    assert seen.breaks == ("a, b must share a computer: a is on right, b is on left",)
+    with pytest.raises(UsageError, match=r"must share a computer.*--force"):
+        check_move(together, "a", "right")
+
+
+def test_what_a_forced_move_has_split_is_joined_again(
+    situation: Make, two: Robot
+) -> None:
+    together = replace(two, together=(("a", "b"),))
+    split = situation({"a": "left", "b": "right"}, robot=together)
+    stays, *moves = alternatives(split)
+    assert "must share a computer" in stays.breaks
+    assert {each.what for each in moves} == {
+        "move a from left to right",
+        "move b from right to left",
+    }
+    assert not any(each.breaks for each in moves)
+    proposal = propose(split)
+    assert "must share a computer" in proposal.trouble
+    assert len({*proposal.placement.values()}) == 1
+
+
+def test_a_computer_may_have_no_cpu(situation: Make, two: Robot) -> None:
+    store = Computer(name="right", capacity={"memory": 1e9})
+    robot = replace(two, computers=(two.computers[0], store))
+    stays, *moves = alternatives(situation(robot=robot))
+    assert stays.short == 0.0
+    assert [each.short for each in moves] == pytest.approx([0.2, 0.2])

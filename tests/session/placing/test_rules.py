@@ -145,3 +145,10 @@ def test_a_file_may_place_another_alternative(robot: Robot, tmp_path: Path) -> N
     (tmp_path / "placement.yaml").write_text("only_one: right\n")
     placed = poise.place(both, method=str(tmp_path / "placement.yaml"))
     assert placed.where == {"only_one": "right"}
+
+
+def test_a_rule_may_split_what_is_together_and_says_so(robot: Robot) -> None:
+    placed = poise.place(replace(robot, together=(("a", "b"),)), method="round-robin")
+    assert not placed.feasible
+    assert placed.where["a"] != placed.where["b"]
+    assert "a, b must share a computer: a is on left, b is on right" in placed.reason

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 from msgspec import Struct
 
@@ -68,7 +68,10 @@ def what_if(situation: Situation, component: str, computer: str) -> WhatIf:
 
 
 class Alternative(Struct, frozen=True, kw_only=True):
-    """What else could have been done: a single move, or nothing."""
+    """What else could have been done: a single move, or nothing.
+
+    Components that must share a computer move together.
+    """
 
     what: str  # for people
     total: float  # f, with the cost of the move, and of CPU that is short
@@ -95,15 +98,15 @@ def alternatives(situation: Situation) -> tuple[Alternative, ...]:
     problem = plan.keep_components(problem, now.keys())
     problem = share_what_is_left(problem, situation, HORIZON / WORTH)
 
-    def work_out(short: float, step: TransitionStep | None) -> Alternative:
-        after = {**now, step.component: step.target} if step else now
+    def work_out(short: float, steps: tuple[TransitionStep, ...]) -> Alternative:
+        after = {**now, **{step.component: step.target for step in steps}}
         result = plan.evaluate(problem, after)
         assert result.objective is not None  # noqa: S101, a given placement has terms
         return Alternative(
-            what=str(step) if step else "stay",
+            what=", ".join(map(str, steps)) or "stay",
             total=result.objective.total,
             short=short,
-            cost=cost_of(situation, [step]) if step else 0.0,
+            cost=cost_of(situation, steps),
             breaks=result.reason,
         )
 
@@ -122,27 +125,43 @@ def alternatives(situation: Situation) -> tuple[Alternative, ...]:
 
 def _single_moves(
     robot: Robot, now: Mapping[str, str]
-) -> Iterator[tuple[float, TransitionStep | None]]:
+) -> Iterator[tuple[float, tuple[TransitionStep, ...]]]:
     """Yield what CPU is missing [cores]: as it is, and after each move."""
     demands = robot.demands("cpu")
-    left = {name: amounts["cpu"] for name, amounts in residue(robot, now).items()}
-    short = sum(max(0.0, -amount) for amount in left.values())
-    yield short, None
+    left = {
+        name: amounts.get("cpu", 0.0) for name, amounts in residue(robot, now).items()
+    }
+    yield _missing(left), ()
     allowed = allowed_computers(robot)
     movable = {c.name for c in robot.components() if c.movable}
-    for component, source in now.items():
-        for target in (
-            sorted(allowed[component] - {source}) if component in movable else ()
-        ):
-            change = {source: demands[component], target: -demands[component]}
-            yield (
-                short
-                + sum(
-                    max(0.0, -left[at] - more) - max(0.0, -left[at])
-                    for at, more in change.items()
-                ),
-                TransitionStep(component, source, target),
+    for group in _groups(robot, now):
+        for target in sorted(set.intersection(*({*allowed[name]} for name in group))):
+            steps = tuple(
+                TransitionStep(name, now[name], target)
+                for name in group
+                if now[name] != target
             )
+            if not steps or not movable.issuperset(s.component for s in steps):
+                continue
+            after = dict(left)
+            for step in steps:
+                after[step.source] += demands[step.component]
+                after[target] -= demands[step.component]
+            yield _missing(after), steps
+
+
+def _missing(left: Mapping[str, float]) -> float:
+    return sum(max(0.0, -amount) for amount in left.values())
+
+
+def _groups(robot: Robot, names: Iterable[str]) -> list[list[str]]:
+    """Return the components that must share a computer, and each of the others."""
+    groups = [[name] for name in names]
+    for together in robot.together:
+        joined = [name for group in groups if {*group} & {*together} for name in group]
+        groups = [group for group in groups if not {*group} & {*together}]
+        groups += [joined] if joined else []
+    return groups
 
 
 def _load(

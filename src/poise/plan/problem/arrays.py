@@ -7,7 +7,7 @@ as if each were a resource of its own.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from math import inf, isqrt
 
 from msgspec import Struct
@@ -172,13 +172,21 @@ class Arrays(Struct, frozen=True):
         }
 
 
-def arrays_of(problem: Problem) -> Arrays:
-    """Turn a problem into numbers."""
+def arrays_of(problem: Problem, given: Mapping[str, str] | None = None) -> Arrays:
+    """Turn a problem into numbers.
+
+    Sets that must share a computer and do not, in a placement that is `given`, are no
+    units; F counts as if they were.
+    """
+    if given is not None and next(split_groups(problem, given), None):
+        whole = arrays_of(problem)
+        scale = overhead_scale(problem, whole.overhead, whole.traffic)
+        problem = replace(problem, overhead_scale=scale)
     components, computers = problem.components, problem.computers
     resources = problem.resources
     index = {c.name: i for i, c in enumerate(components)}
     place = {h.name: i for i, h in enumerate(computers)}
-    unit_of, members = _units(problem, index)
+    unit_of, members = _units(problem, index, given or {})
     n, m, r = len(members), len(computers), len(resources)
     demand = [c.demand.get(k, 0.0) for c in components for k in resources]
     capacity = [h.total(k) for h in computers for k in resources]
@@ -282,14 +290,26 @@ def _separable(
     return overhead, traffic
 
 
+def split_groups(
+    problem: Problem, placement: Mapping[str, str]
+) -> Iterator[tuple[str, ...]]:
+    """Yield the sets that must share a computer and do not in a placement."""
+    for group in problem.together:
+        if len({placement[name] for name in group if name in placement}) > 1:
+            yield group
+
+
 def _units(
-    problem: Problem, index: dict[str, int]
+    problem: Problem, index: dict[str, int], given: Mapping[str, str]
 ) -> tuple[list[int], list[tuple[int, ...]]]:
     count = len(problem.components)
     if not problem.together:
         return list(range(count)), [(i,) for i in range(count)]
     root = list(range(count))
+    split = [*split_groups(problem, given)]
     for group in problem.together:
+        if group in split:
+            continue
         merged = {root[index[name]] for name in group}
         lowest = min(merged, default=0)
         root = [lowest if k in merged else k for k in root]
