@@ -280,3 +280,50 @@ def test_rounding_is_no_cost(tmp_path: Path) -> None:
     path.write_text(json.dumps({"components": components, "computers": computers}))
     result = call(path)
     assert "F = 0 = communication 0 + balance 0" in result.output
+
+
+def test_says_why_a_component_has_no_placement_and_refuses_one_that_is_none(
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / "problem.json"
+    path.write_text(PROBLEM.replace('"capacity": {"cpu": 1}', '"capacity": {}'))
+    result = call(path, "--explain", "b")
+    assert result.exit_code == 1
+    assert "no placement" in result.stdout
+    wrong = call(path, "--explain", "nobody")
+    assert isinstance(wrong.exception, UsageError)
+    assert "no component is called 'nobody' (there are: a, b)" in str(wrong.exception)
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (("--smallest", "--fewer"), "--smallest and --fewer exclude each other"),
+        (
+            ("--scale", "one=0.5", "--scale", "ONE=2"),
+            "--scale one=0.5 and --scale ONE=2 are about the same",
+        ),
+        (("--add", "x:cpu=1,cpu=2"), "cpu is both 1 and 2; name it once"),
+    ],
+)
+def test_refuses_what_contradicts_itself(
+    problem_file: Path, options: tuple[str, ...], said: str
+) -> None:
+    result = call(problem_file, *options)
+    assert isinstance(result.exception, UsageError)
+    assert said in str(result.exception)
+
+
+def test_the_phase_that_has_the_component_says_why_it_has_no_placement(
+    phases_file: Path,
+) -> None:
+    """`wheels` are only in the phase `go`, which does not fit."""
+    asked = (phases_file, "--task", "serve", "--without", "right")
+    said = call(*asked, "--explain", "wheels")
+    assert said.exit_code == 1, said.output
+    assert "phase 'go': eyes, wheels together need 0.6 cpu" in " ".join(
+        said.stdout.split()
+    )
+    wrong = call(*asked, "--explain", "wings")
+    assert isinstance(wrong.exception, UsageError)
+    assert "there are: eyes, see, wheels, drive" in str(wrong.exception)

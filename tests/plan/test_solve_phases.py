@@ -261,3 +261,38 @@ def test_the_cheapest_computers_for_tasks_one_at_a_time() -> None:
     none = plan.smallest([task(0.5), task(2.0)], plan.solve_phases)
     assert none.computers == ("cheap", "dear", "old")
     assert [r.feasible for r in none.results] == [True, False]
+
+
+def test_phases_with_other_priorities_share_cpu_as_one_problem() -> None:
+    """Each priority has a soft limit of its own; F of both adds up."""
+    one, two, three = item("a", 0.4), item("b", 0.4), item("c", 0.4)
+
+    def shared(*components: Item) -> Problem:
+        bundles = (
+            Bundle(name=c.name, components=(c.name,), priority=i)
+            for i, c in enumerate(components)
+        )
+        return plan.share_cpu(replace(alone(*components), architectures=tuple(bundles)))
+
+    first, second = shared(one), shared(one, two, three)
+    arrays = [arrays_of(problem) for problem in (first, second)]
+    core = _core.Core(merged(arrays, {}))
+    placed = [[0], [0, 0, 1]]
+    apart = [_core.Core(a).terms(p) for a, p in zip(arrays, placed, strict=True)]
+    whole = core.terms([0, 0, 0, 1])
+    assert sum(whole) == pytest.approx(sum(map(sum, apart)))
+    assert sum(whole) > plan.PRICE * 0.29  # 0.8 of 0.5 cores
+    result = plan.solve_phases(in_turn(first, second, shared(two, three)), steps=2000)
+    assert result.feasible
+
+
+def test_a_phase_is_found_by_what_runs_in_it() -> None:
+    """`b` runs only where nothing fits, `a` everywhere, `z` nowhere."""
+    first, second = alone(item("a"), item("b", 0.6)), alone(item("a"))
+    result = plan.solve_phases(in_turn(first, second))
+    assert result.first_with("a") == "p1"
+    assert result.first_with("b") == "p0"
+    with pytest.raises(UsageError, match=r"no component is called 'z' \(.*: a, b\)"):
+        result.first_with("z")
+    with pytest.raises(UsageError, match=r"phase 'p0' has no placement: b needs 0\.6"):
+        result.explain("p0", "b")

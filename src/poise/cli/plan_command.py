@@ -232,7 +232,12 @@ def _check_together(
 
 
 def _check_share(*, share: bool, fewer: bool, smallest: bool) -> None:
-    """Raise UsageError when CPU is to be short, and is not to be."""
+    """Raise UsageError when not all is to fit, and is to fit."""
+    if smallest and fewer:
+        raise UsageError(
+            "--smallest and --fewer exclude each other: --smallest looks for computers "
+            "on which everything fits"
+        )
     if share and (fewer or smallest):
         other = "--smallest" if smallest else "--fewer"
         raise UsageError(
@@ -286,9 +291,11 @@ def _answer(
     result = answer.phased
     several = len(result.results) > 1
     explanation = None
-    if explain is not None and (several or result.only[1].placement):
-        phase = phase or result.first_with(explain)
-        explanation = result.explain(phase, explain)
+    if explain is not None:
+        first = result.first_with(explain)
+        phase = phase or first
+        if phase not in result.results or result.results[phase].placement:
+            explanation = result.explain(phase, explain)
     if json:
         plain = result.to_dict() if several else result.only[1].to_dict()
         extra = {"explanation": explanation} if explanation else {}
@@ -366,7 +373,7 @@ def changed_problem(
     for text in add:
         problem = plan.add(problem, computer_of(text))
     if scale:
-        problem = plan.scale(problem, dict(_factor(text) for text in scale))
+        problem = plan.scale(problem, _factors(scale))
     return problem
 
 
@@ -375,11 +382,32 @@ def computer_of(text: str) -> Computer:
     name, colon, rest = text.partition(":")
     if not name or not colon:
         raise UsageError(f"--add {text!r}: write NAME:cpu=2,memory=4GiB")
-    pairs = [_pair(f"--add {text!r}", part) for part in rest.split(",") if part]
+    given: dict[str, str] = {}
+    for part in filter(None, rest.split(",")):
+        key, value = _pair(f"--add {text!r}", part)
+        if key in given:
+            raise UsageError(
+                f"--add {text!r}: {key} is both {given[key]} and {value}; name it once"
+            )
+        given[key] = value
     return Computer(
         name=name,
-        capacity={key: _amount(f"--add {text!r}", key, value) for key, value in pairs},
+        capacity={k: _amount(f"--add {text!r}", k, x) for k, x in given.items()},
     )
+
+
+def _factors(texts: Sequence[str]) -> dict[str, float]:
+    """Return name -> factor; UsageError for a name that is there twice, in any case."""
+    given: dict[str, str] = {}
+    factors = {}
+    for text in texts:
+        name, factor = _factor(text)
+        if (other := given.setdefault(name.lower(), text)) is not text:
+            raise UsageError(
+                f"--scale {other} and --scale {text} are about the same: give one"
+            )
+        factors[name] = factor
+    return factors
 
 
 def _factor(text: str) -> tuple[str, float]:

@@ -158,13 +158,28 @@ class PhasedResult:
         return cls(PhasedProblem.of_one(name, problem), {name: result})
 
     def first_with(self, name: str) -> str:
-        """Return the first phase with a component or architecture, else the first."""
+        """Return the first phase with a component or architecture.
+
+        One with a placement comes before others.
+
+        Raises
+        ------
+        UsageError
+            No phase has it.
+        """
+        known: dict[str, None] = {}
+        found: list[str] = []
         for phase in self.problem.phases:
-            names = {component.name for component in phase.problem.components}
-            names |= {bundle.name for bundle in phase.problem.architectures}
-            if name in names and self.results[phase.name].placement:
-                return phase.name
-        return self.problem.phases[0].name
+            names = [component.name for component in phase.problem.components]
+            names += [bundle.name for bundle in phase.problem.architectures]
+            known |= dict.fromkeys(names)
+            if name in names:
+                found.append(phase.name)
+        if not found:
+            raise UsageError(
+                f"no component is called {name!r} (there are: {', '.join(known)})"
+            )
+        return next((p for p in found if self.results[p].placement), found[0])
 
     @property
     def only(self) -> tuple[Problem, Result]:
@@ -199,7 +214,8 @@ class PhasedResult:
         if phase not in self.results:
             raise UsageError(unknown("phase", phase, self.results))
         if not self.results[phase].placement:
-            raise UsageError(f"phase {phase!r} has no placement")
+            reason = self.results[phase].reason
+            raise UsageError(f"phase {phase!r} has no placement: {reason}")
         placements = {name: r.placement for name, r in self.results.items()}
         problem = with_moves(self.problem, phase, placements)
         return explain(problem, self.results[phase].placement, name)

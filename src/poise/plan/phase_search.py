@@ -8,8 +8,8 @@ F of the whole is the mean of the phases' F over time.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from itertools import accumulate
+from collections.abc import Callable, Mapping, Sequence
+from itertools import accumulate, zip_longest
 from math import inf
 from random import Random
 from time import perf_counter
@@ -338,8 +338,9 @@ def merged(parts: Sequence[Arrays], moves: Mapping[tuple[Unit, Unit], float]) ->
     costs). The bandwidth of links is left out; distances count for moves, too.
     """
     begin = [0, *accumulate(part.n for part in parts)]
+    columns = [0, *accumulate(part.r for part in parts)]
     start = [0, *accumulate(len(part.unit_of) for part in parts)]
-    a, count = parts[0], len(parts)
+    a = parts[0]
     pairs = [(part, begin[p]) for p, part in enumerate(parts)]
     inside = [
         (i + at, j + at, part.communication * overhead, 0.0)
@@ -363,11 +364,11 @@ def merged(parts: Sequence[Arrays], moves: Mapping[tuple[Unit, Unit], float]) ->
             for p, part in enumerate(parts)
             for name, i in part.index.items()
         },
-        _own([part.component_demand for part in parts], a.r),
-        tuple(f"{p}.{name}" for p in range(count) for name in a.resources),
-        _own([part.demand for part in parts], a.r),
-        _by_computer([part.capacity for part in parts], a),
-        _by_computer([part.limit for part in parts], a),
+        _own([part.component_demand for part in parts], columns),
+        tuple(f"{p}.{name}" for p, part in enumerate(parts) for name in part.resources),
+        _own([part.demand for part in parts], columns),
+        _by_computer([part.capacity for part in parts], columns),
+        _by_computer([part.limit for part in parts], columns),
         [price for part in parts for price in part.price],
         [weight for part in parts for weight in part.size_weight],
         {u + at: hosts for part, at in pairs for u, hosts in part.allowed.items()},
@@ -384,12 +385,14 @@ def merged(parts: Sequence[Arrays], moves: Mapping[tuple[Unit, Unit], float]) ->
         a.variance,
         begin[-1],
         a.m,
-        a.r * count,
-        _times(parts, start),
+        columns[-1],
+        _times(parts, start, columns),
     )
 
 
-def _times(parts: Sequence[Arrays], start: Sequence[int]) -> Times | None:
+def _times(
+    parts: Sequence[Arrays], start: Sequence[int], columns: Sequence[int]
+) -> Times | None:
     """Return the time limits of all phases, each with the CPU of its own phase."""
     limits: list[LimitArray] = []
     times = None
@@ -398,31 +401,37 @@ def _times(parts: Sequence[Arrays], start: Sequence[int]) -> Times | None:
         for limit, price, fixed, cpu, runs, hops in (
             part.times.limits if part.times else ()
         ):
-            shares = cpu + p * part.r if cpu >= 0 else -1
+            shares = cpu + columns[p] if cpu >= 0 else -1
             moved = [(component + start[p], seconds) for component, seconds in runs]
             ways = [(hop[0] + start[p], hop[1] + start[p], *hop[2:]) for hop in hops]
             limits.append((limit, price, fixed, shares, moved, ways))
     return times and replace(times, limits=limits)
 
 
-def _own(tables: Sequence[Sequence[float]], r: int) -> list[float]:
-    """Return rows in which each phase has columns of its own."""
+def _own(tables: Sequence[Sequence[float]], columns: Sequence[int]) -> list[float]:
+    """Return rows in which each phase has columns of its own, from `columns` on."""
     out: list[float] = []
-    for p, table in enumerate(tables):
-        before, after = [0.0] * (p * r), [0.0] * ((len(tables) - p - 1) * r)
-        for row in range(0, len(table), r or 1):
-            out += [*before, *table[row : row + r], *after]
+    for table, begin, end in zip(tables, columns, columns[1:], strict=False):
+        before, after = [0.0] * begin, [0.0] * (columns[-1] - end)
+        for row in _rows(table, end - begin):
+            out += [*before, *row, *after]
     return out
 
 
-def _by_computer(tables: Iterable[Sequence[float]], a: Arrays) -> list[float]:
-    tables = tuple(tables)
-    return [
-        value
-        for h in range(a.m)
-        for table in tables
-        for value in table[h * a.r : (h + 1) * a.r]
+def _by_computer(
+    tables: Sequence[Sequence[float]], columns: Sequence[int]
+) -> list[float]:
+    rows = [
+        _rows(table, end - begin)
+        for table, begin, end in zip(tables, columns, columns[1:], strict=False)
     ]
+    return [
+        x for beside in zip_longest(*rows, fillvalue=()) for row in beside for x in row
+    ]
+
+
+def _rows(table: Sequence[float], width: int) -> list[Sequence[float]]:
+    return [table[i : i + width] for i in range(0, len(table), width or 1)]
 
 
 def _costs(parts: Sequence[Arrays]) -> list[float]:
