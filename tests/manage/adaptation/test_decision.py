@@ -319,3 +319,54 @@ def test_what_is_on_a_lost_computer_does_not_count(situation: Make) -> None:
     seen = situation(placed, background={"left": 0.3})
     found = decide(replace(seen, lost=frozenset({"right"})))
     assert not found.acts
+
+
+def test_what_is_undone_counts_where_nothing_fits(situation: Make, two: Robot) -> None:
+    """0.4 cores are needed of 0.3 with the headroom of 5 %; memory fits nowhere."""
+    seen = situation(background={"left": 0.2})
+    known = decide(seen)
+    robot = replace(
+        two.with_components(lambda c: replace(c, demand={**c.demand, "memory": 7.0})),
+        computers=tuple(
+            replace(c, capacity={**c.capacity, "memory": 5.0}) for c in two.computers
+        ),
+    )
+    found = decide(replace(seen, robot=robot))
+    assert not found.acts
+    assert found.proposal is None
+    assert found.undone == pytest.approx(known.undone)
+    assert found.undone > 0.08
+
+
+def test_what_is_undone_counts_where_something_is_suspended(two: Robot) -> None:
+    """Three of 0.4 cores on two computers of 0.5: the higher two do not get theirs."""
+
+    def architecture(name: str, priority: int, *components: str) -> Architecture:
+        parts = [ComponentEntry(name=n, demand={"cpu": 0.4}) for n in components]
+        return Architecture(
+            name=name, function=name, priority=priority, components=tuple(parts)
+        )
+
+    robot = replace(
+        two,
+        architectures=(architecture("hi", 1, "a", "b"), architecture("lo", 0, "c")),
+        tasks=(Task(name="work", actions=(Action(name="w", functions=("hi", "lo")),)),),
+    )
+    placement = {"a": "left", "b": "right", "c": "right"}
+    estimate = Estimate(mean=0.4, p95=0.4, error=0.01, starved=0.5)
+    found = decide(
+        Situation(
+            robot=robot,
+            task="work",
+            placement=placement,
+            demand_estimates=tuple(
+                DemandEstimate(
+                    component=n, computer=at, expected=None, estimate=estimate
+                )
+                for n, at in placement.items()
+            ),
+        )
+    )
+    assert found.acts
+    assert found.why == "not all fits without 'lo' (priority 0)"
+    assert found.undone > 0.25

@@ -28,7 +28,14 @@ from poise.manage.adaptation.bad_links import (
     wasted,
     with_bad_links,
 )
-from poise.manage.adaptation.proposal import STARVED, late, nothing_helps, propose
+from poise.manage.adaptation.proposal import (
+    STARVED,
+    late,
+    nothing_helps,
+    propose,
+    share_what_is_left,
+    with_time_limits,
+)
 from poise.manage.adaptation.situation import Situation
 from poise.manage.agent_connections.statuses import components_of
 from poise.manage.migration.migration_report import Proposal, TransitionStep
@@ -107,7 +114,8 @@ def decide(
         )
     except RobotError as error:
         why = f"no placement can help: {causes}{late(situation)}{error}"
-        return Decision(acts=False, why=why)
+        undone = _undone(situation, horizon / WORTH) + in_vain
+        return Decision(acts=False, why=why, undone=undone)
     per_core = horizon / WORTH
     undone = (proposal.now.shortage + proposal.now.time) / per_core + in_vain
     in_vain -= wasted(situation, proposal.placement, bad)
@@ -124,7 +132,7 @@ def decide(
     if not acts:
         suspended = _with_fewer(situation) if short else None
         if suspended is not None:
-            return suspended
+            return replace(suspended, undone=undone)
         why = f"it stays as it is: {why}"
         if short:
             why = _why_not(situation, causes, costs)
@@ -138,6 +146,21 @@ def decide(
         cost=cost,
         undone=undone,
     )
+
+
+def _undone(situation: Situation, price: float) -> float:
+    """Return what is not done as it is [cores], where no placement was found."""
+    now, functions = situation.placement, situation.functions()
+    try:
+        problem = plan.problem_of(situation.robot_now, functions=functions, present=now)
+    except RobotError:
+        return sum(shortages_of(situation).values())
+    problem = plan.keep_components(problem, now.keys())
+    problem = with_time_limits(problem, situation, price)
+    problem = share_what_is_left(problem, situation, price)
+    terms = plan.evaluate(problem, now).objective
+    assert terms is not None  # noqa: S101, a given placement has terms
+    return (terms.shortage + terms.time) / price
 
 
 def _gone(situation: Situation) -> str:
