@@ -42,7 +42,10 @@ def placed_beside(situation: Situation, homes: Homes) -> plan.Result:
 def room_for_components(
     situation: Situation, components: Collection[str], not_on: Collection[str] = ()
 ) -> Mapping[str, str]:
-    """Return where components fit beside all others; empty: they do not."""
+    """Return where components fit beside all others; empty: they do not.
+
+    Why they do not is not looked for.
+    """
     allowed = allowed_computers(situation.robot)
     homes: dict[str, tuple[str, ...]] = {
         n: (at,) for n, at in situation.placement.items() if at not in situation.lost
@@ -57,7 +60,7 @@ def room_for_components(
         problem = _problem_of(situation, _what_is_left(situation, homes, left))
     except RobotError:
         return {}
-    result = plan.solve(problem, budget=SOLVE_FOR, steps=situation.solve_steps)
+    result = plan.solve(problem, SOLVE_FOR, steps=situation.solve_steps, why=False)
     return {n: at for n, at in result.placement.items() if n in components}
 
 
