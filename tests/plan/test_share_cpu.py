@@ -103,3 +103,21 @@ def test_a_wrong_soft_limit_is_refused() -> None:
         replace(problem_of({"a": 0.1}), soft_limits=(wrong,))
     for part in ("price is 0, must be above 0", "'z'", "'q'"):
         assert part in str(said.value)
+
+
+def test_nothing_is_suspended_for_cpu_that_may_be_short() -> None:
+    """Memory holds the first two; together they need 1.6 of one core, which is soft."""
+    needs = {"high": (0.8, 6.0), "middle": (0.8, 4.0), "low": (0.1, 6.0)}
+    problem = Problem(
+        components=tuple(
+            Item(name=name, demand={"cpu": cpu, "memory": memory})
+            for name, (cpu, memory) in needs.items()
+        ),
+        computers=(Computer(name="one", capacity={"cpu": 1.0, "memory": 10.0}),),
+        architectures=tuple(
+            Bundle(name=name, components=(name,), priority=3 - i)
+            for i, name in enumerate(needs)
+        ),
+        soft_limits=(SoftLimit(resource="cpu", price=10.0),),
+    )
+    assert plan.solve(problem, fewer=True).suspended == ("low",)

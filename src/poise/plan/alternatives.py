@@ -149,6 +149,7 @@ class _Admission:
         self.is_complete = True
         self._demand = {c.name: c.demand for c in problem.components}
         resources = {r for h in problem.computers for r in h.capacity}
+        resources -= {limit.resource for limit in problem.soft_limits}
         self._usable = {
             r: sum(h.usable(r) for h in problem.computers) for r in resources
         }
