@@ -5,10 +5,10 @@ from __future__ import annotations
 import pytest
 from msgspec import structs
 
-from poise.estimate.profiles import Costs, KindCosts, Profile
-from poise.model.robot import Robot
+from poise.estimate.profiles import ConnectorProfile, Costs, KindCosts, Profile
+from poise.model.robot import Link, Robot
 from poise.model.software import CodeTimer, ComponentCode
-from poise.simulation.workload import SimulatedWork, workload_of
+from poise.simulation.workload import LinkModel, SimulatedWork, links_of, workload_of
 from tests.simulation.conftest import small_scenario
 from tests.simulation.test_rehearsal import profile_of
 
@@ -123,3 +123,30 @@ def test_what_comes_from_an_alternative_is_handled_as_what_comes_from_the_other(
     for model in beside.takes.values():
         assert model.work == pytest.approx(takes.work)
         assert model.publishes == takes.publishes
+
+
+def test_without_a_profile_a_timer_takes_its_part_beside_messages(
+    robot: Robot,
+) -> None:
+    """20 runs of a timer and 10 messages a second share 0.3 cores: 10 ms each."""
+    ticking = structs.replace(
+        robot.with_components(
+            lambda c: structs.replace(c, demand={**c.demand, "cpu": 0.3 * 1.05})
+        ),
+        code={"filter": ComponentCode(timers=(CodeTimer("tick", 0.05, None),))},
+    )
+    bag = {str(c): ConnectorProfile(messages=10.0) for c in robot.all_connectors()}
+    model = workload_of(ticking, None, bag=bag).models["filter"]
+    (timer,) = model.timers
+    (message,) = model.takes.values()
+    assert timer.handler.work == pytest.approx(0.01)
+    assert message.work == pytest.approx(0.01)
+
+
+def test_a_link_that_says_only_its_latency_is_as_quick_as_usual(robot: Robot) -> None:
+    link = Link(between=("head", "body"), latency=0.001)
+    ((_, slow),) = links_of(structs.replace(robot, links=(link,))).items()
+    assert slow == LinkModel(latency=0.001, jitter=0.00025)
+    declared = structs.replace(link, bandwidth=1e6)
+    ((_, narrow),) = links_of(structs.replace(robot, links=(declared,))).items()
+    assert narrow.bandwidth == 1e6

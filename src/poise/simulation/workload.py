@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from math import ceil, log, sqrt
+from math import ceil, isfinite, log, sqrt
 from statistics import NormalDist
 
 from msgspec import Struct, structs
@@ -337,12 +337,12 @@ class _ComponentWork:
         """Let all handlers together take the CPU that the component takes.
 
         Timers that seem to take more than all of it have waited: then all runs are
-        taken to be alike.
+        taken to be alike. So they are where no timer was measured.
         """
         total = self.cpu()
         measured = sum(timer.rate * timer.work for timer in timers)
         rest = sum(handler.rate for handler in others)
-        if rest and measured > total:
+        if rest and (measured > total or not measured):
             alike = total / (rest + sum(timer.rate for timer in timers))
             for handler in (*timers, *others):
                 handler.work = alike
@@ -356,7 +356,7 @@ class _ComponentWork:
         if measured:
             for timer in timers:
                 timer.work *= by_timers / measured
-        elif timers and not rest:
+        elif timers:
             for timer in timers:
                 timer.work = total / sum(t.rate for t in timers)
         if not timers and not others and total:
@@ -439,7 +439,7 @@ def links_of(robot: Robot) -> Mapping[frozenset[str], LinkModel]:
         frozenset(link.between): LinkModel(
             latency=link.latency or usual.latency,
             jitter=(link.latency or usual.latency) * _JITTER,
-            bandwidth=link.bandwidth or usual.bandwidth,
+            bandwidth=link.bandwidth if isfinite(link.bandwidth) else usual.bandwidth,
         )
         for link in robot.links
     }
