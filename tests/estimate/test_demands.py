@@ -1,7 +1,8 @@
 import pytest
 from msgspec.structs import replace
 
-from poise.estimate.demands import missing, with_profile
+from poise.estimate.demands import missing, shifted_cpu_demand, with_profile
+from poise.estimate.online import Estimate
 from poise.estimate.profiles import Profile
 from poise.model.robot import ComponentEntry, Robot
 
@@ -59,3 +60,10 @@ def test_names_what_nobody_knows(robot: Robot, profile: Profile) -> None:
     nothing = Profile(robot="r", poise="", computer="a", speed=1.0, at="", seconds=1.0)
     assert missing(robot, nothing) == ["eye", "mind"]
     assert with_profile(robot, nothing) == robot
+
+
+def test_a_declared_demand_of_0_may_drift() -> None:
+    """In proportion to 0 nothing ever would: (0.8 + 0.01) * 1.05 cores."""
+    now = Estimate(mean=0.8, p95=0.8, error=0.01)
+    assert shifted_cpu_demand(0.0, 0.2, now) == pytest.approx(0.8505)
+    assert shifted_cpu_demand(0.3, 0.2, now) == pytest.approx(1.2)

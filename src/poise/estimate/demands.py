@@ -86,8 +86,11 @@ def memory_demand(profile: ComponentProfile) -> float:
 def shifted_cpu_demand(
     demand: float, expected: float | None, estimate: Estimate
 ) -> float:
-    """Return the CPU demand after a drift [cores], in proportion to the mean."""
-    if expected:
+    """Return the CPU demand after a drift [cores], in proportion to the mean.
+
+    Of a demand of 0 there is no proportion: then the measured mean counts.
+    """
+    if expected and demand:
         return demand * estimate.mean / expected
     return (estimate.mean + (estimate.error or 0.0)) * (1 + CPU_HEADROOM)
 
