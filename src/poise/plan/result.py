@@ -144,7 +144,7 @@ class Result:
         if self._conflict is not None:
             return _sentence(self._conflict)
         if self._complete and self._given:
-            return "; ".join(self.broken)
+            return "; ".join(self.broken) or self.choice.why
         if self._complete:
             return self.choice.why
         if self.method == "greedy" and not self.proven:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import msgspec
 import pytest
 from msgspec.structs import replace
 
@@ -152,3 +153,57 @@ def test_a_rule_may_split_what_is_together_and_says_so(robot: Robot) -> None:
     assert not placed.feasible
     assert placed.where["a"] != placed.where["b"]
     assert "a, b must share a computer: a is on left, b is on right" in placed.reason
+
+
+@pytest.fixture
+def tight(robot: Robot) -> Robot:
+    """Return the robot with one more function that fits nowhere."""
+    large = Architecture(
+        name="large",
+        function="more",
+        priority=-1,
+        components=tuple(
+            ComponentEntry(name=name, demand={"cpu": 0.9}) for name in ("x", "y")
+        ),
+    )
+    return replace(robot, architectures=(*robot.architectures, large))
+
+
+def test_what_plan_has_suspended_stays_suspended(tight: Robot, tmp_path: Path) -> None:
+    planned = poise.place(tight, fewer=True)
+    assert planned.result.suspended == ("large",)
+    printed, plain = tmp_path / "printed.json", tmp_path / "plain.yaml"
+    printed.write_bytes(msgspec.json.encode(planned.result.to_dict()))
+    nulls = {**planned.where, "x": None, "y": None}
+    plain.write_bytes(msgspec.yaml.encode(nulls))
+    for file in (printed, plain):
+        placed = poise.place(tight, method=str(file))
+        assert placed.feasible
+        assert placed.where == planned.where
+        assert placed.result.suspended == ("large",)
+        assert placed.why_suspended == (
+            f"not all fits: placement {file} suspends large"
+        )
+
+
+@pytest.mark.parametrize(
+    ("more", "lacks"),
+    [({}, "x, y"), ({"x": None}, "x, y"), ({"x": "left", "y": None}, "y")],
+)
+def test_a_file_must_have_what_it_does_not_suspend(
+    tight: Robot, tmp_path: Path, more: dict[str, str | None], lacks: str
+) -> None:
+    file = tmp_path / "placement.json"
+    file.write_text(json.dumps({**dict.fromkeys(NAMES, "right"), **more}))
+    with pytest.raises(UsageError, match=f"placement.json lacks {lacks}: "):
+        poise.place(tight, method=str(file))
+
+
+def test_a_layer_below_may_not_be_suspended(tight: Robot, tmp_path: Path) -> None:
+    task, large = tight.architectures
+    reactive = replace(large, layer="reactive", home="left")
+    file = tmp_path / "placement.json"
+    nulls = {"x": None, "y": None}
+    file.write_text(json.dumps({**dict.fromkeys(NAMES, "right"), **nulls}))
+    with pytest.raises(UsageError, match="lacks x, y: "):
+        poise.place(replace(tight, architectures=(task, reactive)), method=str(file))

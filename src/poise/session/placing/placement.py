@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Set as AbstractSet
 from functools import partial
 from itertools import cycle
 from pathlib import Path
@@ -17,6 +18,7 @@ from poise.errors import UsageError
 from poise.estimate.outcomes import WELL, Conditions
 from poise.estimate.success_rates import learned
 from poise.model.robot import Robot
+from poise.plan.alternatives import needs, part
 from poise.plan.planner import SOLVERS
 from poise.session.placing.by_time import Decide, DecidedByTime, decide_by_time
 from poise.session.render.picture import planned_picture
@@ -26,7 +28,8 @@ from poise.simulation.predicted_times import PredictedTimes
 
 RULES = ("static", "round-robin", "whole-functions", "random:SEED", "FILE")
 """What may place instead of a solver. `FILE` (.yaml or .json) has
-``component: computer``, or is what ``poise plan --json`` printed."""
+``component: computer``, or is what ``poise plan --json`` printed. An architecture is
+suspended where the file says so, or has its components on null."""
 
 
 def is_rule(name: str) -> bool:
@@ -45,7 +48,7 @@ def by_rule(rule: str, robot: Robot, problem: plan.Problem) -> dict[str, str]:
     It may break limits. ``round-robin`` deals the components to the computers in turn,
     ``random:SEED`` at random, and ``whole-functions`` keeps what belongs to a function
     on one computer, the largest function first, where most CPU is left. None puts a
-    component where it may not run.
+    component where it may not run. Of a file, what is on null is left out.
     """
     static = plan.static(robot, problem)
     names = [computer.name for computer in problem.computers]
@@ -60,7 +63,7 @@ def by_rule(rule: str, robot: Robot, problem: plan.Problem) -> dict[str, str]:
     if rule.startswith("random:"):
         chance = random.Random(_seed(rule))  # noqa: S311 - nothing secret
         return {name: chance.choice(choices[name]) for name in static}
-    return _checked(rule, _read(Path(rule)), choices)
+    return _checked(rule, _read(Path(rule))[0], choices)
 
 
 def _whole(
@@ -94,18 +97,21 @@ def _seed(rule: str) -> int:
         ) from None
 
 
-def _read(path: Path) -> Mapping[object, object]:
+def _read(path: Path) -> tuple[Mapping[object, object], frozenset[str]]:
+    """Return what a file places, and the architectures that it calls suspended."""
     try:
         found = yaml.safe_load(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
         raise UsageError(f"placement {path} cannot be read: {error}") from error
+    suspended: object = ()
     if isinstance(found, dict) and isinstance(found.get("placement"), dict):
-        found = found["placement"]
+        suspended, found = found.get("suspended"), found["placement"]
     if not isinstance(found, dict):
         raise UsageError(
             f"placement {path} is not a mapping of components to computers"
         )
-    return found
+    names = suspended if isinstance(suspended, list) else ()
+    return found, frozenset(map(str, names))
 
 
 def _checked(
@@ -123,6 +129,8 @@ def _checked(
         name, where = str(component), str(computer)
         if name not in choices:
             faults.append(f"the task needs no component '{name}'")
+        elif computer is None:
+            continue
         elif where not in choices[name]:
             here = " or ".join(choices[name])
             faults.append(f"'{name}' may not run on '{where}', only on {here}")
@@ -130,6 +138,47 @@ def _checked(
     if faults:
         raise UsageError(f"placement {rule}: {'; '.join(faults)}")
     return placement
+
+
+def _by_file(rule: str, robot: Robot, problem: plan.Problem) -> plan.Result:
+    """Return what a file places, without what it suspends.
+
+    UsageError names the components that it lacks.
+    """
+    found, named = _read(Path(rule))
+    placement = by_rule(rule, robot, problem)
+    idle = {str(name) for name, computer in found.items() if computer is None}
+    kept, suspended, lacking = list[plan.Bundle](), list[str](), list[str]()
+    for need in needs(problem):
+        names = {name for bundle in need for name in bundle.components}
+        if not names & placement.keys() and _may_rest(need, idle, named):
+            suspended.append(need[0].name)
+            continue
+        kept += need
+        if len(need) == 1:
+            lacking += [n for n in need[0].components if n not in placement]
+    if lacking:
+        raise UsageError(
+            f"placement {rule} lacks {', '.join(lacking)}: what is suspended is on "
+            "null, with all of its architecture, which may be one of a task only"
+        )
+    if not suspended:
+        return plan.evaluate(problem, placement, rule)
+    result = plan.evaluate(part(problem, kept), placement, rule)
+    why = f"placement {rule} suspends {', '.join(suspended)}"
+    result.choice = result.choice._replace(
+        suspended=tuple(suspended), whole=problem, why=why
+    )
+    return result
+
+
+def _may_rest(
+    need: Sequence[plan.Bundle], idle: AbstractSet[str], named: AbstractSet[str]
+) -> bool:
+    """Return whether a function is suspended: on null, or named, and not required."""
+    return not any(bundle.required for bundle in need) and any(
+        bundle.name in named or idle >= {*bundle.components} for bundle in need
+    )
 
 
 ALL = "all"
@@ -348,6 +397,10 @@ def _ruled(
         raise UsageError(
             f"placement {method}: a file places all at once, and this task has phases"
         )
+    if is_file(method):
+        (phase,) = problem.phases
+        result = _by_file(method, robot, phase.problem)
+        return plan.PhasedResult(problem, {phase.name: result})
     results = {
         phase.name: plan.evaluate(
             phase.problem, by_rule(method, robot, phase.problem), method
