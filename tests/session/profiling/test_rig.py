@@ -143,3 +143,19 @@ def test_only_one_alternative_runs_and_the_measured_one_is_preferred() -> None:
         "remember",
         "speak",
     )
+
+
+def test_a_witness_holds_no_component() -> None:
+    """It comes first, is real, and is as large as any."""
+    witness = replace(computer("router", "10.0.0.3"), witness=True)
+    real = [computer("main", "10.0.0.1"), computer("vision", "10.0.0.2")]
+    robot = replace(ROBOT, computers=(witness, *real), simulator=None, workload=None)
+    rig = rig_of(robot, "think", "main", apart=False)
+    assert {*rig.placement.values()} == {"main", "vision"}
+    with pytest.raises(UsageError, match="--on router: the robot's computers are main"):
+        rig_of(robot, "think", "router", apart=False)
+    plain = [replace(c, address=None) for c in (witness, *real)]
+    emulated = rig_of(
+        replace(robot, computers=tuple(plain)), "think", "main", apart=False
+    )
+    assert emulated.robot.computer(OTHERS).total("cpu") == 2 * 0.5

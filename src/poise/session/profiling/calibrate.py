@@ -307,7 +307,7 @@ def calibrate(
     RunError
         The computers could not be measured.
     """
-    names = [c.name for c in robot.computers]
+    names = [c.name for c in robot.hosts]
     chosen = reference or names[0]
     if chosen not in names:
         raise UsageError(f"--reference {chosen}: the computers are {', '.join(names)}")
@@ -389,7 +389,7 @@ def _costs(
     robot: Robot, seconds: float, check: Check
 ) -> tuple[dict[str, KindCosts], str]:
     """Return the costs of connectors on the first and last computer, and a doubt."""
-    bare, placement = pairs(robot, robot.computers[0].name, robot.computers[-1].name)
+    bare, placement = pairs(robot, robot.hosts[0].name, robot.hosts[-1].name)
     recording = Recording()
     with started(
         bare, placement, Journal(":memory:"), nothing, Sampling(recording.add), check

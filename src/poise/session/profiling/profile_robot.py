@@ -120,7 +120,7 @@ def profile(  # noqa: PLR0913 - each is a choice of the user
         raise UsageError("a measurement must last longer than 0 s")
     names = _chosen(robot, architectures)
     check_keepable(robot)
-    computer = computer or robot.computers[0].name
+    computer = computer or robot.hosts[0].name
     found = []
     with steady(robot):
         reference = here = loops() if robot.is_emulated else 0.0

@@ -178,8 +178,8 @@ def rig_of(
 ) -> ProfilingRig:
     """Return the rig for an architecture of `robot`."""
     chosen = robot.architecture(architecture)
-    if computer not in {c.name for c in robot.computers}:
-        known = ", ".join(c.name for c in robot.computers)
+    if computer not in {c.name for c in robot.hosts}:
+        known = ", ".join(c.name for c in robot.hosts)
         raise UsageError(f"--on {computer}: the robot's computers are {known}")
     playing = played(robot)
     feeding = _feeding(robot, chosen, playing)
@@ -212,8 +212,8 @@ def rig_of(
 def _emulated(robot: Robot, computer: str) -> tuple[Robot, str]:
     """Return the robot with one other computer, as large as all together."""
     chosen = robot.computer(computer)
-    total = sum(c.total("cpu") for c in robot.computers)
-    memory = sum(c.capacity["memory"] for c in robot.computers)
+    total = sum(c.total("cpu") for c in robot.hosts)
+    memory = sum(c.capacity["memory"] for c in robot.hosts)
     others = Computer(name=OTHERS, capacity={"cpu": total, "memory": memory})
     rig = msgspec.structs.replace(
         robot,
@@ -227,7 +227,7 @@ def _emulated(robot: Robot, computer: str) -> tuple[Robot, str]:
 
 
 def _real(robot: Robot, computer: str) -> tuple[Robot, str]:
-    names = [c.name for c in robot.computers if c.name != computer]
+    names = [c.name for c in robot.hosts if c.name != computer]
     rig = msgspec.structs.replace(robot, simulator=_simulator(robot))
     return rig, names[0] if names else computer
 
