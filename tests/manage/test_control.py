@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import shutil
 import socket
 import tempfile
+import threading
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
@@ -211,3 +213,25 @@ def test_what_a_killed_manager_left_is_removed(folder: Path) -> None:
     with ControlServer("first"):
         assert [file.name for file in folder.iterdir()] == ["first.sock"]
     assert list(folder.iterdir()) == []
+
+
+def test_goes_on_when_no_descriptor_was_free(
+    server: ControlServer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    server.start(answering(StopReport()))
+    accept, full = socket.socket.accept, threading.Event()
+
+    def refuse(listener: socket.socket) -> tuple[socket.socket, object]:
+        connection, _ = accept(listener)
+        if full.is_set():
+            return connection, None
+        full.set()
+        connection.close()
+        raise OSError(errno.EMFILE, "no descriptor is free")
+
+    monkeypatch.setattr(socket.socket, "accept", refuse)
+    with contextlib.suppress(RunError):
+        send_command(None, StopCommand())  # perhaps taken before that
+        send_command(None, StopCommand())
+    assert full.wait(LIMIT)
+    assert send_command(None, StopCommand()) == StopReport()

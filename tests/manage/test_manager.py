@@ -11,19 +11,23 @@ from poise.manage.agent_connections.agents import Agents
 from poise.manage.control_socket.commands import (
     LogCommand,
     MoveCommand,
+    ParametersCommand,
     Refusal,
     StatusCommand,
     StopCommand,
+    StopReport,
     TapCommand,
 )
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.journal import Journal
-from poise.manage.manager import Manager
+from poise.manage.manager import MOST_COMMANDS, Manager
 from poise.manage.migration.migration_report import MigrationReport
 from poise.manage.observe.estimates import Estimates
 from poise.manage.observe.sample_recording import Recording
 from poise.manage.tasks.concurrent_tasks import Tasks
 from poise.model.robot import Action, Robot, Task
+from poise.wire.codec import pack
+from poise.wire.records.request_records import PortAnswer
 from poise.wire.records.status_records import (
     AgentSample,
     ComponentSample,
@@ -202,6 +206,50 @@ def test_who_gave_up_waiting_gets_nothing_moved(managed: Managed) -> None:
     managed.manager.work(0.0)
     assert managed.run.placement() == PLACEMENT
     assert not managed.run.desired.configured_ahead
+
+
+@pytest.fixture
+def taken(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Return what components took as parameters; none of them runs."""
+    names: list[str] = []
+
+    def take(_: object, command: ParametersCommand) -> PortAnswer:
+        names.append(command.component)
+        return PortAnswer(number=1, outcome="done", value=command.changes)
+
+    monkeypatch.setattr("poise.manage.manager.set_parameters", take)
+    return names
+
+
+def test_what_a_component_took_is_kept_although_its_client_left(
+    managed: Managed, taken: list[str]
+) -> None:
+    changes = pack({"gain": 0.6})
+    left = managed.manager.submit(
+        ParametersCommand(component="thinker", changes=changes)
+    )
+    assert left.cancel()
+    managed.manager.work(0.0)
+    assert taken == ["thinker"]
+    assert managed.run.desired.parameters["thinker"] == {"gain": 0.6}
+
+
+def test_where_too_many_commands_wait_no_component_takes_parameters(
+    managed: Managed, taken: list[str]
+) -> None:
+    for _ in range(MOST_COMMANDS):
+        managed.manager.submit(MoveCommand("thinker", "right"))
+    refused = managed.manager.submit(
+        ParametersCommand(component="thinker", changes=pack({}))
+    )
+    assert "commands wait already" in str(refused.result(0.0))
+    assert not taken
+
+
+def test_a_stop_that_comes_after_the_end_is_answered(managed: Managed) -> None:
+    managed.manager.end()
+    asked = managed.manager.submit(StopCommand())
+    assert asked.result(0.0) == StopReport(())
 
 
 def test_a_status_waits_for_nothing_that_the_manager_does(managed: Managed) -> None:

@@ -109,6 +109,7 @@ class Manager:
         self._preparations: list[tuple[Command, MigrationPreparation, Results]] = []
         self._unstored: list[tuple[int, float, Results, Result | Refusal]] = []
         self._stops: list[Results] = []
+        self._ended: StopReport | Refusal | None = None
         self._stopping = threading.Event()
         self._why_over = ""
         self._watch = Watch(run)
@@ -142,7 +143,9 @@ class Manager:
         """
         future: Results = Future()
         looks_back = isinstance(command, StatusCommand | JournalCommand)
-        if isinstance(command, StopCommand):
+        if isinstance(command, StopCommand) and self._ended is not None:
+            future.set_result(self._ended)
+        elif isinstance(command, StopCommand):
             self._stops.append(future)  # before the flag, or nobody answers it
             self._stopping.set()
             self._run.cancel()
@@ -158,13 +161,18 @@ class Manager:
 
     def _set_parameters(self, command: ParametersCommand, future: Results) -> None:
         """Let a component take parameters; what it took is kept by this command."""
+        if self._commands.full():
+            self._refuse_more(future)
+            return
         try:
             taken = set_parameters(self._run, command)
         except PoiseError as error:
             future.set_result(Refusal.from_error(error))
             return
         if taken.outcome == "done":
-            self._enqueue(structs.replace(command, changes=taken.value), future)
+            kept: Results = Future()  # also if its client has left meanwhile
+            kept.add_done_callback(lambda done: _answer(future, done.result()))
+            self._enqueue(structs.replace(command, changes=taken.value), kept)
         else:
             future.set_result(taken)
 
@@ -173,8 +181,11 @@ class Manager:
             self._commands.put_nowait((command, future))
             self._run.agents.notify()
         except queue.Full:
-            text = f"{MOST_COMMANDS} commands wait already: try again later"
-            future.set_result(Refusal(text, "RunError"))
+            self._refuse_more(future)
+
+    def _refuse_more(self, future: Results) -> None:
+        text = f"{MOST_COMMANDS} commands wait already: try again later"
+        future.set_result(Refusal(text, "RunError"))
 
     def status(self) -> RobotStatus:
         """Return the last known state; from any thread, at once."""
@@ -240,9 +251,10 @@ class Manager:
         text = f"robot '{self._run.robot.name}' has stopped"
         if self._why_over:
             text = "another manager has taken the robot over: ask that one"
+        refusal = Refusal(text, "RunError") if self._why_over else None
+        self._ended = refusal or StopReport(remaining)
         for future in self._stops:
-            refusal = Refusal(text, "RunError") if self._why_over else None
-            _answer(future, refusal or StopReport(remaining))
+            _answer(future, self._ended)
         for _, _, future in self._preparations:
             future.set_result(Refusal(text, "RunError"))
         self._preparations.clear()

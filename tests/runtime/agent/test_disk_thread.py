@@ -114,6 +114,27 @@ def test_a_checkpoint_is_as_old_as_it_was_and_is_sent(
     assert stalled.disk.checkpoint_age("map", 2) is None
 
 
+def test_another_manager_gets_what_was_sent_to_the_one_before(tmp_path: Path) -> None:
+    begun, goes_on = threading.Event(), threading.Event()
+    sent: list[CheckpointCopy] = []
+
+    def send(copy: CheckpointCopy) -> None:
+        begun.set()  # the manager before does not take it
+        assert goes_on.wait(20.0)
+        sent.append(copy)
+
+    files = CheckpointFiles(tmp_path, send)
+    files.write(COPY)
+    files.start()
+    files.send_only(WANTED)
+    assert begun.wait(20.0)
+    files.resend()
+    goes_on.set()
+    wait_until(lambda: len(sent) == 2)
+    assert [copy.data for copy in sent] == [b"state", b"state"]
+    files.stop()
+
+
 def test_what_is_forgotten_is_gone_when_it_stops(
     stalled: Stalled, tmp_path: Path
 ) -> None:

@@ -62,6 +62,8 @@ class FakeRoute:
             raise Unavailable("nobody there")
         if value is self.UNFIT:
             raise WireError("an object cannot cross a connector")
+        if value is MemoryError:
+            raise MemoryError
         self.went.append(value)
         self.room -= 1
         return 1
@@ -242,13 +244,13 @@ def test_what_was_held_and_cannot_cross_hinders_nothing_else(
     sender: Sender, old: FakeRoute, new: FakeRoute
 ) -> None:
     sender.buffer_for_move()
-    for value in (1, FakeRoute.UNFIT, 3):
+    for value in (1, FakeRoute.UNFIT, 3, MemoryError):
         sender.send(value)
     sender.switch("new")
     sender.send(4)
     drain(sender)
     assert (old.went, new.went) == ([], [1, 3, 4])
-    assert sender.counts.drops == 1
+    assert sender.counts.drops == 2
 
 
 @pytest.mark.usefixtures("old")

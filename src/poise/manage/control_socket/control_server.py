@@ -8,6 +8,7 @@ its command, unless that has begun.
 from __future__ import annotations
 
 import contextlib
+import logging
 import os
 import socket
 import threading
@@ -25,6 +26,7 @@ from poise.wire import frame
 from poise.wire.codec import WireError
 from poise.wire.robots_here import is_alive, make_folder, path_of
 
+log = logging.getLogger(__name__)
 Submit = Callable[[Command], "Future[Result | Refusal]"]
 """Takes a command, from any thread, at once; its future may be cancelled."""
 
@@ -102,11 +104,15 @@ class ControlServer:
             self._free.acquire()
             try:
                 connection, _ = self._listener.accept()
-            except OSError:  # it was closed
-                return
-            thread = threads.daemon(self._serve, "client", connection)
-            self._threads.add(thread)
-            thread.start()
+                thread = threads.daemon(self._serve, "client", connection)
+                thread.start()
+            except (OSError, RuntimeError) as error:  # no descriptor or thread is free
+                self._free.release()
+                if self._is_closed.wait(_LOOK_EVERY):
+                    return
+                log.warning("robot '%s' cannot serve a client: %s", self._robot, error)
+            else:
+                self._threads.add(thread)
 
     def _serve(self, connection: socket.socket) -> None:
         try:

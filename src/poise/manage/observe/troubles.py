@@ -153,7 +153,7 @@ class CodeErrors:
 
     def deviations(self) -> tuple[Deviation, ...]:
         """Return what goes wrong now."""
-        return tuple(error for error, _, _ in self._coming.values())
+        return tuple(error for error, _, _ in self._coming.copy().values())
 
     def _take(self, name: str, stay: Hashable, counts: _Counts, now: float) -> None:
         known = self._counts.setdefault(name, {})

@@ -84,12 +84,13 @@ class AgentFolder:
             new.write_bytes(msgspec.msgpack.encode(state))
             new.replace(self._path)
         except OSError as error:
-            self.forget()  # better nothing than what holds no more
             self._saved = AgentState()
             self.trouble = (
                 f"the agent cannot save its deployment: {error}; if it is killed, the "
                 "next one waits for its manager"
             )
+            with contextlib.suppress(OSError):
+                self.forget()  # better nothing than what holds no more
         else:
             self._saved, self.trouble = state, ""
 
@@ -174,7 +175,7 @@ class CheckpointFiles:
                     self._send(copy)
 
     def _news(self) -> Iterator[CheckpointCopy]:
-        sent, self._sent = self._sent, dict(self._sent)
+        sent = self._sent  # for another manager, `resend` begins a new one
         self._modified = {k: v for k, v in self._modified.items() if k in self._wanted}
         for component, epoch in self._wanted:
             path = checkpoint_path(self._folder, component, epoch)
@@ -193,7 +194,7 @@ class CheckpointFiles:
                     data=None if is_same else path.read_bytes(),
                     age=age_of(status.st_mtime),
                 )
-                self._sent[component, epoch] = at
+                sent[component, epoch] = at
 
 
 _MOST = 100

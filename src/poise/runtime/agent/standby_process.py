@@ -43,6 +43,13 @@ class StandbyProcess:
         if claim is None or self.notice():
             self._tell(b"end\n")
             return
+        try:
+            self._wait_with(claim, has_ended=has_ended)
+        except OSError:
+            self._kept = None  # it is tried again
+            raise
+
+    def _wait_with(self, claim: Claim, *, has_ended: bool) -> None:
         draft = self._path.with_suffix(".new")
         draft.write_bytes(encode(claim))
         draft.replace(self._path)

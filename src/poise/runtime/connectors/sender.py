@@ -348,8 +348,8 @@ class Sender:
         """Send what was buffered, if nothing speaks against it, and buffer no more."""
         if self._may_drain() and not self._is_draining:
             if self._buffer:
-                self._is_draining = True
                 threads.daemon(self._flush, "drain").start()
+                self._is_draining = True
             else:
                 self._buffer = None
                 self._changed.notify_all()
@@ -373,9 +373,10 @@ class Sender:
                 method, value, began = self._buffer.pop()
             try:
                 self._push(route, method, value, began)
-            except (LeaseEnded, WireError) as error:  # its publisher has gone on
+            # its publisher has gone on, and the messages behind it have to go out
+            except Exception as error:  # noqa: BLE001
                 self.counts.drops += 1
-                log.warning("connector %s: a message is dropped: %s", self.name, error)
+                log.warning("connector %s: a message is dropped: %r", self.name, error)
 
     def _push(
         self, route: Route | None, method: Method | None, value: object, began: float

@@ -80,12 +80,12 @@ class AdoptedContainers:
             is_left = self._left.pop(orphan.pid, None) is not None
             if is_left or self.watch(orphan.pid):
                 self.num_adopted += 1
-            elif self._is_foreign(orphan.pid):
+                return orphan, connection, stats_page
+            if self._is_foreign(orphan.pid):
                 log.warning("process %d is not a container of this agent", orphan.pid)
-                connection.close()
-                os.close(stats_page)
-                continue
-            return orphan, connection, stats_page
+            # or it has ended; where no descriptor is free, it asks again
+            connection.close()
+            os.close(stats_page)
 
     def ended(self, ready: set[int]) -> Iterator[int]:
         """Yield the processes that ended, of the descriptors that are ready."""

@@ -2,17 +2,26 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import signal
+import socket
+import subprocess
 import tempfile
 import threading
 from collections.abc import Iterator
 from pathlib import Path
+from typing import NoReturn
 
 import pytest
 
+from poise.clock import SystemClock
 from poise.runtime.agent.agent_files import AgentFolder
 from poise.runtime.agent.surroundings import AgentState
+from poise.runtime.container.agent_link import Orphan, hand_over
+from poise.runtime.execution.counters import new_memory
+from poise.runtime.supervision.adopted_containers import AdoptedContainers
+from poise.wire.address import agent_path
 from poise.wire.records.deployment_records import Deployment
 from poise.wire.records.request_records import Claim, Refused
 from tests.processes import children_of
@@ -177,6 +186,37 @@ def test_containers_end_when_no_agent_comes(
     kill_agent(manager)
     for pid in pids:
         wait_gone(pid)
+
+
+def test_the_trouble_is_said_when_nothing_can_be_removed_either(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = AgentFolder(tmp_path)
+    folder.keep(AgentState(token=1))
+
+    def refuse(*_: object, **__: object) -> NoReturn:
+        raise OSError(errno.EROFS, "read-only")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "write_bytes", refuse)
+        patch.setattr(Path, "unlink", refuse)
+        folder.keep(AgentState(token=2))
+    assert "read-only" in folder.trouble
+    folder.keep(AgentState(token=2))
+    assert not folder.trouble
+    assert folder.left().token == 2
+
+
+def test_what_has_ended_before_it_is_adopted_is_not_adopted(tmp_path: Path) -> None:
+    adopted = AdoptedContainers(tmp_path, SystemClock())
+    with subprocess.Popen(["true"]) as process:
+        pass
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as way:
+        way.connect(os.fspath(agent_path(tmp_path)))
+        ours = hand_over(way, Orphan(container="nav", pid=process.pid), new_memory())
+    assert adopted.next_orphan() is None
+    ours.close()
+    adopted.close()
 
 
 def test_a_state_that_cannot_be_kept_is_not_kept_half(tmp_path: Path) -> None:
