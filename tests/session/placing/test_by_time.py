@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import textwrap
 from collections.abc import Callable
+from itertools import product
 from pathlib import Path
 
 import pytest
@@ -187,6 +188,22 @@ def test_tasks_that_start_together_are_placed_by_deadlines(
     assert found.where.keys() == {c.name for c in robot.components()}
     (predicted,) = found.predicted.values()
     assert [timer.timer for timer in predicted.timers] == ["beat"]
+
+
+@pytest.mark.parametrize("hog", ["30%", "40%"])
+def test_nothing_is_proven_that_another_placement_refutes(
+    placed: Place, tmp_path: Path, hog: str
+) -> None:
+    keys = {"hog": hog, "beats": "Beat", "link": "latency: 30 ms"}
+    best, given = placed(**keys).phased, tmp_path / "given.yaml"
+    assert best.total is not None
+    for mind, at in product("ab", repeat=2):
+        given.write_text(f"{{eye: a, mind: {mind}, arm: a, hog: {at}, beat: a}}")
+        other = placed(**keys, method=str(given)).phased
+        assert other.total is not None
+        for each in (best, other):
+            assert each.bound is None or each.bound <= other.total + 1e-9
+            assert not each.proven or each.total == pytest.approx(each.bound)
 
 
 def test_what_was_not_measured_is_said_to_be_a_guess(

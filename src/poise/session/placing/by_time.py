@@ -11,8 +11,9 @@ of timers, from what they wait for each other.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import partial
 from itertools import pairwise
-from math import isclose
+from math import inf, isclose
 
 from msgspec import Struct
 from msgspec.structs import replace
@@ -170,47 +171,78 @@ def decide_by_time(
     chains = {each.name: each for each in chain_limits(robot, work)}
     timers = tuple(timer_limits(work))
     problem = problem.changed(lambda each: _with_limits(each, chains, timers))
+    free = solvers[0](problem.changed(_without_prices))
+    if free.total is None:
+        return DecidedByTime(free)
+    predict = partial(_predicted, robot, work)
+    found = _tried(problem, solvers, predict)
+    # the last of equally good ones: what it was decided by is what was predicted of it
+    best = min(reversed(found), key=_total) if found else DecidedByTime(free)
+    alone = dict(predict(best.phased, predict_uncrowded))
+    best = _as_predicted(best, problem, alone)
+    _settle(best.phased, free)
+    return best
+
+
+def _tried(
+    problem: plan.PhasedProblem,
+    solvers: Sequence[Decide],
+    predict: Callable[..., Iterator[tuple[str, PredictedTimes]]],
+) -> list[DecidedByTime]:
+    """Return placements with what is predicted of them, until nothing is late."""
     found: list[DecidedByTime] = []
     calibrated = problem
     for _ in range(_ROUNDS):
         for decide in solvers:
             result = decide(calibrated)
             if result.total is None:
-                return _best(found, problem) if found else DecidedByTime(result)
+                return found
             same = (d for d in found if _placed(d.phased) == _placed(result))
             known = next((each.predicted for each in same), None)
-            predicted = known or dict(_predicted(robot, work, result))
-            found.append(DecidedByTime(result, predicted))
+            found.append(DecidedByTime(result, known or dict(predict(result))))
             if known is None:
                 break
-        if known is not None or not any(_excesses(found[-1])):
+        is_over = result.stopped_by == "interrupted" or not any(_excesses(found[-1]))
+        if known is not None or is_over:
             break
-        alone = dict(_predicted(robot, work, result, predict_uncrowded))
+        alone = dict(predict(result, predict_uncrowded))
         calibrated = _with_predictions(problem, found[-1], alone, calibrated)
-    return _best(found, problem)
+    return found
 
 
-def _best(
-    found: Sequence[DecidedByTime], summed_problem: plan.PhasedProblem
-) -> DecidedByTime:
-    """Return the one with the least F: its times are those that are predicted."""
-    # the last of equally good ones: what it was decided by is what was predicted of it
-    return _as_predicted(min(reversed(found), key=_total), summed_problem)
+def _settle(result: plan.PhasedResult, free: plan.PhasedResult) -> None:
+    """Say what is proven of a placement.
+
+    What was predicted of some placements proves nothing of others; but no F is below
+    what it would be if nothing could be late, as in `free`.
+    """
+    for name, each in result.results.items():
+        by = free.results[name]
+        is_same = by.suspended == each.suspended
+        bound = by.bound if is_same and by.bound is not None else -inf
+        total = each.objective.total if each.objective else inf
+        each.settle(bound, proven=is_same and by.proven and total <= bound + _ROUNDING)
+    result.bound = least = free.bound
+    whole = inf if result.total is None else result.total
+    result.proven = free.proven and least is not None and whole <= least + _ROUNDING
 
 
 def _as_predicted(
-    decided: DecidedByTime, summed_problem: plan.PhasedProblem
+    decided: DecidedByTime,
+    summed_problem: plan.PhasedProblem,
+    alone: Mapping[str, PredictedTimes],
 ) -> DecidedByTime:
     """Return a placement whose F has the times that are predicted of it.
 
-    It may have been decided by what was predicted of another one.
+    It may have been decided by what was predicted of another one. `alone` as for
+    `_with_predictions`.
     """
     result = decided.phased
     summed = _summed(result)
     is_whole = all(r.placement and not r.suspended for r in result.results.values())
     if not is_whole or isclose(summed, sum(_excesses(decided)), abs_tol=_ROUNDING):
         return decided
-    problem = _with_predictions(summed_problem, decided, {}, result.problem)
+    problem = _with_predictions(summed_problem, decided, alone, result.problem)
     results = {
         phase.name: plan.evaluate(phase.problem, found.placement, found.method)
         for phase in problem.phases
@@ -223,6 +255,12 @@ def _as_predicted(
 def _has_deadlines(robot: Robot) -> bool:
     timers = (timer for code in robot.code.values() for timer in code.timers)
     return any(timer.deadline is not None for timer in timers)
+
+
+def _without_prices(problem: plan.Problem) -> plan.Problem:
+    """Return the problem with those time limits only that must be kept."""
+    kept = (each for each in problem.time_limits if not each.price)
+    return replace(problem, time_limits=tuple(kept))
 
 
 def _with_limits(
