@@ -1,6 +1,11 @@
 """Problems and the error that carries them."""
 
-from poise.errors import FileProblem, RobotError
+import os
+
+from poise.errors import FileProblem, RobotError, encodable, signal_name
+from poise.runtime.component.error_report import traceback_of
+from poise.runtime.supervision.container_processes import ProcessEnd
+from poise.wire import frame
 
 
 def test_a_problem_starts_with_its_place() -> None:
@@ -18,3 +23,15 @@ def test_a_robot_error_tells_every_problem() -> None:
     error = RobotError(problems=problems)
     assert str(error) == "r.yaml:1:2: a\nr.yaml:3:4: b"
     assert error.problems == tuple(problems)
+
+
+def test_what_cannot_be_encoded_is_written_out() -> None:
+    text = os.fsdecode(b"map-\xff.png")
+    assert encodable(text) == "map-\\udcff.png"
+    error = ValueError(text)
+    assert "map-" in str(frame.failure("ValueError", text, traceback_of(error)))
+
+
+def test_each_signal_has_a_name_for_people() -> None:
+    assert (signal_name(9), signal_name(40)) == ("SIGKILL", "signal 40")
+    assert str(ProcessEnd(40)) == "was killed by signal 40"

@@ -21,6 +21,7 @@ import re
 from collections.abc import Iterable, Sequence
 from importlib.metadata import version
 from itertools import islice
+from signal import Signals
 
 from msgspec import Struct
 
@@ -167,3 +168,16 @@ def _minor(text: str) -> tuple[int, int]:
     if found is None:
         raise ValueError(f"{text!r} is not a valid version; one is 0.2")
     return int(found[1]), int(found[2])
+
+
+def signal_name(number: int) -> str:
+    """Return a signal for people; some have no name."""
+    try:
+        return Signals(number).name
+    except ValueError:
+        return f"signal {number}"
+
+
+def encodable(text: str) -> str:
+    """Return a text that can be sent: the name of a file may be any bytes."""
+    return text.encode(errors="backslashreplace").decode()

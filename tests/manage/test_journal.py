@@ -52,6 +52,19 @@ def test_it_outlives_its_writer_and_numbers_go_on(tmp_path: Path) -> None:
     assert [e.what for e in read_journal(path, after=1)] == ["more"]
 
 
+def test_numbers_go_on_after_an_entry_that_is_long(tmp_path: Path) -> None:
+    path = tmp_path / "journal"
+    for what in ("short", "long " * 50_000, "next"):
+        journal = Journal(path)
+        journal.note("seen", what)
+        journal.close()
+    assert [entry.number for entry in read_journal(path)] == [1, 2, 3]
+
+
+def test_a_moment_that_is_none_can_be_shown() -> None:
+    assert str(JournalEntry(1e300, "seen", "odd", {})) == "1e+300 s odd"
+
+
 def test_it_can_be_read_while_it_is_written(tmp_path: Path) -> None:
     journal = Journal(tmp_path / "journal.jsonl")
     journal.note("seen", "something")

@@ -8,7 +8,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, BinaryIO, Literal, get_args
 
 import msgspec
 from msgspec import Struct
@@ -60,7 +60,11 @@ class JournalEntry(Struct, frozen=True):
 
     def __str__(self) -> str:
         """Return time and sentence, for people."""
-        return f"{time.strftime('%H:%M:%S', time.localtime(self.at))} {self.what}"
+        try:
+            at = time.strftime("%H:%M:%S", time.localtime(self.at))
+        except (OverflowError, OSError, ValueError):
+            at = f"{self.at:g} s"  # it is no moment
+        return f"{at} {self.what}"
 
 
 _decode = msgspec.json.Decoder(JournalEntry).decode
@@ -254,11 +258,21 @@ def _last_number(path: Path) -> int:
     for candidate in (path, *numbered(path, FILES)[:1]):
         try:
             with candidate.open("rb") as file:
-                file.seek(max(0, candidate.stat().st_size - _TAIL))
-                lines = file.read().split(b"\n")
+                entry = _last_entry(file, candidate.stat().st_size)
         except OSError:
             continue
-        for line in reversed(lines):
-            if entry := _parsed(line):
-                return entry.number
+        if entry is not None:
+            return entry.number
     return 0
+
+
+def _last_entry(file: BinaryIO, size: int) -> JournalEntry | None:
+    """Return the last entry of a file of `size` bytes that can be read."""
+    tail = _TAIL
+    while True:
+        file.seek(max(0, size - tail))
+        lines = file.read().split(b"\n")
+        found = filter(None, map(_parsed, reversed(lines)))
+        if (entry := next(found, None)) is not None or tail >= size:
+            return entry
+        tail *= 4  # an entry may be as long

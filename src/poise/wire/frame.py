@@ -36,7 +36,7 @@ from typing import Any, BinaryIO
 
 from msgspec import Struct
 
-from poise.errors import Unavailable
+from poise.errors import Unavailable, encodable
 from poise.wire import _channel
 from poise.wire.address import LOST_AFTER
 from poise.wire.codec import Bytes, Codec, Unreadable, codec
@@ -111,7 +111,7 @@ def failure(
     type_name: str, message: str, traceback: str = "", number: int = 0
 ) -> Pieces:
     """Return the answer to a call that failed; a callee's error has a traceback."""
-    body = type_name, message, traceback
+    body = encodable(type_name), encodable(message), encodable(traceback)
     return segments(FAILURE, body, Kind.ERROR, number=number)
 
 

@@ -223,3 +223,16 @@ def test_too_many_viewers_and_unknown_connectors_are_refused() -> None:
     unknown = watched.read(asked(connector="x-y"))
     assert isinstance(unknown, StepsFailed)
     assert unknown.number == 5
+
+
+def test_a_reading_amid_a_message_has_its_time_and_its_content_or_neither() -> None:
+    observer = Observer("a-b", Note, rate=1e9)
+    amid = []
+
+    def value() -> Note:
+        amid.append(observer.read(1))
+        return Note(1)
+
+    observer.note(value)
+    after = observer.read(2)
+    assert [(len(r.times), len(r.passed)) for r in (*amid, after)] == [(0, 0), (1, 1)]

@@ -18,7 +18,7 @@ from msgspec.structs import replace
 
 import poise
 from poise.clock import wall_time
-from poise.errors import PoiseError
+from poise.errors import PoiseError, encodable
 from poise.wire.records.status_records import ErrorCount
 
 _OURS = (
@@ -89,17 +89,18 @@ class Errors:
 def traceback_of(error: BaseException) -> str:
     """Return an error as text, with the traceback lines that lie outside Poise."""
     text = TracebackException.from_exception(error)
-    if not _keep_outside(text):
-        whole = TracebackException.from_exception(error)
-        return str(error) if isinstance(error, PoiseError) else "".join(whole.format())
-    return "".join(text.format()).rstrip()
+    if _keep_outside(text):
+        return encodable("".join(text.format()).rstrip())
+    whole = TracebackException.from_exception(error)
+    is_ours = isinstance(error, PoiseError)
+    return encodable(str(error) if is_ours else "".join(whole.format()))
 
 
 def brief_traceback(error: BaseException) -> str:
     """Return what an error says, then the lines outside Poise that it came through."""
     lines = _outside(extract_tb(error.__traceback__)).format()
     message = "".join(format_exception_only(error)).strip()
-    return "".join([f"{message}\n", *lines]).rstrip()
+    return encodable("".join([f"{message}\n", *lines]).rstrip())
 
 
 def _keep_outside(text: TracebackException) -> bool:

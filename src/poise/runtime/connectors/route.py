@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, NoReturn, Protocol
 
-from poise.errors import CalleeError
+from poise.errors import CalleeError, encodable
 from poise.runtime import _calls
 from poise.runtime.component.error_report import traceback_of
 from poise.runtime.component.ports import Port
@@ -168,5 +168,5 @@ def direct_call(
 def raise_callee_error(error: Exception | SystemExit) -> NoReturn:
     """Raise what a caller gets when its callee raised `error`."""
     raise CalleeError(
-        type(error).__qualname__, str(error), traceback_of(error)
+        type(error).__qualname__, encodable(str(error)), traceback_of(error)
     ) from error

@@ -105,8 +105,8 @@ class Observer:
             if len(self._times) >= MOST_TIMES:
                 self._missing += 1
                 return
-            self._times.append(at)
             if now < self._due or len(self._passed) >= MOST_PASSED:
+                self._times.append(at)
                 return
             # half a gap early is in time, or a jitter would leave every second out;
             # and so is a burst, where fewer came before
@@ -115,7 +115,8 @@ class Observer:
         passed = (
             self._packed(at, value()) if self._is_whole else self._plain(at, value())
         )
-        with self._lock:
+        with self._lock:  # a reading has both, or neither
+            self._times.append(at)
             if passed is not None:
                 self._passed.append(passed)
 
@@ -295,7 +296,8 @@ class Taps:
             return StepsFailed(tap.number, str(error))
         key = sender, tap.viewer
         if key not in self._observed:
-            if len(self._observed) >= MOST_VIEWERS:
+            viewers = {viewer for _, viewer in self._observed}
+            if len(viewers | {tap.viewer}) > MOST_VIEWERS:
                 text = f"{MOST_VIEWERS} viewers watch this container already"
                 return StepsFailed(tap.number, text)
             self._observed[key] = Observer(

@@ -241,7 +241,10 @@ class Container:
         # an agent that is slow to listen gets the next status, not all of them; before
         # it has said what should run there is nothing to report
         if self._wanted is not None and self._link.has_room():
-            self._link.send(status)
+            try:
+                self._link.send(status)
+            except WireError:
+                log.exception("the status of this container cannot be sent")
 
     def _hear(self, what: ToContainer) -> None:
         if isinstance(what, Clocks):

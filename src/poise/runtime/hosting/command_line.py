@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, ClassVar
 import msgspec
 
 from poise import threads
-from poise.errors import RobotError, did_you_mean, listed
+from poise.errors import RobotError, did_you_mean, listed, signal_name
 from poise.runtime.component.component import Component
 from poise.runtime.hosting.output import LONGEST, write_as
 
@@ -124,7 +124,7 @@ class CommandLine(Component):
         self._signal(signal.SIGKILL)
         code = self._process.wait()
         if not self._is_stopping:
-            how = f"exit code {code}" if code >= 0 else signal.Signals(-code).name
+            how = f"exit code {code}" if code >= 0 else signal_name(-code)
             self._context.give_up(f"its command ended with {how}")
 
     def _signal(self, number: signal.Signals) -> None:

@@ -108,12 +108,14 @@ class KeptStream(KeptLines):
 
     def write(self, text: str) -> int:
         """Pass text on; keep each line that is complete."""
-        self._stream.write(text)
+        with contextlib.suppress(OSError):  # its disk is full, say
+            self._stream.write(text)
         return super().write(text)
 
     def flush(self) -> None:
         """Pass on what waits."""
-        self._stream.flush()
+        with contextlib.suppress(OSError):
+            self._stream.flush()
 
     def fileno(self) -> int:
         """Return the descriptor of the stream."""

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 
 from msgspec import Struct
 
-from poise.errors import Timeout, Unavailable
+from poise.errors import Timeout, Unavailable, signal_name
 from poise.runtime.agent.surroundings import ContainerControl, Reply
 from poise.runtime.supervision.health import Silence
 from poise.wire.codec import WireError
@@ -225,7 +225,7 @@ class ProcessEnd(Struct, frozen=True):
 
     def __str__(self) -> str:
         if os.WIFSIGNALED(self.status):
-            return f"was killed by {signal.Signals(os.WTERMSIG(self.status)).name}"
+            return f"was killed by {signal_name(os.WTERMSIG(self.status))}"
         return f"ended with exit code {os.waitstatus_to_exitcode(self.status)}"
 
 
