@@ -239,7 +239,7 @@ def calibrate_command(
 
 def _speed_table(robot: Robot, result: Calibration) -> Table:
     rows = table("computer", "loops per CPU second", "speed measured", "in the file")
-    for computer in robot.computers:
+    for computer in robot.hosts:
         calibrated = result.computers[computer.name]
         measured = "emulated" if calibrated.speed is None else f"{calibrated.speed:.2f}"
         rows.add_row(

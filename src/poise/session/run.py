@@ -7,6 +7,7 @@ import re
 import time
 from collections import Counter
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 from poise.clock import wall_time
@@ -111,7 +112,7 @@ def run(  # noqa: PLR0913 - each is a choice of the user
                 recorder=recorder,
             )
         )
-        answering.callback(manager.end)
+        answering.push(partial(_answer_stops, manager))
         shows = ""
         if server is not None:
             server.start(manager.submit)
@@ -125,6 +126,13 @@ def run(  # noqa: PLR0913 - each is a choice of the user
             lacks = counted(book.forgotten, "earlier line")
             say(f"the report lacks {lacks} of the journal; `poise journal` has more")
         return reported(up, placed, manager.tasks.reports, seen, entries)
+
+
+def _answer_stops(
+    manager: Manager, _type: object, error: BaseException | None, _traceback: object
+) -> None:
+    """Say to who stopped the run whether something of it still runs."""
+    manager.end((str(error),) if isinstance(error, RunError) else ())
 
 
 class Warnings:

@@ -15,6 +15,7 @@ from poise.model.robot import (
     Simulator,
     Workload,
 )
+from poise.session.profiling.calibrate import yardsticks
 from poise.session.profiling.rig import EMPTY, OTHERS, ProfilingRig, rig_of
 
 
@@ -159,3 +160,4 @@ def test_a_witness_holds_no_component() -> None:
         replace(robot, computers=tuple(plain)), "think", "main", apart=False
     )
     assert emulated.robot.computer(OTHERS).total("cpu") == 2 * 0.5
+    assert {*yardsticks(robot)[1].values()} == {"main", "vision"}

@@ -77,7 +77,7 @@ TICKING = "ticking"
 
 def yardsticks(robot: Robot) -> tuple[Robot, dict[str, str]]:
     """Return a robot with a yardstick on each of `robot`'s computers; its placement."""
-    components = {f"yardstick-{c.name}": c.name for c in robot.computers}
+    components = {f"yardstick-{c.name}": c.name for c in robot.hosts}
     architecture = Architecture(
         name="yardsticks",
         function="yardsticks",
@@ -353,7 +353,7 @@ def _speeds(
         raise RunError(f"'{reference}' was too busy to be measured; try again")
     unit = max(measured[reference]) / robot.computer(reference).speed
     speeds, doubts = {}, []
-    for computer in robot.computers:
+    for computer in robot.hosts:
         scores = measured.get(computer.name, ())
         loops = max(scores, default=0.0)
         speeds[computer.name] = ComputerSpeed(
