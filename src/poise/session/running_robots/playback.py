@@ -81,6 +81,7 @@ def play(
     if not rate > 0:
         raise UsageError(f"rate {rate:g}: must be above 0")
     running = connect(robot)
+    _check_ports(Path(path), only)
     messages, skipped = Counter[str](), dict[str, str]()
     used: dict[str, str] = {}
     """Port -> the connector whose messages are played: others have the same."""
@@ -104,9 +105,15 @@ def play(
             continue
         messages[port] += 1
         behind = max(0.0, time.monotonic() - due)
-    if unknown := set(only) - used.keys():
-        raise UsageError(f"{path} has nothing of {', '.join(sorted(unknown))}")
     return Playback(messages=messages, skipped=skipped, behind=behind)
+
+
+def _check_ports(path: Path, only: Collection[str]) -> None:
+    """Raise UsageError for ports of which nothing was recorded."""
+    if not only:
+        return
+    if unknown := set(only).difference(map(_source, said_in(path))):
+        raise UsageError(f"{path} has nothing of {', '.join(sorted(unknown))}")
 
 
 def _in_order(said: Iterable[Said]) -> Iterator[Said]:

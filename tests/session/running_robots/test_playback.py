@@ -1,0 +1,32 @@
+"""Recorded messages that are played again."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from poise.errors import UsageError
+from poise.session.running_robots import playback
+from poise.wire.recording_file import Said
+
+
+def test_nothing_is_played_when_a_port_is_not_in_the_recording(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    published: list[object] = []
+
+    def component(_: str) -> Any:
+        return SimpleNamespace(publish=lambda *what, **_: published.append(what))
+
+    said = Said(connector="eye.seen-mind.seen", at=1.0, value=7)
+    monkeypatch.setattr(playback, "said_in", lambda _: iter([said]))
+    monkeypatch.setattr(
+        playback, "connect", lambda _: SimpleNamespace(component=component)
+    )
+    with pytest.raises(UsageError, match=r"r\.mcap has nothing of eye\.typo"):
+        playback.play("r.mcap", only=["eye.seen", "eye.typo"])
+    assert not published
+    assert playback.play("r.mcap", only=["eye.seen"]).messages == {"eye.seen": 1}
+    assert published == [("seen", 7)]
