@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import traceback
 from pathlib import Path
 
@@ -13,9 +14,11 @@ from poise.runtime.component.error_report import (
     AGAIN,
     MOST_DISTINCT,
     Errors,
+    brief_traceback,
     traceback_of,
 )
 from poise.runtime.connectors.route import raise_callee_error
+from poise.wire import frame
 
 ROBOT = "/robot/code.py"
 OURS = f"{Path(poise.__file__).parent}/somewhere.py"
@@ -66,6 +69,16 @@ def test_a_callers_error_says_where_the_callee_raised() -> None:
     assert isinstance(error, CalleeError)
     assert error.traceback.count(ROBOT) == 1
     assert traceback_of(error).count(ROBOT) == 2
+
+
+def test_any_text_of_an_error_can_be_sent() -> None:
+    error = raised("raise ValueError(text)", text=os.fsdecode(b"map-\xff.png"))
+    with pytest.raises(CalleeError) as caught:
+        raise_callee_error(error)
+    assert caught.value.message == "map-\\udcff.png"
+    frame.failure("ValueError", str(error), caught.value.traceback)
+    assert "map-\\udcff.png" in traceback_of(error)
+    assert "map-\\udcff.png" in brief_traceback(error)
 
 
 def test_what_comes_again_and_again_is_logged_now_and_then(

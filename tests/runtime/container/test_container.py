@@ -10,12 +10,19 @@ from unittest.mock import Mock
 
 import pytest
 
+from poise.errors import RunError
 from poise.runtime.container.container import Container
 from poise.runtime.execution.counters import new_memory
 from poise.runtime.waker import wait_readable
 from poise.wire import frame
 from poise.wire.records.deployment_records import ContainerSpec
-from poise.wire.records.status_records import ContainerFailure, FromContainer
+from poise.wire.records.status_records import (
+    ComponentStatus,
+    ContainerFailure,
+    ContainerStatus,
+    FromContainer,
+    Summary,
+)
 from tests.waiting import LIMIT
 
 pytestmark = pytest.mark.slow
@@ -52,6 +59,34 @@ def test_says_once_what_waits_amid_a_move_that_nobody_finishes(
         container._server.close()
     (said,) = caplog.messages
     assert "'eye' has been paused for 3 s amid a move that nobody finishes" in said
+
+
+def test_a_text_that_cannot_be_sent_costs_no_other_component_its_status(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    text = os.fsdecode(b"map-\xff.png")
+    eye = ComponentStatus(
+        name="eye", state="active", errors=1, error=text, measures={text: Summary()}
+    )
+    ear = ComponentStatus(name="ear", state="failed", error="deaf")
+    status = ContainerStatus(name="see", pid=1, trouble=text, components=(eye, ear))
+    agent, ours = socket.socketpair()
+    with agent, ours:
+        container = Container("see", "a", tmp_path, ours, new_memory())
+        container._wanted = ContainerSpec(
+            name="see", folder="", components=(), connectors=()
+        )
+        for _ in range(3):
+            container._report(status)
+            told = frame.receive_record(agent, FromContainer)
+        container._tell_failure(RunError(text))
+        failure = frame.receive_record(agent, FromContainer)
+        container._server.close()
+    assert told.components[1] == ear
+    assert (told.components[0].state, told.components[0].errors) == ("active", 1)
+    assert "cannot be sent" in told.components[0].error
+    assert told.trouble == failure.reason == "map-\\udcff.png"
+    assert len(caplog.messages) == 1
 
 
 RUN = """

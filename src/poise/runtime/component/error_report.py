@@ -19,7 +19,12 @@ from msgspec.structs import replace
 import poise
 from poise.clock import wall_time
 from poise.errors import PoiseError, encodable
-from poise.wire.records.status_records import ErrorCount
+from poise.wire.codec import WireError, codec
+from poise.wire.records.status_records import (
+    ComponentStatus,
+    ContainerStatus,
+    ErrorCount,
+)
 
 _OURS = (
     *(
@@ -101,6 +106,27 @@ def brief_traceback(error: BaseException) -> str:
     lines = _outside(extract_tb(error.__traceback__)).format()
     message = "".join(format_exception_only(error)).strip()
     return encodable("".join([f"{message}\n", *lines]).rstrip())
+
+
+def sendable(status: ContainerStatus) -> ContainerStatus:
+    """Return a status without the texts of components that cannot be sent."""
+    components = tuple(map(_sendable, status.components))
+    return replace(status, trouble=encodable(status.trouble), components=components)
+
+
+def _sendable(status: ComponentStatus) -> ComponentStatus:
+    try:
+        codec(ComponentStatus).encode(status)
+    except WireError as error:
+        return replace(
+            status,
+            error=f"the texts of its status cannot be sent: {error}",
+            error_counts=(),
+            work={},
+            task_requests=(),
+            measures={},
+        )
+    return status
 
 
 def _keep_outside(text: TracebackException) -> bool:

@@ -30,10 +30,11 @@ from poise.errors import (
     Unavailable,
     UsageError,
     did_you_mean,
+    encodable,
     listed,
 )
 from poise.priority import as_usual, go_first
-from poise.runtime.component.error_report import traceback_of
+from poise.runtime.component.error_report import Sparing, sendable, traceback_of
 from poise.runtime.component.implementation import search_also
 from poise.runtime.connectors.endpoints import ObservedPort
 from poise.runtime.connectors.sender import Sender
@@ -119,6 +120,7 @@ class Container:
         self._step_threads = ThreadPoolExecutor(_STEP_THREADS, "step", go_first)
         self._outside = OutsideRequests(self._active, self._answer)
         self._paused: dict[Runner, float] = {}
+        self._sparing = Sparing()
         self._news_waits_until = 0.0
         self._stopping = False
         self._thread_failures = threads.Failures(f"container '{name}'")
@@ -150,7 +152,7 @@ class Container:
 
     def _tell_failure(self, error: PoiseError) -> None:
         with contextlib.suppress(Timeout):
-            self._link.send(ContainerFailure(str(error)))
+            self._link.send(ContainerFailure(encodable(str(error))))
 
     def _on_signal(self, _signal: int, _frame: FrameType | None) -> None:
         self._stopping = True
@@ -240,11 +242,15 @@ class Container:
     def _report(self, status: ContainerStatus) -> None:
         # an agent that is slow to listen gets the next status, not all of them; before
         # it has said what should run there is nothing to report
-        if self._wanted is not None and self._link.has_room():
-            try:
-                self._link.send(status)
-            except WireError:
-                log.exception("the status of this container cannot be sent")
+        if self._wanted is None or not self._link.has_room():
+            return
+        try:
+            self._link.send(status)
+        except WireError as error:
+            more = self._sparing.more("status", self._clock.now())
+            if more is not None:
+                log.error("the status lacks texts%s: %s", more, error)  # noqa: TRY400
+            self._link.send(sendable(status))
 
     def _hear(self, what: ToContainer) -> None:
         if isinstance(what, Clocks):

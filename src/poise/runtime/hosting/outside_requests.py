@@ -21,6 +21,7 @@ from poise.errors import (
     Timeout,
     UsageError,
     did_you_mean,
+    encodable,
     listed,
 )
 from poise.runtime.component.component import set_parameters, shown_parameters, within
@@ -112,7 +113,8 @@ class OutsideRequests:
         except Away as error:
             return PortAnswer(number=number, outcome="away", reason=str(error))
         except PoiseError as error:
-            return PortAnswer(number=number, outcome="refused", reason=str(error))
+            why = encodable(str(error))  # a user's hook may raise one, too
+            return PortAnswer(number=number, outcome="refused", reason=why)
         if value.size > MOST_PACKED:
             why = f"the result has {value.size} B, over {MOST_PACKED} B"
             return PortAnswer(number=number, outcome="refused", reason=why)
