@@ -10,6 +10,7 @@ import threading
 from io import StringIO
 from pathlib import Path
 from typing import NoReturn
+from unittest.mock import Mock
 
 import pytest
 
@@ -20,6 +21,7 @@ from poise.runtime.hosting.output import (
     OutputFile,
     forget_output,
     keep_output,
+    output_trouble,
     read_output,
     write_as,
 )
@@ -118,6 +120,27 @@ def test_a_component_goes_on_when_the_disk_is_full(
     said = capfd.readouterr().err  # once
     assert said.startswith("output of 'hall' is not kept: [Errno 28] No space left")
     assert said.count("\n") == 1
+
+
+def test_a_component_goes_on_when_the_disk_of_its_agents_log_is_full(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object) -> NoReturn:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    log = Mock(write=fail, flush=fail)
+    stream = KeptStream(log, OutputFile(tmp_path, "hall"))
+    monkeypatch.setattr(sys, "stdout", stream)
+    assert output_trouble() == ""
+    print("still here", file=stream, flush=True)
+    print("and here", file=stream)
+    assert [o.text for o in read(tmp_path).lines] == ["still here", "and here"]
+    assert output_trouble() == (
+        "what container 'hall' writes is not in the agent's log: "
+        "[Errno 28] No space left on device"
+    )
+    monkeypatch.setattr(output, "SHOWN_FOR", -1.0)
+    assert output_trouble() == ""
 
 
 @pytest.mark.parametrize("failing", ["open", "rename"])

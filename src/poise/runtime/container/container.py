@@ -47,6 +47,7 @@ from poise.runtime.execution.counters import ComponentKey, StatsPage
 from poise.runtime.execution.data_age import ComputerClock
 from poise.runtime.hosting.checkpoints import Checkpoints
 from poise.runtime.hosting.command_line import freeze_fenced
+from poise.runtime.hosting.output import output_trouble
 from poise.runtime.hosting.outside_requests import OutsideRequests
 from poise.runtime.hosting.runner import Runner
 from poise.runtime.hosting.wiring import Wiring
@@ -415,7 +416,9 @@ class Container:
             name=self._name,
             pid=os.getpid(),
             at=self._clock.now(),
-            trouble=self._server.warning.trouble() or self._thread_failures.trouble(),
+            trouble=self._server.warning.trouble()
+            or self._thread_failures.trouble()
+            or output_trouble(),
             cpu=time.process_time()
             + sum(r.counters.cpu() for r in self._runners.values() if r.spec.command),
             components=tuple((components | broken | self._unjoined).values()),

@@ -7,13 +7,15 @@ import logging
 import os
 import sys
 import threading
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from hashlib import blake2s
 from io import TextIOBase
 from pathlib import Path
 from typing import TextIO
 
 from poise.clock import wall_time
+from poise.threads import SHOWN_FOR
 from poise.wire.records.request_records import OutputLine, OutputLines, ReadOutput
 
 LARGEST = 256 << 10
@@ -44,6 +46,7 @@ class OutputFile:
         self._fd = -1
         self._size = 0
         self._trouble = ""
+        self._lost: dict[str, tuple[str, float]] = {}
 
     def add(self, text: str) -> None:
         """Add a line; standard error is told when it cannot be."""
@@ -59,7 +62,22 @@ class OutputFile:
                 if self._size > LARGEST:
                     self._begin_another()
             except OSError as error:  # the component goes on; all was passed on
+                self.note_lost("kept", error)
                 self._tell(error)
+
+    def note_lost(self, where: str, error: OSError) -> None:
+        """Note that what was written is not `where` it should be."""
+        self._lost[where] = str(error), time.monotonic()
+
+    def trouble(self) -> str:
+        """Return what was lost within `SHOWN_FOR`, and why; else nothing."""
+        since = time.monotonic() - SHOWN_FOR
+        parts = [
+            f"what container '{self._container}' writes is not {where}: {why}"
+            for where, (why, at) in sorted(self._lost.copy().items())
+            if at > since
+        ]
+        return "; ".join(parts)
 
     def _tell(self, error: OSError) -> None:
         if str(error) != self._trouble:
@@ -108,14 +126,16 @@ class KeptStream(KeptLines):
 
     def write(self, text: str) -> int:
         """Pass text on; keep each line that is complete."""
-        with contextlib.suppress(OSError):  # its disk is full, say
-            self._stream.write(text)
+        self._pass_on(lambda: self._stream.write(text))
         return super().write(text)
 
     def flush(self) -> None:
         """Pass on what waits."""
-        with contextlib.suppress(OSError):
-            self._stream.flush()
+        self._pass_on(self._stream.flush)
+
+    def trouble(self) -> str:
+        """Return why what is written is lost; empty: it is not."""
+        return self._file.trouble()
 
     def fileno(self) -> int:
         """Return the descriptor of the stream."""
@@ -124,6 +144,12 @@ class KeptStream(KeptLines):
     def isatty(self) -> bool:
         """Return whether the stream is a terminal."""
         return self._stream.isatty()
+
+    def _pass_on(self, how: Callable[[], object]) -> None:
+        try:
+            how()
+        except OSError as error:  # its disk is full, say; the component goes on
+            self._file.note_lost("in the agent's log", error)
 
 
 def keep_output(folder: Path, container: str) -> None:
@@ -136,6 +162,11 @@ def keep_output(folder: Path, container: str) -> None:
         kept = logging.StreamHandler(KeptLines(file))
         kept.setFormatter(logging.Formatter("%(levelname)s %(name)s: %(message)s"))
         root.addHandler(kept)
+
+
+def output_trouble() -> str:
+    """Return why what this process writes is lost; empty: it is not."""
+    return sys.stdout.trouble() if isinstance(sys.stdout, KeptStream) else ""
 
 
 def read_output(folder: Path, request: ReadOutput) -> OutputLines:
