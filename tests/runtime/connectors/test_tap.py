@@ -225,6 +225,13 @@ def test_too_many_viewers_and_unknown_connectors_are_refused() -> None:
     assert unknown.number == 5
 
 
+def test_a_viewer_may_watch_more_connectors_than_there_may_be_viewers() -> None:
+    senders: dict[str, Any] = {f"a-{n}": publisher()[0] for n in range(20)}
+    watched = Taps(senders.__getitem__)
+    for connector in senders:
+        assert isinstance(watched.read(asked(connector=connector)), TapReading)
+
+
 def test_a_reading_amid_a_message_has_its_time_and_its_content_or_neither() -> None:
     observer = Observer("a-b", Note, rate=1e9)
     amid = []

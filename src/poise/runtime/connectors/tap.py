@@ -31,7 +31,7 @@ from poise.runtime.connectors.latest import (
     numbered_tag,
     without_number,
 )
-from poise.wire.codec import WireError, pack
+from poise.wire.codec import Packed, WireError, pack
 from poise.wire.connections.connection_server import Handler
 from poise.wire.frame import Frame, Kind, Pieces
 from poise.wire.recording_file import Input, McapFile
@@ -115,9 +115,11 @@ class Observer:
         passed = (
             self._packed(at, value()) if self._is_whole else self._plain(at, value())
         )
+        size = passed.value.size if isinstance(passed.value, Packed) else 0
         with self._lock:  # a reading has both, or neither
             self._times.append(at)
-            if passed is not None:
+            if self._size + size <= MOST_PACKED:  # else it has no room
+                self._size += size
                 self._passed.append(passed)
 
     def _plain(self, at: float, value: object) -> Passed:
@@ -129,17 +131,12 @@ class Observer:
         if self._every < inf and last.number > self._latest:
             self.note(lambda: last.value, last.number)
 
-    def _packed(self, at: float, value: object) -> Passed | None:
-        """Return a value as it is; None: it has no room, or cannot be packed."""
+    def _packed(self, at: float, value: object) -> Passed:
+        """Return a value as it is, or why it cannot be packed."""
         try:
-            packed = pack(value)
+            return Passed(at, pack(value))
         except WireError as error:
             return Passed(at, str(error), is_whole=False)
-        with self._lock:
-            if self._size + packed.size > MOST_PACKED:
-                return None
-            self._size += packed.size
-        return Passed(at, packed)
 
     def read(self, number: int) -> TapReading:
         """Return what was noted since the last time."""
