@@ -156,7 +156,12 @@ def test_what_it_started_ends_with_it(running: Running) -> None:
 
 
 @pytest.mark.parametrize(
-    ("script", "how"), [("exit 3", "exit code 3"), ("kill -9 $$", "SIGKILL")]
+    ("script", "how"),
+    [
+        ("exit 3", "exit code 3"),
+        ("kill -9 $$", "SIGKILL"),
+        ("kill -40 $$", "signal 40"),
+    ],
 )
 def test_its_container_learns_when_it_ends_by_itself(
     running: Running, script: str, how: str
