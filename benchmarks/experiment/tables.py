@@ -26,7 +26,9 @@ def experiment_parts(report: ExperimentReport) -> Iterator[RenderableType]:
             condition, "all worked", "worst chain missed", "runs", "failed", folds=4
         )
         for arm in (each for each in report.arms if each.condition == condition):
-            missed = [m for m in arm.deadline_miss_share.values() if m is not None]
+            # data that never came, as of what is suspended, is missed
+            shares = arm.deadline_miss_share.values()
+            missed = [1.0 if share is None else share for share in shares]
             rows.add_row(
                 arm.placement,
                 str(arm.all_worked),

@@ -159,8 +159,8 @@ def _by_file(rule: str, robot: Robot, problem: plan.Problem) -> plan.Result:
             lacking += [n for n in need[0].components if n not in placement]
     if lacking:
         raise UsageError(
-            f"placement {rule} lacks {', '.join(lacking)}: what is suspended is on "
-            "null, with all of its architecture, which may be one of a task only"
+            f"placement {rule} lacks {', '.join(lacking)}: suspended components are "
+            "on null, with their whole architecture, which only a task may have"
         )
     if not suspended:
         return plan.evaluate(problem, placement, rule)
