@@ -12,6 +12,7 @@ import socket
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -265,6 +266,7 @@ def test_containers_cannot_read_the_agents_keys(guests: Guests) -> None:
             guests.poise("move", "spy", "right")
             wait_long(lambda: guests.news(".spy")["pid"] != facts["pid"])
             wait_long(lambda: guests.news()["seen"] > moved + 20)
+            time.sleep(1.0)  # the agent has seen a checkpoint by then
             os.kill(guests.news(".spy")["pid"], signal.SIGKILL)
             wait_long(
                 lambda: "'spy' restarts with its state" in guests.poise("journal")
