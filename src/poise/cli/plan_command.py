@@ -232,7 +232,7 @@ def _check_together(
 
 
 def _check_share(*, share: bool, fewer: bool, smallest: bool) -> None:
-    """Raise UsageError when not all is to fit, and is to fit."""
+    """Raise UsageError for options that disagree on whether everything must fit."""
     if smallest and fewer:
         raise UsageError(
             "--smallest and --fewer exclude each other: --smallest looks for computers "

@@ -190,14 +190,14 @@ class ExecutionGate:
     def pause_oneself(self, limit: float, take_answers: Callable[[], bool]) -> None:
         """Pause, on the component's own thread; Timeout when others stay inside.
 
-        Answers of calls that it started are taken within `limit` [s], the others when
-        it is active again. `take_answers` takes those that have come; False: none may
-        be taken now.
+        Answers of calls that it started are taken within half of `limit` [s], the
+        others when it is active again. `take_answers` takes those that have come;
+        False: none may be taken now.
         """
-        until = time.monotonic() + limit
+        until = time.monotonic() + limit / 2
         while take_answers() and self._calls.num_open and time.monotonic() < until:
             self._calls.wait(min(until, time.monotonic() + _TURN))
-        self._keep_out(max(0.0, until - time.monotonic()))
+        self._keep_out(limit / 2)
         self._note_paused()
 
     def pause_for_good(self) -> None:

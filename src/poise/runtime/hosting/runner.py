@@ -328,7 +328,7 @@ class Runner:
         try:
             with self.gate.borrowed(by_hook=True):
                 self.component.cleanup()
-        except BaseException:
+        except BaseException:  # a user's hook may raise anything
             log.exception("component '%s': cleanup after an error", self.spec.name)
 
     def _work(self) -> None:

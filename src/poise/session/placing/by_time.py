@@ -143,6 +143,8 @@ SURE = 1.25
 _ROUNDS = 8
 _ROUNDING = 1e-6
 
+Predict = Callable[..., Iterator[tuple[str, PredictedTimes]]]
+"""Yields what is predicted of each phase of a result."""
 Decide = Callable[..., plan.PhasedResult]
 """Decides a problem, by another `method` if one is given."""
 
@@ -178,8 +180,7 @@ def decide_by_time(
     found = _tried(problem, solvers, predict)
     # the last of equally good ones: what it was decided by is what was predicted of it
     best = min(reversed(found), key=_total) if found else DecidedByTime(free)
-    alone = dict(predict(best.phased, predict_uncrowded))
-    best = _as_predicted(best, problem, alone)
+    best = _as_predicted(best, problem, predict)
     _settle(best.phased, free)
     return best
 
@@ -187,7 +188,7 @@ def decide_by_time(
 def _tried(
     problem: plan.PhasedProblem,
     solvers: Sequence[Decide],
-    predict: Callable[..., Iterator[tuple[str, PredictedTimes]]],
+    predict: Predict,
 ) -> list[DecidedByTime]:
     """Return placements with what is predicted of them, until nothing is late."""
     found: list[DecidedByTime] = []
@@ -230,18 +231,18 @@ def _settle(result: plan.PhasedResult, free: plan.PhasedResult) -> None:
 def _as_predicted(
     decided: DecidedByTime,
     summed_problem: plan.PhasedProblem,
-    alone: Mapping[str, PredictedTimes],
+    predict: Predict,
 ) -> DecidedByTime:
     """Return a placement whose F has the times that are predicted of it.
 
-    It may have been decided by what was predicted of another one. `alone` as for
-    `_with_predictions`.
+    It may have been decided by what was predicted of another one.
     """
     result = decided.phased
     summed = _summed(result)
     is_whole = all(r.placement and not r.suspended for r in result.results.values())
     if not is_whole or isclose(summed, sum(_excesses(decided)), abs_tol=_ROUNDING):
         return decided
+    alone = dict(predict(result, predict_uncrowded))
     problem = _with_predictions(summed_problem, decided, alone, result.problem)
     results = {
         phase.name: plan.evaluate(phase.problem, found.placement, found.method)
@@ -349,7 +350,7 @@ def _with_predictions(
         summed = {each.name: each for each in phase.problem.time_limits}
         fitted = {
             each.name: each
-            for each in _as_predicted_limits(
+            for each in _fitted_limits(
                 summed,
                 result,
                 _ages(decided.predicted.get(phase.name, PredictedTimes())),
@@ -363,7 +364,7 @@ def _with_predictions(
     return replace(before, phases=tuple(phases))
 
 
-def _as_predicted_limits(
+def _fitted_limits(
     summed: Mapping[str, TimeLimit],
     result: plan.Result,
     ages: Mapping[str, float],
