@@ -50,7 +50,19 @@ def test_throttled_time_is_not_starved_time() -> None:
     assert starved_time(text, 1.2, cpus=1) == pytest.approx(0.3)
     # On two CPUs the mean was 1.5 s, the sum 3 s.
     assert starved_time(text, 1.2, cpus=2) == pytest.approx(1.8)
-    assert starved_time(text, 1.6, cpus=1) == 0
+
+
+def test_what_is_prepared_waits_for_cpu_that_nobody_promised_it() -> None:
+    text = "full avg10=0.00 avg60=0.00 avg300=0.00 total=1500000\n"
+    prepared = "full avg10=0.00 avg60=0.00 avg300=0.00 total=900000\n"
+    assert starved_time(text, 0.5, 1, prepared) == pytest.approx(0.1)
+    assert starved_time(text, 0.5, 2, prepared) == pytest.approx(0.7)
+
+
+def test_kernel_that_does_not_count_full_pressure_does_not_tell() -> None:
+    # Linux 4.20 to 5.12
+    text = "some avg10=0.00 avg60=0.00 avg300=0.00 total=9000000\n"
+    assert starved_time(text, 0.0, cpus=1) is None
 
 
 def test_stolen_time_is_that_of_the_cpus_asked_for() -> None:

@@ -60,5 +60,15 @@ def test_usage_is_read_in_seconds_and_bytes(groups: V1, tmp_path: Path) -> None:
     assert usage.starved == pytest.approx(0.1)
 
 
+def test_what_waits_to_be_prepared_is_not_starved(groups: V1, tmp_path: Path) -> None:
+    group = groups.make("run-0", Limits(quota=0.5, cpus=(2,)))
+    pressure = tmp_path / "hugetlb/run-0/cpu.pressure"
+    pressure.write_text("full avg10=0 total=350000\n")
+    prepared = tmp_path / "hugetlb/run-0/prepared/cpu.pressure"
+    prepared.parent.mkdir()
+    prepared.write_text("full avg10=0 total=300000\n")
+    assert group.usage().starved == pytest.approx(0.05)
+
+
 def test_starvation_is_unknown_without_pressure(groups: V1) -> None:
     assert groups.make("run-0", Limits(quota=0.5, cpus=(2,))).usage().starved is None

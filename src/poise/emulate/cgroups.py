@@ -87,6 +87,9 @@ _MEMORY_PEAKS = (
 PROGRAMS = "programs"
 """The folder of a group of version 2 that has its processes: beside it, the computer's
 agent makes groups for containers."""
+PREPARED = "prepared"
+"""The group that an agent makes for containers that get only the CPU that others leave;
+with version 1, it makes one where the kernel reports pressure, too."""
 
 
 class Groups:
@@ -164,13 +167,17 @@ class Group:
         throttled = (
             stat.get("throttled_usec", 0) / 1e6 + stat.get("throttled_time", 0) / 1e9
         )
-        pressure = self._read("pressure", "cpu.pressure")
         memory = (int(self._read("memory", name) or 0) for name in _MEMORY_PEAKS)
         return Usage(
             used=group_cpu(used) if used else 0.0,
             throttled=throttled,
             memory=next(filter(None, memory), None),
-            starved=starved_time(pressure, throttled, self._cpus) if pressure else None,
+            starved=starved_time(
+                self._read("pressure", "cpu.pressure"),
+                throttled,
+                self._cpus,
+                self._read("pressure", f"{PREPARED}/cpu.pressure"),
+            ),
         )
 
     def _read(self, controller: str, name: str) -> str:

@@ -59,6 +59,11 @@ CPU_GROUP = "POISE_CPU_GROUP"
 """Environment variable: the computer's CPU cgroup, for groups in it; empty: none."""
 
 
+PRESSURE_GROUP = "POISE_PRESSURE_GROUP"
+"""Environment variable: its cgroup in the hierarchy that reports pressure; empty: that
+is the CPU cgroup's, or there is none."""
+
+
 class EmulatedComputer:
     """A computer of the robot, emulated by a part of this one."""
 
@@ -70,6 +75,8 @@ class EmulatedComputer:
         homes = {which: Path(home) for which, home in layout.homes.items()}
         self._group = Group(layout.mark, homes, len(layout.limits.cpus), Files())
         self._cpu_group = homes.get("cpu") if layout.has_quota else None
+        pressure = homes.get("pressure")
+        self._pressure_group = None if pressure == homes.get("cpu") else pressure
         self._mark = layout.mark
         self._prefix = _prefix(layout)
         too_fast = len(layout.limits.cpus) / layout.limits.quota
@@ -138,6 +145,7 @@ class EmulatedComputer:
             SLOWDOWN: f"{self.slowdown:g}",
             CPU_FILE: str(self._group.cpu_file or ""),
             CPU_GROUP: str(self._cpu_group or ""),
+            PRESSURE_GROUP: str(self._pressure_group or ""),
         }
 
 

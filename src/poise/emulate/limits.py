@@ -132,8 +132,8 @@ class Usage(Struct, frozen=True, kw_only=True):
     # time in which it did not run because its quota was used up [s]
     throttled: float = 0.0
     memory: int | None = None  # peak [bytes]; None when it is not counted
-    # time in which it wanted CPU, had quota left, and other processes ran [s]; None
-    # when the kernel does not count it
+    # time in which it wanted CPU, had quota left, and other processes ran [s], without
+    # what is prepared on it; None when the kernel does not count it
     starved: float | None = None
 
 
@@ -156,17 +156,33 @@ def is_starved(before: Usage, after: Usage, quota: float, cpus: int = 1) -> bool
     return starved > TURNS and used < promised * (used + starved)
 
 
-def starved_time(pressure: str, throttled: float, cpus: int) -> float:
+def starved_time(
+    pressure: str, throttled: float, cpus: int, prepared: str = ""
+) -> float | None:
     """Return how long a cgroup was runnable, not throttled, and not running [s].
 
     The kernel's ``full`` CPU pressure of a cgroup is the time in which some of its
-    processes were runnable and none ran, as a mean over its CPUs. It includes throttled
-    time, which is subtracted. The result is exact for one CPU and an upper bound for
-    several, because not all of them need be in use.
+    processes were runnable and none ran, as a mean over its CPUs; None where it only
+    counts ``some``. It includes throttled time, which is subtracted. The result is
+    exact for one CPU and an upper bound for several, because not all of them need be
+    in use.
+
+    `prepared`: the pressure of a group within, which gets only what others leave. What
+    waits there is not starved, so its pressure is subtracted, too. It may wait while
+    others run: only the difference of two results means something, and while there is
+    something that waits, it is a lower bound.
     """
-    full = next(line for line in pressure.splitlines() if line.startswith("full"))
-    microseconds = int(full.rpartition("total=")[2])
-    return max(0.0, cpus * microseconds / 1e6 - throttled)
+    full = _full_pressure(pressure)
+    if full is None:
+        return None
+    return cpus * (full - (_full_pressure(prepared) or 0.0)) - throttled
+
+
+def _full_pressure(pressure: str) -> float | None:
+    for line in pressure.splitlines():
+        if line.startswith("full"):
+            return int(line.rpartition("total=")[2]) / 1e6
+    return None
 
 
 WINDOW = 1.0

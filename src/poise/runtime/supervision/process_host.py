@@ -31,6 +31,9 @@ log = logging.getLogger(__name__)
 CPU_GROUP = "POISE_CPU_GROUP"
 """Environment variable of an emulated computer: the folder of its CPU cgroup; empty:
 there is none. Not set on a real computer."""
+PRESSURE_GROUP = "POISE_PRESSURE_GROUP"
+"""Environment variable of an emulated computer: its cgroup in another hierarchy, which
+reports pressure; empty: there is none. Not set on a real computer."""
 _MOST = 10_000
 """The highest weight that the kernel takes: the agent's own."""
 _SHARES = 10.24
@@ -255,6 +258,10 @@ class CpuWeights:
             else:
                 _weigh(group, spec.weight)
             _enter(group, [pid])
+            if pressure := os.environ.get(PRESSURE_GROUP):
+                apart = Path(pressure, "prepared" if spec.preparation_cpu else "")
+                apart.mkdir(exist_ok=True)
+                _enter(apart, [pid])
         except OSError as error:
             log.warning(
                 "container '%s' has no CPU weight of its own: %s", spec.name, error

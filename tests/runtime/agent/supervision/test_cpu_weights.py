@@ -9,7 +9,12 @@ import pytest
 from msgspec import structs
 
 from poise.priority import REAL_TIME
-from poise.runtime.supervision.process_host import CPU_GROUP, CpuWeights, own_group
+from poise.runtime.supervision.process_host import (
+    CPU_GROUP,
+    PRESSURE_GROUP,
+    CpuWeights,
+    own_group,
+)
 from poise.wire.records.deployment_records import ContainerSpec
 
 HIGH = ContainerSpec(
@@ -112,6 +117,23 @@ def test_what_is_prepared_gets_only_what_nobody_else_wants(first: Path) -> None:
     assert (first / "prepared/cgroup.procs").read_text() == "12"
     weights.settle(HIGH, 12)
     assert (first / "container-nav/cgroup.procs").read_text() == "12"
+
+
+def test_what_is_prepared_is_apart_where_pressure_is_counted(
+    first: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pressure = tmp_path / "pressure"
+    pressure.mkdir()
+    monkeypatch.setenv(PRESSURE_GROUP, str(pressure))
+    (first / "prepared").mkdir()
+    (first / "prepared/cpu.shares").touch()
+    weights = CpuWeights(first)
+    prepared = structs.replace(HIGH, preparation_cpu=0.1)
+    weights.nice_of(prepared)
+    weights.settle(prepared, 12)
+    assert (pressure / "prepared/cgroup.procs").read_text() == "12"
+    weights.settle(HIGH, 12)
+    assert (pressure / "cgroup.procs").read_text() == "12"
 
 
 def test_little_cpu_is_counted_over_a_longer_time(tmp_path: Path) -> None:
