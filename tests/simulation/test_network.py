@@ -7,9 +7,9 @@ from functools import partial
 
 import pytest
 
+from poise.simulation.link_models import LinkModel
 from poise.simulation.network import Network
 from poise.simulation.scheduler import Scheduler
-from poise.simulation.workload import LinkModel
 
 
 def network_of(scheduler: Scheduler, **model: float) -> Network:

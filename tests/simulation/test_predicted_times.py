@@ -114,6 +114,20 @@ def test_a_timer_takes_what_came_within_a_period(robot: Robot) -> None:
     assert 0.0 < chain.late < 0.1
 
 
+def test_data_of_a_device_is_of_any_age_within_a_period(robot: Robot) -> None:
+    """Its phase differs from run to run: the mean is what is known beforehand."""
+    sampled = timer(0.1, 0.001, MIND_ARM)
+    models = {
+        **PASSED_ON,
+        "mind": ComponentModel(timers=(sampled,), takes={EYE_MIND: _sending(0.001)}),
+    }
+    fixed = predicted(robot, models=models)
+    eye = replace(models["eye"], follows_device=True)
+    device = predicted(robot, models={**models, "eye": eye})
+    assert device.median != pytest.approx(fixed.median, rel=0.01)
+    assert 0.03 < device.median < 0.08
+
+
 def test_a_link_is_crossed_as_often_as_the_chain_crosses_it(robot: Robot) -> None:
     apart = {"eye": "left", "mind": "right", "arm": "left"}
     chain = predicted(robot, apart, sizes={EYE_MIND: 30_000.0, MIND_ARM: 1.0})

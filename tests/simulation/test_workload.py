@@ -5,10 +5,17 @@ from __future__ import annotations
 import pytest
 from msgspec import structs
 
-from poise.estimate.profiles import ConnectorProfile, Costs, KindCosts, Profile
+from poise.estimate.profiles import (
+    ConnectorProfile,
+    Costs,
+    HandlerProfile,
+    KindCosts,
+    Profile,
+)
 from poise.model.robot import Link, Robot
 from poise.model.software import CodeTimer, ComponentCode
-from poise.simulation.workload import LinkModel, SimulatedWork, links_of, workload_of
+from poise.simulation.link_models import LinkModel, links_of
+from poise.simulation.workload import SimulatedWork, workload_of
 from tests.simulation.conftest import small_scenario
 from tests.simulation.test_rehearsal import profile_of
 
@@ -50,6 +57,21 @@ def test_timers_take_what_they_were_measured_to_take_and_messages_the_rest(
     assert 0.2 < timer.handler.spread < 0.4  # log(2) / 2.33
     (message,) = model.takes.values()
     assert message.work == pytest.approx(0.02)
+
+
+@pytest.mark.parametrize(("median", "follows"), [(0.08, True), (0.01, False)])
+def test_a_timer_that_waits_far_longer_than_it_computes_follows_a_device(
+    robot: Robot, *, median: float, follows: bool
+) -> None:
+    profile = profile_of(robot)
+    measured = profile.components["mind"]
+    known = structs.replace(
+        measured,
+        timers={"tick": structs.replace(measured.timers["tick"], median=median)},
+        handlers={"tick": HandlerProfile(mean=0.001, median=0.001, p99=0.002)},
+    )
+    profile = structs.replace(profile, components={**profile.components, "mind": known})
+    assert workload_of(robot, profile).models["mind"].follows_device == follows
 
 
 def test_a_connector_is_fed_by_the_handler_of_its_rate(robot: Robot) -> None:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from random import Random
 from typing import Literal
 
 from msgspec import Struct
 
 from poise.estimate.profiles import ConnectorProfile, KindCosts
 from poise.runtime.component.ports import Timer
+from poise.runtime.execution.timers import release_offset
 from poise.simulation._engine import Connector, Engine, Handler, Model
 from poise.simulation.choices import Choices
 from poise.wire.records.deployment_records import ConnectorSpec
@@ -65,6 +67,8 @@ class ComponentModel(Struct, frozen=True, kw_only=True):
     `activate`: longest time that `activate` or `deactivate` takes [s].
     `state_size`: of its snapshot [bytes].
     `memory`: that it needs [bytes].
+    `follows_device`: its timers wait for a device, so they keep its phase, whatever
+    that is in a run.
     """
 
     timers: tuple[TimerModel, ...] = (_TICK,)
@@ -78,9 +82,11 @@ class ComponentModel(Struct, frozen=True, kw_only=True):
     activate: float = 0.01
     state_size: float = 10_000
     memory: float = 10e6
+    follows_device: bool = False
 
-    def made_in(self, engine: Engine, release_offset: float = 0.0) -> Model:
-        """Return it as the engine has it; timers are due at the offset [s]."""
+    def made_in(self, engine: Engine, component: str, random: Random) -> Model:
+        """Return it as the engine has it; `random` draws the phase of a device."""
+        offset = random.random() if self.follows_device else release_offset(component)
         return engine.model(
             timers=[
                 (
@@ -101,7 +107,7 @@ class ComponentModel(Struct, frozen=True, kw_only=True):
             factors=self.factors,
             keep=self.keep,
             keep_other=MOST_KEPT,
-            release_offset=release_offset,
+            release_offset=offset,
         )
 
 

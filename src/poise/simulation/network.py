@@ -11,9 +11,9 @@ import msgspec
 
 from poise.simulation._engine import Stream
 from poise.simulation.choices import Choices
+from poise.simulation.link_models import LinkModel, set_links
 from poise.simulation.robot.simulated_process import Process
 from poise.simulation.scheduler import Scheduler, SimulatedTask
-from poise.simulation.workload import LinkModel, set_links
 from poise.wire.heartbeats import Address, Received
 from poise.wire.records.heartbeat_records import MANAGER, Heartbeat
 

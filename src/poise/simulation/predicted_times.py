@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from itertools import pairwise
-from random import Random
 
 from msgspec import Struct, structs
 
@@ -21,11 +20,11 @@ from poise.manage.deploy.deployment_plan import DeploymentPlan
 from poise.manage.deploy.desired import Incarnation
 from poise.model.robot import Chain, Robot
 from poise.runtime.component.ports import Timer
-from poise.runtime.execution.timers import release_offset
 from poise.simulation._engine import Engine, Executor
 from poise.simulation.choices import Choices
 from poise.simulation.component_models import ComponentModel, HandlerModel, TimerModel
-from poise.simulation.workload import SimulatedWork, links_of, set_links
+from poise.simulation.link_models import links_of, set_links
+from poise.simulation.workload import SimulatedWork
 from poise.wire.records.status_records import ChainStatus, Summary, TimerStatus
 
 _CORES = 4.0
@@ -41,8 +40,8 @@ class PlacedComponents:
 
     `placement`: component -> computer; of all that runs.
     `work`: what the components do.
-    `seed`: how long handlers take is drawn, and when emulated computers get their
-    shares.
+    `seed`: how long handlers take is drawn, when emulated computers get their shares,
+    and the phases of devices.
     """
 
     def __init__(
@@ -55,7 +54,7 @@ class PlacedComponents:
         self._engine = Engine(seed)
         self._executors: dict[str, Executor] = {}
         set_links(self._engine, links_of(robot))
-        self._add_components(robot, placement, work, Choices(seed).random("refills"))
+        self._add_components(robot, placement, work, Choices(seed))
         for executor in self._executors.values():
             executor.activate()
 
@@ -82,22 +81,24 @@ class PlacedComponents:
         robot: Robot,
         placement: Mapping[str, str],
         work: SimulatedWork,
-        random: Random,
+        choices: Choices,
     ) -> None:
         engine, kinds = self._engine, kinds_together(robot)
+        devices = choices.random("devices")
         incarnations = [
             Incarnation(component=c, computer=h) for c, h in placement.items()
         ]
         deployments = DeploymentPlan(robot, "").specs(incarnations, 0, {})
         agent = _agent(work.agent)
         for computer in robot.computers:
-            self.run(random.uniform(self.now, self.now + _REFILLED_EVERY))
+            refilled = choices.random("refills").uniform(0.0, _REFILLED_EVERY)
+            self.run(self.now + refilled)
             cores = computer.capacity.get("cpu", _CORES)
             is_emulated = computer.address is None
             cpu = engine.cpu(cores, computer.speed, is_emulated=is_emulated)
             own = engine.container(cpu, computer.name, _nothing, _nothing)
             name = f"agent of {computer.name}"
-            executor = own.add((name, 0), 0, agent.made_in(engine), ())
+            executor = own.add((name, 0), 0, agent.made_in(engine, "", devices), ())
             executor.set_wanted(True)
             executor.activate()
             for spec in deployments[computer.name].containers:
@@ -115,7 +116,7 @@ class PlacedComponents:
                     executor = container.add(
                         (component.name, component.epoch),
                         0,
-                        model.made_in(engine, release_offset(component.name)),
+                        model.made_in(engine, component.name, devices),
                         [(c.name, c.is_first, c.deadline) for c in component.chains],
                     )
                     executor.set_wanted(True)

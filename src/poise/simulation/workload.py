@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from math import ceil, isfinite, log, sqrt
+from math import ceil, log, sqrt
 from statistics import NormalDist
 
 from msgspec import Struct, structs
@@ -25,7 +25,6 @@ from poise.model.check.ros2_components import BRIDGE
 from poise.model.robot import ComponentEntry, Connector, Robot
 from poise.model.software import ComponentCode
 from poise.runtime.component.ports import Timer
-from poise.simulation._engine import Engine
 from poise.simulation.component_models import (
     ComponentModel,
     HandlerModel,
@@ -40,6 +39,8 @@ _FEW = 0.1
 _NORMAL = NormalDist()
 _P95, _P99 = 1.645, 2.326
 """Percentiles of a standard normal distribution."""
+_WAITED = 0.2
+"""A run that waits for this share of its period waits for a device."""
 _HEADROOM = 1.05
 """A demand in the robot file is more than the mean by about this factor."""
 _START, _USUAL_START = (0.8, 1.2), 0.2
@@ -206,6 +207,11 @@ class _ComponentWork:
         self._speed = profile.speed or 1.0
         self._known = profile.components.get(entry.name)
         self._guess = guess
+        self._calls = any(
+            over[str(connector)].calls
+            for connector in robot.all_connectors()
+            if connector.between[0].component == entry.name
+        )
 
     def model(self) -> ComponentModel:
         """Return what it does."""
@@ -238,6 +244,7 @@ class _ComponentWork:
             memory=known.memory + known.base
             if known
             else entry.demand.get("memory", 0.0),
+            follows_device=bool(timers) and all(map(self._waits, self._timers())),
         )
 
     def _timers(self) -> list[Timer]:
@@ -268,6 +275,15 @@ class _ComponentWork:
             spread = min(spread, log(measured.p99 / measured.median) / _P99)
         work = measured.median * self._speed if measured else 0.0
         return _Rated(timer.name, 1 / timer.period, work, spread, {}, {})
+
+    def _waits(self, timer: Timer) -> bool:
+        """Whether its runs take far longer than they compute, and call nobody."""
+        run = self._known.timers.get(timer.name) if self._known else None
+        taken = self._known.handlers.get(timer.name) if self._known else None
+        if run is None or taken is None or self._calls:
+            return False
+        waited = run.median - taken.p99 / self._speed
+        return waited > _WAITED * timer.period
 
     def _runs(self, coming: Iterable[tuple[str, Place, float]]) -> dict[str, _Rated]:
         """Return slot -> the runs for what comes over it: of alternatives the same."""
@@ -413,46 +429,3 @@ def _feeding(handlers: list[_Rated], rate: float) -> _Rated | None:
     if enough:
         return min(enough, key=lambda handler: handler.rate)
     return max(handlers, key=lambda handler: handler.rate, default=None)
-
-
-_JITTER = 0.25
-"""Mean of what comes on top of a link's latency, as a share of that."""
-
-
-class LinkModel(Struct, frozen=True, kw_only=True):
-    """How a link behaves while nothing is wrong with it.
-
-    `latency`, `jitter`: one way [s]; jitter is the mean of what comes on top,
-    exponentially.
-    `bandwidth`: [bytes/s]
-    """
-
-    latency: float = 200e-6
-    jitter: float = 50e-6
-    bandwidth: float = 12.5e6
-
-
-def links_of(robot: Robot) -> Mapping[frozenset[str], LinkModel]:
-    """Return pairs of computers -> their links; what a file leaves out is as usual."""
-    usual = LinkModel()
-    return {
-        frozenset(link.between): LinkModel(
-            latency=link.latency or usual.latency,
-            jitter=(link.latency or usual.latency) * _JITTER,
-            bandwidth=link.bandwidth if isfinite(link.bandwidth) else usual.bandwidth,
-        )
-        for link in robot.links
-    }
-
-
-def set_links(
-    engine: Engine,
-    links: Mapping[frozenset[str], LinkModel],
-    usual: LinkModel = LinkModel(),  # noqa: B008, it is frozen
-) -> None:
-    """Let an engine have links; those that are not named are as usual."""
-    engine.set_usual_link(usual.latency, usual.jitter, usual.bandwidth)
-    for pair, link in links.items():
-        one, other = sorted(pair)
-        for way in ((one, other), (other, one)):
-            engine.set_link(*way, link.latency, link.jitter, link.bandwidth)

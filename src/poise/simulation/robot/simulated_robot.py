@@ -24,10 +24,10 @@ from poise.manage.observe.sample_recording import Recording
 from poise.manage.tasks.concurrent_tasks import Tasks
 from poise.manage.tasks.saved_tasks import goes_on_with
 from poise.model.robot import Robot
-from poise.runtime.execution.timers import release_offset
 from poise.simulation._engine import Connector, Model
 from poise.simulation.choices import Choices
 from poise.simulation.component_models import ComponentModel
+from poise.simulation.link_models import links_of
 from poise.simulation.network import Addresses, Network, SimulatedDatagrams
 from poise.simulation.robot.modelled_component import SimulatedComponent
 from poise.simulation.robot.modelled_container import Moment, SimulatedContainer
@@ -35,7 +35,7 @@ from poise.simulation.robot.simulated_agent import PORT, SimulatedAgent, Simulat
 from poise.simulation.robot.simulated_process import Process, SimulatedComputer
 from poise.simulation.scheduler import Scheduler
 from poise.simulation.simulated_library import SimulatedLibrary
-from poise.simulation.workload import SimulatedWork, links_of
+from poise.simulation.workload import SimulatedWork
 from poise.simulation.zenoh_sessions import ZenohNetwork
 from poise.wire.heartbeats import Datagrams
 from poise.wire.records.deployment_records import ConnectorSpec
@@ -337,7 +337,8 @@ class SimulatedRobot:
         """Return the model of a component as the engine has it."""
         if component not in self._models:
             model, engine = self.model_of(component), self.scheduler.engine
-            self._models[component] = model.made_in(engine, release_offset(component))
+            random = self.choices.random("devices")
+            self._models[component] = model.made_in(engine, component, random)
         return self._models[component]
 
     def connector_of(self, spec: ConnectorSpec) -> Connector:
