@@ -157,3 +157,58 @@ def test_a_bug_is_said_with_its_traceback() -> None:
     assert failed.returncode == 1
     assert failed.stderr.startswith("Traceback (most recent call last):\n")
     assert failed.stderr.endswith("\nKeyError: 'a bug of Poise'\n")
+
+
+def ended(
+    words: str, redirected: str = "", stdout: int = subprocess.PIPE
+) -> tuple[int, str]:
+    """Return how a command ends, and what it says."""
+    done = subprocess.run(
+        ["bash", "-c", f"exec $0 -m poise {words} {redirected}", sys.executable],
+        stdout=stdout,
+        stderr=subprocess.PIPE,
+        env={k: v for k, v in os.environ.items() if k != "PYTHONUNBUFFERED"},
+        timeout=LONG,
+        check=False,
+    )
+    return done.returncode, ((done.stdout or b"") + done.stderr).decode()
+
+
+FULL = "a result: No space left on device\n"
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("keys list --json", FULL),
+        ("--version", FULL),
+        ("status --robot no --json", FULL),
+        ("status --help", FULL),
+    ],
+)
+def test_a_full_disk_is_said_in_a_line(words: str, said: str) -> None:
+    code, text = ended(words, "> /dev/full")
+    assert code == 1
+    assert text.endswith(said)
+    assert "Traceback" not in text
+    assert "Exception ignored" not in text
+
+
+@pytest.mark.parametrize("words", ["--version", "keys list --json"])
+def test_a_reader_that_has_left_is_no_failure_to_tell_of(words: str) -> None:
+    reading, writing = os.pipe()
+    os.close(reading)
+    assert ended(words, stdout=writing) == (1, "")
+    os.close(writing)
+
+
+def test_closed_streams_take_nothing_and_change_no_exit_code() -> None:
+    assert ended("keys list --json", ">&-") == (0, "")
+    assert ended("status --robot no", "2>&-") == (2, "")
+
+
+def test_what_an_encoding_lacks_is_escaped(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PYTHONIOENCODING", "ascii")
+    code, text = ended("plan examples/hello/robot.yaml")
+    assert code == 0
+    assert "\\u2588" in text  # a bar

@@ -55,6 +55,7 @@ def test_it_has_every_command_that_prints_json() -> None:
         ["plan", HELLO, "--smallest"],
         ["plan", HELLO, "--task", "no-such-task"],
         ["plan", TROT, "--task", "serve"],
+        ["echo", "counter.count", "--robot", "no-such-robot"],
         ["repository", "list", TROT],
         ["repository", "show", "navigator", TROT],
         ["policy", "list", HELLO],

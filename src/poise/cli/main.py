@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import os
 import signal
 import sys
+from io import TextIOWrapper
+from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, NoReturn, Self, cast
 
@@ -18,12 +21,51 @@ if TYPE_CHECKING:
 def main() -> None:
     """Run the command line; docs/command-line.md says the exit codes."""
     end_at_once()  # before anything is imported that takes long
+    _open_closed()
+    if isinstance(sys.stdout, TextIOWrapper):
+        # what its encoding lacks, or is no text, is no reason to fail
+        sys.stdout.reconfigure(errors="backslashreplace")
+    try:
+        try:
+            _run(sys.argv[1:])
+        finally:
+            _flush()
+    except BrokenPipeError:
+        # The reader, such as `head`, has seen enough.
+        sys.stderr.close()
+        sys.exit(1)
+    except OSError as error:
+        from poise.errors import RunError
+
+        is_disk_full = error.errno in {errno.ENOSPC, errno.EDQUOT}
+        if error.filename is None and not is_disk_full:
+            raise
+        _fail(RunError(f"{error.filename or 'a result'}: {error.strerror}"), 1)
+
+
+def _open_closed() -> None:
+    """Let what goes to a stream that the caller closed be lost."""
+    for name in ("stdin", "stdout", "stderr"):
+        if getattr(sys, name) is None:  # else the next file or socket has its number
+            setattr(sys, name, Path(os.devnull).open("r+"))  # noqa: SIM115
+
+
+def _flush() -> None:
+    """Write out what was printed; at Python's end nobody handles what this raises."""
+    try:
+        sys.stdout.flush()
+    except OSError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        raise
+
+
+def _run(words: list[str]) -> NoReturn:
+    """Run a command, and end it with its exit code."""
     import typer
 
     from poise.cli.command_table import build, check_words
-    from poise.errors import PoiseError, RunError, UsageError
+    from poise.errors import PoiseError, UsageError
 
-    words = sys.argv[1:]
     completed = _completed()
     # all that typer raises for arguments that it refuses has this base
     misuse = cast("tuple[type[typer.BadParameter], ...]", typer.BadParameter.__bases__)
@@ -36,15 +78,6 @@ def main() -> None:
         _fail(UsageError(error.format_message()), 2)
     except PoiseError as error:
         _fail(error, error.exit_code)
-    except BrokenPipeError:
-        # The reader, such as `head`, has seen enough.
-        sys.stderr.close()
-        sys.exit(1)
-    except OSError as error:
-        is_disk_full = error.errno in {errno.ENOSPC, errno.EDQUOT}
-        if error.filename is None and not is_disk_full:
-            raise
-        _fail(RunError(f"{error.filename or 'a result'}: {error.strerror}"), 1)
     finally:
         sys.excepthook = _say_traceback  # in place of typer's
 
@@ -96,7 +129,8 @@ def _print_error(error: PoiseError) -> None:
         "kind": type(error).__name__,
         "problems": msgspec.to_builtins(problems),
     }
-    sys.stdout.write(json.dumps(answer, indent=2) + "\n")
+    with contextlib.suppress(OSError):  # stderr has it
+        sys.stdout.write(json.dumps(answer) + "\n")
 
 
 _SHOW_CURSOR = b"\x1b[?25h"
