@@ -404,6 +404,7 @@ def test_what_does_not_fit_is_refused_with_a_reason(
     limit = ["--limit", *more] if more else []
     done = poise(verb, port, "--robot", NAME, *limit, *rest)
     assert (done.returncode, said in done.stderr) == (code, True), done.stderr
+    assert "sent 1" not in done.stderr
 
 
 def test_errors_are_those_of_calls_between_components(robot: api.Running) -> None:

@@ -95,7 +95,7 @@ def pub_command(
     component, name = _component(port, robot)
     value = value_of(message)
     most = count or (1 if rate is None else None)
-    tried = failed = in_a_row = 0
+    tried = sent = in_a_row = 0
     began, why = time.monotonic(), ""
     try:
         while most is None or tried < most:
@@ -103,20 +103,18 @@ def pub_command(
             try:
                 component.publish(name, value, limit=limit)
             except NoManager:
-                failed += 1
                 raise
             except RunError as error:  # its container ended, say
-                failed, in_a_row, why = failed + 1, in_a_row + 1, str(error)
+                in_a_row, why = in_a_row + 1, str(error)
                 if rate is None or in_a_row > _MOST_FAILURES:
                     raise
             else:
-                in_a_row = 0
+                sent, in_a_row = sent + 1, 0
             if rate is not None and tried != most:
                 time.sleep(max(0.0, began + tried / rate - time.monotonic()))
     finally:
-        sent = counted(tried - failed, "message")
-        sys.stderr.write(f"sent {sent} to {port}\n")
-    if failed:
+        sys.stderr.write(f"sent {counted(sent, 'message')} to {port}\n")
+    if failed := tried - sent:
         raise RunError(f"{counted(failed, 'message')} may be lost; the last: {why}")
 
 
