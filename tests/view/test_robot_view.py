@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 from msgspec.structs import replace
 
+from poise.manage.observe.chains import ChainHop, ChainReport
 from poise.session.running_robots.running import Status
 from poise.view.robot_view import SPAN, ComponentRow, ConnectorRow, Reader, TimerRow
 from poise.wire.records.request_records import ManagerId
@@ -147,3 +148,33 @@ def test_a_stale_end_does_not_say_how_a_connector_is_now() -> None:
     assert {end.kind for end in old} == {"local"}
     (row,) = Reader().update(now, 0.0).connectors
     assert (row.kind, row.rate) == ("remote", None)
+
+
+def aged(uses: int, missed: int, at: float = 1.0, **more: Any) -> Status:
+    hop = ChainHop(component="mind", computer="left")
+    chain = ChainReport(
+        name="see",
+        deadline=0.1,
+        missed=missed,
+        age=Summary(count=uses, mean=0.05),
+        error=0.0,
+        hops=(hop,),
+    )
+    agent = AgentStatus(computer="left", generation=1, uptime=at, cpu=0.0)
+    return shown({"left": agent}, chains=(chain,), **more)
+
+
+def test_a_chain_is_late_by_its_last_uses_and_unknown_without() -> None:
+    reader = Reader()
+    late = [
+        view.chains[0].late
+        for view in (
+            reader.update(aged(1000, 0), 0.0),
+            reader.update(aged(1010, 9), 1.0),
+            reader.update(aged(1030, 9), 4.5),
+            reader.update(aged(1030, 9), 8.0),
+            reader.update(aged(1040, 9, ages={"left": 9.0, "right": 0.1}), 9.0),
+        )
+    ]
+    # over three seconds: 9 of 10, none of 20, no use, and a computer that is silent
+    assert late == [None, 0.9, 0.0, None, None]

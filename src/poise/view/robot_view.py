@@ -15,7 +15,12 @@ from msgspec.structs import replace
 
 from poise.clock import wall_time
 from poise.errors import PoiseError
-from poise.session.running_robots.running import JournalEntry, Running, Status
+from poise.session.running_robots.running import (
+    ChainReport,
+    JournalEntry,
+    Running,
+    Status,
+)
 from poise.wire.records.status_records import (
     ComponentStatus,
     ConnectorStatus,
@@ -86,6 +91,16 @@ class TimerRow(Struct, frozen=True):
     missed: float | None
 
 
+class ChainRow(Struct, frozen=True):
+    """A chain: the share of its uses of data lately that was too old.
+
+    None where no data was used lately, or nothing is known.
+    """
+
+    name: str
+    late: float | None
+
+
 class RobotView(Struct, frozen=True):
     """A running robot at one moment: its status, and rows made of it."""
 
@@ -94,6 +109,7 @@ class RobotView(Struct, frozen=True):
     components: tuple[ComponentRow, ...]
     connectors: tuple[ConnectorRow, ...]
     timers: tuple[TimerRow, ...]
+    chains: tuple[ChainRow, ...]
 
 
 class Reader:
@@ -114,6 +130,7 @@ class Reader:
             components=tuple(_components(before, status)),
             connectors=tuple(_connectors(before, status)),
             timers=tuple(_timers(before, status)),
+            chains=tuple(_chains(before, status)),
         )
 
 
@@ -195,6 +212,21 @@ def _timers(before: Status, now: Status) -> Iterator[TimerRow]:
                 _rate(timer.releases, first.releases, seconds),
                 _rate(timer.missed, first.missed, seconds),
             )
+
+
+def _chains(before: Status, now: Status) -> Iterator[ChainRow]:
+    """Yield chains; what moved counts from 0 again."""
+    earlier = {_incarnation(chain): chain for chain in before.chains}
+    for chain in now.chains:
+        was = earlier.get(_incarnation(chain), chain)
+        used = chain.age.count - was.age.count
+        is_known = not {hop.computer for hop in chain.hops} & now.not_known()
+        late = (chain.missed - was.missed) / used if is_known and used > 0 else None
+        yield ChainRow(chain.name, late)
+
+
+def _incarnation(chain: ChainReport) -> tuple[str, tuple[int, ...]]:
+    return chain.name, tuple(hop.epoch for hop in chain.hops)
 
 
 _Span = float | None

@@ -173,6 +173,16 @@ def test_nothing_of_a_computer_that_is_silent_counts_as_fine_or_live() -> None:
     assert (connector["kind"], connector["rate"]) == ("unknown", None)
 
 
+def test_nothing_is_known_now_of_a_timer_whose_container_is_silent() -> None:
+    state = PageState()
+    assert not state.of(seen(at=1.0), 0.0)["timers"]["arm.tick"]["known"]
+    assert state.of(seen(at=2.0), 1.0)["timers"]["arm.tick"]["known"]
+    for second in range(2, 7):
+        page = state.of(seen(at=2.0), second)
+    assert page["timers"]["arm.tick"]["now"] is None
+    assert not page["timers"]["arm.tick"]["known"]
+
+
 def test_the_history_has_a_moment_a_second_for_ten_minutes() -> None:
     history = RecentHistory()
     page: Page = {

@@ -182,19 +182,20 @@ export default {
     },
     fine() {
       if (!this.parts.timers || this.late.length || this.unknown) return "";
-      const timers = byName(this.parts.timers).filter((t) => t.deadline).length, chains = byName(this.parts.chains).length;
+      const timers = byName(this.parts.timers).filter((t) => t.deadline).length, chains = byName(this.parts.chains);
+      const idle = chains.filter((c) => c.now === null).length;
       const counted = (count, noun) => count && `${count} ${noun}${count === 1 ? "" : "s"}`;
-      const parts = [counted(timers, "timer"), counted(chains, "chain")].filter(Boolean).join(" and ");
-      return parts && `no deadline is missed: ${parts}`;
+      const parts = [counted(timers, "timer"), counted(chains.length - idle, "chain")].filter(Boolean).join(" and ");
+      return parts && `no deadline is missed: ${parts}${idle ? `; data of ${counted(idle, "chain")} was not used lately` : ""}`;
     },
     late() {
       const timers = byName(this.parts.timers).filter((t) => t.deadline), chains = byName(this.parts.chains);
       const missing = timers.filter((t) => t.known && t.now > 0).sort((a, b) => b.now - a.now);
-      const old = chains.filter((c) => c.known && c.p99 > c.deadline).sort((a, b) => b.missed / b.uses - a.missed / a.uses);
+      const old = chains.filter((c) => c.now > 0).sort((a, b) => b.now - a.now);
       const worst = (several, tell) => several.slice(0, 3).map(tell).join(", ");
       return [
         missing.length && `${missing.length} of ${timers.length} timers miss deadlines now: ${worst(missing, (t) => `${t.name} ${percent(t.now)}`)}`,
-        old.length && `the data of ${old.length} of ${chains.length} chains was too old: ${worst(old, (c) => `${c.name} ${c.missed} of ${c.uses} times`)}`,
+        old.length && `the data of ${old.length} of ${chains.length} chains is too old now: ${worst(old, (c) => `${c.name} ${percent(c.now)}`)}`,
       ].filter(Boolean);
     },
     entries() { return Object.values(this.parts.entries || {}).sort((a, b) => b.number - a.number); },
@@ -207,8 +208,8 @@ export default {
             t.name, `${+(1 / t.period).toPrecision(3)} Hz`, t.deadline ? seconds(t.deadline) : "none",
             t.deadline ? (t.now > 0 ? "▲ " : "") + (t.known ? percent(t.now) : "not known") : "", t.deadline ? `${t.missed} of ${t.releases}` : "", seconds(t.p99)] })) },
         { name: "chains", title: "Chains", heads: ["chain", "deadline", "age (median)", "age (p99)", "late", "age at each component"],
-          rows: rows("chains").map((c) => ({ bad: c.p99 > c.deadline, cells: [
-            c.name, seconds(c.deadline), seconds(c.median), (c.p99 > c.deadline ? "▲ " : "") + seconds(c.p99), `${c.missed} of ${c.uses}${c.known ? "" : ", not known now"}`,
+          rows: rows("chains").map((c) => ({ bad: c.now > 0 || c.p99 > c.deadline, cells: [
+            c.name, seconds(c.deadline), seconds(c.median), (c.p99 > c.deadline ? "▲ " : "") + seconds(c.p99), `${c.missed} of ${c.uses}${c.now !== null ? "" : c.known ? ", not used now" : ", not known now"}`,
             c.hops.map(([name, age]) => `${name} ${seconds(age)}`).join(" → ")] })) },
         { name: "connectors", title: "Connectors", heads: ["connector", "kind", "a second", "traffic", "dropped", "errors"],
           rows: rows("connectors").sort((a, b) => b.rate - a.rate).map((c) => ({ bad: c.drops || c.errors || !c.ready, cells: [

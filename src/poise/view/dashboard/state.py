@@ -41,7 +41,10 @@ class PageState:
             return page
         view = self._reader.update(status, at)
         page["timers"] = timers = dict(_timers(status, view.timers))
-        page["chains"] = {chain.name: _chain(chain, status) for chain in status.chains}
+        page["chains"] = {
+            chain.name: _chain(chain, row.late, status)
+            for chain, row in zip(status.chains, view.chains, strict=True)
+        }
         page["connectors"] = {
             connector.name: _connector(connector) for connector in view.connectors
         }
@@ -180,8 +183,7 @@ def _timers(
     """Yield timers; `now` is the share that is late; None: it is not known."""
     late = {row.name: row.missed / row.rate for row in rows if row.missed and row.rate}
     known = {row.name for row in rows if row.missed is not None}
-    unknown = status.not_known()
-    for key, container in containers(status):
+    for _, container in containers(status):
         for component in container.components:
             for timer in component.timers:
                 name = f"{component.name}.{timer.name}"
@@ -195,12 +197,13 @@ def _timers(
                         "missed": timer.missed,
                         "p99": _round(timer.duration.p99),
                         "now": _round(late.get(name, 0.0)) if name in known else None,
-                        "known": key.computer not in unknown,
+                        "known": name in known,
                     },
                 )
 
 
-def _chain(chain: ChainReport, status: Status) -> dict[str, Any]:
+def _chain(chain: ChainReport, late: float | None, status: Status) -> dict[str, Any]:
+    """Return a chain; `now` is the share that is late; None: none was used lately."""
     at = {status.placement.get(hop.component) for hop in chain.hops}
     return {
         "deadline": chain.deadline,
@@ -209,6 +212,7 @@ def _chain(chain: ChainReport, status: Status) -> dict[str, Any]:
         "mean": chain.age.mean,
         "median": _round(chain.age.median),
         "p99": _round(chain.age.p99),
+        "now": None if late is None else _round(late),
         "hops": [[hop.component, _round(hop.age.median)] for hop in chain.hops],
         "known": not at & status.not_known(),
     }
