@@ -257,12 +257,13 @@ class EmulatedSet:
     def _burn(self, computer: str, cpu: float) -> tuple[int, ...]:
         """Start what takes CPU, a process for each core; return their numbers."""
         count = math.ceil(cpu)
-        argv = background_load(cpu / count)
-        null = subprocess.DEVNULL
-        return tuple(
-            self.computers[computer].popen(argv, stdin=null, stdout=null).pid
-            for _ in range(count)
+        argv, null = background_load(cpu / count), subprocess.DEVNULL
+        popen = self.computers[computer].popen
+        # who reads what this process prints must not wait for the load to end
+        starts = (
+            popen(argv, stdin=null, stdout=null, stderr=null) for _ in range(count)
         )
+        return tuple(child.pid for child in starts)
 
     def _end(self, computer: str, pids: tuple[int, ...]) -> None:
         running = self.computers[computer].running  # or their numbers are others'

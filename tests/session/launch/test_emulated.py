@@ -247,6 +247,9 @@ def test_a_load_takes_what_it_is_to_take(kept: EmulatedSet) -> None:
     assert load.cpu == 0.25
     (pid,) = load.processes
     wait_until(lambda: pid in left.running())
+    # else who reads what a command says would wait until the load ends
+    files = {Path(f"/proc/{pid}/fd/{number}").readlink() for number in range(3)}
+    assert files == {Path(os.devnull)}
     kept.load("left", 0.0)
     assert pid not in left.running()
     with pytest.raises(poise.UsageError, match="'left' has no load"):
