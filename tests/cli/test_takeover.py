@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import os
 import signal
+import socket
+import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -13,6 +15,7 @@ import pytest
 
 from poise.emulate import probe_host
 from tests.command import robot_up, run_poise
+from tests.runtime.conftest import free_port
 from tests.waiting import wait_long
 
 pytestmark = pytest.mark.slow
@@ -91,14 +94,25 @@ def test_a_manager_that_is_replaced_leaves_the_robot_and_says_by_whom(
 ) -> None:
     assert run_poise("up", "--detach", file).returncode == 0
     os.kill(status()["manager"]["pid"], signal.SIGKILL)
-    with robot_up(file) as first:
+    port = free_port()
+    with robot_up(file, "--metrics", port) as first:
         before = status()
-        done = run_poise("up", "--detach", "--take-over", file)
+        done = run_poise("up", "--detach", "--take-over", "--metrics", port, file)
         assert done.returncode == 0, done.stderr
         said = first.communicate()[0]
         assert first.returncode == 3
         assert "has taken over the robot, which keeps running" in said
         assert containers(status()) == containers(before)
+    with urllib.request.urlopen(f"http://127.0.0.1:{port}/metrics", timeout=20) as told:
+        assert b"poise_timer_releases_total{" in told.read()
+
+
+def test_nothing_is_started_where_metrics_cannot_be_served(file: Path) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        refused = run_poise("up", file, "--metrics", other.getsockname()[1])
+    assert refused.returncode == 1
+    assert "metrics cannot be served" in refused.stderr
+    assert "starting" not in refused.stdout
 
 
 def test_a_computer_that_is_lost_meanwhile_keeps_no_manager_from_the_rest(

@@ -36,6 +36,7 @@ from poise.session.running_robots.running import Running
 
 if TYPE_CHECKING:
     from poise.manage.observe.opentelemetry import Telemetry
+    from poise.manage.observe.prometheus import MetricsServer
 
 _END_LIMIT = 60.0
 """What the manager has begun, such as a move, ends within this time [s]."""
@@ -176,6 +177,9 @@ def up(  # noqa: PLR0913 - each is a choice of the user
         say(sentence)
     with contextlib.ExitStack() as stack:
         server = stack.enter_context(ControlServer(robot.name, takes_over=take_over))
+        exporter = None
+        if metrics is not None and not take_over:  # before anything is started
+            exporter = stack.enter_context(_exporter(metrics))
         book = stack.enter_context(
             journal_of(robot, first, journal, lambda entry: say(str(entry)), decided)
         )
@@ -197,16 +201,18 @@ def up(  # noqa: PLR0913 - each is a choice of the user
                 begin=begin,
             )
         )
-        if metrics is not None:
-            from poise.manage.observe.prometheus import MetricsCollector, MetricsServer
-
-            collector = MetricsCollector(manager.status)
-            stack.callback(MetricsServer(collector, "127.0.0.1", metrics).close)
         if send is not None and otel is not None:
             sender = send(robot.name, manager.status, otel)
             stack.callback(sender.close)
         running = stack.enter_context(Up(it, manager))
         server.start(manager.submit)
+        if metrics is not None and exporter is None:
+            try:
+                exporter = stack.enter_context(_exporter(metrics, _END_LIMIT))
+            except RunError as error:  # the robot has no other manager any more
+                say(str(error))
+        if exporter is not None:
+            exporter.show(manager.status)
         yield running
 
 
@@ -218,6 +224,12 @@ def _check_outlives(robot: Robot) -> None:
             f"the emulated computers of robot '{robot.name}' end with its manager: "
             "only ones that `poise emulate` keeps can be taken over"
         )
+
+
+def _exporter(port: int, patience: float = 0.0) -> MetricsServer:
+    from poise.manage.observe.prometheus import MetricsServer
+
+    return MetricsServer("127.0.0.1", port, patience)
 
 
 def _telemetry() -> type[Telemetry]:

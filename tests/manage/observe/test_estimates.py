@@ -1,7 +1,6 @@
 import socket
 import urllib.error
 import urllib.request
-from functools import partial
 from pathlib import Path
 
 import msgspec
@@ -200,24 +199,19 @@ def test_serves_metrics(robot: Robot, steady: Sampler) -> None:
     for k in range(3):
         estimates.add(steady(0.25 * k))
     status = status_of(estimates, {})
-    server = MetricsServer(MetricsCollector(lambda: status), "127.0.0.1", 0)
-    try:
+    with MetricsServer("127.0.0.1", 0) as server:
+        server.show(lambda: status)
         at = f"http://127.0.0.1:{server.port}/metrics"
         with urllib.request.urlopen(at, timeout=20) as answer:
             assert answer.read().decode() == to_prometheus(status)
-    finally:
-        server.close()
 
 
 @pytest.mark.slow
-def test_metrics_where_somebody_else_listens_name_the_address(robot: Robot) -> None:
-    collector = MetricsCollector(
-        partial(status_of, Estimates(robot, None, emulated=True), {})
-    )
+def test_metrics_where_somebody_else_listens_name_the_address() -> None:
     with socket.create_server(("127.0.0.1", 0)) as other:
         port = other.getsockname()[1]
         with pytest.raises(RunError, match=f"on 127.0.0.1:{port}: .* in use"):
-            MetricsServer(collector, "127.0.0.1", port)
+            MetricsServer("127.0.0.1", port)
 
 
 def moved(sample: AgentSample, cpu: float) -> AgentSample:

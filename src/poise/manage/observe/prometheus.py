@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterable
+from typing import Self
 
 from prometheus_client import CollectorRegistry, start_http_server
 from prometheus_client.metrics_core import Metric
@@ -11,6 +13,8 @@ from prometheus_client.registry import Collector
 from poise.errors import RunError
 from poise.manage.control_socket.commands import RobotStatus
 from poise.manage.observe.metrics import METRICS, kind_of, samples
+
+_LOOK_EVERY = 0.1
 
 
 class MetricsCollector(Collector):
@@ -36,23 +40,40 @@ class MetricsCollector(Collector):
 
 
 class MetricsServer:
-    """Serves ``/metrics`` at an IP address and TCP port, until it is closed."""
+    """Serves ``/metrics`` at an IP address and TCP port, until it is closed.
 
-    def __init__(self, collector: MetricsCollector, host: str, port: int) -> None:
-        registry = CollectorRegistry()
-        registry.register(collector)
+    `patience`: for so long who listens there may take to end [s].
+    """
+
+    def __init__(self, host: str, port: int, patience: float = 0.0) -> None:
+        self._registry = CollectorRegistry()
+        until = time.monotonic() + patience
+        while (error := self._listen(host, port)) is not None:
+            if time.monotonic() >= until:
+                where = f"{host}:{port}"
+                raise RunError(f"metrics cannot be served on {where}: {error}")
+            time.sleep(_LOOK_EVERY)
+
+    def _listen(self, host: str, port: int) -> OSError | None:
         try:
-            self._server, self._thread = start_http_server(port, host, registry)
+            self._server, self._thread = start_http_server(port, host, self._registry)
         except OSError as error:
-            where = f"{host}:{port}"
-            raise RunError(f"metrics cannot be served on {where}: {error}") from error
+            return error
+        return None
+
+    def show(self, status: Callable[[], RobotStatus]) -> None:
+        """Serve what `status` returns, on any thread; there was nothing before."""
+        self._registry.register(MetricsCollector(status))
 
     @property
     def port(self) -> int:
         """The TCP port that it listens on."""
         return int(self._server.server_address[1])
 
-    def close(self) -> None:
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
         """Serve no more."""
         self._server.shutdown()
         self._server.server_close()
