@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 
 from poise.view.dashboard.dashboard_server import (
@@ -20,10 +22,14 @@ async def inner(_scope: Scope, _receive: Receive, send: Send) -> None:
     await send({"type": "http.response.start", "status": 200, "headers": []})
 
 
-def status(
-    token: str = "", query: str = "", kind: str = "http", **headers: str
-) -> object:
-    """Return the answer to a request: its status, or why a socket was closed."""
+def answer_to(
+    token: str = "",
+    query: str = "",
+    kind: str = "http",
+    port: int = 7480,
+    **headers: str,
+) -> Message:
+    """Return how the answer to a request begins."""
     sent: list[Message] = []
 
     async def receive() -> Message:
@@ -35,12 +41,20 @@ def status(
     scope = {
         "type": kind,
         "path": "/",
+        "scheme": "https",
+        "server": ("robot", port),
         "query_string": query.encode(),
         "headers": [(k.encode(), v.encode()) for k, v in headers.items()],
     }
     with pytest.raises(StopIteration):  # it waits for nothing, so needs no event loop
         Guard(inner, {token: True} if token else {})(scope, receive, send).send(None)
-    return sent[0].get("status", sent[0].get("code"))
+    return sent[0]
+
+
+def status(*request: Any, **more: Any) -> object:
+    """Return the status of the answer to a request, or why a socket was closed."""
+    answer = answer_to(*request, **more)
+    return answer.get("status", answer.get("code"))
 
 
 @pytest.mark.parametrize("host", ["localhost:7480", "127.0.0.1:7480", "[::1]:7480"])
@@ -61,7 +75,8 @@ def test_pages_of_other_sites_are_refused() -> None:
     assert status(host="localhost:7480", origin=origin) == 403
     assert status(kind="websocket", host="localhost:7480", origin=origin) == 1008
     assert (
-        status(TOKEN, host="r:1", origin=origin, cookie=f"poise_token={TOKEN}") == 403
+        status(TOKEN, host="r:1", origin=origin, cookie=f"poise_token7480={TOKEN}")
+        == 403
     )
 
 
@@ -69,9 +84,25 @@ def test_other_addresses_need_the_token_once_and_then_its_cookie() -> None:
     assert status(TOKEN, host="robot:7480") == 403
     assert status(TOKEN, host="robot:7480", query="token=wrong") == 403
     assert status(TOKEN, host="robot:7480", query=f"token={TOKEN}") == 303
-    assert status(TOKEN, host="robot:7480", cookie=f"poise_token={TOKEN}") == 200
-    assert status(TOKEN, host="robot:7480", cookie="poise_token=wrong") == 403
+    assert status(TOKEN, host="robot:7480", cookie=f"poise_token7480={TOKEN}") == 200
+    assert status(TOKEN, host="robot:7480", cookie="poise_token7480=wrong") == 403
     assert status(TOKEN, kind="websocket", host="robot:7480") == 1008
+
+
+def test_dashboards_of_one_computer_keep_each_other_s_cookies() -> None:
+    """Browsers send a cookie to all ports of a computer, and have one of a name."""
+    kept: dict[str, str] = {}
+    for port in (7480, 7481):
+        answer = answer_to(TOKEN, f"token={TOKEN}", port=port, host="robot")
+        cookie, *rules = dict(answer["headers"])[b"set-cookie"].decode().split("; ")
+        assert "Secure" in rules
+        kept |= dict([cookie.split("=")])
+    cookies = "; ".join(f"{name}={value}" for name, value in kept.items())
+    for port in (7480, 7481):
+        assert status(TOKEN, host="robot", port=port, cookie=cookies) == 200
+    del kept["poise_token7481"]
+    cookies = "; ".join(f"{name}={value}" for name, value in kept.items())
+    assert status(TOKEN, host="robot", port=7481, cookie=cookies) == 403
 
 
 @pytest.mark.parametrize(("token", "may"), [("acts", True), ("looks", False)])

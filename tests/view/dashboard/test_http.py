@@ -44,7 +44,7 @@ VALUES = [
         "http://localhost",
         "[",
         "a,b=1",
-        "poise_token=",
+        "poise_token7480=",
         "websocket",
         "upgrade",
         "13",

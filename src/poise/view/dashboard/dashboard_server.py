@@ -27,7 +27,6 @@ Receive = Callable[[], Awaitable[Message]]
 Send = Callable[[Message], Awaitable[None]]
 App = Callable[[Scope, Receive, Send], Awaitable[None]]
 
-_COOKIE = "poise_token"
 _MAY_ACT = "poise_may_act"
 """In the scope of a request: whether who made it may act on the robot."""
 
@@ -61,7 +60,8 @@ class Guard:
         headers = {k.decode(): v.decode("latin-1") for k, v in scope["headers"]}
         refusal = _refusal_of_site(headers, needs_name=not self._tokens)
         shown = _shown_in_address(scope)
-        token = self._known(shown) or self._known(_shown_in_cookie(headers))
+        name = _cookie(scope)
+        token = self._known(shown) or self._known(_shown_in_cookie(headers, name))
         if self._tokens and not token:
             refusal = refusal or _CLOSED
         if refusal and scope["type"] == "websocket":
@@ -69,7 +69,8 @@ class Guard:
         elif refusal:
             await _answer(send, 403, [], refusal)
         elif token and token == self._known(shown):
-            cookie = f"{_COOKIE}={token}; HttpOnly; SameSite=Strict; Path=/"
+            cookie = f"{name}={token}; HttpOnly; SameSite=Strict; Path=/"
+            cookie += "; Secure" if scope.get("scheme") == "https" else ""
             there = [(b"location", b"/"), (b"set-cookie", cookie.encode())]
             await _answer(send, 303, there, "")
         else:
@@ -101,10 +102,16 @@ def _refusal_of_site(headers: Mapping[str, str], *, needs_name: bool) -> str:
     return ""
 
 
-def _shown_in_cookie(headers: Mapping[str, str]) -> str:
+def _cookie(scope: Scope) -> str:
+    """Return our cookie's name; browsers send those of other ports, too."""
+    _, port = scope.get("server") or ("", "")
+    return f"poise_token{port}"
+
+
+def _shown_in_cookie(headers: Mapping[str, str], ours: str) -> str:
     cookies = headers.get("cookie", "").split(";")
     parts = (cookie.strip().partition("=") for cookie in cookies)
-    return next((value for name, _, value in parts if name == _COOKIE), "")
+    return next((value for name, _, value in parts if name == ours), "")
 
 
 def _shown_in_address(scope: Scope) -> str:
