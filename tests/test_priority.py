@@ -9,7 +9,14 @@ from collections.abc import Callable
 import pytest
 
 from poise.priority import REAL_TIME as REAL_TIME_WANTED
-from poise.priority import ahead, as_usual, first, give_way, go_first, goes_first
+from poise.priority import (
+    as_usual,
+    before_components,
+    give_way,
+    go_first,
+    goes_first,
+    going_first,
+)
 
 USUAL = os.getpriority(os.PRIO_PROCESS, 0)
 REAL_TIME = 1000
@@ -64,13 +71,13 @@ def test_each_goes_before_the_next_so_far_as_it_is_allowed() -> None:
     seen: list[int] = []
 
     def run() -> None:
-        with first():
+        with going_first():
             seen.append(nice())
         seen.append(nice())
         go_first()
         with as_usual():
             seen.append(nice())
-        with ahead():
+        with before_components():
             seen.append(nice())
         seen.append(nice())
 

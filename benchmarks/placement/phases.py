@@ -57,7 +57,7 @@ def run(*, quick: bool) -> dict[str, Any]:
         for seed in range(count):
             robot = random_phases(seed, p, n, m, share, load)
             began = perf_counter()
-            ours = poise.place(robot, "all").phased
+            ours = poise.place(robot, "all").task_result
             spent = perf_counter() - began
             arrays, known = as_one(ours)
             theirs = cpsat.solve(_core.Core(arrays), arrays, limit, known)
@@ -170,7 +170,7 @@ def _load(problem: Problem) -> float:
     )
 
 
-def as_one(result: plan.PhasedResult) -> tuple[Arrays, Placed]:
+def as_one(result: plan.TaskResult) -> tuple[Arrays, Placed]:
     """Return phases one after the other as one problem, for CP-SAT, and a placement."""
     problem = result.problem
     weights = problem.weights
@@ -187,7 +187,7 @@ def as_one(result: plan.PhasedResult) -> tuple[Arrays, Placed]:
     return merged(parts, dict(_moves(problem, parts))), known
 
 
-def _moves(problem: plan.PhasedProblem, parts: list[Arrays]) -> Iterator[Move]:
+def _moves(problem: plan.TaskProblem, parts: list[Arrays]) -> Iterator[Move]:
     for (p, one), (q, two) in pairwise(enumerate(parts)):
         for name in one.index.keys() & two.index.keys():
             move = problem.move_cost(name, 1.0, problem.lasts)

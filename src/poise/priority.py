@@ -62,7 +62,7 @@ def goes_first() -> bool:
 
 
 @contextmanager
-def first() -> Iterator[None]:
+def going_first() -> Iterator[None]:
     """Let this thread go first for a while."""
     with _as_before():
         go_first()
@@ -70,7 +70,7 @@ def first() -> Iterator[None]:
 
 
 @contextmanager
-def ahead() -> Iterator[None]:
+def before_components() -> Iterator[None]:
     """Let this thread go before components for a while; for users' code, too."""
     with _as_before():
         _set_nice(_usual + _AHEAD)

@@ -172,7 +172,7 @@ def test_no_cheaper_set_of_computers_will_do() -> None:
             if can_hold_on(asked, names)
         ]
         few = plan.smallest(
-            [plan.PhasedProblem.of_one("all", asked)],
+            [plan.TaskProblem.of_one("all", asked)],
             lambda p: plan.solve_phases(p, steps=5000, why=False),
         )
         assert few.feasible == bool(enough)
@@ -201,7 +201,7 @@ def test_smallest_counts_only_the_alternative_that_is_chosen() -> None:
             for name, quality in (("good", 1.0), ("plain", 0.5))
         ),
     )
-    whole = plan.PhasedProblem.of_one("all", asked)
+    whole = plan.TaskProblem.of_one("all", asked)
     assert plan.smallest([whole], plan.solve_phases).computers == ("a",)
 
 

@@ -26,10 +26,10 @@ def item(name: str, cpu: float = 0.3, *only: str) -> Item:
 
 def in_turn(
     *problems: Problem, move: Mapping[str, float] | None = None
-) -> plan.PhasedProblem:
+) -> plan.TaskProblem:
     """Return phases p0, p1 and so on, of a second each; a move costs 0.01."""
     names = {c.name for problem in problems for c in problem.components}
-    return plan.PhasedProblem(
+    return plan.TaskProblem(
         phases=tuple(
             plan.PhaseProblem(
                 name=f"p{i}", problem=problem, after={f"p{i - 1}": 1.0} if i else {}
@@ -72,7 +72,7 @@ def test_a_component_stays_where_it_is_best_over_all_phases() -> None:
 
 def test_one_phase_is_placed_as_without_phases() -> None:
     problem = random_robot(3, 24, 3)
-    one = plan.solve_phases(plan.PhasedProblem.of_one("all", problem), steps=20_000)
+    one = plan.solve_phases(plan.TaskProblem.of_one("all", problem), steps=20_000)
     same = plan.solve(problem, steps=20_000)
     assert same.objective is not None
     assert one.only[1].placement == same.placement
@@ -80,7 +80,7 @@ def test_one_phase_is_placed_as_without_phases() -> None:
     assert (one.bound, one.proven) == (same.bound, same.proven)
 
 
-def random_task(seed: int) -> plan.PhasedProblem:
+def random_task(seed: int) -> plan.TaskProblem:
     """Return three phases of up to four components on two computers."""
     random = Random(seed)
     names = [f"c{i}" for i in range(4)]
@@ -101,7 +101,7 @@ def random_task(seed: int) -> plan.PhasedProblem:
     return in_turn(*(plan.keep_components(whole, some) for some in kept))
 
 
-def least(problem: plan.PhasedProblem) -> float:
+def least(problem: plan.TaskProblem) -> float:
     """Return the least total of all placements, by trying all: F over three seconds."""
     options = []
     for phase in problem.phases:
@@ -248,7 +248,7 @@ def test_the_cheapest_computers_for_tasks_one_at_a_time() -> None:
         for name, cpu, price in (("cheap", 0.5, 10), ("dear", 1.0, 30), ("old", 0.2, 1))
     )
 
-    def task(cpu: float) -> plan.PhasedProblem:
+    def task(cpu: float) -> plan.TaskProblem:
         return in_turn(Problem(components=(item("a", cpu),), computers=computers))
 
     few = plan.smallest([task(0.5), task(0.4)], plan.solve_phases)

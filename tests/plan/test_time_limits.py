@@ -237,7 +237,7 @@ def test_components_that_must_be_together_have_no_hop_between_them() -> None:
 def test_phases_are_in_time_together() -> None:
     """Each has the CPU to itself: 10 / (1 - 0.5) + 20 / (1 - 0.3) ms beside."""
     priced = robot(replace(SEE, shared=True, limit=0.1))
-    phases = plan.PhasedProblem(
+    phases = plan.TaskProblem(
         phases=(
             plan.PhaseProblem(name="one", problem=priced, after={"two": 1.0}),
             plan.PhaseProblem(name="two", problem=priced, after={"one": 1.0}),

@@ -22,16 +22,16 @@ def leaning(where: str, cost: float) -> Problem:
 
 def in_turn(
     first: plan.PhaseProblem, then: plan.PhaseProblem, move: float = NEVER
-) -> plan.PhasedProblem:
+) -> plan.TaskProblem:
     then = replace(then, after={first.name: 1.0})
-    return plan.PhasedProblem(phases=(first, then), move={"a": move})
+    return plan.TaskProblem(phases=(first, then), move={"a": move})
 
 
 def phase(name: str, problem: Problem, seconds: float) -> plan.PhaseProblem:
     return plan.PhaseProblem(name=name, problem=problem, lasts=seconds)
 
 
-def homes(result: plan.PhasedResult) -> list[str]:
+def homes(result: plan.TaskResult) -> list[str]:
     return [each.placement["a"] for each in result.results.values()]
 
 
@@ -148,7 +148,7 @@ def test_a_component_that_may_not_move_is_where_it_works_longest(
     robot: Robot, task: str, where: str
 ) -> None:
     """`rare` hears in 1/32 of its runs, for 2 s in the mean, and sees for 17 s."""
-    problem = plan.phased_problem_of(robot, task)
+    problem = plan.task_problem_of(robot, task)
     result = plan.solve_phases(problem, steps=1_000)
     assert result.feasible
     assert {r.placement["mind"] for r in result.results.values()} == {where}

@@ -122,6 +122,7 @@ def test_an_error_of_the_manager_is_found(
     assert outcome.failure != ""
 
 
+@pytest.mark.slow
 def test_a_failure_is_shrunk_to_the_fault_that_it_needs(
     scenario: Scenario, monkeypatch: pytest.MonkeyPatch
 ) -> None:

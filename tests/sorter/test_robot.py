@@ -80,6 +80,6 @@ def test_with_the_lesser_alternatives_the_timers_of_the_arm_are_in_time() -> Non
 @pytest.mark.slow
 def test_no_method_finds_less_than_the_best_one() -> None:
     best, greedy = (poise.place(ROBOT, "sort", method=m) for m in ("auto", "greedy"))
-    assert best.phased.total is not None
-    assert greedy.phased.total is not None
-    assert best.phased.total <= greedy.phased.total
+    assert best.task_result.total is not None
+    assert greedy.task_result.total is not None
+    assert best.task_result.total <= greedy.task_result.total

@@ -180,23 +180,23 @@ def _problems(
     known: Callable[[str | None], Robot | None],
     *,
     at_once: bool,
-) -> Iterator[tuple[str, plan.PhasedProblem]]:
+) -> Iterator[tuple[str, plan.TaskProblem]]:
     """Yield what is to be decided for each task, or for all functions at once."""
     for name in (*tasks,) or (None,):
         if (robot := known(name)) is None:
-            yield ALL, plan.PhasedProblem.of_one(ALL, plan.load(file))
+            yield ALL, plan.TaskProblem.of_one(ALL, plan.load(file))
         else:
             yield name or ALL, problem_of_task(robot, name, at_once=at_once)
 
 
-Decider = Callable[[plan.PhasedProblem], DecidedByTime]
+Decider = Callable[[plan.TaskProblem], DecidedByTime]
 
 
 def _decide(
     robot: Robot | None,
-    solve: Callable[..., plan.PhasedResult],
+    solve: Callable[..., plan.TaskResult],
     method: str,
-    problem: plan.PhasedProblem,
+    problem: plan.TaskProblem,
 ) -> DecidedByTime:
     """Decide where components run, by a method."""
     with busy("placing"):
@@ -279,7 +279,7 @@ def _robot(
 
 
 def _answer(
-    problem: plan.PhasedProblem,
+    problem: plan.TaskProblem,
     how: Decider,
     explain: str | None,
     phase: str | None,
@@ -288,7 +288,7 @@ def _answer(
 ) -> bool:
     """Decide and print, or why something is where it is; return whether it holds."""
     answer = how(problem)
-    result = answer.phased
+    result = answer.task_result
     several = len(result.results) > 1
     explanation = None
     if explain is not None:
@@ -319,11 +319,11 @@ def _answer(
 
 
 def _answer_smallest(
-    tasks: Mapping[str, plan.PhasedProblem], how: Decider, *, json: bool
+    tasks: Mapping[str, plan.TaskProblem], how: Decider, *, json: bool
 ) -> bool:
     """Print the cheapest computers on which each task fits; return whether all do."""
     problems = [*tasks.values()]
-    few = plan.smallest(problems, lambda method: how(method).phased)
+    few = plan.smallest(problems, lambda method: how(method).task_result)
     known = problems[0].computers
     price = sum(h.price for h in known if h.name in few.computers)
     results = dict(zip(tasks, few.results, strict=False))
@@ -348,15 +348,15 @@ def _answer_smallest(
 
 
 def _answer_comparison(
-    problem: plan.PhasedProblem,
-    how: Callable[[str, plan.PhasedProblem], DecidedByTime],
+    problem: plan.TaskProblem,
+    how: Callable[[str, plan.TaskProblem], DecidedByTime],
     methods: str,
     *,
     json: bool,
 ) -> bool:
     """Print what several methods find; return whether one of them holds."""
     names = [name.strip() for name in methods.split(",")]
-    results = {name: how(name, problem).phased.only[1] for name in names}
+    results = {name: how(name, problem).task_result.only[1] for name in names}
     if json:
         print_json({"results": {name: r.to_dict() for name, r in results.items()}})
     else:

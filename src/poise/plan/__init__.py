@@ -3,8 +3,8 @@
 from poise.plan.explanation import Explanation, Option, Rejection, explain
 from poise.plan.fewest_computers import Smallest, smallest
 from poise.plan.from_robot import problem_of, static
-from poise.plan.phase_problem import PhasedProblem, PhaseProblem, phased_problem_of
-from poise.plan.phase_result import PhasedResult, PhaseMove
+from poise.plan.phase_problem import PhaseProblem, TaskProblem, task_problem_of
+from poise.plan.phase_result import PhaseMove, TaskResult
 from poise.plan.phase_search import solve_phases
 from poise.plan.planner import Overload, Planner, evaluate, solve
 from poise.plan.problem.changed_problem import (
@@ -46,8 +46,6 @@ __all__ = [
     "Overload",
     "PhaseMove",
     "PhaseProblem",
-    "PhasedProblem",
-    "PhasedResult",
     "Planner",
     "Problem",
     "Rejection",
@@ -56,6 +54,8 @@ __all__ = [
     "Shortage",
     "Smallest",
     "SoftLimit",
+    "TaskProblem",
+    "TaskResult",
     "Terms",
     "Tightest",
     "TimeLimit",
@@ -65,7 +65,6 @@ __all__ = [
     "explain",
     "keep_components",
     "load",
-    "phased_problem_of",
     "problem_of",
     "scale",
     "schema",
@@ -74,5 +73,6 @@ __all__ = [
     "solve",
     "solve_phases",
     "static",
+    "task_problem_of",
     "without",
 ]

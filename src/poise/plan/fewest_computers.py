@@ -9,8 +9,8 @@ from typing import NamedTuple
 from poise.errors import UsageError
 from poise.model.robot import Computer
 from poise.plan.conflict import is_hopeless
-from poise.plan.phase_problem import PhasedProblem
-from poise.plan.phase_result import PhasedResult
+from poise.plan.phase_problem import TaskProblem
+from poise.plan.phase_result import TaskResult
 from poise.plan.problem.arrays import arrays_of
 from poise.plan.problem.changed_problem import without
 from poise.plan.problem.problem import Problem
@@ -28,7 +28,7 @@ class Smallest(NamedTuple):
     """
 
     computers: tuple[str, ...]
-    results: tuple[PhasedResult, ...]
+    results: tuple[TaskResult, ...]
     proven: bool
 
     @property
@@ -43,8 +43,8 @@ class Smallest(NamedTuple):
 
 
 def smallest(
-    problems: Sequence[PhasedProblem],
-    decide: Callable[[PhasedProblem], PhasedResult],
+    problems: Sequence[TaskProblem],
+    decide: Callable[[TaskProblem], TaskResult],
 ) -> Smallest:
     """Return the cheapest set of computers on which each problem fits, one at a time.
 
@@ -72,7 +72,7 @@ def smallest(
             ]
         except UsageError:
             return None
-        results: list[PhasedResult] = []
+        results: list[TaskResult] = []
         for problem in smaller:
             results.append(decide(problem))
             if not results[-1].feasible:

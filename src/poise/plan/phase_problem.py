@@ -38,7 +38,7 @@ class PhaseProblem(Struct, frozen=True, kw_only=True):
     lasts: float = 1.0
 
 
-class PhasedProblem(Struct, frozen=True, kw_only=True):
+class TaskProblem(Struct, frozen=True, kw_only=True):
     """The problems of all phases of a task, whose F has one unit.
 
     Phases without an `overhead_scale` get one that is the same for all.
@@ -78,11 +78,11 @@ class PhasedProblem(Struct, frozen=True, kw_only=True):
         return {phase.name: phase.lasts / total for phase in self.phases}
 
     @classmethod
-    def of_one(cls, name: str, problem: Problem) -> PhasedProblem:
+    def of_one(cls, name: str, problem: Problem) -> TaskProblem:
         """Return it with one phase."""
         return cls(phases=(PhaseProblem(name=name, problem=problem),))
 
-    def changed(self, change: Callable[[Problem], Problem]) -> PhasedProblem:
+    def changed(self, change: Callable[[Problem], Problem]) -> TaskProblem:
         """Return it with the problem of every phase changed."""
         phases = (replace(p, problem=change(p.problem)) for p in self.phases)
         return replace(self, phases=tuple(phases))
@@ -118,7 +118,7 @@ def _in_one_unit(
     )
 
 
-def phased_problem_of(robot: Robot, task: str, move: float = MOVE) -> PhasedProblem:
+def task_problem_of(robot: Robot, task: str, move: float = MOVE) -> TaskProblem:
     """Return the problems of the phases of a task.
 
     Parameters
@@ -135,7 +135,7 @@ def phased_problem_of(robot: Robot, task: str, move: float = MOVE) -> PhasedProb
         When there is no such task.
     """
     check_task(robot, task)
-    return PhasedProblem(
+    return TaskProblem(
         phases=tuple(
             PhaseProblem(
                 name=phase.name,
@@ -157,7 +157,7 @@ Placements = Mapping[str, Mapping[str, str]]
 """Phase -> component -> computer."""
 
 
-def beside(problem: PhasedProblem) -> dict[str, dict[str, float]]:
+def beside(problem: TaskProblem) -> dict[str, dict[str, float]]:
     """Return phase -> the phases before and after it, and how often it goes there."""
     near: dict[str, dict[str, float]] = {p.name: {} for p in problem.phases}
     for phase in problem.phases:
@@ -168,15 +168,19 @@ def beside(problem: PhasedProblem) -> dict[str, dict[str, float]]:
 
 
 def with_moves(
-    phased: PhasedProblem, phase: str, placements: Placements, *, start: bool = False
+    problems: TaskProblem,
+    phase: str,
+    placements: Placements,
+    *,
+    start: bool = False,
 ) -> Problem:
     """Return the problem of a phase, with the costs of moves to those beside it."""
-    this = next(candidate for candidate in phased.phases if candidate.name == phase)
+    this = next(candidate for candidate in problems.phases if candidate.name == phase)
     problem = this.problem
     own = placements.get(phase, {}) if start else {}
     near = [
         (placements[name], often)
-        for name, often in beside(phased)[phase].items()
+        for name, often in beside(problems)[phase].items()
         if name in placements
     ]
     function = {
@@ -192,7 +196,7 @@ def with_moves(
     for component in problem.components:
         cost = {name: component.cost.get(name, 0.0) for name in names}
         for there, often in near:
-            move = phased.move_cost(component.name, often, this.lasts)
+            move = problems.move_cost(component.name, often, this.lasts)
             if component.name in there:
                 for name in cost.keys() - {there[component.name]}:
                     cost[name] += move

@@ -9,7 +9,7 @@ from msgspec import Struct, to_builtins
 
 from poise.errors import UsageError, unknown
 from poise.plan.explanation import Explanation, Rejection, explain
-from poise.plan.phase_problem import NEVER, PhasedProblem, with_moves
+from poise.plan.phase_problem import NEVER, TaskProblem, with_moves
 from poise.plan.problem.problem import Problem
 from poise.plan.result import Result
 from poise.plan.result_records import PlainResult, Stopped
@@ -59,7 +59,7 @@ class PlainPhases(TypedDict):
     phases: list[PlainPhase]
 
 
-class PhasedResult:
+class TaskResult:
     """A placement of each phase of a task.
 
     Attributes
@@ -80,7 +80,7 @@ class PhasedResult:
 
     def __init__(
         self,
-        problem: PhasedProblem,
+        problem: TaskProblem,
         results: Mapping[str, Result],
         *,
         proven: bool = False,
@@ -153,9 +153,9 @@ class PhasedResult:
         return "; ".join(said)
 
     @classmethod
-    def of_one(cls, name: str, problem: Problem, result: Result) -> PhasedResult:
+    def of_one(cls, name: str, problem: Problem, result: Result) -> TaskResult:
         """Return a result of one phase."""
-        return cls(PhasedProblem.of_one(name, problem), {name: result})
+        return cls(TaskProblem.of_one(name, problem), {name: result})
 
     def first_with(self, name: str) -> str:
         """Return the first phase with a component or architecture.

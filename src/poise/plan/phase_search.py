@@ -17,8 +17,8 @@ from time import perf_counter
 from msgspec.structs import replace
 
 from poise.plan._core import Core
-from poise.plan.phase_problem import PhasedProblem, beside, with_moves
-from poise.plan.phase_result import PhasedResult
+from poise.plan.phase_problem import TaskProblem, beside, with_moves
+from poise.plan.phase_result import TaskResult
 from poise.plan.planner import BUDGET, Budget, Effort, Planner
 from poise.plan.problem.arrays import Arrays, LimitArray, Placed, Times, arrays_of
 from poise.plan.problem.changed_problem import keep_components
@@ -54,7 +54,7 @@ class PhaseSearch:
     """Places phases with regard to those beside them."""
 
     def __init__(
-        self, problem: PhasedProblem, method: str, effort: Effort, *, fewer: bool
+        self, problem: TaskProblem, method: str, effort: Effort, *, fewer: bool
     ) -> None:
         self._problem = problem
         self._method = method
@@ -247,7 +247,7 @@ GAIN = 1e-9
 
 
 def solve_phases(  # noqa: PLR0913 - each says how to decide, and has a default
-    problem: PhasedProblem,
+    problem: TaskProblem,
     budget: float | None = None,
     method: str = "auto",
     seed: int = 0,
@@ -256,7 +256,7 @@ def solve_phases(  # noqa: PLR0913 - each says how to decide, and has a default
     fewer: bool = False,
     stop: Ask | None = None,
     why: bool = True,
-) -> PhasedResult:
+) -> TaskResult:
     """Return the best placements of all phases found within `budget` [s].
 
     The parameters are those of `poise.plan.solve`; the budget is 0.1 s unless given,
@@ -272,7 +272,7 @@ def solve_phases(  # noqa: PLR0913 - each says how to decide, and has a default
         problem, method, Effort(budget, steps, seed, stop), fewer=fewer
     )
     alone = search.alone()
-    result = PhasedResult(problem, alone)
+    result = TaskResult(problem, alone)
     weights = problem.weights
     bounds = [
         weights[name] * result.bound
@@ -292,7 +292,7 @@ def solve_phases(  # noqa: PLR0913 - each says how to decide, and has a default
                 for name, result in better.items()
                 if result.placement != alone[name].placement
             }
-            result = PhasedResult(problem, {**alone, **changed})
+            result = TaskResult(problem, {**alone, **changed})
     if why and method != "greedy":
         for r in result.results.values():
             r.find_conflict(stop)

@@ -20,7 +20,7 @@ from statistics import NormalDist
 from msgspec import Struct, structs
 
 from poise.estimate.profiles import WINDOW, ConnectorProfile, Profile
-from poise.manage.deploy.deployment_plan import DeploymentPlan
+from poise.manage.deploy.deployment_layout import DeploymentLayout
 from poise.model.check.ros2_components import BRIDGE
 from poise.model.robot import ComponentEntry, Connector, Robot
 from poise.model.software import ComponentCode
@@ -96,7 +96,7 @@ def workload_of(
     profile = profile or Profile(
         robot=robot.name, poise="", computer="", speed=1.0, at="", seconds=0.0
     )
-    plan = DeploymentPlan(robot, "")
+    layout = DeploymentLayout(robot, "")
     measured = {**bag, **profile.connectors}
     over = {
         str(connector): _traffic_of(connector, measured.get(str(connector)))
@@ -107,7 +107,7 @@ def workload_of(
         code, why = _code_of(robot, entry)
         if why:
             guesses.append(why)
-        part = _ComponentWork(robot, plan, over, entry, code, profile, guesses.append)
+        part = _ComponentWork(robot, layout, over, entry, code, profile, guesses.append)
         mean, taken = part.cpu(), cores.get(entry.name, ())
         factors = tuple(second / mean for second in taken) if mean else ()
         model = _at_rates(part.model(), _rates(robot, entry.name, bag))
@@ -192,7 +192,7 @@ class _ComponentWork:
     def __init__(
         self,
         robot: Robot,
-        plan: DeploymentPlan,
+        layout: DeploymentLayout,
         over: Mapping[str, ConnectorProfile],
         entry: ComponentEntry,
         code: ComponentCode | None,
@@ -200,7 +200,7 @@ class _ComponentWork:
         guess: Callable[[str], None],
     ) -> None:
         self._robot = robot
-        self._plan = plan
+        self._layout = layout
         self._over = over
         self._entry = entry
         self._code = code
@@ -337,7 +337,7 @@ class _ComponentWork:
                 number = counts[end.port, owner.name]
                 counts[end.port, owner.name] += 1
                 place = end.port, owner.function, number
-                yield self._plan.slot_of(connector), place, self._over[str(connector)]
+                yield self._layout.slot_of(connector), place, self._over[str(connector)]
 
     def _keeps(self) -> dict[str, int]:
         """Return slot -> how many messages wait at most, where the class says so."""
@@ -346,7 +346,7 @@ class _ComponentWork:
             end = connector.between[1]
             keep = self._code.keep.get(end.port) if self._code else None
             if keep is not None and end.component == self._entry.name:
-                kept[self._plan.slot_of(connector)] = keep
+                kept[self._layout.slot_of(connector)] = keep
         return kept
 
     def _share_work(self, timers: list[_Rated], others: list[_Rated]) -> None:
@@ -391,7 +391,7 @@ class _ComponentWork:
         for connector in self._robot.all_connectors():
             end = connector.between[0]
             if end.component == self._entry.name:
-                slot, over = self._plan.slot_of(connector), self._over[str(connector)]
+                slot, over = self._layout.slot_of(connector), self._over[str(connector)]
                 if slot not in wanted or over.rate > wanted[slot][1].rate:
                     wanted[slot] = end.port, over
         sends = self._code.sends if self._code else {}

@@ -7,7 +7,7 @@ from collections.abc import Collection
 from msgspec.structs import replace
 
 from poise.manage.deploy.adoption import Adoption, adopt, found_in, is_half_done
-from poise.manage.deploy.deployment_plan import DeploymentPlan
+from poise.manage.deploy.deployment_layout import DeploymentLayout
 from poise.manage.deploy.desired import Incarnation
 from poise.model.robot import Architecture, ComponentEntry, Robot
 from poise.wire.records.deployment_records import Deployment, Goal
@@ -19,7 +19,7 @@ THINKER = Incarnation(component="thinker", computer="right", epoch=2)
 
 
 def told(robot: Robot, *incarnations: Incarnation) -> dict[str, Deployment]:
-    return DeploymentPlan(robot, "/run").specs(incarnations, 7, GATEWAYS)
+    return DeploymentLayout(robot, "/run").specs(incarnations, 7, GATEWAYS)
 
 
 def adopted(
@@ -33,7 +33,7 @@ def adopted(
     return adopt(
         found_in(told(robot, *incarnations)),
         robot_now,
-        DeploymentPlan(robot_now, "/run", code_version=lambda *_: version),
+        DeploymentLayout(robot_now, "/run", code_version=lambda *_: version),
         PLANNED,
         committed=committed,
     )
@@ -149,7 +149,7 @@ def test_what_the_task_does_not_need_any_more_ends(robot: Robot) -> None:
     adoption = adopt(
         found_in(told(robot, GRABBER, THINKER)),
         robot,
-        DeploymentPlan(robot, "/run"),
+        DeploymentLayout(robot, "/run"),
         {"grabber": "left"},
     )
     assert adoption.ends == ("thinker",)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from poise.manage.deploy.deployment_plan import CpuWeight, cpu_weights
+from poise.manage.deploy.deployment_layout import CpuWeight, cpu_weights
 from poise.model.robot import Architecture, Robot
 
 

@@ -10,7 +10,7 @@ from msgspec.structs import replace
 from poise.estimate.code_version import version_of
 from poise.manage.agent_connections.agents import Agents
 from poise.manage.deploy.adoption import authoritative, found_in, joined_by
-from poise.manage.deploy.deployment_plan import DeploymentPlan
+from poise.manage.deploy.deployment_layout import DeploymentLayout
 from poise.manage.deploy.desired import Desired, Incarnation
 from poise.manage.deploy.joining_computer import WITNESS_LIMIT
 from poise.manage.deploy.lost_computers import LostComputers
@@ -46,9 +46,9 @@ class Cut:
         self, robot: Robot, reached: str, *left: Incarnation, fenced: bool = False
     ) -> None:
         self.agents = FakeAgents("left", "right")
-        plan = DeploymentPlan(robot, "/run", code_version=version_of)
+        layout = DeploymentLayout(robot, "/run", code_version=version_of)
         gateways = {"left": "left:7000", "right": "right:7000"}
-        self.told: dict[str, Deployment] = plan.specs(left, 5, gateways)
+        self.told: dict[str, Deployment] = layout.specs(left, 5, gateways)
         for computer, deployment in self.told.items():
             self.agents.begin_deploy(computer, deployment)
         if fenced:
@@ -76,8 +76,8 @@ class Cut:
     def heal(self, *found: Incarnation, robot: Robot) -> None:
         """Let all computers be reached, the missing one with its components."""
         (computer,) = self.agents.gone
-        plan = DeploymentPlan(robot, "/run", code_version=version_of)
-        self.agents.left_with[computer] = plan.specs(found, 9, {})[computer]
+        layout = DeploymentLayout(robot, "/run", code_version=version_of)
+        self.agents.left_with[computer] = layout.specs(found, 9, {})[computer]
         self.agents.strangers.add(computer)
         self.agents.gone.clear()
         for _ in range(3):
@@ -196,8 +196,8 @@ def test_a_move_that_was_half_done_is_committed_when_its_target_works(
     cut = Cut(robot, "right", GRABBER, THINKER.with_goal("stay"))
     cut.take_over()
     target = Incarnation(component="thinker", computer="left", epoch=7)
-    plan = DeploymentPlan(robot, "/run", code_version=version_of)
-    left = plan.specs(
+    layout = DeploymentLayout(robot, "/run", code_version=version_of)
+    left = layout.specs(
         (GRABBER, target if works else target.with_goal("inactive")), 8, {}
     )
     cut.agents.begin_deploy("left", left["left"])  # so it reports
@@ -288,9 +288,9 @@ def test_what_was_fenced_on_two_computers_goes_on_where_it_is_later(
     """The first that is claimed may have been cut off while the other one took over."""
     middle = replace(robot.computers[0], name="middle")
     robot = replace(robot, computers=(*robot.computers, middle))
-    plan = DeploymentPlan(robot, "/run", code_version=version_of)
+    layout = DeploymentLayout(robot, "/run", code_version=version_of)
     old = replace(THINKER, computer="left", epoch=3)
-    told = plan.specs([old, THINKER], 5, {})
+    told = layout.specs([old, THINKER], 5, {})
     names = {"left", "right", "middle"}
     desired, claimed = Desired(placed={}), {"middle"}
     for joined in [{"left", "right"}] if together else [{"left"}, {"right"}]:
@@ -310,9 +310,9 @@ def test_an_architecture_on_two_computers_joins_from_one_after_the_other(
 ) -> None:
     middle = replace(robot.computers[0], name="middle")
     robot = replace(robot, computers=(*robot.computers, middle))
-    plan = DeploymentPlan(robot, "/run", code_version=version_of)
+    layout = DeploymentLayout(robot, "/run", code_version=version_of)
     heavy = Incarnation(component="heavy", computer="right")
-    told = plan.specs([GRABBER, heavy], 5, {})
+    told = layout.specs([GRABBER, heavy], 5, {})
     desired, claimed = Desired(placed={}), {"middle"}
     for computer in "left", "right":
         found = found_in({computer: told[computer]})
@@ -323,10 +323,10 @@ def test_an_architecture_on_two_computers_joins_from_one_after_the_other(
 
 
 def test_what_an_earlier_manager_held_is_no_target_of_a_migration(robot: Robot) -> None:
-    plan = DeploymentPlan(robot, "/run", code_version=version_of)
+    layout = DeploymentLayout(robot, "/run", code_version=version_of)
     desired = Desired(placed={"thinker": THINKER}, held=frozenset({"thinker"}))
     old = replace(THINKER, computer="left", epoch=3)
-    found = found_in(plan.specs([old, *desired.incarnations()], 5, {}))
+    found = found_in(layout.specs([old, *desired.incarnations()], 5, {}))
     assert {each.spec.goal for each in found} == {"active", "inactive"}
     counts = authoritative(found, robot)
     assert counts["thinker"].incarnation == THINKER

@@ -12,7 +12,7 @@ from msgspec.msgpack import encode
 from poise.errors import RunError, TakenOver
 from poise.estimate.code_version import version_of
 from poise.manage.agent_connections.agents import Agents
-from poise.manage.deploy.deployment_plan import DeploymentPlan
+from poise.manage.deploy.deployment_layout import DeploymentLayout
 from poise.manage.deploy.desired import Desired, Incarnation
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.deploy.takeover import newest_record, start_or_take_over
@@ -48,7 +48,7 @@ def run_of(
     agents, journal = FakeAgents("left", "right"), Journal(":memory:")
     gateways = {"left": "left:7000", "right": "right:7000"}
     if left:
-        layout = DeploymentPlan(robot, "/run", code_version=version_of)
+        layout = DeploymentLayout(robot, "/run", code_version=version_of)
         for computer, told in layout.specs(left, 5, gateways).items():
             agents.begin_deploy(computer, told)
     run = RunningComponents(robot, PLACEMENT, cast("Agents", agents), journal, "/run")
@@ -99,7 +99,7 @@ def test_new_incarnations_differ_from_any_that_another_computer_may_run(
 def serving_tasks(robot: Robot) -> RunningComponents:
     """Return a run of tasks that goes on, of which only `grabber` was found."""
     run, agents, _ = run_of(robot)
-    layout = DeploymentPlan(robot, "/run", code_version=version_of)
+    layout = DeploymentLayout(robot, "/run", code_version=version_of)
     for computer, told in layout.specs(LEFT[:1], 5, {}).items():
         agents.begin_deploy(
             computer, structs.replace(told, desired=encode(Desired(tasks=b"some")))

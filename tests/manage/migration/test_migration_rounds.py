@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 
-from poise.manage.deploy.deployment_plan import DeploymentPlan
+from poise.manage.deploy.deployment_layout import DeploymentLayout
 from poise.manage.deploy.desired import Incarnation
 from poise.manage.migration.migration_rounds import MigrationRounds
 from poise.model.robot import (
@@ -37,7 +37,7 @@ def rounds_of(
 
     rest = {each.component: each for each in placed(others, 0)}
     calls = {(component.name, "calls") for component in robot.components()}
-    layout = DeploymentPlan(robot, "/run")
+    layout = DeploymentLayout(robot, "/run")
     sources, targets = placed(olds, 0), placed(news, 1)
     return MigrationRounds(
         layout, sources, targets, rest, calls, GATEWAYS, lossy=late, away=away
@@ -201,7 +201,7 @@ def test_an_architecture_is_drained_on_the_way_of_its_messages() -> None:
 
 def test_the_alternatives_of_a_connector_share_a_slot() -> None:
     robot = _alternatives()
-    layout = DeploymentPlan(robot, "/run")
+    layout = DeploymentLayout(robot, "/run")
     slots = {str(each): layout.slot_of(each) for each in robot.connectors}
     assert slots["source.calls-c.port"] == slots["source.calls-a.port"]
     # what comes from different components is not the same

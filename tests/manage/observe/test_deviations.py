@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from msgspec.structs import replace
 
-from poise.manage.deploy.deployment_plan import DeploymentPlan
+from poise.manage.deploy.deployment_layout import DeploymentLayout
 from poise.manage.deploy.desired import Incarnation
 from poise.manage.observe.deviations import Deviation, find_deviations, find_unjoined
 from poise.model.robot import Connector, ConnectorEnd, Robot
@@ -51,8 +51,8 @@ def find(
         health=(health,),
     )
     placed = [Incarnation(component="eye", computer="a", goal="active")]
-    plan = DeploymentPlan(robot, "")
-    return list(find_deviations(placed, placed, plan, {"a": status}, 5.0))
+    layout = DeploymentLayout(robot, "")
+    return list(find_deviations(placed, placed, layout, {"a": status}, 5.0))
 
 
 @pytest.mark.parametrize("eye", [None, "inactive", "unresponsive"])
@@ -93,8 +93,8 @@ def test_names_a_container_that_nobody_wants(robot: Robot) -> None:
     status = AgentStatus(
         computer="a", generation=1, uptime=9.0, cpu=0.0, containers=(container,)
     )
-    plan = DeploymentPlan(robot, "")
-    (found,) = find_deviations([], [], plan, {"a": status}, 5.0)
+    layout = DeploymentLayout(robot, "")
+    (found,) = find_deviations([], [], layout, {"a": status}, 5.0)
     assert found.what == "container 'odd' runs on 'a' but should not"
 
 
@@ -116,8 +116,8 @@ def test_names_a_connector_that_is_not_joined(
         computer="a", generation=1, uptime=9.0, cpu=0.0, containers=(container,)
     )
     settled = [Incarnation(component=n, computer="a", goal="active") for n in placed]
-    plan = DeploymentPlan(joined, "")
-    found = [each for _, each in find_unjoined(settled, plan, {"a": status}, 5.0)]
+    layout = DeploymentLayout(joined, "")
+    found = [each for _, each in find_unjoined(settled, layout, {"a": status}, 5.0)]
     assert len(found) == count
     for each in found:
         assert each.what == "connector 'eye.x-mind.x' from 'a' does not reach 'a'"
@@ -133,8 +133,8 @@ def test_an_error_of_an_agents_own_code_is_shown_with_its_part(robot: Robot) -> 
     status = AgentStatus(
         computer="a", generation=1, uptime=9.0, cpu=0.0, errors=(error,)
     )
-    plan = DeploymentPlan(robot, "")
-    (found,) = find_deviations([], [], plan, {"a": status}, 5.0)
+    layout = DeploymentLayout(robot, "")
+    (found,) = find_deviations([], [], layout, {"a": status}, 5.0)
     assert found.computer == "a"
     assert found.what == (
         "agent of 'a': an internal error in part \"container 'see'\": KeyError: "

@@ -56,7 +56,7 @@ def test_links_and_costs_go_with_their_computer(two_computers: Problem) -> None:
 
 
 def smallest(problem: Problem) -> plan.Smallest:
-    whole = plan.PhasedProblem.of_one("all", problem)
+    whole = plan.TaskProblem.of_one("all", problem)
     return plan.smallest([whole], plan.solve_phases)
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 from poise import Component, subscribed
 from poise.runtime.component.ports import ports_of
-from poise.runtime.connectors.channel_route import receiving
+from poise.runtime.connectors.channel_route import ReceivingEnd
 from poise.runtime.connectors.endpoints import OvertakenSources
 from poise.runtime.connectors.interface import message_tag
 from poise.runtime.execution.counters import Counts
@@ -49,7 +49,14 @@ class Receiver:
         issuer: Any = SimpleNamespace(came=lambda _: None)
         target: Any = self
         port = ports_of(Arm)["to"]
-        handle = receiving(spec, target, port, feed, issuer, RemoteClock())
+        handle = ReceivingEnd(
+            spec=spec,
+            target=target,
+            port=port,
+            feed=feed,
+            issuer=issuer,
+            remote_clock=RemoteClock(),
+        ).handler()
         tag = message_tag(port.type)
         pieces = frame.segments(codec(str), text, Kind.MESSAGE, tag=tag)
         handle(frame.parse(b"".join(bytes(each) for each in pieces)))

@@ -2,7 +2,7 @@ import pytest
 from msgspec.structs import replace
 
 from poise.errors import UsageError
-from poise.manage.deploy.deployment_plan import DeploymentPlan
+from poise.manage.deploy.deployment_layout import DeploymentLayout
 from poise.model.robot import (
     Architecture,
     ComponentEntry,
@@ -74,7 +74,7 @@ def test_a_stand_can_be_deployed(name: str) -> None:
     there = {component.name for component in rig.robot.components()}
     ends = {e.component for c in rig.robot.all_connectors() for e in c.between}
     assert ends <= there == set(rig.placement)
-    joined = DeploymentPlan(rig.robot, "folder").connectors(there)
+    joined = DeploymentLayout(rig.robot, "folder").connectors(there)
     assert joined == list(rig.robot.all_connectors())
 
 

@@ -25,7 +25,7 @@ from poise.manage.agent_connections.requests import (
     AgentRequests,
     PendingAnswer,
 )
-from poise.priority import ahead
+from poise.priority import before_components
 from poise.wire.control_session import (
     SESSION_TIMEOUT,
     UNCUT_SESSION_TIMEOUT,
@@ -120,7 +120,7 @@ class Agents(AgentReports):
             votes=self._claims.votes,
         )
         self.checkpoints = CheckpointCopies()
-        with ahead():  # zenoh's threads do nothing but carry messages
+        with before_components():  # zenoh's threads do nothing but carry messages
             self._session = open_session(
                 connect=tuple(endpoints.values()),
                 timeout=SESSION_TIMEOUT if is_leased else UNCUT_SESSION_TIMEOUT,

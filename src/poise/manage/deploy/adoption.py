@@ -18,7 +18,7 @@ from msgspec import Struct, structs
 from msgspec.structs import replace
 
 from poise.manage.agent_connections.statuses import Statuses
-from poise.manage.deploy.deployment_plan import DeploymentPlan
+from poise.manage.deploy.deployment_layout import DeploymentLayout
 from poise.manage.deploy.desired import Desired, Incarnation
 from poise.model.check.allowed_computers import allowed_computers, leased_components
 from poise.model.robot import Architecture, Robot
@@ -150,7 +150,7 @@ def is_half_done(found: Sequence[ReportedIncarnation], robot: Robot) -> bool:
 def adopt(
     found: Sequence[ReportedIncarnation],
     robot: Robot,
-    layout: DeploymentPlan,
+    layout: DeploymentLayout,
     wanted: Mapping[str, str],
     *,
     committed: Collection[tuple[str, int]] = (),
@@ -250,7 +250,7 @@ def _with_providers(
 def _differences(
     counts: Mapping[str, ReportedIncarnation],
     robot: Robot,
-    layout: DeploymentPlan,
+    layout: DeploymentLayout,
     wanted: Mapping[str, str],
 ) -> Iterator[tuple[str, str]]:
     """Yield the components that cannot keep running, and why."""
@@ -274,7 +274,7 @@ def _differences(
             yield name, reason or f"it shares a container with '{first}'"
 
 
-def _spec_now(reported: ReportedIncarnation, layout: DeploymentPlan) -> ComponentSpec:
+def _spec_now(reported: ReportedIncarnation, layout: DeploymentLayout) -> ComponentSpec:
     """Return what the robot file says of it now, with a class that replaced another."""
     now = layout.component_spec(reported.incarnation)
     if now.instead_of == reported.spec.instead_of:
@@ -296,7 +296,7 @@ def _has_other_code(
 
 
 def _changes(
-    reported: ReportedIncarnation, now: ComponentSpec, layout: DeploymentPlan
+    reported: ReportedIncarnation, now: ComponentSpec, layout: DeploymentLayout
 ) -> Iterator[str]:
     for what in ("implementation", "command", "parameters", "devices"):
         before, after = getattr(reported.spec, what), getattr(now, what)

@@ -114,8 +114,8 @@ class Desired(Struct, frozen=True, kw_only=True):
     def without_configured_ahead(self, targets: Iterable[Incarnation]) -> Desired:
         """Return this without targets of a migration that begins, or never will."""
         keys = {(incarnation.component, incarnation.epoch) for incarnation in targets}
-        ahead = (e for e in self.configured_ahead if (e.component, e.epoch) not in keys)
-        return replace(self, configured_ahead=tuple(ahead))
+        left = (e for e in self.configured_ahead if (e.component, e.epoch) not in keys)
+        return replace(self, configured_ahead=tuple(left))
 
     def placing(self, incarnations: Iterable[Incarnation]) -> Desired:
         """Return this with incarnations that are authoritative from now on."""

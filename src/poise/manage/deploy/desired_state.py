@@ -21,7 +21,7 @@ from poise.estimate.code_version import version_of
 from poise.manage.agent_connections.agents import Agents
 from poise.manage.agent_connections.statuses import gateways
 from poise.manage.deploy.adoption import as_committed, found_in, joined_by
-from poise.manage.deploy.deployment_plan import DeploymentPlan
+from poise.manage.deploy.deployment_layout import DeploymentLayout
 from poise.manage.deploy.desired import Desired, Incarnation, difference
 from poise.manage.deploy.joining_computer import JoiningComputer
 from poise.manage.deploy.reconciler import Reconciler
@@ -50,7 +50,7 @@ class DesiredState:
         self.robot = robot
         self.agents = agents
         self.journal = journal
-        self.layout = DeploymentPlan(
+        self.layout = DeploymentLayout(
             robot, folder, weigh=weigh, code_version=version_of
         )
         self.clock = clock or SystemClock()

@@ -28,7 +28,7 @@ from poise.manage.migration.migration_report import MigrationReport
 from poise.manage.migration.migration_rounds import MigrationRounds, PlacedStep
 from poise.manage.migration.preparation import PREPARE_LIMIT, STALL_LIMIT, Stall
 from poise.manage.observe.deviations import explain
-from poise.priority import first
+from poise.priority import going_first
 from poise.units import named
 from poise.wire.address import LOST_AFTER
 from poise.wire.records.migration_records import (
@@ -99,7 +99,7 @@ class Migration:
             reason = str(error)
             self._phases.enter("roll back")
         else:
-            with first():
+            with going_first():
                 paused = time.monotonic()
                 reason = self._switch(plan, paused + DOWNTIME_LIMIT)
                 downtime = time.monotonic() - paused

@@ -11,7 +11,7 @@ from collections.abc import Collection, Iterable, Iterator, Mapping
 from typing import Any
 
 from poise.manage.deploy.deactivation import levels
-from poise.manage.deploy.deployment_plan import DeploymentPlan
+from poise.manage.deploy.deployment_layout import DeploymentLayout
 from poise.manage.deploy.desired import Incarnation
 from poise.model.robot import Connector
 from poise.wire.records.migration_records import Step, StepName
@@ -29,7 +29,7 @@ class MigrationRounds:
 
     def __init__(  # noqa: PLR0913, all that runs
         self,
-        layout: DeploymentPlan,
+        layout: DeploymentLayout,
         sources: Iterable[Incarnation],
         targets: Iterable[Incarnation],
         others: Mapping[str, Incarnation],

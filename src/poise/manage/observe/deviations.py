@@ -20,7 +20,7 @@ from poise.wire.records.status_records import (
 )
 
 if TYPE_CHECKING:
-    from poise.manage.deploy.deployment_plan import DeploymentPlan
+    from poise.manage.deploy.deployment_layout import DeploymentLayout
     from poise.manage.deploy.desired import Incarnation
 
 
@@ -59,7 +59,7 @@ class Deviation(Struct, frozen=True, kw_only=True):
 def find_deviations(
     settled: Collection[Incarnation],
     wanted: Collection[Incarnation],
-    layout: DeploymentPlan,
+    layout: DeploymentLayout,
     statuses: Statuses,
     now: float,  # the time [s since 1970]
 ) -> Iterator[Deviation]:
@@ -79,7 +79,7 @@ def find_deviations(
 
 def find_unjoined(
     settled: Collection[Incarnation],
-    layout: DeploymentPlan,
+    layout: DeploymentLayout,
     statuses: Statuses,
     now: float,
 ) -> Iterator[tuple[str, Deviation]]:
@@ -101,7 +101,7 @@ def find_unjoined(
 
 def _of_components(
     settled: Collection[Incarnation],
-    layout: DeploymentPlan,
+    layout: DeploymentLayout,
     status: AgentStatus,
     now: float,
 ) -> Iterator[Deviation]:

@@ -56,15 +56,15 @@ class ManagerTroubles:
         self._journal = journal
         self._wall = wall
         self._now = now
-        self._ahead = wall() - now()
+        self._offset = wall() - now()
         self._jumped: tuple[float, Deviation] | None = None
         self._watched = (journal, *others)
         self._troubles: dict[int, Deviation] = {}
 
     def check(self) -> None:
         """Journal a jump of the clock; call it several times a second."""
-        ahead, now = self._wall() - self._now(), self._now()
-        jump, self._ahead = ahead - self._ahead, ahead
+        offset, now = self._wall() - self._now(), self._now()
+        jump, self._offset = offset - self._offset, offset
         if abs(jump) >= _LEAST_JUMP:
             way = "forward" if jump > 0 else "back"
             what = (

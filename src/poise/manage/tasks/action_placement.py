@@ -144,7 +144,7 @@ class PlanOverTime:
     def __init__(self, robot: Robot, solve_steps: int | None = None) -> None:
         self._robot = robot
         self._steps = solve_steps
-        self._phases: dict[str, plan.PhasedResult | None] = {}
+        self._phases: dict[str, plan.TaskResult | None] = {}
 
     def placement(
         self, task: str, actions: tuple[str, ...], functions: tuple[str, ...]
@@ -161,10 +161,10 @@ class PlanOverTime:
                 return {n: at for n, at in phase.placement.items() if n in wanted}
         return {}
 
-    def _of(self, task: str) -> plan.PhasedResult | None:
+    def _of(self, task: str) -> plan.TaskResult | None:
         if task not in self._phases:
             try:
-                problem = plan.phased_problem_of(self._robot, task)
+                problem = plan.task_problem_of(self._robot, task)
                 result = plan.solve_phases(
                     problem, PLAN_FOR, steps=self._steps, why=False
                 )
@@ -176,14 +176,14 @@ class PlanOverTime:
 
 
 def likely_next(
-    ahead: Iterable[tuple[TaskRecord, Attempt, float]],
+    upcoming: Iterable[tuple[TaskRecord, Attempt, float]],
     plans: PlanOverTime,
     running: Mapping[str, str],
     idle: Mapping[str, str],
 ) -> list[LikelyAction]:
     """Return what may be needed next and does not run, the most probable first."""
     actions = []
-    for record, attempt, probability in ahead:
+    for record, attempt, probability in upcoming:
         placement = plans.placement(
             record.name, (attempt.name,), attempt.action.functions
         )

@@ -375,7 +375,7 @@ class TaskReport(Struct, frozen=True, kw_only=True):
 
 def task_reports(
     tasks: Tasks,
-    ahead: Collection[tuple[TaskRecord, Attempt, float]],
+    upcoming: Collection[tuple[TaskRecord, Attempt, float]],
     serving: Callable[[Attempt], tuple[str, ...]],
     now: float,  # [s], by the clock of `Progress.since`
 ) -> tuple[TaskReport, ...]:
@@ -398,7 +398,7 @@ def task_reports(
                 )
                 for attempt in tasks.tries(record)
             ),
-            next=tuple(attempt.name for of, attempt, _ in ahead if of is record),
+            next=tuple(attempt.name for of, attempt, _ in upcoming if of is record),
         )
         for record in list(tasks.records)
     )

@@ -86,7 +86,7 @@ class TaskManager:
         self._suspended: AbstractSet[str] = frozenset()
         self._unlearned: list[tuple[ActionEnded, list[str]]] = []
         self._since = boot_time()
-        self._ahead: list[tuple[TaskRecord, Attempt, float]] = []
+        self._upcoming: list[tuple[TaskRecord, Attempt, float]] = []
         self.reports = self._reported()
 
     def now(self) -> Task:
@@ -107,8 +107,8 @@ class TaskManager:
         idle = {
             name: incarnation.computer for name, incarnation in run.prefetched.items()
         }
-        self._ahead = self.tasks.next_actions()
-        return likely_next(self._ahead, self._plans, run.placement(), idle)
+        self._upcoming = self.tasks.next_actions()
+        return likely_next(self._upcoming, self._plans, run.placement(), idle)
 
     def is_over(self) -> bool:
         """Return whether no task runs, waits or is paused any more."""
@@ -350,14 +350,14 @@ class TaskManager:
             if not until.name or subject.name == until.name
         )
 
-    def _choose(self, choice: Choice, is_ahead: bool) -> int:  # noqa: FBT001
+    def _choose(self, choice: Choice, is_lookahead: bool) -> int:  # noqa: FBT001
         note = self._run.journal.note
         try:
             return choose(
                 self._run.robot,
                 choice,
                 conditions_of(self._situation()),
-                lambda text: None if is_ahead else note("decided", text),
+                lambda text: None if is_lookahead else note("decided", text),
                 explore=self._explore,
             )
         except PoiseError as error:
@@ -392,7 +392,7 @@ class TaskManager:
         def serving(attempt: Attempt) -> tuple[str, ...]:
             return tuple(self._serving.architectures(attempt.action.functions))
 
-        return task_reports(self.tasks, self._ahead, serving, boot_time())
+        return task_reports(self.tasks, self._upcoming, serving, boot_time())
 
     def _say(self, text: str) -> None:
         self._run.journal.note("decided", text)

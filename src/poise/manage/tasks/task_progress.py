@@ -295,8 +295,8 @@ class Steps:
             case Parallel(steps=steps):
                 return [t for step in steps for t in self._first(step, prefix)]
             case Choice(steps=steps):
-                ahead = self._choose(step, True)
-                return self._first(steps[ahead], prefix)
+                index = self._choose(step, True)
+                return self._first(steps[index], prefix)
         return self._first(self._of(step)[0], self._prefix(step, prefix))
 
 

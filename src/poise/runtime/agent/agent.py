@@ -28,7 +28,7 @@ from poise import threads
 from poise.clock import SystemClock, time_asleep, wall_time
 from poise.endpoint import Endpoint
 from poise.errors import RunError, Unavailable, UsageError
-from poise.priority import ahead, go_first, goes_first
+from poise.priority import before_components, go_first, goes_first
 from poise.runtime.agent.agent_files import (
     AgentFolder,
     AgentNote,
@@ -121,7 +121,7 @@ class Agent:
             if signal.getsignal(number) != signal.SIG_IGN:  # as under `nohup`
                 signal.signal(number, self._on_signal)
         try:
-            with ahead():  # zenoh's threads inherit that
+            with before_components():  # zenoh's threads inherit that
                 self._run_in(self._setup)
         finally:
             if self._is_asked_to_end and not self._is_leaving:

@@ -8,6 +8,8 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any, NoReturn
 
+from msgspec import Struct
+
 from poise.errors import CalleeError, CallError, CannotCross, Timeout, Unavailable
 from poise.runtime._calls import ServedCall, call_remote, time_left
 from poise.runtime.component.error_report import Sparing
@@ -19,7 +21,6 @@ from poise.runtime.connectors.latest import numbered, numbered_tag, take
 from poise.runtime.connectors.route import raise_callee_error
 from poise.runtime.connectors.sender import Sender
 from poise.runtime.execution.container_lease import LeaseEnd, LeaseEnded, check_lease
-from poise.runtime.execution.counters import Counts
 from poise.runtime.execution.data_age import (
     RemoteClock,
     Stamped,
@@ -57,14 +58,14 @@ class ChannelRoute:
         port: Port,
         limit: float,
         credit: Credit,
-        remote: RemoteClock,
+        remote_clock: RemoteClock,
         source: str = "",
         lease: LeaseEnd | None = None,
     ) -> None:
         self._channel = channel
         self._source = source
         self._lease = lease
-        self._remote = remote
+        self._remote_clock = remote_clock
         self._limit = limit
         self._credit = credit
         self._is_topic = port.kind == "publishes"
@@ -121,13 +122,13 @@ class ChannelRoute:
     def function(self, method: Method, sender: Sender) -> Callable[..., Any]:
         """Return a function that calls a method in another container."""
         request, limit, counts = self._channel.request, self._limit, sender.counts
-        name, remote = sender.name, self._remote
+        name, clock = sender.name, self._remote_clock
         source, lease = self._source, self._lease
         bind, arguments, tag = method.bind, method.arguments, method.tag
         decode = method.result.decode
         if sender.chains is not None:
             bind, arguments = sender.chains.binding(bind), with_stamps(arguments)
-            decode = sender.chains.taking(with_stamps(method.result).decode, remote)
+            decode = sender.chains.taking(with_stamps(method.result).decode, clock)
 
         def call(*args: Any, **kwargs: Any) -> Any:  # noqa: ANN401, the method's own
             check_lease(lease, source)
@@ -163,9 +164,9 @@ class ChannelRoute:
                 deadline = started + left
                 return sender.repeat_call(self, method.name, args, kwargs, deadline)
             took = time.monotonic() - started
-            latency = answer.age + remote.ahead
+            latency = answer.age + clock.offset
             size = size_of(pieces)
-            counts.add_call(took, size, answer.size, latency, remote.error)
+            counts.add_call(took, size, answer.size, latency, clock.error)
             return result
 
         return call
@@ -180,80 +181,101 @@ def _told(error: CallError | WireError, call: str, limit: float) -> CallError:
     return error
 
 
-def receiving(
-    spec: ConnectorSpec,
-    target: Endpoints,
-    port: Port,
-    feed: Feed,
-    issuer: CreditIssuer,
-    remote: RemoteClock,
-    lease: LeaseEnd | None = None,
-) -> Handler:
-    """Return the handler of the frames that come to a target."""
-    connector, counts = spec.name, feed.counts
-    coders, tell = _coders(port), _reporter(connector)
-    serve = _serving(spec, target, port, counts, remote, lease, tell)
-    read = partial(stamped_value, spec, remote) if spec.carries else Frame.value
-    take_numbered = _taking_numbered(connector, target, port, feed, read)
+class ReceivingEnd(Struct, frozen=True, kw_only=True):
+    """The end of a connector at which frames come in.
 
-    def handle(received: Frame) -> Pieces | None:
-        if received.kind is _MARK:
-            target.note_marker(connector, received.number)
-            return None
-        if received.kind is _CALL:
-            return serve(received)
-        try:
-            if received.kind is Kind.CREDIT_REQUEST:
-                issuer.requested(received, connection.connection())
+    `target`: the endpoints of the component that it ends at.
+    `feed`: where what comes waits for the component.
+    `issuer`: tells the other end how much may come.
+    """
+
+    spec: ConnectorSpec
+    target: Endpoints
+    port: Port
+    feed: Feed
+    issuer: CreditIssuer
+    remote_clock: RemoteClock
+    lease: LeaseEnd | None = None
+
+    def handler(self) -> Handler:
+        """Return the handler of the frames that come in."""
+        spec, target, port, feed = self.spec, self.target, self.port, self.feed
+        clock, issuer, counts = self.remote_clock, self.issuer, feed.counts
+        connector, coders, tell = spec.name, _coders(port), _reporter(spec.name)
+        serve = self._serving(tell)
+        read = partial(stamped_value, spec, clock) if spec.carries else Frame.value
+        take_numbered = _taking_numbered(connector, target, port, feed, read)
+
+        def handle(received: Frame) -> Pieces | None:
+            if received.kind is _MARK:
+                target.note_marker(connector, received.number)
                 return None
-            latency = received.age + remote.ahead
-            counts.add_message(0, received.size, latency, remote.error)
-            issuer.came(received)
-            target.overtaken.check(spec)
-            coder = coders.get(received.tag)
-            if coder is None:
-                take_numbered(received)
-            else:
-                feed.put((received.tag, read(received, coder)))
-        except WireError as error:
-            counts.refuse(error)
-            tell(error)
-        return None
-
-    return handle
-
-
-def _serving(
-    spec: ConnectorSpec,
-    target: Endpoints,
-    port: Port,
-    counts: Counts,
-    remote: RemoteClock,
-    lease: LeaseEnd | None,
-    tell: Callable[[WireError], None],
-) -> Callable[[Frame], Pieces]:
-    """Return a function that answers calls."""
-    answers = {
-        tag: _answering(target, method, spec, counts, remote, lease)
-        for tag, method in _methods(port).items()
-    }
-
-    def serve(received: Frame) -> Pieces:
-        began = time.monotonic()
-        try:
-            answer = (answers.get(received.tag) or _refuse(port))(received, remote.most)
-        except Redirected:
-            answer = segments(_NOTHING, None, _MOVED)
-        except (CalleeError, LeaseEnded, Timeout, WireError) as error:
-            if isinstance(error, WireError):
+            if received.kind is _CALL:
+                return serve(received)
+            try:
+                if received.kind is Kind.CREDIT_REQUEST:
+                    issuer.requested(received, connection.connection())
+                    return None
+                latency = received.age + clock.offset
+                counts.add_message(0, received.size, latency, clock.error)
+                issuer.came(received)
+                target.overtaken.check(spec)
+                coder = coders.get(received.tag)
+                if coder is None:
+                    take_numbered(received)
+                else:
+                    feed.put((received.tag, read(received, coder)))
+            except WireError as error:
+                counts.refuse(error)
                 tell(error)
-            answer = _failure(error)
-        took, failed = time.monotonic() - began, answer[0][1] == _ERROR
-        size, latency = size_of(answer), received.age + remote.ahead
-        counts.add_call(took, size, received.size, latency, remote.error, failed)
-        return answer
+            return None
 
-    return serve
+        return handle
+
+    def _serving(self, tell: Callable[[WireError], None]) -> Callable[[Frame], Pieces]:
+        """Return a function that answers calls."""
+        port, clock, counts = self.port, self.remote_clock, self.feed.counts
+        answers = {
+            tag: self._answering(method) for tag, method in _methods(port).items()
+        }
+
+        def serve(received: Frame) -> Pieces:
+            began = time.monotonic()
+            try:
+                answered = answers.get(received.tag) or _refuse(port)
+                answer = answered(received, clock.most)
+            except Redirected:
+                answer = segments(_NOTHING, None, _MOVED)
+            except (CalleeError, LeaseEnded, Timeout, WireError) as error:
+                if isinstance(error, WireError):
+                    tell(error)
+                answer = _failure(error)
+            took, failed = time.monotonic() - began, answer[0][1] == _ERROR
+            size, latency = size_of(answer), received.age + clock.offset
+            counts.add_call(took, size, received.size, latency, clock.error, failed)
+            return answer
+
+        return serve
+
+    def _answering(self, method: Method) -> ServedCall:
+        """Return what answers the calls of a method."""
+        spec, target = self.spec, self.target
+        arguments, result, tag = method.arguments, method.result, method.tag
+        run = getattr(target.component, method.name)
+        if spec.carries or spec.answers:
+            arguments, result = with_stamps(arguments), with_stamps(result)
+            run = served(run, target.ages, spec, self.remote_clock)
+        return ServedCall(
+            decode=arguments.decode,
+            method=run,
+            encode=lambda value: segments(result, value, _RESULT, tag=tag),
+            exclusion=target.exclusion,
+            limit=spec.limit,
+            counts=self.feed.counts,
+            translate=raise_callee_error,
+            is_over=connection.is_gone,
+            lease=self.lease,
+        )
 
 
 def _taking_numbered(
@@ -314,33 +336,6 @@ def _refuse(port: Port) -> NoReturn:
     raise WireError(
         f"port '{port.name}' ({port.type.__qualname__}) accepts nothing with this "
         "tag: its ends were built from different versions"
-    )
-
-
-def _answering(
-    target: Endpoints,
-    method: Method,
-    spec: ConnectorSpec,
-    counts: Counts,
-    remote: RemoteClock,
-    lease: LeaseEnd | None,
-) -> ServedCall:
-    """Return what answers the calls of a method."""
-    arguments, result, tag = method.arguments, method.result, method.tag
-    run = getattr(target.component, method.name)
-    if spec.carries or spec.answers:
-        arguments, result = with_stamps(arguments), with_stamps(result)
-        run = served(run, target.ages, spec, remote)
-    return ServedCall(
-        decode=arguments.decode,
-        method=run,
-        encode=lambda value: segments(result, value, _RESULT, tag=tag),
-        exclusion=target.exclusion,
-        limit=spec.limit,
-        counts=counts,
-        translate=raise_callee_error,
-        is_over=connection.is_gone,
-        lease=lease,
     )
 
 

@@ -107,7 +107,7 @@ class Container:
         self._clock = ComputerClock(computer)
         self._link = AgentLink(name, agent, stats_page, folder, self._clock)
         self._server = ConnectionServer(folder, name)
-        self._wiring = Wiring(self._server, self._clock.ahead)
+        self._wiring = Wiring(self._server, self._clock.offset)
         self._taps = Taps(self._sender)
         self._folder = folder
         self._wanted: ContainerSpec | None = None

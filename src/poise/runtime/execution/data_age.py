@@ -49,12 +49,12 @@ class ComputerClock(SystemClock):
         """Return how long ago a stamp was, with what is known of its clock."""
         if stamp.computer == self._computer:
             return super().since(stamp)
-        ahead = self.ahead(stamp.computer)
-        if ahead is None:
+        offset = self.offset(stamp.computer)
+        if offset is None:
             return None
-        return Elapsed(self.now() + ahead.value - stamp.at, ahead.error)
+        return Elapsed(self.now() + offset.value - stamp.at, offset.error)
 
-    def ahead(self, computer: str) -> Elapsed | None:
+    def offset(self, computer: str) -> Elapsed | None:
         """Return how far another computer's clock is ahead [s]; None: not known."""
         known = self.others.get(computer)
         if known is None:
@@ -66,11 +66,11 @@ class ComputerClock(SystemClock):
 class RemoteClock:
     """How far the clock at the other end is ahead, as far as it is known."""
 
-    __slots__ = ("_ask", "ahead", "error", "most")
+    __slots__ = ("_ask", "error", "most", "offset")
 
     def __init__(self, ask: Callable[[], Elapsed | None] | None = None) -> None:
         self._ask = ask
-        self.ahead = self.most = 0.0 if ask is None else nan
+        self.offset = self.most = 0.0 if ask is None else nan
         self.error = 0.0
         self.update()
 
@@ -78,7 +78,7 @@ class RemoteClock:
         """Update from what is known now; once a second, because clocks drift."""
         known = self._ask() if self._ask else None
         if known is not None:
-            self.ahead, self.error, self.most = known.value, known.error, known.most
+            self.offset, self.error, self.most = known.value, known.error, known.most
 
 
 class Stamped(NamedTuple):
@@ -246,13 +246,13 @@ class SentChains:
         return stamp
 
     def taking(
-        self, decode: Callable[..., tuple[Stamps, Any]], remote: RemoteClock
+        self, decode: Callable[..., tuple[Stamps, Any]], remote_clock: RemoteClock
     ) -> Callable[..., Any]:
         """Return a function that decodes an answer and takes its stamps."""
 
         def take(*answer: object) -> Any:  # noqa: ANN401, the call's own
             stamps, result = decode(*answer)
-            self._ages.note(self._answers, local(stamps, remote))
+            self._ages.note(self._answers, local(stamps, remote_clock))
             return result
 
         return take
@@ -277,12 +277,12 @@ def served(
     method: Callable[..., Any],
     ages: DataAges,
     spec: ConnectorSpec,
-    remote: RemoteClock,
+    remote_clock: RemoteClock,
 ) -> Callable[[Stamps, Sequence[object]], tuple[Stamps, Any]]:
     """Return a target's method that takes stamps and answers with some."""
 
     def serve(stamps: Stamps, args: Sequence[object]) -> tuple[Stamps, Any]:
-        taken = Stamped(spec.carries, local(stamps, remote), None)
+        taken = Stamped(spec.carries, local(stamps, remote_clock), None)
         result = ages.run(method, args, taken=taken)
         return ages.stamps(spec.answers), result
 
@@ -290,13 +290,13 @@ def served(
 
 
 def stamped_value(
-    spec: ConnectorSpec, remote: RemoteClock, received: Frame, coder: Codec[Any]
+    spec: ConnectorSpec, remote_clock: RemoteClock, received: Frame, coder: Codec[Any]
 ) -> Stamped:
     """Return what a message or one-way call holds, with its stamps."""
     stamps, value = received.value(with_stamps(coder))
-    return Stamped(spec.carries, local(stamps, remote), value)
+    return Stamped(spec.carries, local(stamps, remote_clock), value)
 
 
-def local(stamps: Stamps, remote: RemoteClock) -> Stamps:
+def local(stamps: Stamps, remote_clock: RemoteClock) -> Stamps:
     """Return stamps of the other end's clock on this computer's."""
-    return tuple(stamp - remote.ahead for stamp in stamps)
+    return tuple(stamp - remote_clock.offset for stamp in stamps)

@@ -14,7 +14,7 @@ from poise.runtime.component.component import Verb
 from poise.runtime.component.started_calls import StartedCalls
 from poise.runtime.connectors.endpoints import Endpoints
 from poise.runtime.execution.exclusion import Exclusion, new_chain
-from poise.wire.records.deployment_records import Aim
+from poise.wire.records.deployment_records import TargetState
 from poise.wire.records.status_records import ActionEnd, State, TaskRequest
 
 ENDED: AbstractSet[State] = {"finalized", "failed"}
@@ -32,7 +32,7 @@ class LifeCycle:
 
     def __init__(self) -> None:
         self._state: State = "unconfigured"
-        self._goal: Aim = "inactive"
+        self._goal: TargetState = "inactive"
         self._changed = threading.Condition()
 
     @property
@@ -41,7 +41,7 @@ class LifeCycle:
         return self._state
 
     @property
-    def goal(self) -> Aim:
+    def goal(self) -> TargetState:
         """Where it should be."""
         return self._goal
 
@@ -50,7 +50,7 @@ class LifeCycle:
         """Whether it is active, and should be."""
         return (self._state, self._goal) == ("active", "active")
 
-    def aim(self, goal: Aim) -> None:
+    def aim(self, goal: TargetState) -> None:
         """Set the goal; in vain after `finalized`."""
         with self._changed:
             if self._goal != "finalized":

@@ -18,7 +18,7 @@ from typing import Any
 from poise import threads
 from poise.clock import ComponentClock, wall_time
 from poise.errors import Timeout
-from poise.priority import ahead
+from poise.priority import before_components
 from poise.runtime._calls import ComponentCounters, Histogram
 from poise.runtime.component.component import Component, Context, create, set_parameters
 from poise.runtime.component.error_report import Errors
@@ -37,7 +37,7 @@ from poise.runtime.hosting.checkpoints import Checkpoints
 from poise.runtime.hosting.life_cycle import ENDED, ExecutionGate, LifeCycle, TaskNews
 from poise.runtime.hosting.output import write_as
 from poise.wire.codec import codec
-from poise.wire.records.deployment_records import Aim, ComponentSpec
+from poise.wire.records.deployment_records import ComponentSpec, TargetState
 from poise.wire.records.status_records import ComponentStatus, State
 
 log = logging.getLogger(__name__)
@@ -133,7 +133,7 @@ class Runner:
         """Start its thread; it goes to the goal by itself."""
         self._thread.start()
 
-    def aim(self, goal: Aim) -> None:
+    def aim(self, goal: TargetState) -> None:
         """Set the goal; harmless when repeated. To be active, a pause ends."""
         self.gate.end_migration()
         self.life_cycle.aim(goal)
@@ -264,7 +264,9 @@ class Runner:
             # the incarnation before it may still be at work, and goes first
             self.endpoints.buffer_until_active()
         # callers wait for one that takes over
-        hurry = ahead() if self.life_cycle.goal == "ready" else nullcontext()
+        hurry = (
+            before_components() if self.life_cycle.goal == "ready" else nullcontext()
+        )
         try:
             with hurry, self.gate.borrowed(by_hook=True):
                 getattr(self.component, hook)()

@@ -13,7 +13,7 @@ from poise.clock import Elapsed
 from poise.errors import RobotError, RunError, UsageError
 from poise.runtime.component.error_report import traceback_of
 from poise.runtime.component.ports import Kind, Port
-from poise.runtime.connectors.channel_route import ChannelRoute, receiving
+from poise.runtime.connectors.channel_route import ChannelRoute, ReceivingEnd
 from poise.runtime.connectors.flow_control import Credit, CreditIssuer
 from poise.runtime.connectors.interface import carries_messages
 from poise.runtime.connectors.route import DirectRoute, NumberedRoute, Route
@@ -70,10 +70,10 @@ class Wiring:
     def __init__(
         self,
         server: ConnectionServer,
-        ahead: Callable[[str], Elapsed | None] = lambda _: None,
+        clock_offset: Callable[[str], Elapsed | None] = lambda _: None,
     ) -> None:
         self._server = server
-        self._ahead = ahead
+        self._clock_offset = clock_offset
         self._open: dict[str, OpenEndpoints] = {}
 
     def apply(
@@ -180,7 +180,7 @@ class Wiring:
         target = runners.get((spec.target, spec.target_epoch))
         if spec.kind == "remote":
             far = spec.source_computer if source is None else spec.target_computer
-            ends.remote_clock = RemoteClock(partial(self._ahead, far))
+            ends.remote_clock = RemoteClock(partial(self._clock_offset, far))
         with ExitStack() as undo:
             undo.callback(ends.closing.close)
             if source is not None:
@@ -243,15 +243,15 @@ class Wiring:
         issuer = CreditIssuer(spec.name, feed, ends.counts, heard)
         ends.closing.callback(issuer.close)
         ends.closing.callback(_forget, spec, target)
-        handler = receiving(
-            spec,
-            target.endpoints,
-            port,
-            feed,
-            issuer,
-            ends.remote_clock,
-            target.lease,
-        )
+        handler = ReceivingEnd(
+            spec=spec,
+            target=target.endpoints,
+            port=port,
+            feed=feed,
+            issuer=issuer,
+            remote_clock=ends.remote_clock,
+            lease=target.lease,
+        ).handler()
         if spec.record:
             source = f"{spec.source}.{spec.source_port}"
             file = InputFile(Path(spec.record), source, port)

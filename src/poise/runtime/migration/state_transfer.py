@@ -27,7 +27,7 @@ from msgspec import Struct
 from poise import threads
 from poise.clock import Stamp
 from poise.errors import RunError, Timeout, UsageError
-from poise.priority import ahead, first
+from poise.priority import before_components, going_first
 from poise.runtime.component.implementation import find_function
 from poise.runtime.connectors.channel_route import entry_codec
 from poise.runtime.connectors.latest import Heard
@@ -163,7 +163,7 @@ class StateSender:
         return _transfer(state)
 
     def _wait_decided(self, limit: float) -> None:
-        with first():
+        with going_first():
             is_decided = self._decided.wait(limit)
         if not is_decided:
             name = self._runner.spec.name
@@ -173,7 +173,7 @@ class StateSender:
 
     def _all(self) -> StateTransfer:
         runner = self._runner
-        with ahead(), runner.gate.borrowed():  # users' code
+        with before_components(), runner.gate.borrowed():  # users' code
             if self._has_sent_state:
                 delta = _frame_of(runner.component.snapshot_delta())
                 transfer = StateTransfer(delta=delta)
@@ -263,7 +263,7 @@ class StateReceiver:
         describe_type(type_taken_by(component.restore))
         for name, channel in self._channels.items():
             requested = self._requested[name] = Future()
-            with first():
+            with going_first():
                 threads.daemon(_fetch_all, "receiver", channel, requested).start()
 
     def restore(self, limit: float) -> None:
@@ -277,7 +277,7 @@ class StateReceiver:
             except TimeoutError:
                 text = f"component '{name}' sent no state within {limit:g} s"
                 raise Timeout(text) from None
-        with ahead():  # users' code
+        with before_components():  # users' code
             if self._is_same:
                 (transfer,) = transfers.values()
                 restore(self._runner, transfer, self._adapt)

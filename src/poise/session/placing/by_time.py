@@ -20,7 +20,7 @@ from msgspec.structs import replace
 
 from poise import plan
 from poise.estimate.demands import kinds_together
-from poise.manage.deploy.deployment_plan import DeploymentPlan
+from poise.manage.deploy.deployment_layout import DeploymentLayout
 from poise.model.robot import Chain, Connector, Robot
 from poise.plan import Hop, Run, TimeLimit
 from poise.plan.from_robot import LATENESS_PRICE
@@ -80,7 +80,7 @@ class _Paths:
 
     def __init__(self, robot: Robot, work: SimulatedWork) -> None:
         self._work = work
-        self._slot_of = DeploymentPlan(robot, "").slot_of
+        self._slot_of = DeploymentLayout(robot, "").slot_of
         self._kinds = kinds_together(robot)
         self._between: dict[frozenset[str], Connector] = {}
         for connector in robot.all_connectors():
@@ -145,19 +145,19 @@ _ROUNDING = 1e-6
 
 Predict = Callable[..., Iterator[tuple[str, PredictedTimes]]]
 """Yields what is predicted of each phase of a result."""
-Decide = Callable[..., plan.PhasedResult]
+Decide = Callable[..., plan.TaskResult]
 """Decides a problem, by another `method` if one is given."""
 
 
 class DecidedByTime(Struct, frozen=True):
     """A placement of each phase, and what is predicted of it; none: no deadlines."""
 
-    phased: plan.PhasedResult
+    task_result: plan.TaskResult
     predicted: Mapping[str, PredictedTimes] = {}
 
 
 def decide_by_time(
-    robot: Robot, problem: plan.PhasedProblem, *solvers: Decide
+    robot: Robot, problem: plan.TaskProblem, *solvers: Decide
 ) -> DecidedByTime:
     """Return the best placement found, with the times that are predicted for it.
 
@@ -181,12 +181,12 @@ def decide_by_time(
     # the last of equally good ones: what it was decided by is what was predicted of it
     best = min(reversed(found), key=_total) if found else DecidedByTime(free)
     best = _as_predicted(best, problem, predict)
-    _settle(best.phased, free)
+    _settle(best.task_result, free)
     return best
 
 
 def _tried(
-    problem: plan.PhasedProblem,
+    problem: plan.TaskProblem,
     solvers: Sequence[Decide],
     predict: Predict,
 ) -> list[DecidedByTime]:
@@ -198,7 +198,7 @@ def _tried(
             result = decide(calibrated)
             if result.total is None:
                 return found
-            same = (d for d in found if _placed(d.phased) == _placed(result))
+            same = (d for d in found if _placed(d.task_result) == _placed(result))
             known = next((each.predicted for each in same), None)
             found.append(DecidedByTime(result, known or dict(predict(result))))
             if known is None:
@@ -211,7 +211,7 @@ def _tried(
     return found
 
 
-def _settle(result: plan.PhasedResult, free: plan.PhasedResult) -> None:
+def _settle(result: plan.TaskResult, free: plan.TaskResult) -> None:
     """Say what is proven of a placement.
 
     What was predicted of some placements proves nothing of others; but no F is below
@@ -230,14 +230,14 @@ def _settle(result: plan.PhasedResult, free: plan.PhasedResult) -> None:
 
 def _as_predicted(
     decided: DecidedByTime,
-    summed_problem: plan.PhasedProblem,
+    summed_problem: plan.TaskProblem,
     predict: Predict,
 ) -> DecidedByTime:
     """Return a placement whose F has the times that are predicted of it.
 
     It may have been decided by what was predicted of another one.
     """
-    result = decided.phased
+    result = decided.task_result
     summed = _summed(result)
     is_whole = all(r.placement and not r.suspended for r in result.results.values())
     if not is_whole or isclose(summed, sum(_excesses(decided)), abs_tol=_ROUNDING):
@@ -249,7 +249,7 @@ def _as_predicted(
         for phase in problem.phases
         for found in [result.results[phase.name]]
     }
-    told = plan.PhasedResult(problem, results, seconds=result.seconds)
+    told = plan.TaskResult(problem, results, seconds=result.seconds)
     return DecidedByTime(told, decided.predicted)
 
 
@@ -282,7 +282,7 @@ def _with_limits(
 def _predicted(
     robot: Robot,
     work: SimulatedWork,
-    result: plan.PhasedResult,
+    result: plan.TaskResult,
     predict: Callable[..., PredictedTimes] = predict_times,
 ) -> Iterator[tuple[str, PredictedTimes]]:
     """Yield what is predicted of each phase that has a placement."""
@@ -292,17 +292,17 @@ def _predicted(
             yield name, predict(here, each.placement, work)
 
 
-def _placed(result: plan.PhasedResult) -> Mapping[str, Mapping[str, str]]:
+def _placed(result: plan.TaskResult) -> Mapping[str, Mapping[str, str]]:
     return {name: each.placement for name, each in result.results.items()}
 
 
 def _total(decided: DecidedByTime) -> float:
     """Return F with the times that are predicted, not those that are summed."""
-    total = decided.phased.total or 0.0
-    return total - _summed(decided.phased) + sum(_excesses(decided))
+    total = decided.task_result.total or 0.0
+    return total - _summed(decided.task_result) + sum(_excesses(decided))
 
 
-def _summed(result: plan.PhasedResult) -> float:
+def _summed(result: plan.TaskResult) -> float:
     """Return what the times that are summed add to F."""
     return sum(
         result.problem.weights[name] * each.objective.time
@@ -316,10 +316,10 @@ def _excesses(decided: DecidedByTime) -> Iterator[float]:
 
     Of what is not predicted the sum counts, which it takes at least.
     """
-    weights = decided.phased.problem.weights
+    weights = decided.task_result.problem.weights
     for name, times in decided.predicted.items():
         ages = _ages(times)
-        for each in decided.phased.results[name].times:
+        for each in decided.task_result.results[name].times:
             over = ages.get(each.name, each.seconds) / each.limit - 1
             if over > 0:
                 yield weights[name] * each.price * over
@@ -332,11 +332,11 @@ def _ages(times: PredictedTimes) -> dict[str, float]:
 
 
 def _with_predictions(
-    problem: plan.PhasedProblem,
+    problem: plan.TaskProblem,
     decided: DecidedByTime,
     alone: Mapping[str, PredictedTimes],
-    before: plan.PhasedProblem,
-) -> plan.PhasedProblem:
+    before: plan.TaskProblem,
+) -> plan.TaskProblem:
     """Return the problem that says of the placement what is predicted of it.
 
     `problem`: the problem as it can be summed.
@@ -346,7 +346,7 @@ def _with_predictions(
     """
     phases = []
     for phase, earlier in zip(problem.phases, before.phases, strict=True):
-        result = decided.phased.results[phase.name]
+        result = decided.task_result.results[phase.name]
         summed = {each.name: each for each in phase.problem.time_limits}
         fitted = {
             each.name: each

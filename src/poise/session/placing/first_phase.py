@@ -54,21 +54,23 @@ def first_phase(
     started.announce()
     first, *others = started.going()
     chosen = placement or place(robot, first.name, fewer=True)
-    if chosen.phased.reason and len(chosen.phases) > 1:
-        say(f"not all of task '{first.name}' fits: {chosen.phased.reason}")
+    if chosen.task_result.reason and len(chosen.phases) > 1:
+        say(f"not all of task '{first.name}' fits: {chosen.task_result.reason}")
     name = "+".join(each.name for each in started.tries(first))
     if others and placement is None:
         problem = plan.problem_of(
             robot, functions=started.functions_of(started.going())
         )
-        whole = plan.PhasedProblem.of_one(name, problem)
+        whole = plan.TaskProblem.of_one(name, problem)
         found = decided(robot, whole, "auto", partial(plan.solve_phases, fewer=True))
-        chosen = replace(chosen, phased=found.phased, predicted=found.predicted)
+        chosen = replace(
+            chosen, task_result=found.task_result, predicted=found.predicted
+        )
     elif len(chosen.phases) > 1:
-        phase = next(p for p in chosen.phased.problem.phases if p.name == name)
-        phased = plan.PhasedResult.of_one(name, phase.problem, chosen.phases[name])
+        phase = next(p for p in chosen.task_result.problem.phases if p.name == name)
+        task_result = plan.TaskResult.of_one(name, phase.problem, chosen.phases[name])
         predicted = {n: t for n, t in chosen.predicted.items() if n == name}
-        chosen = replace(chosen, phased=phased, predicted=predicted)
+        chosen = replace(chosen, task_result=task_result, predicted=predicted)
     if not chosen.where or (not chosen.feasible and chosen.method in SOLVERS):
         what = " and ".join(f"'{each.name}'" for each in (first, *others))
         raise RobotError(f"task {what} has no placement: {chosen.reason}")

@@ -198,7 +198,7 @@ class Placement(Printable, Struct, frozen=True, kw_only=True):
         The task; None: all functions of the robot.
     method
         What was asked to decide.
-    phased
+    task_result
         The placements of the task's phases with the terms of F, their bounds, and what
         was suspended; or why there are none. There is one phase where all runs at once.
     predicted
@@ -208,28 +208,28 @@ class Placement(Printable, Struct, frozen=True, kw_only=True):
 
     task: str | None
     method: str
-    phased: plan.PhasedResult
+    task_result: plan.TaskResult
     predicted: Mapping[str, PredictedTimes] = {}
 
     @property
     def phases(self) -> Mapping[str, plan.Result]:
         """Phase -> its result, with its `placement`; in the order of the task."""
-        return self.phased.results
+        return self.task_result.results
 
     @property
     def moves(self) -> tuple[plan.PhaseMove, ...]:
         """What moves between phases that follow each other."""
-        return self.phased.moves
+        return self.task_result.moves
 
     @property
     def result(self) -> plan.Result:
         """The result of the only phase; UsageError when there are several."""
-        return self.phased.only[1]
+        return self.task_result.only[1]
 
     @property
     def problem(self) -> plan.Problem:
         """What was decided about in the only phase; UsageError as for `result`."""
-        return self.phased.only[0]
+        return self.task_result.only[0]
 
     @property
     def where(self) -> Mapping[str, str]:
@@ -256,13 +256,13 @@ class Placement(Printable, Struct, frozen=True, kw_only=True):
     @property
     def feasible(self) -> bool:
         """Whether each phase has a placement that keeps every limit."""
-        return self.phased.feasible
+        return self.task_result.feasible
 
     @property
     def reason(self) -> str:
         """Why it is not feasible; empty when it is."""
         several = len(self.phases) > 1
-        return self.phased.reason if several else self.result.reason
+        return self.task_result.reason if several else self.result.reason
 
     def __getitem__(self, component: str) -> str:
         """Return the computer of a component; UsageError when there are phases."""
@@ -280,11 +280,13 @@ class Placement(Printable, Struct, frozen=True, kw_only=True):
         phase
             Its name; None: the first in which the component or architecture may run.
         """
-        return self.phased.explain(phase or self.phased.first_with(name), name)
+        return self.task_result.explain(
+            phase or self.task_result.first_with(name), name
+        )
 
     def parts(self) -> tuple[RenderableType, ...]:
         """Return what is printed."""
-        return plan_parts(self.phased, self.predicted)
+        return plan_parts(self.task_result, self.predicted)
 
     def picture(self) -> str:
         """Return each phase's computers with their components, as HTML."""
@@ -356,25 +358,28 @@ def place(  # noqa: PLR0913 - each is a choice of the user
     )
     found = decided(robot, problem, method, solve)
     return Placement(
-        task=task, method=method, phased=found.phased, predicted=found.predicted
+        task=task,
+        method=method,
+        task_result=found.task_result,
+        predicted=found.predicted,
     )
 
 
 def problem_of_task(
     robot: Robot, task: str | None, *, at_once: bool = False
-) -> plan.PhasedProblem:
+) -> plan.TaskProblem:
     """Return what is to be decided for a task; None: for all functions, at once."""
     if task is None or at_once:
-        return plan.PhasedProblem.of_one(task or ALL, plan.problem_of(robot, task))
-    return plan.phased_problem_of(robot, task)
+        return plan.TaskProblem.of_one(task or ALL, plan.problem_of(robot, task))
+    return plan.task_problem_of(robot, task)
 
 
 def decided(
-    robot: Robot | None, problem: plan.PhasedProblem, method: str, solve: Decide
+    robot: Robot | None, problem: plan.TaskProblem, method: str, solve: Decide
 ) -> DecidedByTime:
     """Return what a rule decides, or else a solver; None: there is no robot file."""
 
-    def decide(asked: plan.PhasedProblem) -> plan.PhasedResult:
+    def decide(asked: plan.TaskProblem) -> plan.TaskResult:
         return _ruled(method, robot, asked) or solve(asked)
 
     if robot is None:
@@ -384,8 +389,8 @@ def decided(
 
 
 def _ruled(
-    method: str, robot: Robot | None, problem: plan.PhasedProblem
-) -> plan.PhasedResult | None:
+    method: str, robot: Robot | None, problem: plan.TaskProblem
+) -> plan.TaskResult | None:
     """Return what a rule places in each phase; None: a solver is to decide."""
     if method in SOLVERS:
         return None
@@ -400,11 +405,11 @@ def _ruled(
     if is_file(method):
         (phase,) = problem.phases
         result = _by_file(method, robot, phase.problem)
-        return plan.PhasedResult(problem, {phase.name: result})
+        return plan.TaskResult(problem, {phase.name: result})
     results = {
         phase.name: plan.evaluate(
             phase.problem, by_rule(method, robot, phase.problem), method
         )
         for phase in problem.phases
     }
-    return plan.PhasedResult(problem, results)
+    return plan.TaskResult(problem, results)

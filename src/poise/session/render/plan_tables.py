@@ -30,17 +30,17 @@ _MOST_BARS = 3
 
 
 def plan_parts(
-    phased: plan.PhasedResult, times: Mapping[str, PredictedTimes] = {}
+    task_result: plan.TaskResult, times: Mapping[str, PredictedTimes] = {}
 ) -> tuple[RenderableType, ...]:
     """Return what is printed of a placement, with what is predicted of each phase."""
-    several = len(phased.results) > 1
-    parts = _phases(phased) if several else _phase(phased.only[1])
-    legend = () if phased.total is None else (f"[dim]{_LEGEND}[/]",)
-    return (*parts, *legend, *_chains(phased, times))
+    several = len(task_result.results) > 1
+    parts = _phases(task_result) if several else _phase(task_result.only[1])
+    legend = () if task_result.total is None else (f"[dim]{_LEGEND}[/]",)
+    return (*parts, *legend, *_chains(task_result, times))
 
 
 def _chains(
-    phased: plan.PhasedResult, times: Mapping[str, PredictedTimes]
+    task_result: plan.TaskResult, times: Mapping[str, PredictedTimes]
 ) -> Iterator[RenderableType]:
     """Yield how old the data of each chain is predicted to be, if there is one."""
     phase = ("phase",) if len(times) > 1 else ()
@@ -75,7 +75,7 @@ def _chains(
                     f"{chain.slowest}",
                 )
         if predicted.unknown:
-            least = {e.name: e.seconds for e in phased.results[name].times}
+            least = {e.name: e.seconds for e in task_result.results[name].times}
             ages = (
                 f"{each}, at least {units.format_seconds(least[each])} old"
                 for each in predicted.unknown
@@ -149,12 +149,12 @@ def _line(head: str, text: str) -> str:
 
 
 def show(
-    phased: plan.PhasedResult,
+    task_result: plan.TaskResult,
     console: Console,
     times: Mapping[str, PredictedTimes] = {},
 ) -> None:
     """Print a placement, and what is predicted of each phase."""
-    for part in plan_parts(phased, times):
+    for part in plan_parts(task_result, times):
         console.print(part, highlight=False)
 
 
@@ -204,15 +204,15 @@ def _share(computer: Computer, resource: str, used: float) -> str:
     return f"{used / capacity:.0%}"
 
 
-def _phases(phased: plan.PhasedResult) -> tuple[RenderableType, ...]:
+def _phases(task_result: plan.TaskResult) -> tuple[RenderableType, ...]:
     """Return the phases of a task side by side, then what moves between them."""
-    computers = phased.problem.computers
+    computers = task_result.problem.computers
     names = (computer.name for computer in computers)
     rows = table("phase", "weight", *names, "F", "")
     for column in rows.columns[2:-2]:
         column.no_wrap = False
-    weights = phased.problem.weights
-    for name, result in phased.results.items():
+    weights = task_result.problem.weights
+    for name, result in task_result.results.items():
         cells = [_on(computer, result) for computer in computers]
         rows.add_row(
             escape(name),
@@ -222,18 +222,20 @@ def _phases(phased: plan.PhasedResult) -> tuple[RenderableType, ...]:
             "fits" if result.feasible else "[bold red]does not fit[/]",
         )
     parts: list[RenderableType] = [rows]
-    if phased.reason:
-        head = "suspended: not everything fits" if phased.feasible else "not feasible"
-        parts.append(_line(head, phased.reason))
-    for name, result in phased.results.items():
+    if task_result.reason:
+        head = (
+            "suspended: not everything fits" if task_result.feasible else "not feasible"
+        )
+        parts.append(_line(head, task_result.reason))
+    for name, result in task_result.results.items():
         parts += [f"{name}: {f} by {by}" for f, by in result.architectures.items()]
     parts += [
         f"{move.component} moves from {move.source} to {move.target} between "
         f"{move.before} and {move.after}"
-        for move in phased.moves
+        for move in task_result.moves
     ]
-    parts += [f"assumed: {escape(each)}" for each in phased.problem.assumed]
-    parts.append(_sum(phased))
+    parts += [f"assumed: {escape(each)}" for each in task_result.problem.assumed]
+    parts.append(_sum(task_result))
     return tuple(parts)
 
 
@@ -251,18 +253,18 @@ def _on(computer: Computer, result: plan.Result) -> str:
     return f"{', '.join(shares)}\n{_some(names)}"
 
 
-def _sum(phased: plan.PhasedResult) -> str:
+def _sum(result: plan.TaskResult) -> str:
     """Return the mean of F over the phases, and what moves add."""
-    time = units.format_seconds(phased.seconds)
-    if phased.total is None:
+    time = units.format_seconds(result.seconds)
+    if result.total is None:
         return f"decided in {time}"
-    phases = phased.total - phased.of_moves
-    known = _known(phased.bound, is_least=phased.proven and phased.feasible)
+    phases = result.total - result.of_moves
+    known = _known(result.bound, is_least=result.proven and result.feasible)
     return (
-        f"F = {_cost(phased.total)} = {counted(len(phased.results), 'phase')} "
-        f"{_cost(phases)} + {counted(len(phased.moves), 'move')} "
-        f"{_cost(phased.of_moves)}{known}; in {time}"
-        f"{', stopped by Ctrl-C' if phased.stopped_by == 'interrupted' else ''}"
+        f"F = {_cost(result.total)} = {counted(len(result.results), 'phase')} "
+        f"{_cost(phases)} + {counted(len(result.moves), 'move')} "
+        f"{_cost(result.of_moves)}{known}; in {time}"
+        f"{', stopped by Ctrl-C' if result.stopped_by == 'interrupted' else ''}"
     )
 
 

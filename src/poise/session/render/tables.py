@@ -112,8 +112,8 @@ def clock_tables(
             if there < here and here in clocks.get(there, {}):
                 continue  # the same from the other side
             error = format_seconds(clock.error)
-            ahead = f"{_signed(clock.offset, clock.error)} ± {error}"
-            rows.add_row(there, here, ahead, format_seconds(clock.trip))
+            offset = f"{_signed(clock.offset, clock.error)} ± {error}"
+            rows.add_row(there, here, offset, format_seconds(clock.trip))
     if rows.row_count:
         yield rows
 

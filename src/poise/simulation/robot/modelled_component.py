@@ -6,12 +6,16 @@
 from __future__ import annotations
 
 from operator import itemgetter
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 from poise.errors import PoiseError, RunError
 from poise.simulation._engine import ExecutorState, Sender
 from poise.simulation.component_models import drawn
-from poise.wire.records.deployment_records import ComponentSpec, ContainerSpec
+from poise.wire.records.deployment_records import (
+    ComponentSpec,
+    ContainerSpec,
+    TargetState,
+)
 from poise.wire.records.migration_records import (
     MigrationPhases,
     MigrationSteps,
@@ -25,8 +29,6 @@ from poise.wire.records.status_records import ComponentStatus, State
 
 if TYPE_CHECKING:
     from poise.simulation.robot.modelled_container import SimulatedContainer
-
-Goal = Literal["inactive", "ready", "active", "finalized"]
 
 
 class SimulatedComponent:
@@ -42,7 +44,7 @@ class SimulatedComponent:
         self.key = spec.name, spec.epoch
         self.container = container
         self.state: State = "unconfigured"
-        self.goal: Goal = "inactive"
+        self.goal: TargetState = "inactive"
         self.executor = container.execution.add(
             self.key,
             process.pid,
@@ -61,7 +63,7 @@ class SimulatedComponent:
         if spec.goal != "stay":
             self.aim(spec.goal)
 
-    def aim(self, goal: Goal) -> None:
+    def aim(self, goal: TargetState) -> None:
         """Set the goal, which ends a migration that pauses it."""
         if self.goal == "finalized":
             return
@@ -106,7 +108,7 @@ class SimulatedComponent:
         if self.state == "active" and self.goal in {"active", "ready"}:
             self.executor.work()
             return
-        steps: dict[tuple[State, Goal], State] = {
+        steps: dict[tuple[State, TargetState], State] = {
             ("inactive", "ready"): "active",
             ("inactive", "active"): "active",
             ("active", "inactive"): "inactive",

@@ -6,7 +6,7 @@ import pytest
 from msgspec.structs import replace
 
 from poise.manage.deploy.adoption import found_in
-from poise.manage.deploy.deployment_plan import DeploymentPlan
+from poise.manage.deploy.deployment_layout import DeploymentLayout
 from poise.manage.deploy.desired import Incarnation
 from poise.model.robot import Architecture, Chain, ComponentEntry, Computer, Robot
 from poise.wire.records.deployment_records import ChainPart, ComponentSpec, Deployment
@@ -18,7 +18,7 @@ ALL = ("grabber", "filter", "heavy", "alone", "driver", "thinker")
 
 def deployments(robot: Robot, **where: str) -> dict[str, Deployment]:
     placed = [Incarnation(component=n, computer=c) for n, c in where.items()]
-    return DeploymentPlan(robot, "/run").specs(placed, 3, GATEWAYS)
+    return DeploymentLayout(robot, "/run").specs(placed, 3, GATEWAYS)
 
 
 def everything_on(computer: str) -> dict[str, str]:
@@ -126,7 +126,7 @@ def test_while_a_component_moves_both_incarnations_are_joined(robot: Robot) -> N
         Incarnation(component="filter", computer="left"),
         Incarnation(component="filter", computer="right", epoch=1, goal="inactive"),
     ]
-    told = DeploymentPlan(robot, "/run").specs(placed, 1, GATEWAYS)
+    told = DeploymentLayout(robot, "/run").specs(placed, 1, GATEWAYS)
     keys = {
         connector.key: connector.kind
         for connector in told["left"].containers[0].connectors
@@ -150,7 +150,7 @@ def test_no_two_containers_have_one_name(names: tuple[str, str]) -> None:
         architectures=(architecture,),
     )
     placed = Incarnation(component=names[1], computer="left")
-    assert DeploymentPlan(robot, "/").container_of(placed) == ".".join(names)
+    assert DeploymentLayout(robot, "/").container_of(placed) == ".".join(names)
 
 
 def test_a_chain_goes_with_messages_and_with_answers(robot: Robot) -> None:
@@ -180,7 +180,7 @@ def test_other_code_of_a_component_has_a_container_of_its_own(robot: Robot) -> N
         Incarnation(component="grabber", computer="left", code="b" * 64),
         Incarnation(component="filter", computer="left"),
     ]
-    left = DeploymentPlan(robot, "/run").specs(placed, 3, GATEWAYS)["left"]
+    left = DeploymentLayout(robot, "/run").specs(placed, 3, GATEWAYS)["left"]
     assert {c.name: c.code for c in left.containers} == {
         "eye..bbbbbbbb": "b" * 64,
         "eye": "a" * 64,

@@ -45,7 +45,7 @@ _NOT_KNOWN = "0.0.0.0:1"
 """The gateway of a computer that was never reached: nobody is there."""
 
 
-class DeploymentPlan:
+class DeploymentLayout:
     """Which containers and connectors a robot's components have."""
 
     def __init__(
