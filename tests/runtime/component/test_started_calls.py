@@ -21,7 +21,7 @@ from poise.runtime.component.started_calls import (
     StartedCall,
     StartedCalls,
 )
-from poise.runtime.connectors.endpoints import Endpoints
+from poise.runtime.connectors.endpoints import ComponentEndpoints
 from poise.runtime.execution.exclusion import Exclusion
 from poise.runtime.hosting.life_cycle import ExecutionGate
 from tests.waiting import LONG, wait_until
@@ -105,7 +105,7 @@ def test_too_many_are_refused_and_none_waits_for_ever(component: Component) -> N
 
 def test_a_pause_waits_for_answers_or_says_that_it_does(component: Component) -> None:
     exclusion, goes_on = Exclusion("asker"), threading.Event()
-    nothing = cast("Endpoints", _Nothing())
+    nothing = cast("ComponentEndpoints", _Nothing())
     gate = ExecutionGate("asker", exclusion, nothing, component.calls, lambda: True)
     gate.resume()
     call = component.calls.start(goes_on.wait, LONG)

@@ -129,7 +129,7 @@ def test_an_age_is_told_by_ones_own_clock(pair: Pair) -> None:
     """The target believes that the source's clock is 5 s ahead."""
     source, target = started(pair, "scan")
     pair.clocks["source"] = Elapsed(5.0)
-    for end in pair.sides["target"].endpoints():
+    for end in pair.sides["target"].open_connectors():
         end.remote_clock.update()
     source.scan.publish(SCAN)
     assert target.came.wait(LIMIT)

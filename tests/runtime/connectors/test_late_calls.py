@@ -56,7 +56,7 @@ def call(speed: float, sent: float, limit: float) -> Pieces:
 
 
 def ask(pair: Pair, pieces: Pieces) -> Frame:
-    (sender,) = (end.sender for end in pair.sides["source"].endpoints())
+    (sender,) = (end.sender for end in pair.sides["source"].open_connectors())
     assert sender is not None
     (route,) = sender.routes().values()
     assert isinstance(route, ChannelRoute)

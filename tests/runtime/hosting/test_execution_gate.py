@@ -9,7 +9,7 @@ import pytest
 
 from poise.errors import Timeout
 from poise.runtime.component.started_calls import StartedCalls
-from poise.runtime.connectors.endpoints import Endpoints
+from poise.runtime.connectors.endpoints import ComponentEndpoints
 from poise.runtime.execution.exclusion import Exclusion
 from poise.runtime.hosting.life_cycle import ExecutionGate
 
@@ -18,7 +18,7 @@ def test_what_hangs_is_not_waited_for_without_limit() -> None:
     gate = ExecutionGate(
         "map",
         Exclusion("map"),
-        cast("Endpoints", None),
+        cast("ComponentEndpoints", None),
         StartedCalls("map", lambda do: do()),
         lambda: False,
         0.01,

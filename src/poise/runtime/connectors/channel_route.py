@@ -14,7 +14,7 @@ from poise.errors import CalleeError, CallError, CannotCross, Timeout, Unavailab
 from poise.runtime._calls import ServedCall, call_remote, time_left
 from poise.runtime.component.error_report import Sparing
 from poise.runtime.component.ports import Port
-from poise.runtime.connectors.endpoints import Endpoints
+from poise.runtime.connectors.endpoints import ComponentEndpoints
 from poise.runtime.connectors.flow_control import Credit, CreditIssuer
 from poise.runtime.connectors.interface import Method, message_tag, methods
 from poise.runtime.connectors.latest import numbered, numbered_tag, take
@@ -190,7 +190,7 @@ class ReceivingEnd(Struct, frozen=True, kw_only=True):
     """
 
     spec: ConnectorSpec
-    target: Endpoints
+    target: ComponentEndpoints
     port: Port
     feed: Feed
     issuer: CreditIssuer
@@ -280,7 +280,7 @@ class ReceivingEnd(Struct, frozen=True, kw_only=True):
 
 def _taking_numbered(
     connector: str,
-    target: Endpoints,
+    target: ComponentEndpoints,
     port: Port,
     feed: Feed,
     read: Callable[[Frame, Codec[Any]], Any],

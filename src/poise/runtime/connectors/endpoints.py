@@ -92,7 +92,7 @@ class ObservedPort:
         self._rewire()
 
 
-class Endpoints:
+class ComponentEndpoints:
     """The endpoints at the ports of one incarnation of a component."""
 
     def __init__(

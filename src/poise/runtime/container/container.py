@@ -326,7 +326,7 @@ class Container:
                 runner.aim(goal)
         for key in self._preparing.keys() - wanted:
             del self._preparing[key]
-        self._stats_page.show(self._runners, self._wiring.endpoints())
+        self._stats_page.show(self._runners, self._wiring.open_connectors())
 
     def _add(self, key: ComponentKey, component: ComponentSpec, folder: str) -> None:
         # While others work here they would wait for the interpreter, which a thread

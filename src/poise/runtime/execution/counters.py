@@ -10,7 +10,7 @@ from __future__ import annotations
 import fcntl
 import logging
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from poise.runtime import _calls
@@ -21,7 +21,7 @@ from poise.wire.records.status_records import ConnectorStatus, Side
 
 if TYPE_CHECKING:
     from poise.runtime.hosting.runner import Runner
-    from poise.runtime.hosting.wiring import OpenEndpoints
+    from poise.runtime.hosting.wiring import OpenConnector
 
 log = logging.getLogger(__name__)
 MOST = 8192
@@ -84,11 +84,10 @@ class StatsPage:
     def show(
         self,
         running: Mapping[ComponentKey, Runner],
-        ends: Iterable[OpenEndpoints],
+        connectors: Sequence[OpenConnector],
     ) -> None:
         """Let the agent see the counters of these, and of no others."""
         components = {key: runner.counters for key, runner in running.items()}
-        connectors = list(ends)
         wanted: set[ComponentCounters | Counts] = {*components.values()}
         wanted |= {connector.counts for connector in connectors}
         for removed in self._shown - wanted:

@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from poise.errors import RunError, Timeout
 from poise.runtime.component.component import Verb
 from poise.runtime.component.started_calls import StartedCalls
-from poise.runtime.connectors.endpoints import Endpoints
+from poise.runtime.connectors.endpoints import ComponentEndpoints
 from poise.runtime.execution.exclusion import Exclusion, new_chain
 from poise.wire.records.deployment_records import TargetState
 from poise.wire.records.status_records import ActionEnd, State, TaskRequest
@@ -132,7 +132,7 @@ class ExecutionGate:
         self,
         name: str,
         exclusion: Exclusion,
-        endpoints: Endpoints,
+        endpoints: ComponentEndpoints,
         calls: StartedCalls,
         may_resume: Callable[[], bool],
         borrow_limit: float = BORROW_LIMIT,

@@ -25,7 +25,7 @@ from poise.runtime.component.error_report import Errors
 from poise.runtime.component.parameters import plain
 from poise.runtime.component.ports import ports_of, timers_of, watchers_of
 from poise.runtime.component.started_calls import StartedCalls
-from poise.runtime.connectors.endpoints import Endpoints
+from poise.runtime.connectors.endpoints import ComponentEndpoints
 from poise.runtime.connectors.interface import methods
 from poise.runtime.execution.container_lease import LeaseEnd, LeaseEnded
 from poise.runtime.execution.data_age import DataAges, Stamped
@@ -83,7 +83,7 @@ class Runner:
         )
         self.counters = ComponentCounters()
         self.ages = DataAges(spec.chains, clock)
-        self.endpoints = Endpoints(
+        self.endpoints = ComponentEndpoints(
             self.component,
             spec.epoch,
             self.ports,

@@ -37,7 +37,7 @@ Runners = Mapping[tuple[str, int], Runner]
 """The incarnations of components in a container, by name and epoch."""
 
 
-class OpenEndpoints:
+class OpenConnector:
     """What one connector has open in this container."""
 
     def __init__(self, spec: ConnectorSpec) -> None:
@@ -74,7 +74,7 @@ class Wiring:
     ) -> None:
         self._server = server
         self._clock_offset = clock_offset
-        self._open: dict[str, OpenEndpoints] = {}
+        self._open: dict[str, OpenConnector] = {}
 
     def apply(
         self, specs: tuple[ConnectorSpec, ...], runners: Runners
@@ -82,7 +82,7 @@ class Wiring:
         """Open the connectors of `specs`, close others; return faults by epoch."""
         wanted = {spec.key: spec for spec in specs}
         self._close_readdressed(wanted)
-        known = {ends.sender for ends in self.endpoints()}
+        known = {opened.sender for opened in self.open_connectors()}
         troubles: dict[tuple[str, int], str] = {}
         for key, spec in wanted.items():
             here = _ends_here(spec, runners)
@@ -102,31 +102,33 @@ class Wiring:
 
     def sender(self, connector: str) -> Sender:
         """Return the sender of a connector, or of one of its routes by its key."""
-        for ends in self.endpoints():
-            if ends.sender and connector in {ends.spec.name, ends.spec.key}:
-                return ends.sender
+        for opened in self.open_connectors():
+            if opened.sender and connector in {opened.spec.name, opened.spec.key}:
+                return opened.sender
         raise UsageError(f"no connector '{connector}' begins in this container")
 
     def with_messages(self, connectors: Iterable[str], target: Runner) -> set[str]:
         """Return those over which messages come to a target: not only calls."""
         only_calls = {
-            ends.spec.name
-            for ends in self.endpoints()
-            if ends.spec.target == target.spec.name
-            and (port := target.ports.get(ends.spec.target_port)) is not None
+            opened.spec.name
+            for opened in self.open_connectors()
+            if opened.spec.target == target.spec.name
+            and (port := target.ports.get(opened.spec.target_port)) is not None
             and not carries_messages(port)
         }
         return set(connectors) - only_calls
 
     def shut(self, key: str) -> None:
         """Take nothing more over a connector until `apply` joins it again."""
-        if ends := self._open.pop(key, None):
-            ends.closing.close()
+        if opened := self._open.pop(key, None):
+            opened.closing.close()
 
     def connect(self) -> frozenset[str]:
         """Connect what can be; return the keys of connectors without another end."""
         return frozenset(
-            ends.spec.key for ends in self.endpoints() if not ends.try_connect()
+            opened.spec.key
+            for opened in self.open_connectors()
+            if not opened.try_connect()
         )
 
     def joined_inputs(
@@ -137,8 +139,8 @@ class Wiring:
         `silent`: the computers that are not heard.
         """
         joined: dict[str, bool] = {}
-        for ends in self.endpoints():
-            spec = ends.spec
+        for opened in self.open_connectors():
+            spec = opened.spec
             if (spec.target, spec.target_epoch) != (component, epoch):
                 continue
             is_joined = spec.kind == "direct" or self._server.is_joined(spec.key)
@@ -148,52 +150,52 @@ class Wiring:
 
     def status(self) -> tuple[ConnectorStatus, ...]:
         """Return the status of every open connector."""
-        return tuple(ends.status() for ends in self.endpoints())
+        return tuple(opened.status() for opened in self.open_connectors())
 
-    def endpoints(self) -> list[OpenEndpoints]:
+    def open_connectors(self) -> list[OpenConnector]:
         """Return what is open now; any thread may ask."""
         return list(self._open.values())
 
     def close(self) -> None:
         """Close every connector."""
-        for ends in self._open.values():
-            ends.closing.close()
+        for opened in self._open.values():
+            opened.closing.close()
         self._open.clear()
 
     def _close_readdressed(self, wanted: Mapping[str, ConnectorSpec]) -> None:
         """Close connectors to an agent that was started again, at another port."""
-        for key, ends in list(self._open.items()):
-            if key in wanted and wanted[key].address != ends.spec.address:
+        for key, opened in list(self._open.items()):
+            if key in wanted and wanted[key].address != opened.spec.address:
                 self.shut(key)
 
     def _buffer_amid_a_move(self, known: AbstractSet[Sender | None]) -> None:
         """Buffer over new connectors to a moving component, after a restart."""
-        for ends in self.endpoints():
-            sender = ends.sender
+        for opened in self.open_connectors():
+            sender = opened.sender
             if sender is not None and sender not in known:
                 with contextlib.suppress(RunError):  # its target does not move
                     sender.buffer_for_move()
 
-    def _join(self, spec: ConnectorSpec, runners: Runners) -> OpenEndpoints:
-        ends = OpenEndpoints(spec)
+    def _join(self, spec: ConnectorSpec, runners: Runners) -> OpenConnector:
+        opened = OpenConnector(spec)
         source = runners.get((spec.source, spec.source_epoch))
         target = runners.get((spec.target, spec.target_epoch))
         if spec.kind == "remote":
             far = spec.source_computer if source is None else spec.target_computer
-            ends.remote_clock = RemoteClock(partial(self._clock_offset, far))
+            opened.remote_clock = RemoteClock(partial(self._clock_offset, far))
         with ExitStack() as undo:
-            undo.callback(ends.closing.close)
+            undo.callback(opened.closing.close)
             if source is not None:
-                self._open_source(ends, source, target)
+                self._open_source(opened, source, target)
             elif target is not None:
-                self._open_target(ends, target)
+                self._open_target(opened, target)
             undo.pop_all()
-        return ends
+        return opened
 
     def _open_source(
-        self, ends: OpenEndpoints, source: Runner, target: Runner | None
+        self, opened: OpenConnector, source: Runner, target: Runner | None
     ) -> None:
-        spec = ends.spec
+        spec = opened.spec
         port = _port(source, spec.source_port, SENDING)
         chains = None
         if spec.carries or spec.answers:
@@ -203,15 +205,15 @@ class Wiring:
         if target is not None:
             far = _port(target, spec.target_port, TAKING)
             route = NumberedRoute if port.latest else DirectRoute
-            ends.route = route(
+            opened.route = route(
                 spec.name, target.endpoints, far, spec.limit, sender, spec.source_epoch
             )
-            ends.closing.callback(_forget, spec, target)
+            opened.closing.callback(_forget, spec, target)
         else:
             credit = Credit()
             credit.on_credit = sender.note_room
             if port.latest:
-                credit.on_heard = lambda heard: sender.offer_latest(ends.route, heard)
+                credit.on_heard = lambda heard: sender.offer_latest(opened.route, heard)
             use = CALLS if port.kind == "requires" else MESSAGES
             channel = Channel(
                 spec.key,
@@ -221,44 +223,44 @@ class Wiring:
                 credit.note_credit,
                 credit.request,
             )
-            ends.route = ChannelRoute(
+            opened.route = ChannelRoute(
                 channel,
                 port,
                 spec.limit,
                 credit,
-                ends.remote_clock,
+                opened.remote_clock,
                 spec.source,
                 source.lease,
             )
-        ends.sender = sender
-        ends.counts = sender.counts
-        sender.add(spec.key, ends.route)
-        ends.closing.callback(_remove_route, source, sender, spec.key)
+        opened.sender = sender
+        opened.counts = sender.counts
+        sender.add(spec.key, opened.route)
+        opened.closing.callback(_remove_route, source, sender, spec.key)
 
-    def _open_target(self, ends: OpenEndpoints, target: Runner) -> None:
-        spec = ends.spec
+    def _open_target(self, opened: OpenConnector, target: Runner) -> None:
+        spec = opened.spec
         port = _port(target, spec.target_port, TAKING)
-        feed = target.endpoints.mailbox.feed(port.name, ends.counts)
+        feed = target.endpoints.mailbox.feed(port.name, opened.counts)
         heard = target.endpoints.heard[port.name]
-        issuer = CreditIssuer(spec.name, feed, ends.counts, heard)
-        ends.closing.callback(issuer.close)
-        ends.closing.callback(_forget, spec, target)
+        issuer = CreditIssuer(spec.name, feed, opened.counts, heard)
+        opened.closing.callback(issuer.close)
+        opened.closing.callback(_forget, spec, target)
         handler = ReceivingEnd(
             spec=spec,
             target=target.endpoints,
             port=port,
             feed=feed,
             issuer=issuer,
-            remote_clock=ends.remote_clock,
+            remote_clock=opened.remote_clock,
             lease=target.lease,
         ).handler()
         if spec.record:
             source = f"{spec.source}.{spec.source_port}"
             file = InputFile(Path(spec.record), source, port)
-            ends.closing.callback(file.close)
+            opened.closing.callback(file.close)
             handler = file.handler(handler)
-        self._server.open(spec.key, handler, ends.counts.refuse)
-        ends.closing.callback(self._server.shut, spec.key)
+        self._server.open(spec.key, handler, opened.counts.refuse)
+        opened.closing.callback(self._server.shut, spec.key)
 
 
 def _ends_here(spec: ConnectorSpec, runners: Runners) -> list[tuple[str, int]]:
