@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
+from msgspec import structs
 
 from poise.session.ros2_import.graph_records import NodeProcess
 from poise.session.ros2_import.node_processes import (
@@ -91,9 +92,80 @@ def test_takes_over_what_temporary_parameter_files_say_for_the_node() -> None:
     assert keys(line)["ros2"] == {
         "package": "lidar",
         "executable": "node",
-        "params": {"use_sim_time": False, "rate": 30, "filter": {"size": 3}},
+        "params": {"use_sim_time": False, "rate": 30, "filter.size": 3},
         "params_files": ["cfg/more.yaml"],
     }
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        ("1e-3", 0.001),
+        ("y", True),
+        ("Off", False),
+        ("1:30", "1:30"),
+        ("010", 8),
+        ("09", 9.0),
+        ("0x1F", 31),
+        ("+5", 5),
+        ("~", "~"),
+        ("1_000", "1_000"),
+        ("2020-01-01", "2020-01-01"),
+        ("123456789012345678901234567890", 123456789012345678901234567890.0),
+        ("1e400", "1e400"),
+        ("'1e3'", "1e3"),
+        ("=", "="),
+        ("@x", "@x"),
+        ("[1e-3, 2.0]", [0.001, 2.0]),
+    ],
+)
+def test_reads_values_of_parameters_as_rcl_does(text: str, value: object) -> None:
+    words = ("/opt/ros/kilted/lib/lidar/node", "--ros-args", "-p", f"x:={text}")
+    params = keys("", arguments=words)["ros2"]["params"]
+    assert (params, type(params["x"])) == ({"x": value}, type(value))
+
+
+def test_parameters_that_are_not_finite_are_arguments() -> None:
+    line = "/opt/ros/kilted/lib/lidar/node --ros-args -p far:=-.inf -p near:=.1"
+    assert keys(line)["ros2"] == {
+        "package": "lidar",
+        "executable": "node",
+        "params": {"near": 0.1},
+        "arguments": ["--ros-args", "-p", "far:=-inf", "--"],
+    }
+
+
+def test_sections_add_to_parameters_with_one_prefix() -> None:
+    text = """
+    /**: {ros__parameters: {filter: {size: 3, kind: mean}}}
+    /lidar: {ros__parameters: {filter: {size: 5}, y: 1}}
+    """
+    found = parameters_in(text, "/lidar")
+    assert found == {"filter.size": 5, "filter.kind": "mean", "y": 1}
+
+
+def test_a_file_wins_over_a_temporary_one_before_it() -> None:
+    texts = {
+        "/tmp/launch_params_x": PARAMETERS,
+        "/home/me/robot/cfg/more.yaml": "/**: {ros__parameters: {filter: {size: 9}}}",
+    }
+    here = structs.replace(HERE, read=texts.__getitem__)
+    line = (
+        "/opt/ros/kilted/lib/lidar/node --ros-args --params-file /tmp/launch_params_x "
+        "--params-file cfg/more.yaml"
+    )
+    ros2 = start_of(process(line), here).keys["ros2"]
+    assert ros2["params"] == {"use_sim_time": False, "rate": 20}
+    assert ros2["params_files"] == ["cfg/more.yaml"]
+
+
+@pytest.mark.parametrize("text", ["- a", "lidar: [1,\n b: {", "hello"])
+def test_a_damaged_parameter_file_is_a_remark_on_one_line(text: str) -> None:
+    line = "/opt/ros/kilted/lib/lidar/node --ros-args --params-file /tmp/x"
+    here = structs.replace(HERE, read=lambda _: text)
+    (remark,) = start_of(process(line), here).remarks
+    assert remark.startswith("parameters are missing: /tmp/x: ")
+    assert "\n" not in remark
 
 
 def test_says_that_parameters_are_missing_when_their_file_is_gone() -> None:

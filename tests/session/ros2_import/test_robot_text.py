@@ -156,6 +156,16 @@ def test_the_task_that_runs_leaves_out_what_cannot_be_started(file: Path) -> Non
     assert robot.functions_of("plan_all") == ("lidar", "all", "pilot")
 
 
+def test_text_that_looks_like_a_number_stays_text(tmp_path: Path) -> None:
+    words = ("/opt/ros/k/lib/lidar/node", "12e5", "--ros-args", "-p", "id:='1e3'")
+    lidar = replace(GRAPH.processes[0], arguments=words)
+    path = tmp_path / "robot.yaml"
+    path.write_text(written(replace(GRAPH, processes=(lidar, *GRAPH.processes[1:]))))
+    node = load(path).component("lidar").ros2
+    assert node is not None
+    assert (node.params, node.arguments) == ({"id": "1e3"}, ("12e5",))
+
+
 def test_can_be_planned(file: Path) -> None:
     result = plan.solve(problem_of(load(file)))
     assert result.feasible

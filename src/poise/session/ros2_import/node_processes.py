@@ -9,6 +9,7 @@ import shutil
 import stat
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from math import isfinite
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -22,6 +23,7 @@ from poise.kernel_counters import (
     proportional_memory,
     resident_memory,
 )
+from poise.model.ros2_node import flat
 from poise.session.ros2_import.graph_records import Hardware, NodeProcess, Start
 
 PREFIXES = ("ROS_", "RMW_", "FASTRTPS_", "FASTDDS_", "CYCLONEDDS_", "AMENT_")
@@ -222,7 +224,7 @@ def split(arguments: Sequence[str]) -> RosArguments:
                 remap[before] = after
         elif word in {"-p", "--param"}:
             before, _, after = next(words, "").partition(":=")
-            params[before] = yaml.safe_load(after)
+            params[before] = _value_of(after)
         elif word == "--params-file":
             files.append(next(words, ""))
         else:
@@ -266,16 +268,63 @@ def _program_length(words: Sequence[str]) -> int:
     return length + 1
 
 
+_TRUE = re.compile("y|Y|yes|Yes|YES|true|True|TRUE|on|On|ON")
+_FALSE = re.compile("n|N|no|No|NO|false|False|FALSE|off|Off|OFF")
+_OCTAL = re.compile(r"[+-]?0[0-7]+")
+_INTEGER = re.compile(r"[+-]?(0[xX][0-9a-fA-F]+|[1-9][0-9]*|0)")
+_FLOAT = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
+_NOT_FINITE = re.compile(r"[+-]?\.?(inf|nan)", re.IGNORECASE)
+_LARGEST = 2**63
+
+
+def _value_of(text: str) -> Any:  # noqa: ANN401, any value of YAML
+    """Return what is behind ``-p name:=``."""
+    try:
+        return _plain(yaml.compose(text, yaml.SafeLoader))
+    except yaml.YAMLError:
+        return text
+
+
+def _plain(node: yaml.Node | None) -> Any:  # noqa: ANN401, any value of YAML
+    """Return YAML as ROS 2 reads it: 1e-3 is a number there, a date or 1:30 is text."""
+    if node is None:
+        return ""
+    if isinstance(node, yaml.MappingNode):
+        return {str(key.value): _plain(value) for key, value in node.value}
+    if isinstance(node, yaml.SequenceNode):
+        return [_plain(each) for each in node.value]
+    is_quoted = isinstance(node, yaml.ScalarNode) and node.style in {"'", '"'}
+    return node.value if is_quoted else _scalar(node.value)
+
+
+def _scalar(text: str) -> bool | int | float | str:
+    if _TRUE.fullmatch(text) or _FALSE.fullmatch(text):
+        return bool(_TRUE.fullmatch(text))
+    is_octal = _OCTAL.fullmatch(text)
+    if is_octal or _INTEGER.fullmatch(text):
+        value = int(text, 8 if is_octal else 0)
+        if -_LARGEST <= value < _LARGEST:
+            return value
+    if _NOT_FINITE.fullmatch(text):
+        return float(text.replace(".", ""))
+    is_number = _FLOAT.fullmatch(text) and isfinite(float(text))
+    return float(text) if is_number else text
+
+
 def parameters_in(text: str, node: str) -> dict[str, Any]:
     """Return what a parameter file says for a node, by its full name.
 
     Later sections win; a wildcard fits as in ROS 2: ``*`` one name, ``**`` any number.
+    Parameters have their full names, as in ``a.b``. ValueError, YAMLError: it has none.
     """
+    tree = _plain(yaml.compose(text, yaml.SafeLoader)) or {}
+    if not isinstance(tree, Mapping):
+        raise ValueError("no node is named in it")  # noqa: TRY004, what a file says
     found: dict[str, Any] = {}
-    for pattern, section in _sections_of(yaml.safe_load(text) or {}, ""):
+    for pattern, section in _sections_of(tree, ""):
         regex = re.escape(pattern).replace(r"/\*\*", "(/.+)?").replace(r"\*", "[^/]+")
         if re.fullmatch(regex, node):
-            found.update(section)
+            found.update(flat(section))
     return found
 
 
@@ -284,9 +333,11 @@ def _sections_of(
 ) -> list[tuple[str, Mapping[str, Any]]]:
     found: list[tuple[str, Mapping[str, Any]]] = []
     for key, value in tree.items():
+        if not isinstance(value, Mapping):
+            continue
         if key == "ros__parameters":
-            found.append((above, value or {}))
-        elif isinstance(value, Mapping):
+            found.append((above, value))
+        else:
             found += _sections_of(value, f"{above}/{key.strip('/')}")
     return found
 
@@ -316,13 +367,15 @@ def start_of(process: NodeProcess, here: WhereImported) -> Start:
     }
     ros2, remarks = _program(process, found, here), list[str]()
     params, files = _parameters(process, found, here, remarks)
-    kept = ["--ros-args", *found.kept, "--"] if found.kept else []
+    params |= found.params
+    kept = [*found.kept, *_not_finite(params)]
+    kept = ["--ros-args", *kept, "--"] if kept else []
     optional = {
         "arguments": [*ros2.pop("arguments", ()), *found.others, *kept],
         "name": found.name,
         "namespace": found.namespace,
         "remap": dict(found.remap),
-        "params": params | dict(found.params),
+        "params": params,
         "params_files": files,
     }
     keys: dict[str, Any] = {"ros2": ros2 | {k: v for k, v in optional.items() if v}}
@@ -375,15 +428,33 @@ def _parameters(
     for file in found.files:
         if not file.startswith(_TEMPORARY):
             files.append(_relative(file, process.folder, here.folder))
+            for name in _names_in(process, file, here):  # it comes later, so it wins
+                params.pop(name, None)
         elif len(process.nodes) > 1:
             files.append(file)
             remarks.append(f"{file} may be a temporary file: keep a copy")
         else:
             try:
                 params.update(parameters_in(here.read(file), process.nodes[0]))
-            except (OSError, yaml.YAMLError) as error:
-                remarks.append(f"parameters are missing: {file}: {error}")
+            except (OSError, ValueError, yaml.YAMLError) as error:
+                why = " ".join(str(error).split())  # a comment is one line
+                remarks.append(f"parameters are missing: {file}: {why}")
     return params, files
+
+
+def _not_finite(params: dict[str, Any]) -> list[str]:
+    """Return as arguments the parameters that no robot file holds; drop them there."""
+    names = [n for n, v in params.items() if isinstance(v, float) and not isfinite(v)]
+    return [word for n in names for word in ("-p", f"{n}:={params.pop(n)}")]
+
+
+def _names_in(process: NodeProcess, file: str, here: WhereImported) -> Iterable[str]:
+    """Return the parameters that a file sets for a process's node, if it has one."""
+    if len(process.nodes) == 1:
+        with contextlib.suppress(OSError, ValueError, yaml.YAMLError):
+            text = here.read(str(PurePosixPath(process.folder, file)))
+            return parameters_in(text, process.nodes[0])
+    return ()
 
 
 def component_name(process: NodeProcess) -> str:
