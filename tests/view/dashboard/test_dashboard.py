@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import shutil
 import subprocess
@@ -11,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 
 from benchmarks.dashboard import FRAMES
 from benchmarks.synthetic.slow_link import SlowLink
@@ -260,6 +262,7 @@ def test_parameters_are_set_in_the_dialog_of_their_component(
 
 class Steps(Message):
     step: int
+    note: str
 
 
 class Stepper(Counter):
@@ -269,20 +272,22 @@ class Stepper(Counter):
         if parameters.step > 9:
             raise ValueError("too far")
 """)
-    stepper = '"hello:Stepper", parameters: {step: 2}'
+    note = f"{'what is long ' * 10}\nhas lines"
+    stepper = f'"hello:Stepper", parameters: {{step: 2, note: {json.dumps(note)}}}'
     robot.write_text(robot.read_text().replace('"hello:Counter"', stepper))
     with robot_up(robot, "--dashboard") as up:
         assert up.stdout is not None
         page.goto(address_in(up.stdout))
         on(page, "left", "counter").wait_for()
         on(page, "left", "counter").press("Enter")
+        assert yaml.safe_load(page.get_by_label("note").input_value()) == note
         field = page.get_by_label("step")
         for value, told in ("30", "too far"), ("3", "counter has step = 3"):
             field.fill(value)
             page.get_by_role("button", name="Set").click()
             page.get_by_text(told).first.wait_for()
         shown = run_poise(
-            "param", "get", "counter", "--robot", f"dashboard-{os.getpid()}"
+            "param", "get", "counter", "--robot", f"dashboard-{os.getpid()}", "--json"
         )
-        assert shown.stdout == "step: 3\n"
+        assert json.loads(shown.stdout) == {"step": 3, "note": note}
         page.goto("about:blank")  # it would complain that the server has ended

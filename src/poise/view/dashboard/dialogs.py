@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import json
+import math
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
@@ -356,5 +358,8 @@ class ParameterFields:
 
 def _text(value: object) -> str:
     """Return a value as a robot file has it, in one line."""
-    text = yaml.safe_dump(value, default_flow_style=True, allow_unicode=True)
-    return text.removesuffix("\n").removesuffix("\n...")
+    text = yaml.safe_dump(
+        value, default_flow_style=True, allow_unicode=True, width=math.inf
+    )
+    line = text.removesuffix("\n").removesuffix("\n...")
+    return json.dumps(value, ensure_ascii=False) if "\n" in line else line
