@@ -47,6 +47,8 @@ def test_exports_a_table(folder: Path, poise: Poise) -> None:
     done = poise("recording", "export", "run.mcap", "--to", "run.csv")
     assert done.stdout == "300 rows of components in run.csv\n"
     assert len((folder / "run.csv").read_text().splitlines()) == 301
+    refused = poise("recording", "export", "run.mcap", "--to", "run.csv", "--json")
+    assert (refused.returncode, json.loads(refused.stdout)["kind"]) == (2, "UsageError")
 
 
 @pytest.mark.slow

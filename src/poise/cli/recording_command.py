@@ -64,6 +64,8 @@ def recording_command(
     if what == "export":
         if to is None:
             raise UsageError("give a file: --to run.csv or --to run.parquet")
+        if as_json:
+            raise UsageError("--json goes with replay: export writes a table")
         count = recorded.export(to, of)
         sys.stdout.write(f"{count} rows of {of} in {to}\n")
         return
