@@ -167,7 +167,7 @@ def aged(uses: int, missed: int, at: float = 1.0, **more: Any) -> Status:
 def test_a_chain_is_late_by_its_last_uses_and_unknown_without() -> None:
     reader = Reader()
     late = [
-        view.chains[0].late
+        view.chains["see"]
         for view in (
             reader.update(aged(1000, 0), 0.0),
             reader.update(aged(1010, 9), 1.0),

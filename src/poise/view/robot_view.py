@@ -91,16 +91,6 @@ class TimerRow(Struct, frozen=True):
     missed: float | None
 
 
-class ChainRow(Struct, frozen=True):
-    """A chain: the share of its uses of data lately that was too old.
-
-    None where no data was used lately, or nothing is known.
-    """
-
-    name: str
-    late: float | None
-
-
 class RobotView(Struct, frozen=True):
     """A running robot at one moment: its status, and rows made of it."""
 
@@ -109,7 +99,9 @@ class RobotView(Struct, frozen=True):
     components: tuple[ComponentRow, ...]
     connectors: tuple[ConnectorRow, ...]
     timers: tuple[TimerRow, ...]
-    chains: tuple[ChainRow, ...]
+    chains: dict[str, float | None]
+    """Chain -> the share of its uses of data lately that was too old; None: there was
+    no use, or it is not known."""
 
 
 class Reader:
@@ -130,7 +122,7 @@ class Reader:
             components=tuple(_components(before, status)),
             connectors=tuple(_connectors(before, status)),
             timers=tuple(_timers(before, status)),
-            chains=tuple(_chains(before, status)),
+            chains=dict(_chains(before, status)),
         )
 
 
@@ -214,15 +206,15 @@ def _timers(before: Status, now: Status) -> Iterator[TimerRow]:
             )
 
 
-def _chains(before: Status, now: Status) -> Iterator[ChainRow]:
-    """Yield chains; what moved counts from 0 again."""
+def _chains(before: Status, now: Status) -> Iterator[tuple[str, float | None]]:
+    """Yield each chain and how late it is; what moved counts from 0 again."""
     earlier = {_incarnation(chain): chain for chain in before.chains}
     for chain in now.chains:
         was = earlier.get(_incarnation(chain), chain)
         used = chain.age.count - was.age.count
         is_known = not {hop.computer for hop in chain.hops} & now.not_known()
         late = (chain.missed - was.missed) / used if is_known and used > 0 else None
-        yield ChainRow(chain.name, late)
+        yield chain.name, late
 
 
 def _incarnation(chain: ChainReport) -> tuple[str, tuple[int, ...]]:

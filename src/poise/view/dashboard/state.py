@@ -42,8 +42,8 @@ class PageState:
         view = self._reader.update(status, at)
         page["timers"] = timers = dict(_timers(status, view.timers))
         page["chains"] = {
-            chain.name: _chain(chain, row.late, status)
-            for chain, row in zip(status.chains, view.chains, strict=True)
+            chain.name: _chain(chain, view.chains[chain.name], status)
+            for chain in status.chains
         }
         page["connectors"] = {
             connector.name: _connector(connector) for connector in view.connectors
