@@ -25,6 +25,7 @@ from poise.model.hardware import Computer
 from poise.model.load import load
 from poise.model.robot import Robot
 from poise.session.diagrams.draw import FORMATS, What, draw
+from poise.session.folders import write_whole
 from poise.session.placing.placement import place
 from poise.session.profiling.stored_profiles import profiled
 from poise.session.render.printable import console_to
@@ -176,7 +177,7 @@ def import_command(
     imported = import_robot(
         seconds, name=name, folder=output.absolute().parent, computers=computers
     )
-    output.write_text(imported.text, encoding="utf-8")
+    write_whole(output, imported.text)
     for line in imported.summary():
         sys.stderr.write(f"{line}\n")
     sys.stderr.write(f"wrote {output}; next: poise plan {output}\n")

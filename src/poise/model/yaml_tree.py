@@ -371,5 +371,6 @@ def _insert(
         added = "".join(f"{key}: {value}, " for key, value in new.items())
         lines[first.file][index] = line[:column] + added + line[column:]
     else:
-        added = "".join(f"{' ' * column}{k}: {v}\n" for k, v in new.items())
+        end = "\r\n" if line.endswith("\r\n") else "\n"
+        added = "".join(f"{' ' * column}{k}: {v}{end}" for k, v in new.items())
         lines[first.file].insert(index, added)

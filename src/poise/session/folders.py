@@ -60,6 +60,28 @@ def to_write(path: Path | None) -> Path | None:
     return path
 
 
+def write_whole(path: Path, text: str) -> None:
+    """Write a text file whole or not at all; owner, rights and links to it stay.
+
+    RunError: it cannot be written, and is what it was.
+    """
+    target = path.resolve()
+    new = target.with_name(f".{target.name}.new")
+    try:
+        try:
+            new.write_text(text, "utf-8", newline="")
+            if target.exists():
+                before = target.stat()
+                with contextlib.suppress(PermissionError):  # it is another user's
+                    os.chown(new, before.st_uid, before.st_gid)
+                new.chmod(before.st_mode & 0o7777)
+            new.replace(target)
+        finally:
+            new.unlink(missing_ok=True)
+    except OSError as error:
+        raise RunError(f"{path} cannot be written: {error.strerror}") from error
+
+
 _MOST_TRIES = 10
 
 

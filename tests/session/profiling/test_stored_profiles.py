@@ -1,9 +1,10 @@
+import resource
 from pathlib import Path
 
 import pytest
 from msgspec.structs import replace
 
-from poise.errors import RobotError
+from poise.errors import RobotError, RunError
 from poise.estimate import profiles as profile_file
 from poise.estimate.code_version import version_of
 from poise.estimate.profiles import ComponentProfile, Distribution, Profile
@@ -107,3 +108,33 @@ def test_writes_demands_into_the_robot_file(robot: Robot) -> None:
         "eye: {impl", "eye: {cpu: 21%, memory: 10.5 MiB, impl"
     )
     assert write_demands(file, measured(robot)) == []
+
+
+def test_keeps_the_ends_of_lines(robot: Robot) -> None:
+    file = Path(robot.folder) / "robot.yaml"
+    before = TEXT.replace("\n", "\r\n").encode()
+    file.write_bytes(before)
+    write_demands(file, measured(robot))
+    demands = b"eye: {cpu: 21%, memory: 10.5 MiB, impl"
+    assert file.read_bytes() == before.replace(b"eye: {impl", demands)
+
+
+def test_a_robot_file_that_cannot_be_written_stays_what_it_was(robot: Robot) -> None:
+    file = Path(robot.folder) / "robot.yaml"
+    link = Path(robot.folder) / "link.yaml"
+    link.symlink_to(file)
+    file.chmod(0o640)
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    # as on a disk that is full
+    resource.setrlimit(resource.RLIMIT_FSIZE, (len(TEXT) - 1, limits[1]))
+    try:
+        with pytest.raises(RunError, match="cannot be written: File too large"):
+            write_demands(file, measured(robot))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert file.read_text() == TEXT
+    assert not list(file.parent.glob(".*.new"))
+    write_demands(link, measured(robot))
+    assert "cpu: 21%" in file.read_text()
+    assert link.is_symlink()
+    assert file.stat().st_mode & 0o777 == 0o640

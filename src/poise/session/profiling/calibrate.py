@@ -27,6 +27,7 @@ from poise.model.robot import (
 )
 from poise.runtime.calibration import SCORES
 from poise.session import Check, nothing
+from poise.session.folders import write_whole
 from poise.session.launch.start import Sampling, started
 from poise.session.profiling.stored_profiles import (
     check_keepable,
@@ -336,7 +337,7 @@ def _keep(robot: Robot, costs: Mapping[str, KindCosts]) -> None:
     if profile is not None:
         path = Path(robot.folder) / robot.profile
         calibrated = msgspec.structs.replace(profile, costs=costs)
-        path.write_text(profile_file.to_text(calibrated), "utf-8")
+        write_whole(path, profile_file.to_text(calibrated))
 
 
 def _speeds(

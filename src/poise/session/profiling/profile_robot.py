@@ -22,6 +22,7 @@ from poise.manage.journal import Journal
 from poise.manage.observe.sample_recording import Recording
 from poise.model.robot import Robot
 from poise.session import Check, Say, log, nothing
+from poise.session.folders import write_whole
 from poise.session.launch.start import Sampling, Started, started
 from poise.session.profiling.figures import (
     Figures,
@@ -346,7 +347,7 @@ def _write(robot: Robot, kept: Profile) -> Path | None:
     if not robot.profile:
         return None
     path = Path(robot.folder) / robot.profile
-    path.write_text(profile_file.to_text(kept), "utf-8")
+    write_whole(path, profile_file.to_text(kept))
     return path
 
 

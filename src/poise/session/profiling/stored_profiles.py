@@ -18,7 +18,7 @@ from poise.model.load import load_source
 from poise.model.robot import Robot
 from poise.model.yaml_tree import with_values
 from poise.runtime.calibration import score
-from poise.session.folders import to_write
+from poise.session.folders import to_write, write_whole
 
 _MOST_NAMED = 4
 STORE = Path(".poise") / "profiles.sqlite"
@@ -120,7 +120,7 @@ def write_demands(file: Path, profile: Profile) -> list[Path]:
         if component.name in profile.components and not architecture.package
     ]
     places = {path: source.positions.at(path) for path in paths}
-    before = {p.file: Path(p.file).read_text("utf-8") for p in places.values()}
+    before = {p.file: Path(p.file).read_bytes().decode() for p in places.values()}
     texts = before
     # from last to first: added lines move only what is done
     for path in sorted(paths, key=lambda path: -places[path].line):
@@ -128,7 +128,7 @@ def write_demands(file: Path, profile: Profile) -> list[Path]:
         texts = with_values(texts, source.positions, path, values)
     changed = [name for name in texts if texts[name] != before[name]]
     for name in changed:
-        Path(name).write_text(texts[name], "utf-8")
+        write_whole(Path(name), texts[name])
     return [Path(name) for name in changed]
 
 
