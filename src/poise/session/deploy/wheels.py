@@ -65,7 +65,7 @@ def lock_wheels(folder: str, platforms: Collection[str]) -> Manifest:
 def files_for(manifest: Manifest, platform: str) -> dict[str, Path]:
     """Return the wheels for a platform by their SHA-256, fetched again if need be."""
     wheels = manifest.wheels.get(platform, {})
-    if not all(_cached(digest).exists() for digest in wheels.values()):
+    if not all(map(_is_cached, wheels.values())):
         with tempfile.TemporaryDirectory() as folder:
             pinned = Path(folder, REQUIREMENTS)
             pinned.write_text("\n".join(_pins(wheels)))
@@ -133,6 +133,12 @@ def _target(platform: str) -> list[str]:
 def _cached(digest: str) -> Path:
     cache = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     return Path(cache, "poise", "wheels", f"{digest}.whl")
+
+
+def _is_cached(digest: str) -> bool:
+    """Return whether a wheel is there, and whole: a copy may have been cut short."""
+    path = _cached(digest)
+    return path.exists() and _digest(path) == digest
 
 
 def _digest(path: Path) -> str:
