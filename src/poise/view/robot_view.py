@@ -297,6 +297,7 @@ class LiveReading(Struct, frozen=True, kw_only=True):
     entries: tuple[JournalEntry, ...] = ()
     trouble: str = ""  # Why no manager answers now; empty: one does
     since: float = 0.0  # Since when there is none [s since 1970]
+    is_old: bool = False  # Whether no agent answers, either: it is as it was before
 
 
 class LiveReader:
@@ -326,7 +327,8 @@ class LiveReader:
             self._entries.extend(self.running.journal(after))
         except PoiseError as error:
             since = before.since if before.trouble else wall_time()
-            return self._note(replace(before, trouble=str(error), since=since))
+            now = replace(before, trouble=str(error), since=since, is_old=True)
+            return self._note(now)
         return self._note(LiveReading(status=status))
 
     def _note(self, seen: LiveReading) -> LiveReading:

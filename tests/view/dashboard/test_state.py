@@ -6,6 +6,7 @@ import pytest
 from msgspec.structs import replace
 
 from poise.manage.journal import JournalEntry
+from poise.manage.observe.deviations import Deviation
 from poise.session.running_robots.running import Status
 from poise.view.dashboard.state import (
     Page,
@@ -136,6 +137,22 @@ def test_a_robot_that_gives_no_answer_is_shown_as_it_was() -> None:
     assert page["robot"][""]["trouble"] == "no answer"
     assert "arm" in page["components"]
     assert "components" not in PageState().of(LiveReading(trouble="none runs"), 0.0)
+
+
+def test_what_agents_report_is_not_old_and_says_nothing_of_needs() -> None:
+    known = seen()
+    assert known.status is not None
+    why = Deviation(what="no manager", computer="", since=5.0)
+    status = replace(known.status, by_agents=True, deviations=(why,))
+    reading = LiveReading(status=status, trouble="no manager", since=5.0)
+    page = PageState().of(reading, 0.0)
+    assert page["robot"][""]["deviations"] == []  # it is said already
+    assert not page["robot"][""]["old"]
+    assert PageState().of(replace(reading, is_old=True), 0.0)["robot"][""]["old"]
+    assert page["computers"]["left"]["need"] is None
+    idle = replace(status, placement={"arm": "left"})
+    page = PageState().of(replace(reading, status=idle), 0.0)
+    assert page["computers"]["right"]["need"] == 0.0
 
 
 def test_a_decision_says_what_its_policy_saw_and_what_it_gains() -> None:

@@ -46,7 +46,7 @@ export default {
   <p v-if="silent" class="trouble">⚠ Nothing came for {{ silent }} s: the manager is busy, or the link to this page is slow or down.</p>
   <div role="status" aria-live="polite">
     <p v-if="robot.trouble" class="trouble">⚠ No answer since {{ clock(robot.since) }}, trying again;
-      below is what was known last. {{ robot.trouble }}</p>
+      below is {{ robot.old ? "what was known last" : "what agents report" }}. {{ robot.trouble }}</p>
     <ul v-if="robot.deviations && robot.deviations.length" class="deviations">
       <li v-for="what in robot.deviations.slice(0, 6)">▲ {{ what }}</li>
       <li v-if="robot.deviations.length > 6">and {{ robot.deviations.length - 6 }} more</li>
@@ -85,7 +85,7 @@ export default {
         <i class="own" :style="{width: share(computer.used - computer.background, computer)}"></i
         ><i class="other" :style="{width: share(computer.background, computer)}"></i>
         <b v-if="missing(computer)" class="beyond" :style="{left: share(computer.capacity, computer)}"></b>
-        <b class="need" :style="{left: share(computer.need - computer.sure, computer), width: share(2 * computer.sure, computer)}"></b>
+        <b v-if="computer.need !== null" class="need" :style="{left: share(computer.need - computer.sure, computer), width: share(2 * computer.sure, computer)}"></b>
       </div>
       <p class="load">{{ load(computer) }}</p>
       <ul class="components">
@@ -296,9 +296,10 @@ export default {
     },
     load(c) {
       if (c.state) return `how it is now is not known${this.since(c)}`;
-      const used = c.capacity && c.used !== undefined ? `${percent(c.used / c.capacity)} of ${cores(c.capacity)} used` : "use not known yet";
+      const used = c.capacity && c.used !== undefined ? `${percent(c.used / c.capacity)} of ${cores(c.capacity)} used` : "use not known";
       const other = c.background ? `, ${percent(c.background / c.capacity)} by other programs` : "";
-      return `${used}${other}; components need ${cores(c.need)} ± ${+c.sure.toFixed(3)}; ${bytes(c.memory)}`;
+      const need = c.need === null ? "what components need is not known" : `components need ${cores(c.need)} ± ${+c.sure.toFixed(3)}`;
+      return `${used}${other}; ${need}; ${bytes(c.memory)}`;
     },
     missing(c) {
       const short = c.need - (c.capacity - (c.background || 0));

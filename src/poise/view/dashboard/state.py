@@ -103,14 +103,20 @@ class Updates:
 
 def _robot(seen: LiveReading) -> dict[str, Any]:
     status = seen.status
-    shown: dict[str, Any] = {"trouble": seen.trouble, "since": seen.since}
+    shown: dict[str, Any] = {
+        "trouble": seen.trouble,
+        "since": seen.since,
+        "old": seen.is_old,
+    }
     if status is not None:
         shown |= {
             "name": status.robot,
             "task": status.task,
             "tasks": [_task(report) for report in status.tasks],
             "startable": list(status.robot_tasks),
-            "deviations": [deviation.what for deviation in status.deviations],
+            "deviations": [
+                each.what for each in status.deviations if each.what != seen.trouble
+            ],
             "managed": not status.by_agents,
         }
     return shown
@@ -278,11 +284,12 @@ def _computers(
         here = [
             component for component in components.values() if component["at"] == name
         ]
+        needs = [component["cpu"] for component in here if "cpu" in component]
         sure = [component.get("sure") or 0.0 for component in here]
         row: dict[str, Any] = {
             "state": "not known" if name in unknown else "",
             "age": round(age) if age is not None and name in unknown else None,
-            "need": _round(sum(component.get("cpu", 0.0) for component in here)),
+            "need": _round(sum(needs)) if needs or not here else None,
             "sure": _round(math.hypot(*sure)),
             "memory": agent.memory if agent else 0,
         }
