@@ -141,6 +141,35 @@ def test_an_authority_is_replaced_while_all_know_each_other(
     assert newest.verified(old.sign(b"beat")) is None
 
 
+def test_a_step_of_a_rotation_that_was_cut_short_is_taken_again(
+    authority: Authority, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    authority.rotate()
+    old = issue(authority, "old")
+    replace = Path.replace
+
+    def cut_short(source: Path, target: Path) -> None:
+        if target.name == "current.pem":
+            raise OSError("no more power")
+        replace(source, target)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "replace", cut_short)
+        with pytest.raises(UsageError, match="cannot be written: no more power"):
+            authority.rotate()
+    assert authority_of("hello", authority.folder).rotate()
+    assert issue(authority, "new").verified(old.sign(b"beat")) == b"beat"
+
+
+@pytest.mark.parametrize("name", ["", "..", "a/b", "a b", "a" * 64])
+def test_who_has_no_name_of_a_robot_gets_no_authority(
+    name: str, tmp_path: Path
+) -> None:
+    with pytest.raises(UsageError, match="is not a robot's name: a letter, then up"):
+        init_keys(name, tmp_path / "owner")
+    assert not list(tmp_path.iterdir())
+
+
 def test_keys_are_found_by_role(
     authority: Authority, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -11,8 +11,8 @@ import typer
 from msgspec import Struct
 
 from poise.cli.options import AsJson, show
-from poise.errors import UsageError, did_you_mean
-from poise.session.keys import DAYS, authority_of, init_keys
+from poise.errors import PoiseError, UsageError, did_you_mean
+from poise.session.keys import DAYS, MOST_DAYS, authority_of, init_keys
 from poise.session.render.tables import table
 from poise.wire.credentials import Credentials, Role, folders
 
@@ -82,6 +82,11 @@ def issue_command(
     poise keys issue hello kim --role viewer --days 7
     """
     of_role = _role(role)
+    if not days <= MOST_DAYS:
+        raise UsageError(f"--days {days:g}: it is {MOST_DAYS} at most")
+    for name in names:
+        if not name.strip(".") or "/" in name:
+            raise UsageError(f"'{name}' is no name: a folder in {out} is called so")
     authority = authority_of(robot, folder)
     for name in names:
         issued = authority.issue(name, of_role, out / name, days=days)
@@ -123,15 +128,16 @@ def list_command(
 ) -> None:
     """Show the keys that this computer has, and until when they hold.
 
-    Exits with 1 when some have ended or soon end.
+    Exits with 1 when some have ended or soon end, or are damaged.
 
     Examples
     --------
     poise keys list hello
     """
     places = [folder] if folder else _folders(robot)
-    credentials = [Credentials(place) for place in places if place.is_dir()]
-    if robot is not None and not credentials:
+    found = [_keys_in(place) for place in places if place.is_dir()]
+    credentials = [keys for keys in found if isinstance(keys, Credentials)]
+    if robot is not None and not found:
         where = " or ".join(map(str, places))
         raise UsageError(f"there are no keys of robot '{robot}' in {where}")
     shown = table("robot", "keys of", "until", "folder")
@@ -141,11 +147,22 @@ def list_command(
         KeysListed(k.robot, k.name, str(k.folder), k.expires) for k in credentials
     ]
     show(listed, [shown], as_json=as_json)
-    warnings = [warning for keys in credentials if (warning := keys.warning())]
+    warnings = [keys for keys in found if isinstance(keys, str)]
+    warnings += [warning for keys in credentials if (warning := keys.warning())]
     for warning in warnings:
         sys.stderr.write(f"{warning}\n")
     if warnings:
         raise typer.Exit(1)
+
+
+def _keys_in(folder: Path) -> Credentials | str:
+    """Return the keys in a folder, or what is wrong with them."""
+    try:
+        keys = Credentials(folder)
+        _ = keys.expires  # it is read
+    except PoiseError as error:
+        return str(error)
+    return keys
 
 
 def _folders(robot: str | None) -> list[Path]:

@@ -19,8 +19,8 @@ from msgspec import inspect as types
 from poise import units
 from poise.units import quoted
 
-_NAME = r"[A-Za-z][A-Za-z0-9_-]{0,62}"
-_NAME_SAYS = "a letter, then up to 62 letters, digits, '_' or '-'"
+NAME = r"[A-Za-z][A-Za-z0-9_-]{0,62}"
+NAME_SAYS = "a letter, then up to 62 letters, digits, '_' or '-'"
 
 
 def says(text: str, **notes: object) -> Meta:
@@ -72,12 +72,12 @@ def _quantity(dimension: units.Dimension) -> Meta:
     return note(dimension=dimension, examples=tuple(dimension.example.split(" or ")))
 
 
-Name = Annotated[str, _text(_NAME, _NAME_SAYS, "main", "laser_scanner")]
+Name = Annotated[str, _text(NAME, NAME_SAYS, "main", "laser_scanner")]
 Resource = Annotated[
     str,
     _text(
-        rf"(?!(cpu|memory)$){_NAME}",
-        f"{_NAME_SAYS}; cpu and memory have keys of their own",
+        rf"(?!(cpu|memory)$){NAME}",
+        f"{NAME_SAYS}; cpu and memory have keys of their own",
         "gpu",
     ),
 ]
@@ -87,7 +87,7 @@ Reference = Annotated[str, _text(r"\w+(\.\w+)*:\w+(\.\w+)*", _CLASS, _CLASS)]
 EndText = Annotated[
     str,
     _text(
-        rf"{_NAME}(\.\w{{1,63}})?",
+        rf"{NAME}(\.\w{{1,63}})?",
         "component.port, or only component",
         "localiser.scan",
     ),

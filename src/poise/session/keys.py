@@ -7,6 +7,7 @@ signs. `cryptography` does all that is cryptographic.
 from __future__ import annotations
 
 import os
+import re
 import secrets
 import shutil
 from collections.abc import Iterator
@@ -21,6 +22,7 @@ from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 from msgspec import Struct
 
 from poise.errors import UsageError
+from poise.model.file_keys import NAME, NAME_SAYS
 from poise.wire.credentials import (
     AUTHORITY,
     CERTIFICATE,
@@ -33,7 +35,8 @@ from poise.wire.credentials import (
 
 DAYS = 90
 """A certificate ends after this time [days]."""
-_AUTHORITY_DAYS = 3650
+MOST_DAYS = 3650
+"""The authority's own ends after this time [days]."""
 _EARLIER = timedelta(hours=1)
 """Clocks of computers may be so late."""
 _OWNER = "owner"
@@ -121,15 +124,21 @@ class Authority(Struct, frozen=True):
         more.
         """
         owner = self.folder / _OWNER
-        for path in owner.glob("previous.*"):
-            path.unlink()
-        if not (owner / "next.pem").exists():
-            _make_authority(self.robot, owner, "next")
-            return False
-        for before, after in (("current", "previous"), ("next", "current")):
-            for path in owner.glob(f"{before}.*"):
-                path.rename(owner / f"{after}{path.suffix}")
-        (owner / "previous.key").unlink()
+        try:
+            if not (owner / "next.pem").exists():
+                for path in owner.glob("previous.*"):
+                    path.unlink()
+                _make_authority(self.robot, owner, "next")
+                return False
+            # the certificate last: a step that was cut short can be taken again
+            for suffix in (".heartbeats", ".key", ".pem"):
+                if (owner / f"next{suffix}").exists():
+                    if suffix != ".key":  # it signs no more
+                        before = self._read(f"current{suffix}")
+                        _write(owner / f"previous{suffix}", before)
+                    (owner / f"next{suffix}").replace(owner / f"current{suffix}")
+        except OSError as error:
+            raise UsageError(f"{owner} cannot be written: {error}") from None
         return True
 
     @property
@@ -178,8 +187,10 @@ def init_keys(robot: str, folder: Path | None = None) -> Authority:
     Raises
     ------
     UsageError
-        There is one already, or the folder cannot be written.
+        There is one already, the folder cannot be written, or it is not a name.
     """
+    if not re.fullmatch(NAME, robot):
+        raise UsageError(f"'{robot}' is not a robot's name: {NAME_SAYS}")
     authority = Authority(robot, folder or folders(robot)[0])
     owner = authority.folder / _OWNER
     if (owner / "current.pem").exists():
@@ -200,7 +211,7 @@ def init_keys(robot: str, folder: Path | None = None) -> Authority:
 def _make_authority(robot: str, owner: Path, which: _Which) -> None:
     key = ec.generate_private_key(ec.SECP256R1())
     name = secrets.token_hex(4)  # tells it from the one before
-    draft = _draft(robot, "authority", name, key.public_key(), _AUTHORITY_DAYS)
+    draft = _draft(robot, "authority", name, key.public_key(), MOST_DAYS)
     certificate = (
         draft.issuer_name(draft._subject_name)  # type: ignore[arg-type]  # noqa: SLF001
         .add_extension(x509.BasicConstraints(ca=True, path_length=0), True)

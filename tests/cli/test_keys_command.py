@@ -1,0 +1,45 @@
+"""`poise keys`: names that lead elsewhere, and keys that are damaged."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from tests.command import run_poise
+
+
+@pytest.fixture(autouse=True)
+def data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Make an authority of robot `hello` in a folder of this test."""
+    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "data"))
+    assert run_poise("keys", "init", "hello").returncode == 0
+    return tmp_path / "data/poise/keys"
+
+
+@pytest.mark.parametrize("name", ["../right", "..", ""])
+def test_keys_are_issued_below_the_folder_that_is_named(
+    name: str, tmp_path: Path
+) -> None:
+    out = tmp_path / "out/keys"
+    done = run_poise("keys", "issue", "hello", "left", name, "--out", out)
+    assert done.returncode == 2
+    assert f"'{name}' is no name" in done.stderr
+    assert not out.parent.exists()
+
+
+@pytest.mark.parametrize("days", ["nan", "inf", "1e9"])
+def test_keys_do_not_outlive_their_authority(days: str, tmp_path: Path) -> None:
+    options = ["--days", days, "--out", tmp_path / "out"]
+    done = run_poise("keys", "issue", "hello", "left", *options)
+    assert done.returncode == 2
+    assert "it is 3650 at most" in done.stderr
+
+
+def test_damaged_keys_do_not_hide_the_others(data: Path) -> None:
+    (data / "damaged").mkdir()
+    done = run_poise("keys", "list", "--json")
+    assert done.returncode == 1
+    assert [each["robot"] for each in json.loads(done.stdout)] == ["hello"]
+    assert f"{data / 'damaged'} lacks authority.pem" in done.stderr
