@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import resource
 import shutil
 from collections.abc import Collection
 from pathlib import Path
@@ -65,6 +66,30 @@ def test_an_entry_of_another_version_is_an_error_that_names_it(
     (own_registry / "poise-1-2-0.emulation").write_text("{}")
     with pytest.raises(RunError, match=r"poise-1-2-0\.emulation: .*owner.*remove"):
         sweep()
+
+
+def test_a_folder_that_cannot_be_made_is_named_with_a_way_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(registry.FOLDER, str(tmp_path / "nothing/emulations"))
+    with pytest.raises(RunError, match=r"nothing/emulations.*: set XDG_RUNTIME_DIR"):
+        sweep()
+
+
+def test_a_full_disk_is_an_error_that_leaves_nothing(
+    two_computers: Robot, tmp_path: Path, own_registry: Path
+) -> None:
+    host = Probe(
+        cpus=(0,), groups=Groups(), tools=frozenset(), may_make_namespaces=False
+    )
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (10, limits[1]))
+    try:
+        with pytest.raises(RunError, match=r"cannot be written down: .*File too large"):
+            registry.register(lambda _: lay_out(two_computers, tmp_path, host, 0))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert not list(own_registry.iterdir())
 
 
 def test_two_processes_may_remove_the_same_emulation(

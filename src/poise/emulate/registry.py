@@ -43,8 +43,15 @@ def registry() -> Path:
     run = "/run" if os.access("/run", os.W_OK) else os.environ.get("XDG_RUNTIME_DIR")
     usual = f"{run}/{PREFIX}" if run else f"/tmp/{PREFIX}-{os.getuid()}"  # noqa: S108 - owner and mode are checked below
     folder = Path(os.environ.get(FOLDER) or usual)
-    folder.mkdir(mode=0o700, exist_ok=True)
-    owner = folder.lstat()
+    try:
+        folder.mkdir(mode=0o700, exist_ok=True)
+        owner = folder.lstat()
+    except OSError as error:
+        message = (
+            f"there is no list of emulated computers ({error}): set XDG_RUNTIME_DIR, "
+            f"or {FOLDER}, to a folder of yours"
+        )
+        raise RunError(message) from error
     if owner.st_uid != os.getuid() or owner.st_mode & 0o022 or folder.is_symlink():
         message = f"{folder} must belong to user {os.getuid()} alone: remove it"
         raise RunError(message)
@@ -116,8 +123,12 @@ def write(layout: EmulationLayout) -> None:
     """Write an entry, or what has changed in it."""
     # Atomic: a partial entry would hide the rest for ever.
     draft = _entry(layout.run).with_suffix(".draft")
-    draft.write_bytes(msgspec.json.encode(layout))
-    draft.rename(_entry(layout.run))
+    try:
+        draft.write_bytes(msgspec.json.encode(layout))
+        draft.rename(_entry(layout.run))
+    except OSError as error:
+        draft.unlink(missing_ok=True)
+        raise RunError(f"an emulation cannot be written down: {error}") from error
 
 
 def _remove_folder(folder: str) -> None:
