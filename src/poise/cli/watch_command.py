@@ -16,6 +16,7 @@ from typing import Annotated, Any
 import msgspec
 import typer
 import yaml
+from msgspec.structs import replace
 from rich.console import Console
 from rich.markup import escape
 
@@ -35,9 +36,9 @@ from poise.session.running_robots.local_robots import (
     robots_here,
 )
 from poise.session.running_robots.running import Running, connect
-from poise.units import format_bytes
 from poise.wire.credentials import Credentials, find
 from poise.wire.records.request_records import OutputLine
+from poise.wire.records.status_records import Summary
 
 Connector = Annotated[
     str,
@@ -183,32 +184,32 @@ def hz_command(
         raise UsageError(f"--for {seconds:g}: must be a positive number of seconds")
     running, lines = Running(robot), 0
     times: list[float] = []
-    missing, until = 0, time.monotonic() + seconds
+    before, missing, until = None, 0, time.monotonic() + seconds
     for reading in running.echo(connector, rate=0.0):
         times += reading.times
         missing += reading.missing
         if time.monotonic() < until:
             continue
-        rate = Rate.of(times, missing)
+        rate = Rate.of(times, missing, before)
+        size = _size(running, reading.connector)
+        rate = replace(rate, size=size.median, largest=size.maximum)
         if as_json:
             sys.stdout.write(msgspec.json.encode(rate).decode() + "\n")
         else:
-            size = _sizes(running, reading.connector)
-            sys.stdout.write("".join(f"{line}{size}\n" for line in rate.lines()))
+            sys.stdout.writelines(f"{line}\n" for line in rate.lines())
         sys.stdout.flush()
         lines += 1
         if count is not None and lines >= count:
             return
-        # the last one begins the next time, or the gap between would be lost
-        times, missing, until = times[-1:], 0, time.monotonic() + seconds
+        before = max(times, default=before)  # else the gap between would be lost
+        times, missing, until = [], 0, time.monotonic() + seconds
 
 
-def _sizes(running: Running, connector: str) -> str:
+def _size(running: Running, connector: str) -> Summary:
     for end in connectors_of(running.status().computers):
-        if end.name == connector and end.end != "target" and end.size.count:
-            sizes = map(format_bytes, (end.size.median, end.size.maximum))
-            return ", {} in the median, {} at most".format(*sizes)
-    return ""
+        if end.name == connector and end.end != "target":
+            return end.size
+    return Summary()
 
 
 def top_command(

@@ -26,6 +26,13 @@ def test_what_came_once_has_no_rate() -> None:
     assert list(Rate.of([1.0]).lines()) == ["1 in this time: no rate"]
 
 
+def test_what_came_before_begins_a_gap_and_is_not_counted_again() -> None:
+    rate = Rate.of([1.2, 1.0], before=0.9)
+    assert rate.count == 2
+    assert rate.mean == pytest.approx(1 / 0.15)
+    assert Rate.of([], before=0.9).count == 0
+
+
 def test_what_is_missing_is_said() -> None:
     said = list(Rate.of([0.0, 1.0], missing=5).lines())
     assert said[1] == "5 more had no room to be noted: the rate is higher"

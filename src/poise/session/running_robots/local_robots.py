@@ -18,7 +18,7 @@ from poise.manage.control_socket.commands import RobotStatus
 from poise.session.render.status_tables import component_table
 from poise.session.render.tables import NamedRows
 from poise.session.running_robots.running import Running
-from poise.units import format_seconds
+from poise.units import format_bytes, format_seconds
 from poise.wire.robots_here import running_here
 
 Thing = Literal["robots", "tasks", "computers", "components", "connectors"]
@@ -99,6 +99,9 @@ class Rate(Struct, frozen=True):
         Standard deviation of these times [s].
     missing
         How many more came whose moments are not known.
+    size, largest
+        Of those that left their container since the start: the median, and the most
+        [bytes]; 0 when none did.
     """
 
     count: int = 0
@@ -107,11 +110,16 @@ class Rate(Struct, frozen=True):
     longest: float = 0.0
     jitter: float = 0.0
     missing: int = 0
+    size: float = 0.0
+    largest: float = 0.0
 
     @classmethod
-    def of(cls, times: Sequence[float], missing: int = 0) -> Rate:
-        """Return the rate of what came at these moments [s]."""
-        gaps = [later - earlier for earlier, later in pairwise(sorted(times))]
+    def of(
+        cls, times: Sequence[float], missing: int = 0, before: float | None = None
+    ) -> Rate:
+        """Return the rate of what came at these moments, and once `before` them [s]."""
+        moments = sorted(times) if before is None else [before, *sorted(times)]
+        gaps = [later - earlier for earlier, later in pairwise(moments)]
         if not gaps or not sum(gaps):
             return cls(len(times), missing=missing)
         return cls(
@@ -120,15 +128,19 @@ class Rate(Struct, frozen=True):
 
     def lines(self) -> Iterator[str]:
         """Yield it for people."""
+        sizes = ""
+        if self.largest:
+            size, largest = map(format_bytes, (self.size, self.largest))
+            sizes = f", {size} in the median, {largest} at most"
         if not self.mean:
-            yield f"{self.count} in this time: no rate"
+            yield f"{self.count} in this time: no rate{sizes}"
             return
         shortest, longest, jitter = map(
             format_seconds, (self.shortest, self.longest, self.jitter)
         )
         yield (
             f"{self.mean:.4g} Hz, {shortest} to {longest} apart, jitter {jitter} "
-            f"({self.count} times)"
+            f"({self.count} times){sizes}"
         )
         if self.missing:
             yield f"{self.missing} more had no room to be noted: the rate is higher"
