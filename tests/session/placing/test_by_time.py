@@ -205,6 +205,55 @@ def test_nothing_is_proven_that_another_placement_refutes(
         assert not each.proven or total <= min(totals) + 1e-9
 
 
+SIX = """
+robot: six
+computers: {{a: {{cpu: 43.6%, memory: 1 GiB}}, b: {{cpu: 43.6%, memory: 1 GiB}}}}
+devices: {{camera: {{computer: b}}}}
+links: [{{between: [a, b], latency: 0.2 ms}}]
+architectures:
+  all:
+    function: all
+    components:
+      c0: {{implementation: "{module}:Eye", cpu: 5%, devices: [camera]}}
+      c1: {{implementation: "{module}:Mind", cpu: 10%, isolated: true}}
+      c2: {{implementation: "{module}:Arm", cpu: 10%, isolated: true}}
+      h1: {{implementation: "{module}:Hog", cpu: 10%, isolated: true}}
+      h0: {{implementation: "{module}:Sloth", cpu: 30%, isolated: true}}
+      beat: {{implementation: "{module}:Beat", cpu: 2%, isolated: true}}
+    connectors:
+      - {{between: [c0.seen, c1.seen], message: 200 B, rate: 20 Hz}}
+      - {{between: [c1.wish, c2.wish], message: 200 B, rate: 20 Hz}}
+chains: {{see: {{through: [c0, c1, c2], deadline: 120 ms}}}}
+tasks: {{go: {{actions: [{{name: go, functions: [all]}}]}}}}
+"""
+
+
+@pytest.mark.slow
+def test_no_placement_of_six_components_is_better_by_simulation(tmp_path: Path) -> None:
+    """The sums alone leave `beat` late beside `h0`."""
+    module = f"six_of_{tmp_path.name}"
+    code = CODE.replace("deadline=0.005", "deadline=0.008")
+    code = code.replace("every(0.1)\n    def look", "every(0.05)\n    def look")
+    sloth = "class Sloth(poise.Component):\n    @poise.every(0.3)\n"
+    code += sloth + "    def toil(self):\n        pass\n"
+    (tmp_path / f"{module}.py").write_text(code)
+    path, given = tmp_path / "robot.yaml", tmp_path / "given.yaml"
+    path.write_text(SIX.format(module=module))
+    robot = load(path)
+    code_by_name = {c.name: code_of(c, robot.folder) for c in robot.components()}
+    robot = replace(robot, code=code_by_name)
+    totals = []
+    for at in product("ab", repeat=5):
+        names = zip(("c1", "c2", "h0", "h1", "beat"), at, strict=True)
+        given.write_text(json.dumps({"c0": "b", **dict(names)}))
+        result = place(robot, "go", method=str(given)).result
+        if result.feasible and result.objective:
+            totals.append(result.objective.total)
+    best = place(robot, "go").result
+    assert best.objective is not None
+    assert best.objective.total == pytest.approx(min(totals))
+
+
 def test_what_was_not_measured_is_said_to_be_a_guess(
     placed: Place, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -2,31 +2,28 @@
 
 How old data gets, and when a timer's run ends, depends on all that runs beside it,
 which no sum over components and connectors tells. So a placement is decided by what can
-be summed (`chain_limits`, `timer_limits`), simulated, and decided again with what was
-missing from the sums, until all is in time or nothing changes any more. A simulation in
-which nobody waits for CPU tells what is missing wherever components run, such as phases
-of timers, from what they wait for each other.
+be summed (`limits_of_work`), simulated, and decided again with what was missing from
+the sums, until all is in time or nothing changes any more. A simulation in which nobody
+waits for CPU tells what is missing wherever components run, such as phases of timers,
+from what they wait for each other. At last, what is near the best placement is
+simulated.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from functools import partial
-from itertools import pairwise
 from math import inf, isclose
 
 from msgspec import Struct
 from msgspec.structs import replace
 
 from poise import plan
-from poise.estimate.demands import kinds_together
-from poise.manage.deploy.deployment_layout import DeploymentLayout
-from poise.model.robot import Chain, Connector, Robot
-from poise.plan import Hop, Run, TimeLimit
-from poise.plan.from_robot import LATENESS_PRICE
+from poise.model.robot import Robot
+from poise.plan import TimeLimit
+from poise.session.placing.limits_of_work import chain_limits, timer_limits
 from poise.session.profiling.stored_profiles import read_profile
 from poise.session.robot_file import with_code
-from poise.simulation.component_models import ComponentModel, HandlerModel
 from poise.simulation.predicted_times import (
     PredictedTimes,
     predict_times,
@@ -34,113 +31,11 @@ from poise.simulation.predicted_times import (
 )
 from poise.simulation.workload import SimulatedWork, workload_of
 
-
-def chain_limits(robot: Robot, work: SimulatedWork) -> Iterator[TimeLimit]:
-    """Yield what the data of each chain passes from end to end.
-
-    `work`: what the components do.
-    """
-    paths = _Paths(robot, work)
-    for chain in robot.chains:
-        yield TimeLimit(
-            name=chain.name,
-            limit=chain.deadline,
-            runs=tuple(
-                Run(component=name, seconds=handler.work)
-                for name, handler in paths.runs(chain)
-            ),
-            hops=tuple(
-                hop
-                for source, target in pairwise(chain.through)
-                for hop in paths.hops(source, target)
-            ),
-            shared=True,
-        )
-
-
-def timer_limits(work: SimulatedWork) -> Iterator[TimeLimit]:
-    """Yield what a run of each timer with a deadline takes.
-
-    What it waits for besides is predicted of a whole placement.
-    """
-    for component, model in work.models.items():
-        for each in model.timers:
-            if each.timer.deadline is not None:
-                yield TimeLimit(
-                    name=f"{component}.{each.timer.name}",
-                    limit=each.timer.deadline,
-                    runs=(Run(component=component, seconds=each.handler.work),),
-                    shared=True,
-                    price=LATENESS_PRICE,
-                )
-
-
-class _Paths:
-    """Finds the runs and connectors that data passes."""
-
-    def __init__(self, robot: Robot, work: SimulatedWork) -> None:
-        self._work = work
-        self._slot_of = DeploymentLayout(robot, "").slot_of
-        self._kinds = kinds_together(robot)
-        self._between: dict[frozenset[str], Connector] = {}
-        for connector in robot.all_connectors():
-            ends = frozenset(end.component for end in connector.between)
-            self._between.setdefault(ends, connector)
-
-    def runs(self, chain: Chain) -> Iterator[tuple[str, HandlerModel]]:
-        """Yield components and the handlers that the data goes through, each once.
-
-        The first component makes it when it sends it.
-        """
-        for component in chain.through[1:]:
-            handlers = [
-                handler
-                for pair in pairwise(chain.through)
-                if component in pair
-                for handler in self._at(component, *pair)
-            ]
-            for handler in {id(each): each for each in handlers}.values():
-                yield component, handler
-
-    def hops(self, source: str, target: str) -> Iterator[Hop]:
-        """Yield the way of data between two components."""
-        connector = self._between.get(frozenset((source, target)))
-        if connector is not None:
-            name, traffic = str(connector), self._work.traffic
-            share = 2 if name in traffic.calling else 1  # a call goes both ways
-            yield Hop(
-                between=(source, target),
-                seconds=traffic.apart(name, self._kinds[name]),
-                size=traffic.size_of(name) / share,
-            )
-
-    def _at(self, component: str, source: str, target: str) -> Iterator[HandlerModel]:
-        """Yield the handlers of a component that send data on, or that take it."""
-        connector = self._between.get(frozenset((source, target)))
-        model = self._work.models.get(component)
-        if connector is None or model is None:
-            return
-        slot = self._slot_of(connector)
-        if connector.between[0].component == component:  # it publishes or calls
-            yield from (h for h in _handlers(model) if _sends(h, slot))
-        else:
-            found = model.takes.get(slot) or model.serves.get(slot)
-            yield found or model.other
-
-
-def _handlers(model: ComponentModel) -> Iterator[HandlerModel]:
-    yield from (timer.handler for timer in model.timers)
-    yield from model.takes.values()
-    yield from model.serves.values()
-
-
-def _sends(handler: HandlerModel, slot: str) -> bool:
-    return slot in handler.calls or slot in (handler.publishes or {})
-
-
 SURE = 1.25
 """What is predicted counts 1.25 times, as predictions may be wrong."""
 _ROUNDS = 8
+_SIMULATED = 24
+"""So many placements are simulated at most to improve one that is late."""
 _ROUNDING = 1e-6
 
 Predict = Callable[..., Iterator[tuple[str, PredictedTimes]]]
@@ -181,6 +76,8 @@ def decide_by_time(
     # the last of equally good ones: what it was decided by is what was predicted of it
     best = min(reversed(found), key=_total) if found else DecidedByTime(free)
     best = _as_predicted(best, problem, predict)
+    if len(solvers) > 1:
+        best = _improved(best, problem, predict)
     _settle(best.task_result, free)
     return best
 
@@ -209,6 +106,66 @@ def _tried(
         alone = dict(predict(result, predict_uncrowded))
         calibrated = _with_predictions(problem, found[-1], alone, calibrated)
     return found
+
+
+def _improved(
+    best: DecidedByTime, problem: plan.TaskProblem, predict: Predict
+) -> DecidedByTime:
+    """Return a placement that the simulation prefers, if one is near.
+
+    Sums that are fitted to one placement say of others only what may be better: those
+    that promise most are simulated.
+    """
+    left = _SIMULATED
+    while late := {limit.name for limit, _ in _late(best)}:
+        total = _total(best)
+        near = sorted(_neighbours(best.task_result, late), key=_promised)
+        for result in near[:left]:
+            left -= 1
+            found = DecidedByTime(result, dict(predict(result)))
+            if _total(found) < total - _ROUNDING:
+                best = _as_predicted(found, problem, predict)
+                break
+        else:
+            break
+    return best
+
+
+def _promised(result: plan.TaskResult) -> float:
+    return inf if result.total is None else result.total
+
+
+def _neighbours(
+    result: plan.TaskResult, late: Collection[str]
+) -> Iterator[plan.TaskResult]:
+    """Yield what keeps all limits with one component elsewhere, or two changed round.
+
+    Of two, one has a part in what is `late`.
+    """
+    problem = result.problem
+    for phase in problem.phases:
+        placed = result.results[phase.name]
+        for changes in _changes(phase.problem, placed.placement, late):
+            there = {**placed.placement, **changes}
+            changed = plan.evaluate(phase.problem, there, placed.method)
+            if changed.feasible:
+                results = {**result.results, phase.name: changed}
+                yield plan.TaskResult(problem, results, seconds=result.seconds)
+
+
+def _changes(
+    problem: plan.Problem, placement: Mapping[str, str], late: Collection[str]
+) -> Iterator[Mapping[str, str]]:
+    limits = [each for each in problem.time_limits if each.name in late]
+    parts = {name for each in limits for name in each.components}
+    for component, here in placement.items():
+        for computer in problem.computers:
+            if computer.name != here:
+                yield {component: computer.name}
+        for part in parts & placement.keys():
+            is_twice = component in parts and component > part
+            if placement[part] != here and not is_twice:
+                yield {component: placement[part], part: here}
 
 
 def _settle(result: plan.TaskResult, free: plan.TaskResult) -> None:
@@ -312,7 +269,12 @@ def _summed(result: plan.TaskResult) -> float:
 
 
 def _excesses(decided: DecidedByTime) -> Iterator[float]:
-    """Yield what F grows by for each deadline that may not be kept.
+    """Yield what F grows by for each deadline that may not be kept."""
+    return (excess for _, excess in _late(decided))
+
+
+def _late(decided: DecidedByTime) -> Iterator[tuple[plan.TimeTaken, float]]:
+    """Yield each deadline that may not be kept, and what F grows by for it.
 
     Of what is not predicted the sum counts, which it takes at least.
     """
@@ -322,7 +284,7 @@ def _excesses(decided: DecidedByTime) -> Iterator[float]:
         for each in decided.task_result.results[name].times:
             over = ages.get(each.name, each.seconds) / each.limit - 1
             if over > 0:
-                yield weights[name] * each.price * over
+                yield each, weights[name] * each.price * over
 
 
 def _ages(times: PredictedTimes) -> dict[str, float]:
