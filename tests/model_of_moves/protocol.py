@@ -184,7 +184,7 @@ class Protocol:
                 yield _entered(s, "new", int(which), step, after, is_done=is_done)
 
     def _flush(self, s: State, *, is_marked: bool, is_late: bool) -> Iterator[Taken]:
-        """`ComponentEndpoints.wait_markers`; limited: a killed one may have had the marker."""
+        """`wait_markers`; limited: a killed one may have had the marker."""
         if is_marked or self._bug == "no flush":
             yield s, True
         elif s.kills or is_late:
@@ -261,7 +261,7 @@ class Protocol:
             yield working(s, "new", which), True
 
     def _activated(self, new: Incarnation, which: int) -> Incarnation:
-        """`ComponentEndpoints.buffer_until_active`: `resume` sends what `activate` published."""
+        """`buffer_until_active`: `resume` sends what `activate` published."""
         said: tuple[float, ...] = ()
         if self._bounds.speaks and which == self._bounds.movers - 1:
             said = (max(new.log, default=0) + 0.5,)
