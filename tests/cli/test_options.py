@@ -11,6 +11,7 @@ from typer.testing import CliRunner
 from poise.cli.command_table import build
 from poise.errors import UsageError
 from poise.session.folders import to_write
+from tests.command import run_poise
 
 pytestmark = pytest.mark.slow
 
@@ -60,3 +61,10 @@ def test_nothing_is_measured_that_could_not_be_kept(
     result = CliRunner().invoke(build([command]), [command, "robot.yaml"])
     assert isinstance(result.exception, UsageError)
     assert "profiles.sqlite cannot store profiles" in str(result.exception)
+
+
+@pytest.mark.parametrize("command", ["status", "stop"])
+def test_two_ways_to_name_a_robot_are_refused(command: str) -> None:
+    done = run_poise(command, "--robot", "other", "--file", HELLO / "robot.yaml")
+    assert done.returncode == 2
+    assert "not both" in done.stderr

@@ -90,6 +90,7 @@ def status_command(
 
     Example: poise status
     """
+    _check_one(file, robot)
     if file is None:
         status = Running(robot).status()
     else:
@@ -100,6 +101,11 @@ def status_command(
         raise typer.Exit(NoManager.exit_code)
     if status.deviations:
         raise typer.Exit(1)
+
+
+def _check_one(file: Path | None, robot: str | None) -> None:
+    if file is not None and robot is not None:
+        raise UsageError(f"give --file {file} or --robot {robot}, not both")
 
 
 def move_command(
@@ -238,6 +244,7 @@ def stop_command(
 
     Example: poise stop
     """
+    _check_one(file, robot)
     with busy("stopping"):
         if file is None:
             Running(robot).stop()
