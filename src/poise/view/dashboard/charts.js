@@ -37,8 +37,10 @@ export default {
 </section>`,
   data: () => ({ at: null }),
   computed: {
+    // Those of the last ten minutes: others are there while no news comes, and after the clock was set.
     seconds() {
-      return Object.entries(this.moments || {}).map(([second, each]) => [+second, each]).sort((a, b) => a[0] - b[0]);
+      return Object.entries(this.moments || {}).map(([second, each]) => [+second, each])
+        .filter(([second]) => second > this.now - SPAN && second <= this.now).sort((a, b) => a[0] - b[0]);
     },
     begin() {
       const first = this.seconds[0]?.[0];
