@@ -53,9 +53,12 @@ class ToTopics(BridgeNode):
 
 
 class Came(Struct, frozen=True):
-    """When the last message that was taken had been published [ns since 1970]."""
+    """Publisher -> when the last message taken from it was published [ns since 1970].
 
-    stamp: int
+    Each stamps by the clock of its own computer.
+    """
+
+    stamps: Mapping[str, int]
 
 
 class FromTopics(ToTopics):
@@ -63,16 +66,17 @@ class FromTopics(ToTopics):
 
     def configure(self) -> None:
         """Make a node of its own."""
-        self._before = self._came = 0
+        self._before: Mapping[str, int] = {}
+        self._came: dict[str, int] = {}
         super().configure()
 
     def snapshot(self) -> Came:
         """Return until when it took messages: ROS 2 sends some again."""
-        return Came(self._came)
+        return Came(dict(self._came))
 
     def restore(self, state: Came) -> None:
         """Take nothing that the bridge before has taken."""
-        self._before = self._came = state.stamp
+        self._before, self._came = state.stamps, dict(state.stamps)
 
     def open(self) -> None:
         """Make the subscriptions."""
@@ -95,9 +99,10 @@ class FromTopics(ToTopics):
             time.sleep(_HAND_OVER)
 
         def take_new(message: Any, info: Mapping[str, Any]) -> None:  # noqa: ANN401, a message
+            publisher = bytes(info["publisher_gid"]["data"]).hex()
             stamp = info["source_timestamp"]
-            if stamp > self._before:
-                self._came = max(self._came, stamp)
+            if stamp > self._before.get(publisher, 0):
+                self._came[publisher] = max(self._came.get(publisher, 0), stamp)
                 take(message)
 
         def offered_less(event: Any) -> None:  # noqa: ANN401, an event

@@ -1,0 +1,49 @@
+"""Which messages a bridge takes that was moved."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from poise.ros2.bridge_node import BridgeLine
+from poise.ros2.topic_bridges import FromTopics
+
+
+class Taking:
+    """A bridge whose subscription is called by hand."""
+
+    def __init__(self) -> None:
+        self.took: list[str] = []
+        self.bridge: Any = object.__new__(FromTopics)
+        self.bridge._before, self.bridge._came = {}, {}
+        port = SimpleNamespace(publish=self.took.append)
+        self.bridge.__dict__ |= {"port": SimpleNamespace(name="said"), "said": port}
+        self.bridge.node = SimpleNamespace(create_subscription=self._created)
+        line = BridgeLine(
+            ros2="/said", type="std_msgs/msg/String", durability="transient local"
+        )
+        self.bridge._subscribe(line, lambda message: message, {})
+
+    def _created(self, kind: Any, topic: str, take: Any, *_: Any, **__: Any) -> None:
+        del kind, topic
+        self.take = take
+
+    def takes(self, text: str, publisher: int, stamp: int) -> None:
+        """Let a message come."""
+        gid = {"implementation_identifier": "any", "data": [publisher] * 16}
+        self.take(text, {"publisher_gid": gid, "source_timestamp": stamp})
+
+
+@pytest.mark.slow
+def test_a_message_is_new_by_the_clock_of_its_publisher() -> None:
+    before = Taking()
+    before.takes("ahead", publisher=1, stamp=1000)
+    before.takes("late", publisher=2, stamp=400)
+    after = Taking()
+    after.bridge.restore(before.bridge.snapshot())
+    after.takes("ahead", publisher=1, stamp=1000)  # the last ones come again
+    after.takes("late", publisher=2, stamp=400)
+    after.takes("new", publisher=2, stamp=500)
+    assert after.took == ["new"]
