@@ -8,7 +8,12 @@ import pytest
 from prometheus_client import CollectorRegistry, generate_latest
 
 from poise.errors import RunError, UsageError
-from poise.estimate.profiles import ComponentProfile, Distribution, Profile
+from poise.estimate.profiles import (
+    ComponentProfile,
+    ConnectorProfile,
+    Distribution,
+    Profile,
+)
 from poise.manage.control_socket.commands import RobotStatus
 from poise.manage.observe.deviations import Deviation
 from poise.manage.observe.estimates import Estimates
@@ -191,6 +196,32 @@ def test_tells_prometheus_what_is_wrong(robot: Robot) -> None:
         'poise_timer_missed_total{component="eye",computer="a",timer="tick"} 3.0',
     ):
         assert f"{line}\n" in text
+
+
+def test_tells_prometheus_nothing_of_now_where_a_computer_is_lost(
+    robot: Robot, steady: Sampler
+) -> None:
+    estimates = Estimates(robot, None, emulated=True)
+    for k in range(20):
+        estimates.add(steady(0.25 * k))
+    source = ConnectorStatus(
+        name="eye.x-mind.x", kind="local", end="source", ready=True
+    )
+    container = ContainerStatus(name="see", pid=7, connectors=(source,))
+    agent = AgentStatus(
+        computer="a", generation=1, uptime=1.0, cpu=0.0, containers=(container,)
+    )
+    traffic = {"eye.x-mind.x": ConnectorProfile(messages=10.0)}
+    known = msgspec.structs.replace(status_of(estimates, {"a": agent}), traffic=traffic)
+    lost = msgspec.structs.replace(known, out_of_reach={"a": 1.0})
+    for now in (
+        "component_cpu_cores",
+        "component_starved_share",
+        "messages_per_second",
+    ):
+        assert f"{now}{{" in to_prometheus(known)
+        assert f"{now}{{" not in to_prometheus(lost)
+    assert "connector_messages_total{" in to_prometheus(lost)
 
 
 @pytest.mark.slow

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping
 from typing import Literal
 
-from poise.manage.agent_connections.statuses import located
+from poise.manage.agent_connections.statuses import connectors_of, located
 from poise.manage.control_socket.commands import RobotStatus
 from poise.wire.records.status_records import ComponentStatus, ConnectorStatus, Summary
 
@@ -60,7 +60,11 @@ def kind_of(name: str) -> Literal["counter", "gauge", "summary"]:
 
 
 def samples(robot: RobotStatus) -> Iterator[Sample]:
-    """Yield the present values; while a component moves, one may come twice."""
+    """Yield the present values; while a component moves, one may come twice.
+
+    Of a computer that is out of reach come its counters as they were, and nothing that
+    says how it is now.
+    """
     deviations = Counter(deviation.computer for deviation in robot.deviations)
     computers = {*robot.computers, *robot.out_of_reach, *robot.capacities}
     for computer in sorted(computers):
@@ -68,19 +72,8 @@ def samples(robot: RobotStatus) -> Iterator[Sample]:
         yield "poise_computer_lost", {"computer": computer}, int(is_lost)
     for computer in sorted(computers | deviations.keys()):
         yield "poise_deviations", {"computer": computer}, deviations[computer]
-    for demand in robot.demand_estimates:
-        labels = {"component": demand.component, "computer": demand.computer}
-        now = demand.estimate
-        yield "poise_component_cpu_cores", labels, now.mean
-        yield "poise_component_cpu_p95_cores", labels, now.p95
-        yield "poise_component_starved_share", labels, now.starved
-        if demand.expected is not None:
-            yield "poise_component_cpu_expected_cores", labels, demand.expected
-    for name, flow in robot.traffic.items():
-        labels = {"connector": name}
-        yield "poise_connector_calls_per_second", labels, flow.calls
-        yield "poise_connector_messages_per_second", labels, flow.messages
-        yield "poise_connector_bytes_per_second", labels, flow.traffic
+    yield from _demand_samples(robot)
+    yield from _traffic_samples(robot)
     for computer, component in located(robot.computers):
         yield from _timer_samples(component, computer)
         yield from _chain_samples(component, computer)
@@ -89,6 +82,43 @@ def samples(robot: RobotStatus) -> Iterator[Sample]:
             for end in container.connectors:
                 labels = {"connector": end.name, "end": end.end, "computer": computer}
                 yield from _end_samples(labels, end)
+
+
+def _demand_samples(robot: RobotStatus) -> Iterator[Sample]:
+    """Yield what components need, where that is known now."""
+    for demand in robot.demand_estimates:
+        if demand.computer in robot.out_of_reach:
+            continue
+        labels = {"component": demand.component, "computer": demand.computer}
+        now = demand.estimate
+        yield "poise_component_cpu_cores", labels, now.mean
+        yield "poise_component_cpu_p95_cores", labels, now.p95
+        yield "poise_component_starved_share", labels, now.starved
+        if demand.expected is not None:
+            yield "poise_component_cpu_expected_cores", labels, demand.expected
+
+
+def _traffic_samples(robot: RobotStatus) -> Iterator[Sample]:
+    """Yield what goes over connectors, where that is known now."""
+    lost = _sources(robot, is_lost=True) - _sources(robot, is_lost=False)
+    for name, flow in robot.traffic.items():
+        if name in lost:
+            continue
+        labels = {"connector": name}
+        yield "poise_connector_calls_per_second", labels, flow.calls
+        yield "poise_connector_messages_per_second", labels, flow.messages
+        yield "poise_connector_bytes_per_second", labels, flow.traffic
+
+
+def _sources(robot: RobotStatus, *, is_lost: bool) -> set[str]:
+    """Return the connectors that begin on computers that are out of reach, or not."""
+    return {
+        end.name
+        for computer, status in robot.computers.items()
+        if (computer in robot.out_of_reach) == is_lost
+        for end in connectors_of({computer: status})
+        if end.end != "target"
+    }
 
 
 def _timer_samples(component: ComponentStatus, computer: str) -> Iterator[Sample]:
