@@ -89,6 +89,18 @@ def test_each_link_is_shaped_at_both_ends_by_its_destination() -> None:
     assert shaping.keys() == {a.namespace, b.namespace, c.namespace}
 
 
+@pytest.mark.parametrize(
+    ("bandwidth", "rate"), [(0.01, "8bit"), (1e12, "100000000000bit")]
+)
+def test_links_are_as_slow_and_as_quick_as_they_can_be(
+    bandwidth: float, rate: str
+) -> None:
+    links = (Link(between=("a", "b"), bandwidth=bandwidth),)
+    plan = plan_network(OWNER, 0, ["a", "b"], links)
+    commands = network_plan.shaping(plan, delays=False)[0][1]
+    assert any(f"htb rate {rate} " in command for command in commands)
+
+
 def test_what_waits_for_the_delay_is_not_dropped() -> None:
     plan = plan_network(OWNER, 0, ["a", "b"], LINKS)
     _, commands = emulated_network.shaping(plan, delays=True)[0]

@@ -132,8 +132,9 @@ _LONGEST_QUEUE = 0.04
 """What waits longer than this before a link is dropped [s]."""
 _NOBODY = "02:00:00:00:00:00"
 """A hardware address that no interface has."""
-_UNLIMITED = 1.25e10
-"""The bandwidth of a link without a limit [bytes/s]."""
+_LEAST, _UNLIMITED = 1.0, 1.25e10
+"""The least bandwidth that `tc` takes, and that of a link without a limit, which is
+more than a virtual one carries [bytes/s]."""
 _PACKET = 1514
 """The largest packet [bytes]."""
 _NO_OFFLOAD = "gso_max_segs 1"
@@ -268,7 +269,7 @@ def _inside(cable: Cable) -> list[str]:
 def _link_class(target: int, shape: Shape, *, delays: bool) -> list[str]:
     """Return what shapes packets to a computer, whether or not they are already."""
     minor = f"{target + 1:x}"
-    rate = shape.bandwidth or _UNLIMITED
+    rate = min(max(shape.bandwidth or _UNLIMITED, _LEAST), _UNLIMITED)
     # A bucket of 1 ms holds several packets even on a slow link, and lasts between two
     # refills on a fast one.
     burst = max(16 * 1024, int(rate * 0.001))
