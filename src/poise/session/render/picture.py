@@ -82,10 +82,14 @@ Point = tuple[float, float]
 
 
 def svg(width: float, height: float, label: str, parts: Iterable[str]) -> str:
-    """Return a picture as wide as there is room; `label` says what it shows."""
+    """Return a picture as wide as there is room, and as words in it need to be read.
+
+    `label` says what it shows.
+    """
     return (
-        f'<svg viewBox="0 0 {width:.0f} {height:.0f}" role="img" font-size="13" '
-        f'aria-label="{escape(label)}">{"".join(parts)}</svg>'
+        f'<div style="overflow-x:auto"><svg viewBox="0 0 {width:.0f} {height:.0f}" '
+        f'style="min-width:{0.75 * width:.0f}px" role="img" font-size="13" '
+        f'aria-label="{escape(label)}">{"".join(parts)}</svg></div>'
     )
 
 

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from io import StringIO
 
 from rich.console import Console, RenderableType
+from rich.terminal_theme import TerminalTheme
 
 _WIDTH = 400
 """Of what is not a terminal [characters]: nothing is broken over lines there."""
@@ -43,9 +44,27 @@ class Printable:
         """Return the parts as HTML."""
         console = Console(file=StringIO(), width=_WIDTH, record=True, highlight=False)
         console.print(self)
-        return console.export_html(code_format=_HTML, inline_styles=True)
+        return console.export_html(
+            theme=_COLOURS, code_format=_HTML, inline_styles=True
+        )
 
 
+_GREY, _BLUE, _PURPLE = (127, 127, 127), (46, 117, 207), (163, 94, 163)
+_COLOURS = TerminalTheme(
+    (255, 255, 255),
+    (0, 0, 0),
+    [
+        _GREY,
+        (219, 70, 48),
+        (30, 138, 90),
+        (128, 128, 0),
+        _BLUE,
+        _PURPLE,
+        (20, 133, 133),
+        _GREY,
+    ],
+)
+"""Can be read on a light page, and on a dark one."""
 _HTML = '<pre style="line-height:normal">{code}</pre>'
 
 

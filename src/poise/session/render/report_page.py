@@ -247,6 +247,8 @@ def _worst(report: RunRecord, entries: Mapping[int, JournalEntry]) -> Iterator[s
         (each for each in _deadlines(report) if each.missed),
         key=lambda each: -each.share,
     )
+    if never := ", ".join(d.name for d in _deadlines(report) if not d.times):
+        yield f"<p>Nothing is known of {escape(never)}: never due, or never used.</p>"
     if not missed:
         yield "<p>None was missed.</p>"
         return
@@ -294,7 +296,7 @@ def _around(
 
 def _journal(entries: Mapping[int, JournalEntry], began: float) -> str:
     rows = [
-        (str(n), f"{entry.at - began:.1f} s", entry.kind, escape(entry.what))
+        (str(n), f"{entry.at - began:z.1f} s", entry.kind, escape(entry.what))
         for n, entry in entries.items()
     ]
     return html_table(("#", "at", "kind", "what"), rows)

@@ -106,6 +106,33 @@ def test_the_page_says_what_happened_around_the_worst_second() -> None:
     assert "None was missed" in worst(replace(REPORT, components=(quick,)).page())
 
 
+def test_what_was_never_due_counts_as_nothing_that_was_kept() -> None:
+    idle = replace(REPORT.components[0], timers=(timer(0, 0),))
+    assert "Nothing is known of eye.tick" in worst(
+        replace(REPORT, components=(idle,)).page()
+    )
+    assert "Nothing is known" not in worst(REPORT.page())
+
+
+def luminance(colour: str) -> float:
+    """Return a colour's relative luminance, as WCAG 2 has it."""
+    parts = [int(colour[at : at + 2], 16) / 255 for at in (1, 3, 5)]
+    red, green, blue = (
+        part / 12.92 if part <= 0.04045 else ((part + 0.055) / 1.055) ** 2.4
+        for part in parts
+    )
+    return 0.2126 * red + 0.7152 * green + 0.0722 * blue
+
+
+def test_what_is_wrong_can_be_read_on_light_and_dark_pages() -> None:
+    colours = re.findall(r"(?<!-)color: (#\w{6})", REPORT.html())
+    assert colours
+    for colour in colours:
+        light = luminance(colour)
+        assert 1.05 / (light + 0.05) >= 4  # on white
+        assert (light + 0.05) / 0.056 >= 4  # on #121212, of a browser's dark page
+
+
 class Tags(HTMLParser):
     """Collects what a page loads, and the tags that are not closed."""
 
