@@ -121,7 +121,8 @@ def main():
     spinning = threading.Thread(target=executor.spin, daemon=True)
     spinning.start()
     peer.near.wait_for_server()
-    write("ended", [peer.ask(5), peer.ask(-1), peer.drop(77), peer.ask(6)])
+    write("ended", [peer.ask(5), peer.ask(-1), peer.drop(77), peer.ask(6),
+                    peer.ask(60)])
     while not os.path.exists(os.path.join(FOLDER, "moved")):
         threading.Event().wait(0.1)
     write("again", peer.ask_until_answered(4))
@@ -187,4 +188,5 @@ def test_goals_are_calls_and_calls_are_goals(tmp_path: Path) -> None:
         [ABORTED, []],
         [CANCELED, False],
         [SUCCEEDED, [0, 1, 1, 2, 3, 5]],
+        [ABORTED, []],  # what is no int32 is no result
     ]

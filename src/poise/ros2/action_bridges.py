@@ -47,23 +47,27 @@ class ServesActions(Services):
     def _begin(self, service: Service, goal: Any) -> None:  # noqa: ANN401, a goal of rclpy
         from rclpy.action.server import GoalEvent  # noqa: PLC0415, only where a node runs
 
-        arguments = msgspec.structs.astuple(service.request.from_ros(goal.request))
         method = getattr(getattr(self, self.port.name), service.name)
         # `execute` would run the rest at once
         goal._update_state(GoalEvent.EXECUTE)  # noqa: SLF001
-        call = self.start_call(method, *arguments)
+        try:
+            request = service.request.from_ros(goal.request)
+            call = self.start_call(method, *msgspec.structs.astuple(request))
+        except Exception:  # the client waits for the end
+            self._finish(service, goal, goal.abort, service.kind.Result())
+            raise
         self._calls[bytes(goal.goal_id.uuid)] = call
         call.then(partial(self._end, service, goal))
 
     def _end(self, service: Service, goal: Any, call: StartedCall[Any]) -> None:  # noqa: ANN401, a goal of rclpy
         del self._calls[bytes(goal.goal_id.uuid)]
+        end, result = goal.abort, service.kind.Result()
         try:
-            result = service.to_ros(call.result(), service.kind.Result())
+            end, result = goal.succeed, service.to_ros(call.result(), result)
         except CallError as error:
             self.log.warning("%s: %s", service.name, error)
-            self._finish(service, goal, goal.abort, service.kind.Result())
-        else:
-            self._finish(service, goal, goal.succeed, result)
+        finally:  # the client waits for the end, also of what is no result
+            self._finish(service, goal, end, result)
 
     def _cancel(self, service: Service, goal: Any) -> Any:  # noqa: ANN401, a goal of rclpy
         from rclpy.action import CancelResponse  # noqa: PLC0415, only where a node runs
