@@ -256,6 +256,18 @@ def test_chains_fit_80_columns_and_say_which_step_takes_most() -> None:
     assert row[-1] == "localiser"
 
 
+def test_a_chain_through_a_silent_computer_is_not_shown_as_if_it_were_live() -> None:
+    answer = status(Estimate(mean=0.1, p95=0.1, error=0.01))
+    hops = (ChainHop(component=NAME, computer="vision"),)
+    chain = ChainReport(
+        name="pose", deadline=0.2, missed=0, age=ages(0.07), error=0.0, hops=hops
+    )
+    live = replace(answer, chains=(chain,), ages={"vision": 0.1})
+    old = "not known how old this data is now: pose"
+    assert old not in shown(live)
+    assert old in shown(replace(live, ages={"vision": 12.0}))
+
+
 def ages(value: float) -> Summary:
     return Summary(count=4, mean=value, median=value, p99=value, maximum=value)
 
