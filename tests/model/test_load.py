@@ -218,6 +218,16 @@ def test_a_nul_is_in_no_file_name() -> None:
         load("a\0b")
 
 
+def test_a_folder_whose_name_is_no_text_is_refused(tmp_path: Path) -> None:
+    """No other process could be told of it."""
+    folder = tmp_path / "x\udcff"
+    folder.mkdir()
+    file = folder / "robot.yaml"
+    file.write_text("robot: r\ncomputers: {a: {cpu: 1, memory: 1 GiB}}\n")
+    with pytest.raises(RobotError, match="folder's name is not UTF-8"):
+        load(file)
+
+
 def test_a_link_without_limit_is_read_back_as_it_was_written() -> None:
     link = Link(between=("a", "b"), bandwidth=float("1e999"))
     assert msgspec.json.decode(msgspec.json.encode(link), type=Link) == link

@@ -85,7 +85,11 @@ def load_source(
     values = validate(root, msgspec.inspect.type_info(Robot), problems)
     if values is None or not is_whole:
         raise RobotError(problems=sorted(problems))
-    values["folder"] = str(path.resolve().parent)
+    values["folder"] = folder = str(path.resolve().parent)
+    try:
+        folder.encode()
+    except UnicodeEncodeError:  # all processes of the robot get it, as text
+        raise RobotError(f"{quoted(path)}: its folder's name is not UTF-8") from None
     own = msgspec.convert(values, Robot)
     robot, repository = with_repository(own, root, problems)
     positions = Positions(root)
