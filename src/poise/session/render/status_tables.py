@@ -52,14 +52,20 @@ def status_parts(status: RobotStatus) -> Iterator[RenderableType]:
     for remark in remarks(status):
         yield f"[yellow]{remark}[/]"
     yield from chain_tables(status.chains)
-    at = {chain.name: {hop.computer for hop in chain.hops} for chain in status.chains}
-    if old := ", ".join(name for name, computers in at.items() if computers & unknown):
-        yield f"[red]not known how old this data is now: {old}[/]"
+    yield from _old_chains(status)
     yield computer_table(status)
     growing, containers = growing_containers(status), container_lines(status)
     failing = failed_calls(connectors_of(status.computers))
     for line in (*growing, *containers, *failing, *_notices(status)):
         yield Text(line, style="yellow")
+
+
+def _old_chains(status: RobotStatus) -> Iterator[str]:
+    """Yield of which chains nothing is known now, if of any."""
+    unknown = status.not_known()
+    at = {chain.name: {hop.computer for hop in chain.hops} for chain in status.chains}
+    if old := ", ".join(name for name, computers in at.items() if computers & unknown):
+        yield f"[red]not known how old this data is now: {old}[/]"
 
 
 def detail_parts(status: RobotStatus) -> Iterator[RenderableType]:
