@@ -52,9 +52,9 @@ from poise.manage.migration.canary import Canaries
 from poise.manage.migration.migration_report import MigrationReport
 from poise.manage.migration.move import (
     check_target,
-    plan_alternative,
-    plan_move,
-    plan_replacement,
+    prepare_alternative,
+    prepare_move,
+    prepare_replacement,
 )
 from poise.manage.migration.preparation import MigrationPreparation
 from poise.manage.observe.deviations import Deviation
@@ -403,7 +403,7 @@ class Manager:
                 check_target(run, component, computer, force=force)
                 return self._adaptation.what_if(component, computer)
             case MoveCommand(component, computer, force):
-                planned = plan_move(run, component, computer, force=force)
+                preparation = prepare_move(run, component, computer, force=force)
                 self._adaptation.check_asked(component, computer, force=force)
             case ReplaceCommand(by=by, adapt=adapt, watch=watch) if watch and (
                 adapt or ":" not in by
@@ -413,12 +413,14 @@ class Manager:
                     "state that was mapped cannot be mapped back"
                 )
             case ReplaceCommand(component, by, adapt, fresh) if ":" in by:
-                planned = plan_replacement(run, component, by, adapt, fresh=fresh)
+                preparation = prepare_replacement(
+                    run, component, by, adapt, fresh=fresh
+                )
             case ReplaceCommand(what, by, adapt, fresh):
-                planned = plan_alternative(run, what, by, adapt, fresh=fresh)
+                preparation = prepare_alternative(run, what, by, adapt, fresh=fresh)
             case _:
                 raise AssertionError(command)
-        return planned.begin()
+        return preparation.begin()
 
     def _situation(self) -> Situation:
         return self._reader.read(self.tasks.now())

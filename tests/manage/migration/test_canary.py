@@ -53,7 +53,7 @@ class Robot:
         self.clock = SimpleNamespace(now=lambda: self.now)
         self.layout = SimpleNamespace(container_of=lambda _: "eyes")
         self.journal = SimpleNamespace(note=lambda _, what: self.notes.append(what))
-        monkeypatch.setattr(canary, "plan_return", self._returned)
+        monkeypatch.setattr(canary, "prepare_return", self._returned)
         monkeypatch.setattr(canary, "start_together", self._restarted)
         self.canaries = Canaries(run)
 

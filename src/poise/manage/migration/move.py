@@ -32,7 +32,7 @@ from poise.units import named
 from poise.wire.records.code_records import SHOWN
 
 
-def plan_move(
+def prepare_move(
     run: RunningComponents, component: str, computer: str, *, force: bool = False
 ) -> MigrationPreparation:
     """Return the move of a running component to a computer, to be run.
@@ -93,7 +93,7 @@ def check_target(
     return old
 
 
-def plan_replacement(
+def prepare_replacement(
     run: RunningComponents,
     component: str,
     by: str,
@@ -131,7 +131,7 @@ def plan_replacement(
     return _preparation(run, old, new, by)
 
 
-def plan_return(run: RunningComponents, before: Incarnation) -> MigrationPreparation:
+def prepare_return(run: RunningComponents, before: Incarnation) -> MigrationPreparation:
     """Return the swap of a component's code for that of an earlier incarnation."""
     old = _placed(run, before.component)
     new = structs.replace(
@@ -250,7 +250,7 @@ def _swap(run: RunningComponents, old: Incarnation, new: Incarnation) -> str:
     return ""
 
 
-def plan_alternative(
+def prepare_alternative(
     run: RunningComponents,
     architecture: str,
     by: str,

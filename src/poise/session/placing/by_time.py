@@ -40,7 +40,7 @@ _ROUNDING = 1e-6
 
 Predict = Callable[..., Iterator[tuple[str, PredictedTimes]]]
 """Yields what is predicted of each phase of a result."""
-Decide = Callable[..., plan.TaskResult]
+Solve = Callable[..., plan.TaskResult]
 """Decides a problem, by another `method` if one is given."""
 
 
@@ -52,7 +52,7 @@ class DecidedByTime(Struct, frozen=True):
 
 
 def decide_by_time(
-    robot: Robot, problem: plan.TaskProblem, *solvers: Decide
+    robot: Robot, problem: plan.TaskProblem, *solvers: Solve
 ) -> DecidedByTime:
     """Return the best placement found, with the times that are predicted for it.
 
@@ -84,15 +84,15 @@ def decide_by_time(
 
 def _tried(
     problem: plan.TaskProblem,
-    solvers: Sequence[Decide],
+    solvers: Sequence[Solve],
     predict: Predict,
 ) -> list[DecidedByTime]:
     """Return placements with what is predicted of them, until nothing is late."""
     found: list[DecidedByTime] = []
     calibrated = problem
     for _ in range(_ROUNDS):
-        for decide in solvers:
-            result = decide(calibrated)
+        for solve in solvers:
+            result = solve(calibrated)
             if result.total is None:
                 return found
             same = (d for d in found if _placed(d.task_result) == _placed(result))

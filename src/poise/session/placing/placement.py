@@ -20,7 +20,7 @@ from poise.estimate.success_rates import learned
 from poise.model.robot import Robot
 from poise.plan.alternatives import needs, part
 from poise.plan.planner import SOLVERS
-from poise.session.placing.by_time import Decide, DecidedByTime, decide_by_time
+from poise.session.placing.by_time import DecidedByTime, Solve, decide_by_time
 from poise.session.render.picture import planned_picture
 from poise.session.render.plan_tables import plan_parts
 from poise.session.render.printable import Printable
@@ -375,7 +375,7 @@ def problem_of_task(
 
 
 def decided(
-    robot: Robot | None, problem: plan.TaskProblem, method: str, solve: Decide
+    robot: Robot | None, problem: plan.TaskProblem, method: str, solve: Solve
 ) -> DecidedByTime:
     """Return what a rule decides, or else a solver; None: there is no robot file."""
 
