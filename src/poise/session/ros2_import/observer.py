@@ -278,7 +278,9 @@ class _Observer:
             if info is None or own is None:
                 continue  # it is not known whole yet
             self._nodes.add(name)
-            if _host(info) != _host(own):
+            if not _is_fast_dds(info) or not _is_fast_dds(own):
+                self._elsewhere[name] = _OTHER_DDS
+            elif _host(info) != _host(own):
                 self._elsewhere[name] = "it runs on another computer"
             elif (pid := find_pid(_low_id(info))) is None:
                 self._elsewhere[name] = "its process is not visible here"
@@ -335,6 +337,17 @@ class _Observer:
 
 def _full_name(info: TopicEndpointInfo) -> str:
     return f"{info.node_namespace.rstrip('/')}/{info.node_name}"
+
+
+_OTHER_DDS = (
+    "only Fast DDS tells the process of a node: start the nodes and the import with "
+    "RMW_IMPLEMENTATION=rmw_fastrtps_cpp"
+)
+
+
+def _is_fast_dds(info: TopicEndpointInfo) -> bool:
+    """Return whether an endpoint's id begins with the vendor of Fast DDS."""
+    return bytes(info.endpoint_gid)[:2] == b"\x01\x0f"
 
 
 def _host(info: TopicEndpointInfo) -> bytes:

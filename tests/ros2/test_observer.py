@@ -1,0 +1,40 @@
+"""Which process a node is in, as its middleware tells."""
+
+from __future__ import annotations
+
+import os
+from types import SimpleNamespace
+
+import pytest
+
+FAST_DDS, CYCLONE = b"\x01\x0f", b"\x01\x10"
+HERE, THERE = b"\x2b\xc0", b"\x2b\xc1"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("vendor", "host", "why"),
+    [
+        (FAST_DDS, HERE, ""),
+        (FAST_DDS, THERE, "it runs on another computer"),
+        (CYCLONE, THERE, "only Fast DDS tells the process of a node"),
+    ],
+)
+def test_why_the_process_of_a_node_is_not_known(
+    vendor: bytes, host: bytes, why: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from poise.session.ros2_import import observer  # noqa: PLC0415, rclpy may lack
+
+    def endpoint(vendor: bytes, host: bytes) -> SimpleNamespace:
+        return SimpleNamespace(endpoint_gid=[*vendor, *host, *bytes(12)])
+
+    monkeypatch.setattr(observer, "find_pid", lambda _: os.getpid())
+    seen = object.__new__(observer._Observer)
+    seen._pids, seen._elsewhere, seen._nodes = {}, {}, set()
+    seen._usage = observer.ProcessUsage()
+    ends = {"/poise_import": endpoint(FAST_DDS, HERE), "/a": endpoint(vendor, host)}
+    monkeypatch.setattr(seen, "_names", lambda: {"/a"})
+    monkeypatch.setattr(seen, "_endpoints", lambda: ends)
+    seen._find_nodes()
+    assert seen._elsewhere.get("/a", "").startswith(why)
+    assert ("/a" in seen._pids) is not bool(why)
