@@ -7,6 +7,8 @@ from types import SimpleNamespace
 
 import pytest
 
+from poise.session.ros2_import.node_processes import ProcessUsage
+
 FAST_DDS, CYCLONE = b"\x01\x0f", b"\x01\x10"
 HERE, THERE = b"\x2b\xc0", b"\x2b\xc1"
 
@@ -31,7 +33,7 @@ def test_why_the_process_of_a_node_is_not_known(
     monkeypatch.setattr(observer, "find_pid", lambda _: os.getpid())
     seen = object.__new__(observer._Observer)
     seen._pids, seen._elsewhere, seen._nodes = {}, {}, set()
-    seen._usage = observer.ProcessUsage()
+    seen._usage = ProcessUsage()
     ends = {"/poise_import": endpoint(FAST_DDS, HERE), "/a": endpoint(vendor, host)}
     monkeypatch.setattr(seen, "_names", lambda: {"/a"})
     monkeypatch.setattr(seen, "_endpoints", lambda: ends)
