@@ -199,3 +199,29 @@ def test_who_was_called_back_and_does_not_end_is_named(
     go_on.set()
     go(chain, LONG, lambda: None)  # and from now on all is as before
     assert not others.submit(comes_in, chain, SHORT).result(LONG)
+
+
+def test_who_is_called_back_too_long_still_keeps_others_out(
+    others: ThreadPoolExecutor,
+) -> None:
+    chain = new_chain()
+    inside, go_on = threading.Event(), threading.Event()
+
+    def stay(*_: object) -> bytes:
+        inside.set()
+        assert go_on.wait(LONG)
+        return b""
+
+    def meanwhile() -> Any:
+        staying = others.submit(come_in, chain, LONG, stay)
+        assert inside.wait(LONG)
+        return staying
+
+    def work(*_: object) -> Any:
+        return go(chain, SHORT, meanwhile)
+
+    with pytest.raises(CalleeError, match="a call back from it still runs"):
+        others.submit(come_in, chain, LONG, work).result(LONG)
+    assert not others.submit(comes_in, chain, SHORT).result(LONG)
+    go_on.set()
+    assert others.submit(comes_in, chain, LONG).result(LONG)

@@ -61,6 +61,7 @@ Entry ChainLock::take(double limit) {
 
 void ChainLock::give() {
   const CallsLock lock(calls_mutex);
+  if (holder_ != PyThread_get_thread_ident()) return;
   holder_ = 0;
   exclusion_.leave();
 }

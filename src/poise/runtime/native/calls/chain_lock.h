@@ -23,6 +23,7 @@ class ChainLock {
 
   // Wait up to `limit` [s] to run the chain.
   Entry take(double limit);
+  // Of a thread that gave it and did not get it again, this does nothing.
   void give();
 
  private:
