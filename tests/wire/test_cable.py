@@ -23,6 +23,7 @@ SERVE = """
 import pathlib, sys, threading
 from poise.wire import frame
 from poise.wire.codec import codec
+from poise.wire.connections.connection import connection
 from poise.wire.connections.gateway import Gateway
 from poise.wire.frame import Kind
 from poise.wire.connections.connection_server import ConnectionServer
@@ -34,6 +35,9 @@ def handle(received):
     if received.kind is Kind.CALL:
         return frame.segments(TEXT, text[::-1], Kind.RESULT)
     print(text, flush=True)
+    if text == "later":
+        pieces = frame.segments(TEXT, text, Kind.CREDIT)
+        threading.Timer(1.5, connection().send_back, [pieces]).start()
 
 folder = pathlib.Path(sys.argv[1])
 server = ConnectionServer(folder, "there")
@@ -126,3 +130,14 @@ def test_what_is_sent_while_a_cable_is_cut_for_a_moment_arrives(
     channel.push(message("second"), LIMIT)
     there.set_cable("up")
     assert there.line() == "second"
+
+
+def test_who_only_receives_notices_that_its_credit_reaches_nobody(
+    there: There, channel: Channel
+) -> None:
+    channel.push(message("later"), LIMIT)
+    assert there.line() == "later"
+    there.set_cable("down")
+    began = time.monotonic()
+    assert there.line() == "alone"
+    assert time.monotonic() - began < LIMIT

@@ -26,8 +26,8 @@ namespace {
 // A thread that waits checks after this time whether the other computer is still there [s].
 constexpr double look_after = 1.0;
 
-// Retransmissions before a computer counts as silent: one that was itself suspended has heard
-// nothing for long, and is answered at once.
+// Retransmissions or probes before a computer counts as silent: one that was itself suspended has
+// heard nothing for long, and is answered at once.
 constexpr int in_vain = 2;
 // Files that came and belong to frames which were not taken yet.
 constexpr std::size_t most_files = 8;
@@ -101,7 +101,9 @@ Channel::~Channel() {
 
 bool Channel::is_lost() const {
   const tcp_info found = look(file_);
-  return found.tcpi_unacked > 0 && found.tcpi_retransmits >= in_vain &&
+  // while this computer's own cable is out, TCP sends nothing, and probes
+  const bool repeats = found.tcpi_unacked > 0 && found.tcpi_retransmits >= in_vain;
+  return (repeats || found.tcpi_probes >= in_vain) &&
          found.tcpi_last_ack_recv > 1e3 * lost_after_;
 }
 
@@ -120,11 +122,10 @@ int Channel::take_file() {
 // Reading waits here and not in `recv`, because that is
 // woken in vain when the other end takes what was sent.
 Outcome Channel::wait(short event, double deadline) {
-  bool looks = is_remote_;
   while (true) {
     const double began = now();
     if (began >= deadline) return Outcome::late;
-    const double until = looks ? std::min(deadline, began + look_after) : deadline;
+    const double until = is_remote_ ? std::min(deadline, began + look_after) : deadline;
     const double milliseconds = std::ceil(1e3 * std::min(until - began, 1e6));
     pollfd waiting{file_, event, 0};
     const bool ends = std::isfinite(until);
@@ -135,8 +136,6 @@ Outcome Channel::wait(short event, double deadline) {
       errno = ETIMEDOUT;
       return Outcome::gone;
     }
-    // of an end that owes nothing the system finds out itself (SO_KEEPALIVE)
-    looks = look(file_).tcpi_unacked > 0;
   }
 }
 
