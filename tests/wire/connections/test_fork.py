@@ -8,6 +8,7 @@ import socket
 import pytest
 
 from poise.wire.address import keep_private
+from poise.wire.connections.blocks import BLOCKS
 from poise.wire.connections.connection import Connection
 
 pytestmark = pytest.mark.slow
@@ -62,3 +63,14 @@ def test_a_forked_process_has_no_connection_of_its_container() -> None:
             os._exit(1)
         assert os.waitpid(child, 0)[1] == 0
         connection.close()
+
+
+def test_a_forked_process_writes_to_no_block_of_its_container() -> None:
+    block = BLOCKS.allocate(1 << 20, 1)
+    assert block is not None
+    block.release(1)
+    child = os.fork()
+    if child == 0:
+        its = BLOCKS.allocate(1 << 20, 1)
+        os._exit(int(its is None or block.is_lent(1)))
+    assert os.waitpid(child, 0)[1] == 0

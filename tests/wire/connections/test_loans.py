@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import os
 import socket
 import threading
 import time
@@ -278,3 +279,21 @@ def test_without_a_slot_loans_are_copied(
     got = receiver.send(array)
     array[0] = 2
     assert got[0] == 1
+
+
+def test_a_forked_process_gives_back_nothing(
+    pool: Blocks, receiver: Receiver, another: Receiver
+) -> None:
+    mine = filled(1)
+    sent = receiver.send(np.full(SIZE, 2, np.uint8))
+    receiver.got.clear()
+    child = os.fork()
+    if child == 0:
+        del mine, sent
+        gc.collect()
+        os._exit(0)
+    assert os.waitpid(child, 0)[1] == 0
+    next_loan = filled(3)
+    came = another.send(np.full(SIZE, 4, np.uint8))
+    assert is_on_a_block(pool, next_loan)
+    assert [array[0] for array in (mine, sent, next_loan, came)] == [1, 2, 3, 4]

@@ -64,6 +64,7 @@ class Block:
         self.memory = memoryview(self._map)
         self.address = _channel.address(self.memory) + DATA
         self._loan: weakref.ref[np.ndarray] | None = None
+        self._owner = os.getpid()
 
     def is_free(self) -> bool:
         """Return whether nobody has an array on it."""
@@ -82,7 +83,8 @@ class Block:
 
     def release(self, slot: int) -> None:
         """Undo `lend`: no frame was sent, or the loan is gone."""
-        self._map[slot] = _FREE
+        if self._owner == os.getpid():  # a forked process has a copy of the loan
+            self._map[slot] = _FREE
 
     def make_loan(self, shape: Any, dtype: DTypeLike) -> np.ndarray:  # noqa: ANN401, as numpy's
         """Return an array on it, which has the slot `OWN` for as long as it lives."""
@@ -98,6 +100,10 @@ class Blocks:
     """The blocks of a process and the slots of its connections, for any thread."""
 
     def __init__(self) -> None:
+        self.forget()
+
+    def forget(self) -> None:
+        """Begin with none, as a process that a component forks: it has copies."""
         self._blocks: dict[int, Block] = {}
         self._changing = threading.Lock()
         self._free_slots = list(reversed(range(1, DATA)))
@@ -152,7 +158,8 @@ class Blocks:
 
 
 BLOCKS = Blocks()
-"""Those of this process; it has none when it forks containers."""
+"""Those of this process."""
+os.register_at_fork(after_in_child=BLOCKS.forget)
 
 
 def lender(file: int, slot: int) -> _channel.Lender:

@@ -1,5 +1,7 @@
 #include "lender.h"
 
+#include <unistd.h>
+
 #include <utility>
 
 namespace nb = nanobind;
@@ -7,12 +9,14 @@ namespace nb = nanobind;
 namespace poise {
 
 Lender::Lender(nb::handle data, nb::handle flags, std::size_t slot)
-    : data_(data, PyBUF_SIMPLE), flags_(flags, PyBUF_WRITABLE), slot_(slot) {
+    : data_(data, PyBUF_SIMPLE), flags_(flags, PyBUF_WRITABLE), slot_(slot), owner_(getpid()) {
   if (slot >= flags_.size()) throw nb::value_error("there is no such slot");
 }
 
 // The sender writes as soon as it sees this: not before all was read here.
-void Lender::give_back() { __atomic_store_n(flags_.begin() + slot_, 0, __ATOMIC_RELEASE); }
+void Lender::give_back() {
+  if (owner_ == getpid()) __atomic_store_n(flags_.begin() + slot_, 0, __ATOMIC_RELEASE);
+}
 
 PyType_Slot Lent::slots[] = {{Py_bf_getbuffer, reinterpret_cast<void*>(&Lent::view)},
                              {0, nullptr}};

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <nanobind/nanobind.h>
+#include <sys/types.h>
 
 #include <cstddef>
 
@@ -17,11 +18,13 @@ class Lender {
   char* data() const { return data_.begin(); }
   std::size_t size() const { return data_.size(); }
   const char* slot() const { return flags_.begin() + slot_; }
+  // A process that was forked has copies, and gives nothing back.
   void give_back();
 
  private:
   Memory data_, flags_;
   std::size_t slot_;
+  pid_t owner_;
 };
 
 // What was sent on a block; it is given back when nobody looks at this any more.
