@@ -12,6 +12,7 @@
 #include "filling.h"
 #include "lender.h"
 #include "memory.h"
+#include "unlocked.h"
 
 namespace nb = nanobind;
 using poise::Channel;
@@ -35,7 +36,7 @@ void run(Step step, const char* late) {
     Outcome outcome;
     int error;
     {
-      nb::gil_scoped_release unlocked;
+      const poise::Unlocked unlocked;
       outcome = step();
       error = errno;
     }
@@ -134,8 +135,11 @@ struct Names {
   int version;
 };
 
+// Making them may give the GIL up. Threads that come meanwhile make some, too: one that waited for
+// another would keep the GIL.
 const Names& names() {
-  static const Names* found = new Names();
+  static const Names* found = nullptr;
+  if (!found) found = new Names();
   return *found;
 }
 

@@ -8,6 +8,9 @@
 #include <cerrno>
 #include <cmath>
 #include <ctime>
+#include <optional>
+
+#include "wire/native/unlocked.h"
 
 #ifdef Py_LIMITED_API
 // Each Python from 3.4 on exports it, though the stable ABI does not list it.
@@ -97,9 +100,9 @@ Entry Exclusion::wait(CallsLock& lock, Chain chain, double limit, bool steps_in)
   const bool has_gil = PyGILState_Check();
   int error = 0;
   do {
-    PyThreadState* const state = has_gil ? PyEval_SaveThread() : nullptr;
+    std::optional<Unlocked> unlocked;
+    if (has_gil) unlocked.emplace();
     error = sem_clockwait(&waiter.woken, CLOCK_MONOTONIC, &until) ? errno : 0;
-    if (state) PyEval_RestoreThread(state);
   } while (error == EINTR && (!has_gil || PyErr_CheckSignals() == 0));
   lock.lock();
   // If nobody took it off the list, it gives up.

@@ -1,0 +1,92 @@
+"""What waits in native code harms nobody when the interpreter begins or ends."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+from tests.waiting import LIMIT
+
+pytestmark = pytest.mark.slow
+
+ENDS = """
+import threading, time
+import poise.runtime.execution.exclusion
+from poise.errors import Timeout
+{}
+
+def work():
+    while True:
+        try:
+            wait()
+        except Timeout:
+            pass
+
+class Slow:
+    def __del__(self):
+        time.sleep(0.3)
+
+slow = Slow()
+threading.Thread(target=work, daemon=True).start()
+time.sleep(0.1)
+"""
+RECEIVES = """
+import socket
+from poise.wire.connections.connection import Connection
+ours, theirs = socket.socketpair()
+connection = Connection(ours)
+
+def wait():
+    connection.receive(time.monotonic() + 0.01)
+"""
+ENTERS = """
+from poise.runtime._calls import Exclusion
+exclusion = Exclusion("busy")
+
+def wait():
+    exclusion.enter(1, 0.01)
+"""
+FIRST_FRAMES = """
+import threading, time
+from poise.wire import frame
+from poise.wire.codec import codec
+from poise.wire.frame import Kind
+
+class Slow:
+    def __iter__(self):
+        time.sleep(0.2)
+        return iter(Kind)
+
+frame.Kind = Slow()
+text = codec(str)
+threads = [
+    threading.Thread(target=frame.segments, args=(text, "first", Kind.HELLO))
+    for _ in range(4)
+]
+for thread in threads:
+    thread.start()
+for thread in threads:
+    thread.join()
+"""
+
+
+def run(code: str) -> subprocess.CompletedProcess[str]:
+    argv = [sys.executable, "-c", code]
+    return subprocess.run(
+        argv, capture_output=True, text=True, timeout=LIMIT, check=False
+    )
+
+
+@pytest.mark.parametrize("waits", [RECEIVES, ENTERS], ids=["receives", "enters"])
+def test_a_thread_that_waits_while_the_interpreter_ends_does_not_abort_it(
+    waits: str,
+) -> None:
+    ended = run(ENDS.format(waits))
+    assert (ended.returncode, ended.stderr) == (0, "")
+
+
+def test_threads_may_send_their_first_frames_at_the_same_time() -> None:
+    ended = run(FIRST_FRAMES)
+    assert (ended.returncode, ended.stderr) == (0, "")
