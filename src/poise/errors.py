@@ -181,3 +181,11 @@ def signal_name(number: int) -> str:
 def encodable(text: str) -> str:
     """Return a text that can be sent: the name of a file may be any bytes."""
     return text.encode(errors="backslashreplace").decode()
+
+
+def said(error: object) -> str:
+    """Return what an error says as a text that can be sent, whatever its class does."""
+    try:
+        return encodable(str(error))
+    except Exception:  # noqa: BLE001, a user's class may raise anything
+        return f"<str() of a {type(error).__qualname__} failed>"

@@ -180,6 +180,64 @@ POISE_COMPONENT(Source) {
   component.published("picture", &Source::picture);
 }
 
+// What goes wrong in one says more than a text can hold.
+struct Mutters {
+  poise::Method<void()> mutter, complain, pass_on;
+};
+POISE_INTERFACE(Mutters, mutter, complain, pass_on)
+
+class Mutterer : public poise::Component {
+ public:
+  poise::Required<Mutters> others;
+
+  void mutter() { throw trouble::Empty("no \xff"); }
+  void complain() { warning("low \xff"); }
+  void pass_on() {
+    const nanobind::gil_scoped_acquire gil;
+    python().attr("fail")();
+  }
+  // What is caught of an error in Python that passed through another one.
+  std::string caught() {
+    try {
+      others.pass_on();
+    } catch (const poise::CalleeError& error) {
+      return error.message;
+    }
+    return "";
+  }
+};
+struct Catches {
+  poise::Method<std::string()> caught;
+};
+POISE_INTERFACE(Catches, caught)
+POISE_COMPONENT(Mutterer) {
+  component.provided<Mutters>("mutters");
+  component.provided<Catches>("catches");
+  component.required("others", &Mutterer::others);
+}
+
+// Its thread publishes until it is joined.
+class Busy : public poise::Component {
+ public:
+  poise::Published<Number> number;
+
+  ~Busy() override {
+    is_ending_ = true;
+    if (thread_.joinable()) thread_.join();
+  }
+  void activate() override {
+    thread_ = std::thread([this] {
+      while (!is_ending_) number.publish({1});
+      number.publish({2});
+    });
+  }
+
+ private:
+  std::atomic<bool> is_ending_{false};
+  std::thread thread_;
+};
+POISE_COMPONENT(Busy) { component.published("number", &Busy::number); }
+
 // Two of these meet only when their handlers run at the same time.
 static std::atomic<int> num_inside{0};
 

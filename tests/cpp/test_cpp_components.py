@@ -381,6 +381,50 @@ def test_an_array_reaches_cpp_and_comes_back_without_a_copy(
     assert source.echo(everything(array)).array is array
 
 
+@every_kind
+def test_an_error_whose_text_cannot_be_sent_reaches_its_caller(
+    pair: Pair, mixed: ModuleType, caplog: pytest.LogCaptureFixture
+) -> None:
+    def fail() -> None:
+        raise LookupError("no \udcff")
+
+    source = pair.run("source", mixed.Mutterer)
+    target = pair.run("target", mixed.Mutterer)
+    target.fail = fail
+    pair.join("others", "mutters")
+    pair.activate()
+    assert source.caught() == r"no \udcff"
+    with pytest.raises(CalleeError, match=r"no \\xff") as caught:
+        source.others.mutter()
+    assert caught.value.type_name == "trouble::Empty"
+    source.others.complain()
+    assert r"low \xff" in caplog.text
+
+
+ENDING = """
+import gc, time, mixed
+from poise.testing import Bench
+
+with Bench(mixed.Busy):
+    time.sleep(0.1)
+gc.collect()
+print("ended")
+"""
+
+
+@pytest.mark.usefixtures("mixed")
+def test_a_component_may_join_its_thread_when_it_is_destroyed(built: Path) -> None:
+    ended = subprocess.run(
+        [sys.executable, "-c", ENDING],
+        cwd=built,
+        capture_output=True,
+        text=True,
+        timeout=LIMIT,
+        check=False,
+    )
+    assert (ended.stdout, ended.returncode) == ("ended\n", 0), ended.stderr
+
+
 def test_handlers_of_one_container_run_at_the_same_time(mixed: ModuleType) -> None:
     with Bench(mixed.Meeting) as one, Bench(mixed.Meeting) as other:
         threads = [

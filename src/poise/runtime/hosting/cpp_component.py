@@ -82,6 +82,11 @@ class CppComponent(Component):
         for name in self._cpp_called:
             setattr(self, name, MethodType(self._cpp_functions[name], self))
 
+    def __del__(self) -> None:
+        """End the object in C++ first: its threads may use this one until then."""
+        for name in ("_cpp_functions", "_cpp_note", *self._cpp_called):
+            vars(self).pop(name, None)
+
     def make_proxy(self, port: str, what: str) -> Proxy:
         """Return what a required port holds: it tells C++ of each new route."""
         return _CppProxy(what, self, port)
@@ -91,10 +96,11 @@ class _CppProxy(Proxy):
     """Methods as attributes, of which the component in C++ is told."""
 
     def __init__(self, what: str, component: CppComponent, port: str) -> None:
-        vars(self).update(_what=what, _note=component._cpp_note, _port=port)  # noqa: SLF001
+        vars(self).update(_what=what, _component=component, _port=port)
 
     def __setattr__(self, name: str, function: object) -> None:
-        vars(self)["_note"](vars(self)["_port"], name, function)
+        note = vars(self)["_component"]._cpp_note  # noqa: SLF001, of the same kind
+        note(vars(self)["_port"], name, function)
         super().__setattr__(name, function)
 
 

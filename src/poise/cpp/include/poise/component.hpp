@@ -93,7 +93,7 @@ class Component {
   }
   void log(const char* level, const std::string& text) const {
     const nb::gil_scoped_acquire gil;
-    python_.attr("log").attr(level)("%s", text);
+    python_.attr("log").attr(level)("%s", detail::text_from(text));
   }
 
   nb::handle python_;
@@ -329,7 +329,11 @@ class Declaration {
   // Return what an instance of the class in Python needs: its functions, what tells it of other
   // routes, and its targets.
   nb::tuple make(nb::handle component) {
-    const auto object = std::make_shared<C>();
+    // its threads may take the interpreter's lock until its destructor has joined them
+    const Instance object(new C(), [](C* ending) {
+      const nb::gil_scoped_release released;
+      delete ending;
+    });
     object->attach(component);
     if constexpr (requires { &C::parameters; })
       object->parameters = nb::cast<decltype(C::parameters)>(component.attr("parameters"));

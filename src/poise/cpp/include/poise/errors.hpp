@@ -50,6 +50,17 @@ inline nb::object from_python(const char* module, const char* name) {
   return nb::module_::import_(module).attr(name);
 }
 
+// Text for Python; what is not UTF-8 is escaped.
+inline nb::object text_from(const std::string& text) {
+  return nb::steal(PyUnicode_DecodeUTF8(text.data(), static_cast<Py_ssize_t>(text.size()),
+                                        "backslashreplace"));
+}
+
+// What an object of Python's says, also when that is no text which can be sent.
+inline std::string said(nb::handle object) {
+  return nb::cast<std::string>(from_python("poise.errors", "said")(object));
+}
+
 inline std::string demangled(const char* mangled) {
   int status = 0;
   const std::unique_ptr<char, void (*)(void*)> name(
@@ -68,8 +79,7 @@ inline Thrown thrown() {
     throw;
   } catch (nb::python_error& error) {
     const nb::gil_scoped_acquire gil;
-    return {nb::cast<std::string>(error.type().attr("__qualname__")),
-            nb::str(error.value()).c_str()};
+    return {nb::cast<std::string>(error.type().attr("__qualname__")), said(error.value())};
   } catch (const std::exception& error) {
     std::string name = demangled(typeid(error).name());
     if (name.rfind("poise::", 0) == 0) name.erase(0, 7);
@@ -90,12 +100,14 @@ inline Thrown thrown() {
   } catch (nb::builtin_exception&) {
     throw;
   } catch (const CalleeError& e) {
-    error = from_python("poise.errors", "CalleeError")(e.type_name, e.message, e.traceback);
+    error = from_python("poise.errors", "CalleeError")(
+        text_from(e.type_name), text_from(e.message), text_from(e.traceback));
   } catch (const CallError& e) {
-    error = from_python("poise.errors", thrown().type_name.c_str())(e.what());
+    error = from_python("poise.errors", thrown().type_name.c_str())(text_from(e.what()));
   } catch (...) {
     const Thrown what = thrown();
-    error = from_python("poise.runtime.hosting.cpp_component", "error")(what.type_name, what.message);
+    error = from_python("poise.runtime.hosting.cpp_component", "error")(
+        what.type_name, text_from(what.message));
   }
   PyErr_SetObject(error.type().ptr(), error.ptr());
   throw nb::python_error();
@@ -106,11 +118,9 @@ inline Thrown thrown() {
   const auto is = [&](const char* name) {
     return error.matches(from_python("poise.errors", name));
   };
-  const auto text = [&](const char* name) {
-    return nb::cast<std::string>(error.value().attr(name));
-  };
+  const auto text = [&](const char* name) { return said(error.value().attr(name)); };
   if (is("CalleeError")) throw CalleeError(text("type_name"), text("message"), text("traceback"));
-  const std::string message = nb::str(error.value()).c_str();
+  const std::string message = said(error.value());
   if (is("Unavailable")) throw Unavailable(message);
   if (is("Timeout")) throw Timeout(message);
   if (is("CannotCross")) throw CannotCross(message);
