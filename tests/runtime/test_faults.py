@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import struct
 import sys
 from typing import Any, Protocol
@@ -35,6 +36,15 @@ class Doubling(Protocol):
 
     def leave(self) -> None: ...
 
+    def cancel(self) -> None: ...
+
+    def fail_to_say(self) -> None: ...
+
+
+class Unsayable(Exception):
+    def __str__(self) -> str:
+        raise LookupError("nothing to say")
+
 
 class Target(Component):
     doubling: Provided[Doubling]
@@ -50,6 +60,12 @@ class Target(Component):
 
     def leave(self) -> None:
         sys.exit("bye")
+
+    def cancel(self) -> None:
+        raise asyncio.CancelledError
+
+    def fail_to_say(self) -> None:
+        raise Unsayable
 
     @subscribed(block=4)
     def pose(self, message: Pose) -> None:
@@ -183,11 +199,19 @@ def test_an_answer_that_is_too_large_is_the_callers_error(
 
 @every_kind
 @pytest.mark.usefixtures("pair")
-def test_a_callee_that_exits_is_an_error_of_its_caller(
-    ends: tuple[Source, Target],
+@pytest.mark.parametrize(
+    ("method", "type_name", "message"),
+    [
+        ("leave", "SystemExit", "bye"),
+        ("cancel", "CancelledError", ""),
+        ("fail_to_say", "Unsayable", r"<str\(\) of a Unsayable failed>"),
+    ],
+)
+def test_whatever_a_callee_raises_is_an_error_of_its_caller(
+    ends: tuple[Source, Target], method: str, type_name: str, message: str
 ) -> None:
     """Else the thread of a connection ends without a word."""
-    with pytest.raises(CalleeError, match="bye") as caught:
-        ends[0].doubling.leave()
-    assert caught.value.type_name == "SystemExit"
+    with pytest.raises(CalleeError, match=f"{type_name}: {message}") as caught:
+        getattr(ends[0].doubling, method)()
+    assert caught.value.type_name == type_name
     assert ends[0].doubling.double(21) == 42

@@ -161,7 +161,7 @@ class ServedCall:
         exclusion: Exclusion,
         limit: float,
         counts: Counts,
-        translate: Callable[[Exception | SystemExit], NoReturn],
+        translate: Callable[[BaseException], NoReturn],
         is_over: Callable[[], bool],
         lease: LeaseEnd | None = None,
     ) -> None: ...
@@ -186,6 +186,6 @@ def direct_call(
     exclusion: Exclusion,
     limit: float,
     counts: Counts,
-    translate: Callable[[Exception | SystemExit], NoReturn],
+    translate: Callable[[BaseException], NoReturn],
     resend: Callable[..., Any] | None = None,
 ) -> Callable[..., Any]: ...

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, NoReturn, Protocol
 
-from poise.errors import CalleeError, encodable
+from poise.errors import CalleeError, said
 from poise.runtime import _calls
 from poise.runtime.component.error_report import traceback_of
 from poise.runtime.component.ports import Port
@@ -165,8 +165,8 @@ def direct_call(
     )
 
 
-def raise_callee_error(error: Exception | SystemExit) -> NoReturn:
+def raise_callee_error(error: BaseException) -> NoReturn:
     """Raise what a caller gets when its callee raised `error`."""
     raise CalleeError(
-        type(error).__qualname__, encodable(str(error)), traceback_of(error)
+        type(error).__qualname__, said(error), traceback_of(error)
     ) from error

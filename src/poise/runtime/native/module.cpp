@@ -24,7 +24,7 @@ constexpr double unknown = std::numeric_limits<double>::quiet_NaN();
 
 #define CALLABLE "collections.abc.Callable"
 #define ANY_CALLABLE CALLABLE "[..., typing.Any]"
-#define TRANSLATE CALLABLE "[[Exception | SystemExit], typing.NoReturn]"
+#define TRANSLATE CALLABLE "[[BaseException], typing.NoReturn]"
 #define PIECES "list[poise.wire.codec.Bytes]"
 #define FRAME "poise.wire.frame.Frame"
 

@@ -1,6 +1,7 @@
 #include "direct_call.h"
 
 #include <cstdio>
+#include <cstring>
 #include <utility>
 
 #include "deadline.h"
@@ -88,7 +89,9 @@ bool end_call(void* self, RunningDirectCall& run, bool failed) {
 }
 
 void set_timeout(const char* text) {
-  PyErr_SetString(nb::module_::import_("poise.errors").attr("Timeout").ptr(), text);
+  // names are cut short, perhaps within a letter
+  const auto said = nb::steal(PyUnicode_DecodeUTF8(text, std::strlen(text), "ignore"));
+  PyErr_SetObject(nb::module_::import_("poise.errors").attr("Timeout").ptr(), said.ptr());
 }
 
 PyObject* invoke(PyObject* self, PyObject* const* args, Py_ssize_t count, PyObject* names) {
@@ -143,7 +146,7 @@ PyType_Slot slots[] = {
 }  // namespace
 
 void translate_error(nb::handle translate) {
-  if (!PyErr_ExceptionMatches(PyExc_Exception) && !PyErr_ExceptionMatches(PyExc_SystemExit)) return;
+  if (PyErr_ExceptionMatches(PyExc_KeyboardInterrupt)) return;
   PyObject *type, *value, *trace;
   PyErr_Fetch(&type, &value, &trace);
   PyErr_NormalizeException(&type, &value, &trace);

@@ -64,8 +64,8 @@ nanobind::object direct_call(nanobind::object method, nanobind::handle_t<Exclusi
 // Add the type that it needs to the module.
 void bind_direct_call(nanobind::module_& module);
 
-// Let `translate` raise what a caller gets instead of an Exception or SystemExit of its callee;
-// other errors, such as KeyboardInterrupt, go on as they are.
+// Let `translate` raise what a caller gets instead of an error of its callee; KeyboardInterrupt goes
+// on as it is.
 void translate_error(nanobind::handle translate);
 
 // Set the Python error that stands for an entry that failed. `action` says, with the
