@@ -83,3 +83,14 @@ def test_no_method_finds_less_than_the_best_one() -> None:
     assert best.task_result.total is not None
     assert greedy.task_result.total is not None
     assert best.task_result.total <= greedy.task_result.total
+
+
+@pytest.mark.slow
+def test_what_is_late_counts_also_where_something_is_suspended() -> None:
+    slow = tuple(replace(computer, speed=0.13) for computer in ROBOT.computers)
+    robot = replace(ROBOT, computers=slow)
+    placed = poise.place(robot, "sort", method="greedy", fewer=True)
+    assert placed.result.suspended
+    assert any(t.late for each in placed.predicted.values() for t in each.timers)
+    assert placed.result.objective is not None
+    assert placed.result.objective.time > 1.0

@@ -8,7 +8,7 @@ one that is required.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from itertools import combinations, product
 from math import inf, prod
 
@@ -88,6 +88,12 @@ def chosen_by(
             )
         combo.append(placed[0] if len(need) > 1 else need[0])
     return _choice(problem, every, tuple(combo)), part(problem, combo)
+
+
+def without(problem: Problem, suspended: Collection[str]) -> Problem:
+    """Return the problem without functions; their first architectures name them."""
+    kept = [need for need in needs(problem) if need[0].name not in suspended]
+    return part(problem, [bundle for need in kept for bundle in need])
 
 
 def admit(problem: Problem, decide: Decide, *, fewer: bool) -> Result:

@@ -271,21 +271,36 @@ def solve(  # noqa: PLR0913 - each says how to decide, and has a default
 
 
 def evaluate(
-    problem: Problem, placement: Mapping[str, str], method: str = "given"
+    problem: Problem,
+    placement: Mapping[str, str],
+    method: str = "given",
+    *,
+    suspended: tuple[str, ...] = (),
+    why: str = "",
 ) -> Result:
     """Return what can be said of a given placement, feasible or not.
 
-    Of alternatives, the placement holds exactly one.
+    Of alternatives, the placement holds exactly one, and none of what is suspended.
+
+    Parameters
+    ----------
+    suspended
+        Architectures that do not run, as a result names them.
+    why
+        Why they do not, for people.
 
     Raises
     ------
     UsageError
         When a component has no computer, or one that is not there.
     """
+    whole, problem = problem, alternatives.without(problem, suspended)
     choice, part = alternatives.chosen_by(problem, placement)
     snapshot = Snapshot(part, given=placement)
     placed = snapshot.arrays.placed(placement)
     result = Result.of(snapshot, placed, method, given=True)
+    if suspended:
+        choice = choice._replace(suspended=suspended, whole=whole, why=why)
     result.choice = choice
     return result
 

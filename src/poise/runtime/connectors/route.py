@@ -16,7 +16,7 @@ from poise.runtime.execution.counters import Counts
 from poise.runtime.execution.exclusion import Exclusion
 
 if TYPE_CHECKING:
-    from poise.runtime.connectors.endpoints import Endpoints
+    from poise.runtime.connectors.endpoints import ComponentEndpoints
     from poise.runtime.connectors.sender import Sender
 
 
@@ -69,7 +69,7 @@ class DirectRoute:
     def __init__(
         self,
         connector: str,
-        target: Endpoints,
+        target: ComponentEndpoints,
         port: Port,
         limit: float,
         sender: Sender,

@@ -147,10 +147,18 @@ def _neighbours(
         placed = result.results[phase.name]
         for changes in _changes(phase.problem, placed.placement, late):
             there = {**placed.placement, **changes}
-            changed = plan.evaluate(phase.problem, there, placed.method)
+            changed = _evaluated(phase.problem, placed, there)
             if changed.feasible:
                 results = {**result.results, phase.name: changed}
                 yield plan.TaskResult(problem, results, seconds=result.seconds)
+
+
+def _evaluated(
+    problem: plan.Problem, like: plan.Result, placement: Mapping[str, str]
+) -> plan.Result:
+    """Return what can be said of a placement that suspends what another one does."""
+    suspended, why = like.suspended, like.choice.why
+    return plan.evaluate(problem, placement, like.method, suspended=suspended, why=why)
 
 
 def _changes(
@@ -196,13 +204,13 @@ def _as_predicted(
     """
     result = decided.task_result
     summed = _summed(result)
-    is_whole = all(r.placement and not r.suspended for r in result.results.values())
-    if not is_whole or isclose(summed, sum(_excesses(decided)), abs_tol=_ROUNDING):
+    is_told = isclose(summed, sum(_excesses(decided)), abs_tol=_ROUNDING)
+    if is_told or not all(each.placement for each in result.results.values()):
         return decided
     alone = dict(predict(result, predict_uncrowded))
     problem = _with_predictions(summed_problem, decided, alone, result.problem)
     results = {
-        phase.name: plan.evaluate(phase.problem, found.placement, found.method)
+        phase.name: _evaluated(phase.problem, found, found.placement)
         for phase in problem.phases
         for found in [result.results[phase.name]]
     }

@@ -18,7 +18,7 @@ from poise.errors import UsageError
 from poise.estimate.outcomes import WELL, Conditions
 from poise.estimate.success_rates import learned
 from poise.model.robot import Robot
-from poise.plan.alternatives import needs, part
+from poise.plan.alternatives import needs
 from poise.plan.planner import SOLVERS
 from poise.session.placing.by_time import DecidedByTime, Solve, decide_by_time
 from poise.session.render.picture import planned_picture
@@ -148,28 +148,20 @@ def _by_file(rule: str, robot: Robot, problem: plan.Problem) -> plan.Result:
     found, named = _read(Path(rule))
     placement = by_rule(rule, robot, problem)
     idle = {str(name) for name, computer in found.items() if computer is None}
-    kept, suspended, lacking = list[plan.Bundle](), list[str](), list[str]()
+    suspended, lacking = list[str](), list[str]()
     for need in needs(problem):
         names = {name for bundle in need for name in bundle.components}
         if not names & placement.keys() and _may_rest(need, idle, named):
             suspended.append(need[0].name)
-            continue
-        kept += need
-        if len(need) == 1:
+        elif len(need) == 1:
             lacking += [n for n in need[0].components if n not in placement]
     if lacking:
         raise UsageError(
             f"placement {rule} lacks {', '.join(lacking)}: suspended components are "
             "on null, with their whole architecture, which only a task may have"
         )
-    if not suspended:
-        return plan.evaluate(problem, placement, rule)
-    result = plan.evaluate(part(problem, kept), placement, rule)
     why = f"placement {rule} suspends {', '.join(suspended)}"
-    result.choice = result.choice._replace(
-        suspended=tuple(suspended), whole=problem, why=why
-    )
-    return result
+    return plan.evaluate(problem, placement, rule, suspended=tuple(suspended), why=why)
 
 
 def _may_rest(
@@ -384,7 +376,8 @@ def decided(
 
     if robot is None:
         return DecidedByTime(decide(problem))
-    others = () if is_rule(method) else (partial(solve, method="greedy"),)
+    is_searched = method != "greedy" and not is_rule(method)
+    others = (partial(solve, method="greedy"),) if is_searched else ()
     return decide_by_time(robot, problem, decide, *others)
 
 
