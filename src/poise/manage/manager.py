@@ -25,16 +25,15 @@ from poise.manage.adaptation.loop import Adaptation
 from poise.manage.adaptation.situation import Situation, SituationReader
 from poise.manage.control_socket.commands import (
     Command,
-    JournalCommand,
     MoveCommand,
     ParametersCommand,
     RebalanceCommand,
     Rebalanced,
+    RecordCommand,
     Refusal,
     ReplaceCommand,
     Result,
     RobotStatus,
-    StatusCommand,
     StopCommand,
     StopReport,
     TaskCommand,
@@ -142,14 +141,13 @@ class Manager:
         What only looks is answered on that thread.
         """
         future: Results = Future()
-        looks_back = isinstance(command, StatusCommand | JournalCommand)
         if isinstance(command, StopCommand) and self._ended is not None:
             future.set_result(self._ended)
         elif isinstance(command, StopCommand):
             self._stops.append(future)  # before the flag, or nobody answers it
             self._stopping.set()
             self._run.cancel()
-        elif self.is_stopping and not looks_back:
+        elif self.is_stopping and not isinstance(command, RecordCommand):
             future.set_result(Refusal("the robot is being stopped", "RunError"))
         elif (seen := answer(self._run, self.status, command)) is not None:
             future.set_result(seen)

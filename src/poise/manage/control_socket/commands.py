@@ -148,6 +148,10 @@ Command = (
     | LogCommand
     | TaskCommand
 )
+RecordCommand = StatusCommand | JournalCommand
+"""Asks for what the manager knows: answered without an agent, also while it stops."""
+LookCommand = RecordCommand | TapCommand | LogCommand
+"""Changes nothing."""
 
 
 STALE = 5.0

@@ -20,13 +20,12 @@ from poise.manage.control_socket.agents_without_manager import (
 )
 from poise.manage.control_socket.commands import (
     Command,
-    JournalCommand,
-    LogCommand,
+    LookCommand,
+    RecordCommand,
     Refusal,
     Response,
     Result,
     StatusCommand,
-    TapCommand,
 )
 from poise.wire import frame
 from poise.wire.address import connect
@@ -41,8 +40,6 @@ from poise.wire.robots_here import (
     running_here,
 )
 
-_LOOKS = StatusCommand | JournalCommand | TapCommand | LogCommand
-"""Commands that change nothing."""
 R = TypeVar("R", bound=Result)
 
 STATUS_LIMIT = 10.0
@@ -76,7 +73,9 @@ def send_command(robot: str | None, command: Command) -> Result:
         raise _no_answer(name) from None
     except (OSError, RunError, WireError) as error:
         done = (
-            "" if isinstance(command, _LOOKS) else "; the command may have taken effect"
+            ""
+            if isinstance(command, LookCommand)
+            else "; the command may have taken effect"
         )
         raise RunError(f"robot '{name}' gave no answer: {error}{done}") from error
     if isinstance(told, Refusal):
@@ -157,7 +156,7 @@ def _told_elsewhere(addresses: AgentAddresses, command: Command) -> Response:
                 key = _manager_key(session, addresses.robot, _CHANGE_LIMIT)
             if not key:
                 raise missing
-        limit = STATUS_LIMIT if _is_quick(command) else COMMAND_LIMIT
+        limit = STATUS_LIMIT if isinstance(command, RecordCommand) else COMMAND_LIMIT
         told = _answers(session, key, frame.pack_record(command), limit)
     finally:
         close_session(session)
@@ -209,10 +208,6 @@ def _no_manager(addresses: AgentAddresses, denied: str = "") -> NoManager:
     return NoManager(why, status, addresses if is_over else None)
 
 
-def _is_quick(command: Command) -> bool:
-    return isinstance(command, StatusCommand | JournalCommand)
-
-
 def _wait(connection: socket.socket, path: Path, command: Command) -> None:
     """Wait for the answer to a command for as long as the manager works."""
     manager, began, patience = peer_of(connection), time.monotonic(), STATUS_LIMIT
@@ -222,7 +217,7 @@ def _wait(connection: socket.socket, path: Path, command: Command) -> None:
             raise _no_answer(path.stem, manager, waited)
         if waited < patience:
             continue
-        if _is_quick(command) or not _gives_status(path):
+        if isinstance(command, RecordCommand) or not _gives_status(path):
             raise _no_answer(path.stem, manager, waited)
         if waited >= COMMAND_LIMIT:
             raise Timeout(
