@@ -206,3 +206,16 @@ def test_only_a_subscribed_port_can_be_lost() -> None:
         ports_of(Wrong)
     with pytest.raises(UsageError, match=r"@found takes a port's name"):
         found("no port")
+
+
+def test_a_class_hides_nothing_that_every_component_has() -> None:
+    class Port(Component):
+        log: Published[int]  # type: ignore[assignment]
+
+    class Method(Component):
+        def measure(self) -> None:  # type: ignore[override]
+            """Take no name."""
+
+    for component, name in ((Port, "log"), (Method, "measure")):
+        with pytest.raises(UsageError, match=f"{name}: each component has a '{name}'"):
+            ports_of(component)

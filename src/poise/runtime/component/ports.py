@@ -288,14 +288,26 @@ def is_oneway(interface: type, method: str) -> bool:
     return bool(getattr(getattr(interface, method), "__poise_oneway__", False))
 
 
+_OWN = ("name", "clock", "log", "tasks", "start_call", "age", "device", "measure")
+"""What `Component` offers, apart from the hooks that classes define."""
+
+
 def ports_of(component: type) -> Mapping[str, Port]:
     """Return the ports of a component class by name.
 
-    Raises UsageError: when a subscribed method does not say its message's type, or a
-    provided interface has a method that the component lacks.
+    Raises UsageError: when a subscribed method does not say its message's type, a
+    provided interface has a method that the component lacks, or the class hides what
+    `Component` offers.
     """
+    hints = get_type_hints(component, include_extras=True)
+    for name in _OWN:
+        if name in hints or sum(name in vars(c) for c in component.__mro__) > 1:
+            raise UsageError(
+                f"{component.__qualname__}.{name}: each component has a '{name}' of "
+                "Poise's, which this would hide; name it otherwise"
+            )
     ports = {}
-    for name, hint in get_type_hints(component, include_extras=True).items():
+    for name, hint in hints.items():
         port = _annotated_port(name, hint, getattr(component, name, None))
         if port is not None:
             ports[name] = port
