@@ -179,6 +179,8 @@ class Conversions:
             return time_of(sec=sec, nanosec=nanosec)
 
         def from_ros(time: Any) -> Stamp:  # noqa: ANN401, a message
+            if not (time.sec or time.nanosec):
+                return _NO_STAMP
             age = wall_time() - time.sec - time.nanosec / _NANO
             return clock.stamp(clock.now() - age)
 
@@ -194,6 +196,10 @@ class Conversions:
             return duration_of(sec=sec, nanosec=nanosec)
 
         return Conversion(to_ros, lambda value: value.sec + value.nanosec / _NANO)
+
+
+_NO_STAMP = Stamp(0.0, "?")
+"""Says that there is none: nobody knows that computer's clock."""
 
 
 def _same(value: Any) -> Any:  # noqa: ANN401, any value
