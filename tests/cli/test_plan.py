@@ -327,3 +327,14 @@ def test_the_phase_that_has_the_component_says_why_it_has_no_placement(
     wrong = call(*asked, "--explain", "wings")
     assert isinstance(wrong.exception, UsageError)
     assert "there are: eyes, see, wheels, drive" in str(wrong.exception)
+
+
+def test_lines_are_not_broken_where_no_terminal_is(problem_file: Path) -> None:
+    lines = call(problem_file).stdout.splitlines()
+    (total,) = (line for line in lines if line.startswith("F = "))
+    assert "; by " in total
+
+
+def test_a_plain_problem_has_no_arguments(problem_file: Path) -> None:
+    result = call(problem_file, "--set", "side=left")
+    assert isinstance(result.exception, UsageError)

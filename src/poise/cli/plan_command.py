@@ -28,6 +28,7 @@ from poise.session.render.plan_tables import (
     show_explanation,
     show_smallest,
 )
+from poise.session.render.printable import console_to
 from poise.session.robot_file import with_code
 
 
@@ -269,6 +270,8 @@ def _robot(
         for sentence in measured.says:
             say(sentence)
         return measured.robot
+    if arguments:
+        raise UsageError(f"--set: {file} is a plain problem and has no arguments")
     if explore:
         raise UsageError(f"--explore: {file} is a plain problem: nothing is learned")
     if tasks:
@@ -308,7 +311,7 @@ def _answer(
             }
         )
         return result.feasible
-    console = Console()
+    console = console_to()
     if explanation is None:
         show(result, console, answer.predicted)
         return result.feasible
@@ -337,7 +340,7 @@ def _answer_smallest(
         }
         print_json(answer)
         return few.feasible
-    console = Console()
+    console = console_to()
     if few.feasible:
         show_smallest(few, price, console)
     for task, result in results.items():
@@ -360,7 +363,7 @@ def _answer_comparison(
     if json:
         print_json({"results": {name: r.to_dict() for name, r in results.items()}})
     else:
-        show_comparison(problem.phases[0].problem, results, Console())
+        show_comparison(problem.phases[0].problem, results, console_to())
     return any(result.feasible for result in results.values())
 
 
