@@ -122,6 +122,11 @@ def test_a_manager_that_is_silent_is_said_and_asked_again() -> None:
 
     assert "no answer: robot 'r' gave" in drive(never, "", lambda _: None)
 
+    ends: list[Any] = [status()]
+    screen = drive(lambda: ends.pop() if ends else never(), "", lambda _: None, turns=2)
+    assert "no answer, below is what was known last: robot 'r' gave" in screen
+    assert "eye" in screen
+
 
 def test_q_quits() -> None:
     drive(status, "q", lambda _: None)

@@ -167,7 +167,8 @@ class Top(App[None]):
 
     def _head(self) -> Text:
         if self._silent:
-            return Text(f"no answer: {self._silent}", "red")
+            old = ", below is what was known last" if self._view else ""
+            return Text(f"no answer{old}: {self._silent}", "red")
         if self._view is None:
             return Text("waiting for the robot ...")
         status = self._view.status
