@@ -314,6 +314,49 @@ def test_components_start_tasks_and_refusals_are_journalled() -> None:
     assert refused.startswith("component 'seeer' asks to start task 'nap': ")
 
 
+def test_the_next_manager_hears_no_request_again() -> None:
+    rig = Rig(robot_with(task("t", act("a", "see")), task("u", act("b", "go"))), "t")
+    request = TaskRequest(number=1, verb="start", task="u")
+    rig.agents.requests["seeer"] = (request,)
+    rig.manager.advance()
+    rig.end("goer")
+    saved = msgspec.msgpack.decode(rig.run.desired.tasks, type=Saved)
+    TaskManager(rig.run, saved, rig._situation).advance()
+    assert [(r.name, r.state) for r in saved.records] == [("t", "going"), ("u", "done")]
+
+
+def test_what_a_component_says_after_a_restart_is_heard() -> None:
+    actions = act("a", "see"), act("b", "see"), act("c", "go")
+    rig = Rig(robot_with(task("t", *actions), task("u", act("d", "say"))), "t")
+    for number in (8, 4):  # one that starts again begins anywhere
+        rig.agents.ends["seeer"] = ActionEnd(port="done", count=number, done=True)
+        request = TaskRequest(number=number, verb="start", task="u")
+        rig.agents.requests["seeer"] = (request,)
+        rig.manager.advance()
+        assert rig.states()["u"] == ("going", "")
+        rig.manager.command("cancel", "u")
+    assert rig.active() == {"goer"}
+
+
+def test_an_end_that_is_said_while_its_task_is_being_paused_counts() -> None:
+    rig = Rig(robot_with(task("t", act("a", "see"), act("b", "go"))), "t")
+    rig.agents.say("seeer")
+    for verb in ("pause", "resume"):
+        rig.manager.command(verb, "t")
+        rig.manager.advance()
+    assert rig.active() == {"goer"}
+
+
+def test_what_another_action_was_told_to_end_says_nothing_of_a_paused_one() -> None:
+    rig = Rig(robot_with(task("t", act("a", "see")), task("u", act("b", "see"))), "t")
+    rig.manager.command("start", "u")
+    rig.manager.command("pause", "t")
+    rig.end("seeer")
+    rig.manager.command("resume", "t")
+    rig.manager.advance()
+    assert rig.states()["t"] == ("going", "")
+
+
 def test_what_is_on_a_lost_computer_holds_no_switch_up() -> None:
     rig = Rig(robot_with(task("t", act("a", "see"), act("b", "go"))), "t")
     away = replace(rig.run.placed["seeer"], computer="spare")

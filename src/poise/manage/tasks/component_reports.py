@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 
 from msgspec import Struct
@@ -18,11 +18,14 @@ from poise.manage.journal import Journal
 from poise.model.phases import first_action, promise_of
 from poise.model.robot import Architecture, ConnectorEnd, Robot
 from poise.model.steps import Choice
-from poise.wire.records.status_records import TaskRequest
+from poise.wire.records.status_records import ComponentStatus, TaskRequest
+
+_EPOCHS = 3
+"""The requests of so many incarnations of a component are told apart."""
 
 
 class EndReport(Struct, frozen=True):
-    """What was said at a port that ends an action: by which epoch, how often, what."""
+    """What was said at a port that ends an action: by which epoch, and what."""
 
     epoch: int = 0
     count: int = 0
@@ -30,11 +33,16 @@ class EndReport(Struct, frozen=True):
 
 
 class ComponentReports:
-    """Hears what the components of a run say, once."""
+    """Hears what the components of a run say, once.
 
-    def __init__(self, run: RunningComponents) -> None:
+    `heard`: component -> epoch -> the number of its last request that was heard.
+    """
+
+    def __init__(
+        self, run: RunningComponents, heard: dict[str, dict[int, int]]
+    ) -> None:
         self._run = run
-        self._requests: dict[tuple[str, int], int] = {}
+        self._heard = heard
 
     def ends(self) -> Mapping[str, EndReport]:
         """Return what was said at each port that ends an action, as component.port."""
@@ -53,11 +61,19 @@ class ComponentReports:
     def requests(self) -> Iterator[tuple[str, TaskRequest]]:
         """Yield what components want done with tasks, and which component does."""
         for component in components_of(self._run.current()):
-            key = component.name, component.epoch
-            for request in component.task_requests:
-                if request.number > self._requests.get(key, 0):
-                    self._requests[key] = request.number
-                    yield component.name, request
+            for request in self._new_of(component):
+                heard = self._heard.setdefault(component.name, {})
+                heard[component.epoch] = request.number
+                while len(heard) > _EPOCHS:
+                    del heard[min(heard)]
+                yield component.name, request
+
+    def _new_of(self, component: ComponentStatus) -> Sequence[TaskRequest]:
+        """Return all behind the last one; all, when it was started again since."""
+        last = self._heard.get(component.name, {}).get(component.epoch)
+        numbers = [request.number for request in component.task_requests]
+        begin = numbers.index(last) + 1 if last in numbers else 0
+        return component.task_requests[begin:]
 
 
 class Serving:

@@ -79,7 +79,7 @@ class TaskManager:
         self._serving = Serving(run)
         self.tasks.saved.boot = boot_id()
         self._room = Admission(run, self.tasks, self._plans)
-        self._component_reports = ComponentReports(run)
+        self._component_reports = ComponentReports(run, self.tasks.saved.heard)
         self._idle = IdleComponents(run)
         self._room_at, self._room_again = 0.0, _ROOM_AGAIN
         self._lost: AbstractSet[str] = frozenset()
@@ -204,12 +204,19 @@ class TaskManager:
         served = self._serving.functions() | self._suspended
         began = [due for due in new if served.issuperset(due[1].action.functions)]
         for record, attempt in began:
-            said = heard.get(str(attempt.action.ends), EndReport())
-            attempt.progress.heard = said.epoch, said.count
+            if not self._has_turn(attempt):  # else what it said meanwhile counts
+                said = heard.get(str(attempt.action.ends), EndReport())
+                attempt.progress.heard = said.epoch, said.count
             self.tasks.began(attempt.number, boot_time())
             if begins:
                 self._note_switch(record, attempt, is_hit=is_hit)
         return self._fail_endless([attempt for _, attempt in began])
+
+    def _has_turn(self, attempt: Attempt) -> bool:
+        """Return whether its component began with this action, and no other since."""
+        end = attempt.action.ends
+        placed = self._run.placed.get(end.component) if end is not None else None
+        return placed is not None and placed.action_number == attempt.number
 
     def _fail_endless(self, began: Iterable[Attempt]) -> bool:
         """End actions whose end would never be reported; return whether there are any.
@@ -310,11 +317,8 @@ class TaskManager:
         ]
         heard, ended = self._component_reports.ends() if turns else {}, []
         for attempt in turns:
-            said, (epoch, count) = (
-                heard.get(str(attempt.action.ends)),
-                attempt.progress.heard,
-            )
-            if said and said.count > (count if said.epoch == epoch else 0):
+            said = heard.get(str(attempt.action.ends))
+            if said and (said.epoch, said.count) != attempt.progress.heard:
                 ended.append((attempt, said))
         return ended
 

@@ -84,6 +84,7 @@ class Saved(Struct, kw_only=True):
     records: list[TaskRecord] = []
     number: int = 0
     boot: str = ""  # the `poise.clock.boot_id` by whose clock times in `Progress` are
+    heard: dict[str, dict[int, int]] = {}  # as in `ComponentReports`
 
 
 class ActionEnded(Struct, frozen=True):

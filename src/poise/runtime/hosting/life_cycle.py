@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import secrets
 import threading
 import time
 from collections import deque
@@ -21,6 +22,7 @@ ENDED: AbstractSet[State] = {"finalized", "failed"}
 
 _MOST_REQUESTS = 16
 """As many requests are reported again and again, in case that a status is lost."""
+_BITS = 62
 _TURN = 0.01
 """A component that waits for answers looks for them this often [s]."""
 BORROW_LIMIT = 5.0
@@ -99,21 +101,18 @@ class TaskNews:
     def __init__(self, on_change: Callable[[], None]) -> None:
         self._on_change = on_change
         self._requests: deque[TaskRequest] = deque(maxlen=_MOST_REQUESTS)
-        self._num_requests = 0
+        # one that is started again after a crash repeats no number
+        self._number = secrets.randbits(_BITS)
         self._ends: dict[str, ActionEnd] = {}
 
     def request(self, verb: Verb, task: str) -> None:
         """Request that something is done with a task."""
-        self._num_requests += 1
-        request = TaskRequest(number=self._num_requests, verb=verb, task=task)
-        self._requests.append(request)
+        self._requests.append(TaskRequest(number=self._next(), verb=verb, task=task))
         self._on_change()
 
     def note_end(self, port: str, done: object) -> None:
         """Note that the action of a port is done, or has failed."""
-        before = self._ends.get(port)
-        count = before.count + 1 if before else 1
-        self._ends[port] = ActionEnd(port=port, count=count, done=bool(done))
+        self._ends[port] = ActionEnd(port=port, count=self._next(), done=bool(done))
         self._on_change()
 
     def requests(self) -> tuple[TaskRequest, ...]:
@@ -123,6 +122,10 @@ class TaskNews:
     def ends(self) -> tuple[ActionEnd, ...]:
         """Return the last end at each port; any thread may ask."""
         return tuple(self._ends.copy().values())
+
+    def _next(self) -> int:
+        self._number += 1
+        return self._number
 
 
 class ExecutionGate:

@@ -113,12 +113,12 @@ class ActionEnd(Struct, frozen=True, kw_only=True):
     """What a component said at a port that ends an action."""
 
     port: str
-    count: int  # How often it said so
+    count: int  # One more each time; another start of the component begins anywhere
     done: bool  # What it said last
 
 
 class TaskRequest(Struct, frozen=True, kw_only=True):
-    """What a component wants done with a task; the first of it has the number 1."""
+    """What a component wants done with a task; numbers are as in `ActionEnd`."""
 
     number: int
     verb: Literal["start", "pause", "resume", "cancel"]
