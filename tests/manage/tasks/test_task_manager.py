@@ -31,7 +31,7 @@ from poise.model.robot import (
     Robot,
     Task,
 )
-from poise.model.steps import Choice, Step
+from poise.model.steps import Choice, Parallel, Step
 from poise.wire.records.status_records import (
     ActionEnd,
     AgentStatus,
@@ -433,6 +433,28 @@ def test_a_choice_that_is_ahead_is_said_only_when_it_is_made() -> None:
     (report,) = rig.manager.reports
     assert report.next == ("a",)
     assert "choice of" not in rig.said()
+
+
+def test_what_could_not_begin_is_no_failure_of_what_serves_it(tmp_path: Path) -> None:
+    steps = act("a", "see"), act("b", "see", "go", "say")
+    robot = replace(robot_with(task("t", *steps)), folder=str(tmp_path))
+    rig = Rig(robot, "t")
+    rig.end("seeer")
+    assert "action 'b' failed: it does not fit" in rig.states()["t"][1]
+    assert [belief.action for belief in beliefs_about(robot, "see-arch")] == ["a"]
+
+
+@pytest.mark.parametrize(
+    "steps", [(act("a", "see"),), (act("a", "see"), Parallel(steps=(act("b", "go"),)))]
+)
+def test_a_task_whose_steps_are_others_now_is_dropped(steps: tuple[Step, ...]) -> None:
+    rig = Rig(robot_with(task("t", act("a", "see"), act("b", "go"))), "t")
+    rig.end("seeer")
+    saved = msgspec.msgpack.decode(rig.run.desired.tasks, type=Saved)
+    said: list[str] = []
+    tasks = Tasks(robot_with(task("t", *steps)), said.append, saved=saved)
+    text = "task 't' is dropped: the robot file no longer has these steps"
+    assert (tasks.records, said) == ([], [text])
 
 
 def test_how_actions_end_is_learned_and_decides_choices(tmp_path: Path) -> None:

@@ -177,6 +177,22 @@ def test_a_condition_ends_an_action_as_done() -> None:
     assert played.after(1.0, "late == 0") == ["b"]
 
 
+def test_a_condition_that_ends_an_action_and_the_repetition_around_it_ends_both() -> (
+    None
+):
+    until = Until(when="late == 0")
+    played = Played(task("t", Repeat(steps=(act("a", until=until),), until=until)))
+    assert played.after(1.0, "late == 0") == []
+    told = "action 'a' of task 't' is done: late == 0 holds"
+    assert [text for text in played.said if "late == 0" in text] == [
+        told,
+        "task 't': a repetition ends: late == 0 holds",
+    ]
+    assert [(each.action.name, each.done) for each in played.tasks.take_ended()] == [
+        ("a", True)
+    ]
+
+
 def test_on_failure_it_begins_again_then_does_something_else() -> None:
     instead = Retry(times=2, then=act("c"))
     played = Played(task("t", act("a", on_failure=instead), act("b")))

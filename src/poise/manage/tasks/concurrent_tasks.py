@@ -67,9 +67,12 @@ class Tasks:
         self._ended: list[ActionEnded] = []
         self._announced = {r.order: (r.state, r.why) for r in self.saved.records}
         for record in list(self.saved.records):
-            if record.name not in self._tasks:
+            steps = self._steps.get(record.name)
+            if steps is None or not steps.fit(record.progress):
                 self.saved.records.remove(record)
-                say(f"task '{record.name}' is dropped: the robot file no longer has it")
+                lacks = "it" if steps is None else "these steps"
+                text = f"is dropped: the robot file no longer has {lacks}"
+                say(f"task '{record.name}' {text}")
 
     @property
     def records(self) -> list[TaskRecord]:
@@ -157,10 +160,11 @@ class Tasks:
 
     def announce(self) -> None:
         """Say which tasks go on, and which wait for what, where that has changed."""
+        announced = self._announced
+        self._announced = {r.order: (r.state, r.why) for r in self.records}
         for record in self.records:
             now = record.state, record.why
-            before = self._announced.get(record.order, ("going", ""))
-            self._announced[record.order] = now
+            before = announced.get(record.order, ("going", ""))
             if now != before and record.state in {"going", "waiting"}:
                 what = "goes on" if record.state == "going" else "waits"
                 self._say_of(record, what)
@@ -191,10 +195,9 @@ class Tasks:
     def end_due(self, now: float, holds: Callable[[Until], bool]) -> None:
         """End actions whose time is over, and what conditions end."""
         for record in self.going():
-            for until, progress in list(
-                self._steps[record.name].conditions(record.progress)
-            ):
-                if progress.state == "going" and holds(until):
+            conditions = self._steps[record.name].conditions(record.progress)
+            for until, progress in reversed(list(conditions)):  # the innermost first
+                if holds(until):
                     self._end_by(record, until, progress)
             for attempt in self.tries(record):
                 limit, worked = attempt.action.limit, self.worked(attempt, now)
@@ -313,7 +316,8 @@ class Tasks:
         progress.why = "" if done else f"action '{attempt.name}' failed: {why}"
         how = "is done" if done else "has failed"
         self._say(f"action '{attempt.name}' of task '{record.name}' {how}: {why}")
-        self._ended.append(ActionEnded(attempt.action, done))
+        worked = progress.since is not None
+        self._ended.append(ActionEnded(attempt.action, done, worked))
 
     def _settle(self, record: TaskRecord, now: float) -> None:
         steps = self._steps[record.name]

@@ -328,8 +328,8 @@ class TaskManager:
             self._since = boot_time()
             self._room_at = 0.0
             end = ended.action.ends
-            if end is not None and end.component not in self._run.placed:
-                continue  # nothing could report its end: no architecture is to blame
+            if not ended.worked or (end and end.component not in self._run.placed):
+                continue  # nothing could do it, or report it: none of them is to blame
             serving = self._serving.architectures(ended.action.functions)
             self._unlearned.append((ended, serving))
 

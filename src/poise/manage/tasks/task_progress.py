@@ -92,6 +92,7 @@ class ActionEnded(Struct, frozen=True):
 
     action: Action
     done: bool
+    worked: bool  # whether its functions worked then
 
 
 class Steps:
@@ -122,6 +123,14 @@ class Steps:
             for step, progress, prefix in self._walk(self._whole, whole)
             if isinstance(step, Action)
         )
+
+    def fit(self, whole: Progress) -> bool:
+        """Return whether this is progress of these steps, and not of earlier ones."""
+        try:
+            self.tries(whole)
+        except (AssertionError, IndexError, ValueError):
+            return False
+        return True
 
     def settle(self, whole: Progress) -> str:
         """Deal with all actions that have ended; return the state of the whole."""
