@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import os
 import subprocess
 import sys
+import termios
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,6 +20,8 @@ if TYPE_CHECKING:
     from poise.wire.credentials import Credentials
 
 _COMMAND = sys.executable, "-m", "poise", "standby"
+_INT = 4
+"""The size of what the kernel answers [bytes]."""
 
 
 class StandbyProcess:
@@ -72,7 +76,14 @@ class StandbyProcess:
 
     def lead(self) -> None:
         """Let it become the leader, if it can; harmless while it does."""
-        self._tell(b"lead\n")
+        if not self._has_unread():  # it may be busy with that for long
+            self._tell(b"lead\n")
+
+    def _has_unread(self) -> bool:
+        process = self._process
+        if process is None or process.stdin is None:
+            return False
+        return any(fcntl.ioctl(process.stdin, termios.FIONREAD, bytes(_INT)))
 
     def _tell(self, what: bytes) -> None:
         if self._process is not None and self._process.stdin is not None:

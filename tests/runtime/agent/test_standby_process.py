@@ -1,0 +1,36 @@
+"""An agent never waits for the standby that it wakes."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from poise.runtime.agent import standby_process
+from poise.runtime.agent.standby_process import StandbyProcess
+from poise.wire.records.request_records import Claim, ManagerId
+
+MANAGER = ManagerId(key="k", user="u", host="h", pid=1, since=0.0)
+
+
+@pytest.mark.slow
+def test_one_that_is_busy_is_told_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told = tmp_path / "told"
+    words = f"read first; while test ! -e {tmp_path}/go; do sleep 0.01; done; cat"
+    command = "sh", "-c", f"{words} > {told}.new; mv {told}.new {told}"
+    monkeypatch.setattr(standby_process, "_COMMAND", command)
+    standby = StandbyProcess("left", tmp_path, None)
+    standby.keep(Claim(manager=MANAGER))
+    for _ in range(os.pathconf("/", "PC_PIPE_BUF") * 4):  # more than the kernel keeps
+        standby.lead()
+    (tmp_path / "go").touch()
+    standby.keep(None)
+    process = standby._process
+    assert process is not None
+    assert process.stdin is not None
+    process.stdin.close()
+    process.wait()
+    assert told.read_text() in {"lead\nend\n", "end\n"}
