@@ -207,6 +207,28 @@ def test_wheels_are_unpacked_beside_the_code(tmp_path: Path) -> None:
     assert found == {"tiny/__init__.py", "small.py"}
 
 
+def test_of_a_file_that_two_wheels_have_the_last_one_counts(tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        with zipfile.ZipFile(tmp_path / name, "w") as wheel:
+            wheel.writestr("tests/__init__.py", name)
+        unpack_wheel(tmp_path / name, tmp_path / "into", left=1000)
+    assert (tmp_path / "into/tests/__init__.py").read_text() == "b"
+
+
+def test_code_is_taken_again_after_no_thread_was_free(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(_: threading.Thread) -> None:
+        raise RuntimeError("can't start new thread")
+
+    folder = CodeFolder(tmp_path)
+    with monkeypatch.context() as patched:
+        patched.setattr(threading.Thread, "start", fail)
+        why = refusal(ask(folder, InstallCode(digest_of(CODE))))
+    assert why == "it cannot take code for now: can't start new thread"
+    assert install(folder, CODE) == Accepted()
+
+
 def test_the_last_versions_and_those_in_use_stay(tmp_path: Path) -> None:
     folder = CodeFolder(tmp_path)
     versions = []

@@ -80,10 +80,14 @@ class CodeFolder:
 
     def serve(self, request: CodePart | InstallCode, reply: Reply) -> None:
         """Store or unpack; answers when that is done."""
-        if self._one_at_a_time.acquire(blocking=False):
-            threads.daemon(self._work, "code", request, reply).start()
-        else:
+        if not self._one_at_a_time.acquire(blocking=False):
             reply(Refused("it is still busy with other code: try again in a minute"))
+            return
+        try:
+            threads.daemon(self._work, "code", request, reply).start()
+        except RuntimeError as error:  # other threads may end
+            self._one_at_a_time.release()
+            reply(Refused(f"it cannot take code for now: {error}"))
 
     def _work(self, request: CodePart | InstallCode, reply: Reply) -> None:
         try:
@@ -233,8 +237,10 @@ def unpack_wheel(wheel: Path, into: Path, left: int) -> int:
             for member in archive.infolist():
                 name = _name_in_wheel(member.filename)
                 if name and not member.is_dir():
+                    place = _place(into, name)
+                    place.unlink(missing_ok=True)  # of two wheels the last one counts
                     with archive.open(member) as content:
-                        left = _write(_place(into, name), content, left)
+                        left = _write(place, content, left)
     except _NO_WHEEL as error:
         raise RunError(f"{wheel.name} is not a valid wheel: {error}") from error
     return left

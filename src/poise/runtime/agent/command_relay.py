@@ -45,7 +45,11 @@ class CommandRelay:
         if not self._free.acquire(blocking=False):
             _refuse(query, f"over {_MOST} commands are under way")
             return
-        threads.daemon(self._answer, "command", query).start()
+        try:
+            threads.daemon(self._answer, "command", query).start()
+        except RuntimeError as error:  # other threads may end
+            self._free.release()
+            _refuse(query, f"its agent cannot pass it on for now: {error}")
 
     def _answer(self, query: zenoh.Query) -> None:
         command = query.payload.to_bytes() if query.payload is not None else b""
