@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
+from pathlib import Path
+
 import pytest
 
 from poise.emulate import InjectedFault, emulated_set
@@ -26,3 +31,14 @@ def test_each_fault_says_what_ends_it(
     said = emulated_set._said([fault])
     assert str(fault) in said
     assert command in said
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("what", ["agent", "witness", "status"])
+def test_a_witness_is_frozen_as_an_agent_is(tmp_path: Path, what: str) -> None:
+    (tmp_path / "sitecustomize.py").write_text("import time\ntime.sleep(60)\n")
+    command = [sys.executable, "-m", "poise", what, "left"]
+    with subprocess.Popen(command, env={"PYTHONPATH": str(tmp_path)}) as process:
+        is_agent = emulated_set._is_agent(process.pid, os.getpid())
+        process.kill()
+    assert is_agent == (what != "status")

@@ -271,14 +271,14 @@ class EmulatedSet:
 
 
 def _is_agent(pid: int, keeper: int) -> bool:
-    """Return whether a process is an agent: its containers have the same words."""
+    """Return whether this is an agent or witness: containers have the same words."""
     try:
         words = Path(f"/proc/{pid}/cmdline").read_bytes().split(b"\0")
     except (FileNotFoundError, ProcessLookupError):  # it has ended
         return False
     stat = process_stat(pid)
     is_child = stat is not None and stat.parent == keeper
-    return is_child and words[2:4] == [b"poise", b"agent"]
+    return is_child and words[2:4] in ([b"poise", b"agent"], [b"poise", b"witness"])
 
 
 def _find(
