@@ -10,16 +10,21 @@ import time
 from collections.abc import Callable, Iterator
 from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, cast
 
 import pytest
 
 from poise.runtime import _calls
 from poise.runtime._calls import ComponentCounters, PageSampler, ServedCall
 from poise.runtime.connectors.route import direct_call, raise_callee_error
-from poise.runtime.execution.counters import Counts, new_memory
+from poise.runtime.execution.counters import MOST, Counts, StatsPage, new_memory
 from poise.runtime.execution.exclusion import Exclusion
 from poise.wire.frame import Frame, Kind
 from tests.waiting import wait_until
+
+if TYPE_CHECKING:
+    from poise.runtime.hosting.runner import Runner
 
 EPOCH = 3
 
@@ -404,3 +409,21 @@ def test_a_call_that_waits_uses_nothing(book: Book) -> None:
     assert book.cpu("callee") < 0.01
     may_end.set()
     thread.join(20)
+
+
+def test_what_has_no_room_on_the_page_is_said_once(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    page = StatsPage(new_memory())
+    taken = [ComponentCounters() for _ in range(MOST)]
+    for number, counters in enumerate(taken):
+        counters.enter(page._native, f"other-{number}", EPOCH)
+    mine = cast("Runner", SimpleNamespace(counters=ComponentCounters()))
+    for _ in range(2):
+        page.show({("mine", EPOCH): mine}, ())
+    (said,) = caplog.messages
+    assert said == f"component 'mine' is not counted: all {MOST} records are in use"
+    for counters in taken:
+        counters.leave()
+    page.show({("mine", EPOCH): mine}, ())
+    assert page.cpu().keys() == {("mine", EPOCH)}

@@ -76,6 +76,7 @@ class StatsPage:
         self._native = _calls.StatsPage(memory)
         self._sampler = PageSampler(memory, os.getpid())
         self._shown: set[ComponentCounters | Counts] = set()
+        self._refused: set[ComponentCounters | Counts] = set()
 
     def beat(self) -> None:
         """Show the agent that the calling thread runs; a few times a second."""
@@ -93,6 +94,7 @@ class StatsPage:
         for removed in self._shown - wanted:
             removed.leave()
         new, self._shown = wanted - self._shown, wanted
+        self._refused &= wanted
         for (name, epoch), counters in components.items():
             if counters in new and not counters.enter(self._native, name, epoch):
                 self._refuse(counters, f"component '{name}'")
@@ -112,5 +114,7 @@ class StatsPage:
         return {} if reading is None else {(c[0], c[1]): c[2] for c in reading[2]}
 
     def _refuse(self, counters: ComponentCounters | Counts, what: str) -> None:
-        self._shown.discard(counters)
-        log.warning("%s is not counted: all %d records are in use", what, MOST)
+        self._shown.discard(counters)  # there may be room the next time
+        if counters not in self._refused:
+            self._refused.add(counters)
+            log.warning("%s is not counted: all %d records are in use", what, MOST)
