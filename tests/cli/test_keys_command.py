@@ -37,6 +37,12 @@ def test_keys_do_not_outlive_their_authority(days: str, tmp_path: Path) -> None:
     assert "it is 3650 at most" in done.stderr
 
 
+def test_keys_that_end_with_their_authority_say_what_to_do(tmp_path: Path) -> None:
+    options = ["--days", "3650", "--out", tmp_path / "out"]
+    done = run_poise("keys", "issue", "hello", "left", *options)
+    assert "the authority ends then, too: `poise keys rotate hello`" in done.stdout
+
+
 def test_damaged_keys_do_not_hide_the_others(data: Path) -> None:
     (data / "damaged").mkdir()
     done = run_poise("keys", "list", "--json")

@@ -35,6 +35,14 @@ def test_keys_say_of_whom_they_are_and_until_when(authority: Authority) -> None:
     assert not issue(authority).warning()
 
 
+def test_keys_end_with_their_authority(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("poise.session.keys.MOST_DAYS", 90.5)
+    authority = init_keys("hello", tmp_path / "owner")
+    assert issue(authority, days=91).expires == authority.ends.timestamp()
+
+
 def test_the_owner_may_command(authority: Authority) -> None:
     assert Credentials(authority.folder).check("hello", "manager").name == (
         "manager owner"

@@ -93,6 +93,8 @@ def issue_command(
         if leads:
             authority.issue(name, "manager", issued.to_lead, days=days)
         _say(f"{issued.folder}: {issued.name}, until {_day(issued.expires)}")
+    if issued.expires >= authority.ends.timestamp():
+        _say(f"the authority ends then, too: `poise keys rotate {robot}` makes another")
     place = folders(robot)[-1] if of_role == "agent" else folders(robot)[0]
     _say(
         f"next: copy each folder to its computer, as {place} or where `--keys` or "

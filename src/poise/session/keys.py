@@ -78,7 +78,7 @@ class Authority(Struct, frozen=True):
         folder
             Where they are written; private to its user.
         days
-            How long the certificate holds.
+            How long the certificate holds; not longer than that of the authority.
 
         Raises
         ------
@@ -88,7 +88,7 @@ class Authority(Struct, frozen=True):
         key = ec.generate_private_key(ec.SECP256R1())
         usages = ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH
         certificate = (
-            _draft(self.robot, role, name, key.public_key(), days)
+            _draft(self.robot, role, name, key.public_key(), min(_in(days), self.ends))
             .issuer_name(self._certificate.subject)
             .add_extension(x509.BasicConstraints(ca=False, path_length=None), True)
             .add_extension(x509.ExtendedKeyUsage(usages), False)
@@ -140,6 +140,11 @@ class Authority(Struct, frozen=True):
         except OSError as error:
             raise UsageError(f"{owner} cannot be written: {error}") from None
         return True
+
+    @property
+    def ends(self) -> datetime:
+        """When its own certificate ends, and with it all keys."""
+        return self._certificate.not_valid_after_utc
 
     @property
     def _certificate(self) -> x509.Certificate:
@@ -211,7 +216,7 @@ def init_keys(robot: str, folder: Path | None = None) -> Authority:
 def _make_authority(robot: str, owner: Path, which: _Which) -> None:
     key = ec.generate_private_key(ec.SECP256R1())
     name = secrets.token_hex(4)  # tells it from the one before
-    draft = _draft(robot, "authority", name, key.public_key(), MOST_DAYS)
+    draft = _draft(robot, "authority", name, key.public_key(), _in(MOST_DAYS))
     certificate = (
         draft.issuer_name(draft._subject_name)  # type: ignore[arg-type]  # noqa: SLF001
         .add_extension(x509.BasicConstraints(ca=True, path_length=0), True)
@@ -223,9 +228,8 @@ def _make_authority(robot: str, owner: Path, which: _Which) -> None:
 
 
 def _draft(
-    robot: str, role: str, name: str, key: ec.EllipticCurvePublicKey, days: float
+    robot: str, role: str, name: str, key: ec.EllipticCurvePublicKey, ends: datetime
 ) -> x509.CertificateBuilder:
-    now = datetime.now(UTC)
     words = {_ROBOT: robot, _NAME: name, _ROLE: role}
     subject = x509.Name([x509.NameAttribute(*word) for word in words.items()])
     return (
@@ -233,9 +237,13 @@ def _draft(
         .subject_name(subject)
         .public_key(key)
         .serial_number(x509.random_serial_number())
-        .not_valid_before(now - _EARLIER)
-        .not_valid_after(now + timedelta(days=days))
+        .not_valid_before(datetime.now(UTC) - _EARLIER)
+        .not_valid_after(ends)
     )
+
+
+def _in(days: float) -> datetime:
+    return datetime.now(UTC) + timedelta(days=days)
 
 
 def _pem(certificate: x509.Certificate) -> bytes:
