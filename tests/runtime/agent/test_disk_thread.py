@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import resource
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -112,6 +113,18 @@ def test_a_checkpoint_is_as_old_as_it_was_and_is_sent(
     assert age is not None
     assert 7.0 <= age < 30.0
     assert stalled.disk.checkpoint_age("map", 2) is None
+
+
+def test_a_checkpoint_that_has_no_room_is_not_there_in_part(tmp_path: Path) -> None:
+    files = CheckpointFiles(tmp_path, lambda _: None)
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (len(b"sta"), before[1]))
+    try:
+        with pytest.raises(OSError, match="File too large"):
+            files.write(COPY)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert not [*tmp_path.iterdir()]
 
 
 def test_another_manager_gets_what_was_sent_to_the_one_before(tmp_path: Path) -> None:

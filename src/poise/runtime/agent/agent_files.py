@@ -157,10 +157,15 @@ class CheckpointFiles:
         self._sent = {}
 
     def write(self, copy: CheckpointCopy) -> None:
-        """Keep a copy for a component that is to start here; raises OSError."""
+        """Keep a copy for a component that is to start here; OSError: there is none."""
         path = checkpoint_path(self._folder, copy.component, copy.epoch)
-        path.write_bytes(copy.data or b"")
-        set_age(path, copy.age)
+        draft = path.with_suffix(".new")
+        try:
+            draft.write_bytes(copy.data or b"")
+            set_age(draft, copy.age)
+            draft.replace(path)
+        finally:
+            draft.unlink(missing_ok=True)
 
     def age(self, component: str, epoch: int) -> float | None:
         """Return the age of a checkpoint [s]; None: there is none. No disk is used."""
