@@ -14,6 +14,7 @@ from unittest.mock import Mock
 
 import pytest
 
+from poise.clock import wall_time
 from poise.runtime.hosting import output
 from poise.runtime.hosting.output import (
     LONGEST,
@@ -192,6 +193,20 @@ def test_moments_grow_even_when_the_clock_does_not(
     monkeypatch.undo()
     monkeypatch.setattr(output, "_BEING_WRITTEN", 0)
     assert [o.at for o in read(tmp_path).lines] == [7, 8]
+
+
+def test_all_is_told_though_the_clock_was_set_back(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file, now = OutputFile(tmp_path, "hall"), wall_time()
+    monkeypatch.setattr(output, "wall_time", lambda: now + 3600.0)
+    file.add("before")
+    monkeypatch.setattr(output, "wall_time", lambda: now)
+    first = read(tmp_path)
+    assert [line.text for line in first.lines] == ["before"]
+    file.add("after")
+    again = read(tmp_path, after=first.lines[-1].at)
+    assert [line.text for line in again.lines] == ["after"]
 
 
 def test_what_is_logged_is_kept_without_its_time_and_passed_on_with_it(

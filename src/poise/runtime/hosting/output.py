@@ -24,6 +24,8 @@ LONGEST = 4_096
 """A longer line is cut [characters]."""
 _BEING_WRITTEN = 50_000_000
 """What was written less long ago is told the next time, in its order [ns]."""
+_AHEAD = 1_000_000_000
+"""What is so much later than now is of before the clock was set back [ns]."""
 _NOW, _BEFORE = ".output", ".output-before"
 _STDERR = 2
 _here = threading.local()
@@ -171,14 +173,17 @@ def output_trouble() -> str:
 
 def read_output(folder: Path, request: ReadOutput) -> OutputLines:
     """Return what the containers of a folder have written."""
-    until = int(wall_time() * 1e9) - _BEING_WRITTEN
+    now = int(wall_time() * 1e9)
+    # files tell when they were written by the clock as it is now
+    unread = 0 if request.after > now else request.after
     # a set: a file that is renamed meanwhile is read twice
     matching = {
         line
         for ending in (_NOW, _BEFORE)
         for path in folder.glob(f"*{ending}")
-        for line in _lines(path, request.after)
-        if request.after < line.at <= until
+        for line in _lines(path, unread)
+        if request.after < line.at
+        and not now - _BEING_WRITTEN < line.at <= now + _AHEAD
         and request.component in {"", line.component}
     }
     lines = sorted(matching, key=lambda line: line.at)
