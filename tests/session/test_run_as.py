@@ -100,6 +100,7 @@ robot: {name}
 computers:
   left: {{cpu: 1, memory: 1 GiB, address: "127.0.0.1:{left}"}}
   right: {{cpu: 1, memory: 1 GiB, address: "127.0.0.1:{right}"}}
+devices: {{wall: {{computer: right}}}} # else a slow machine starts the sink elsewhere
 architectures:
   spy:
     function: spy
@@ -117,6 +118,7 @@ architectures:
     components:
       sink:
         implementation: "spy_of_test:Sink"
+        devices: [wall]
         cpu: 5%
         memory: 30 MiB
         parameters: {{told: "{told}"}}
