@@ -307,13 +307,16 @@ def test_the_agent_follows_no_link_of_a_component(
     (tmp_path / "secret").write_text("of root")
     copy = CheckpointCopy(component="a", epoch=1, data=b"forged", age=0.0)
     link = checkpoint_path(shared, "a", 1)
-    link.symlink_to(tmp_path / "secret")
+    draft = link.with_suffix(".new")
+    for each in (link, draft):
+        each.symlink_to(tmp_path / "secret")
     files = CheckpointFiles(shared, lambda _: None, nobody)
     with rights_of(nobody):
         with pytest.raises(PermissionError):
             files.write(copy)
-        link.unlink()
+        draft.unlink(missing_ok=True)
         files.write(copy)
+    assert not link.is_symlink()
     assert link.stat().st_uid == nobody.user
     assert (tmp_path / "secret").read_text() == "of root"
 
