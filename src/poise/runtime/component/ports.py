@@ -24,7 +24,7 @@ from __future__ import annotations
 
 import inspect
 import reprlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Container, Mapping
 from typing import (
     Annotated,
     Any,
@@ -300,12 +300,7 @@ def ports_of(component: type) -> Mapping[str, Port]:
     `Component` offers.
     """
     hints = get_type_hints(component, include_extras=True)
-    for name in _OWN:
-        if name in hints or sum(name in vars(c) for c in component.__mro__) > 1:
-            raise UsageError(
-                f"{component.__qualname__}.{name}: each component has a '{name}' of "
-                "Poise's, which this would hide; name it otherwise"
-            )
+    _check_names(component, hints)
     ports = {}
     for name, hint in hints.items():
         port = _annotated_port(name, hint, getattr(component, name, None))
@@ -333,6 +328,16 @@ def ports_of(component: type) -> Mapping[str, Port]:
                 f"{listed(inputs)}"
             )
     return ports
+
+
+def _check_names(component: type, declared: Container[str]) -> None:
+    """Raise UsageError when a class hides what each component has of Poise."""
+    for name in _OWN:
+        if name in declared or sum(name in vars(c) for c in component.__mro__) > 1:
+            raise UsageError(
+                f"{component.__qualname__}.{name}: each component has a '{name}' of "
+                "Poise's, which this would hide; name it otherwise"
+            )
 
 
 def watchers_of(component: type) -> Mapping[tuple[InputEvent, str], list[str]]:
