@@ -107,3 +107,30 @@ def test_a_packet_holds_one_record() -> None:
     assert frame.unpack_record(packet, Word | None) == Word("a")
     with pytest.raises(WireError):
         frame.unpack_record(packet[:-1], Word)
+
+
+def test_a_record_that_was_cut_short_goes_on_with_the_next(
+    pair: Pair, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(frame, "RECORD_LIMIT", 0.1)
+    writer, reader = frame.RecordWriter(pair[0]), frame.RecordReader(pair[1])
+    with pytest.raises(Timeout):
+        writer.send(Word("x" * LARGE))
+    with pytest.raises(Timeout):  # it has not begun
+        writer.send(Word("lost"))
+    monkeypatch.setattr(frame, "RECORD_LIMIT", LIMIT)
+    sending = threading.Thread(target=writer.send, args=(Word("next"),))
+    sending.start()
+    came = list[Word]()
+    while len(came) < 2:
+        assert select.select([pair[1]], [], [], LIMIT)[0]
+        if (word := reader.next(Word)) is not None:
+            came.append(word)
+    sending.join(LIMIT)
+    assert came == [Word("x" * LARGE), Word("next")]
+
+
+def test_writing_to_a_closed_socket_is_unavailable(pair: Pair) -> None:
+    pair[1].close()
+    with pytest.raises(Unavailable):
+        frame.RecordWriter(pair[0]).send(Word("a"))

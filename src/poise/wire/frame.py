@@ -28,6 +28,7 @@ identifies the route (`poise.runtime.connectors.flow_control`).
 
 from __future__ import annotations
 
+import select
 import socket
 import struct
 import time
@@ -36,7 +37,7 @@ from typing import Any, BinaryIO
 
 from msgspec import Struct
 
-from poise.errors import Unavailable, encodable
+from poise.errors import Timeout, Unavailable, encodable
 from poise.wire import _channel
 from poise.wire.address import LOST_AFTER
 from poise.wire.codec import Bytes, Codec, Unreadable, codec
@@ -197,6 +198,42 @@ class RecordReader:
         if length > LARGEST or block:
             raise Unreadable(f"a frame of {length} B; {LARGEST} B is the largest")
         return int(LENGTH.size + length - len(self._data))
+
+
+class RecordWriter:
+    """Sends records over a stream socket; one cut short goes on with the next."""
+
+    def __init__(self, connection: socket.socket) -> None:
+        self._connection = connection
+        self._rest = memoryview(b"")
+
+    def send(self, record: Struct) -> None:
+        """Send a record within `RECORD_LIMIT`.
+
+        After a Timeout, what is left of a record that had begun goes before the next.
+        """
+        packet, deadline = pack_record(record), time.monotonic() + RECORD_LIMIT
+        if len(packet) > LARGEST:
+            raise Unreadable(f"a frame of {len(packet)} B; {LARGEST} B is the largest")
+        self._flush(deadline)
+        self._rest = memoryview(LENGTH.pack(len(packet), 0) + packet)
+        self._flush(deadline)
+
+    def _flush(self, deadline: float) -> None:
+        flags = socket.MSG_DONTWAIT | socket.MSG_NOSIGNAL
+        while self._rest:
+            try:
+                self._rest = self._rest[self._connection.send(self._rest, flags) :]
+            except BlockingIOError:
+                poll = select.poll()
+                poll.register(self._connection, select.POLLOUT)
+                left = max(0.0, deadline - time.monotonic())
+                if not poll.poll(1e3 * left):
+                    raise Timeout(
+                        f"the other end took no record within {RECORD_LIMIT:g} s"
+                    ) from None
+            except OSError as error:
+                raise Unavailable(f"the other end is gone: {error}") from error
 
 
 def pack_record(record: Struct) -> bytes:

@@ -53,6 +53,7 @@ class AgentLink:
     ) -> None:
         self._container = container
         self._connection: socket.socket | None = connection
+        self._writer = frame.RecordWriter(connection)
         keep_private(connection)
         self._stats_page = stats_page
         self._path = os.fspath(agent_path(folder))
@@ -92,11 +93,11 @@ class AgentLink:
         return record
 
     def send(self, record: FromContainer) -> None:
-        """Tell the agent, if there is one; raises Timeout and WireError as `send`."""
+        """Tell the agent, if there is one; raises as `RecordWriter.send`."""
         # `receive` finds out that it is gone, on the control thread
         with self._telling, contextlib.suppress(Unavailable):
             if self._connection is not None:
-                frame.send_record(self._connection, record)
+                self._writer.send(record)
 
     def has_room(self) -> bool:
         """Return at once whether the agent would take another record."""
@@ -121,7 +122,7 @@ class AgentLink:
                 return
         keep_private(ours)
         with self._telling:
-            self._connection = ours
+            self._connection, self._writer = ours, frame.RecordWriter(ours)
 
 
 def is_adopting(folder: Path) -> bool:

@@ -245,13 +245,14 @@ class Container:
         # it has said what should run there is nothing to report
         if self._wanted is None or not self._link.has_room():
             return
-        try:
-            self._link.send(status)
-        except WireError as error:
-            more = self._sparing.more("status", self._clock.now())
-            if more is not None:
-                log.error("the status lacks texts%s: %s", more, error)  # noqa: TRY400
-            self._link.send(sendable(status))
+        with contextlib.suppress(Timeout):  # the rest of it goes before the next
+            try:
+                self._link.send(status)
+            except WireError as error:
+                more = self._sparing.more("status", self._clock.now())
+                if more is not None:
+                    log.error("the status lacks texts%s: %s", more, error)  # noqa: TRY400
+                self._link.send(sendable(status))
 
     def _hear(self, what: ToContainer) -> None:
         if isinstance(what, Clocks):
