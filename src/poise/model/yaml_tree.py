@@ -340,13 +340,12 @@ def with_values(
     """
     lines = {file: text.splitlines(keepends=True) for file, text in texts.items()}
     first = positions.first_key(path)
-    here = positions.at(path)
     new = {k: v for k, v in values.items() if not positions.has((*path, k))}
     # from right to left, so that the remaining locations stay valid
     kept = [(positions.at((*path, key)), key) for key in values if key not in new]
     for place, key in sorted(kept, key=lambda edit: -edit[0].column):
         _replace(lines, place, key, values[key])
-    _insert(lines, first, new, is_flow=first.line == here.line)
+    _insert(lines, first, new)
     return {file: "".join(parts) for file, parts in lines.items()}
 
 
@@ -359,15 +358,12 @@ def _replace(lines: dict[str, list[str]], at: Location, key: str, value: str) ->
 
 
 def _insert(
-    lines: dict[str, list[str]],
-    first: Location,
-    new: Mapping[str, str],
-    *,
-    is_flow: bool,
+    lines: dict[str, list[str]], first: Location, new: Mapping[str, str]
 ) -> None:
     index, column = first.line - 1, first.column - 1
     line = lines[first.file][index]
-    if is_flow:
+    before = "".join(lines[first.file][:index]) + line[:column]
+    if before.rstrip().endswith("{"):
         added = "".join(f"{key}: {value}, " for key, value in new.items())
         lines[first.file][index] = line[:column] + added + line[column:]
     else:

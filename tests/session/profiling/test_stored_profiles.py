@@ -110,6 +110,55 @@ def test_writes_demands_into_the_robot_file(robot: Robot) -> None:
     assert write_demands(file, measured(robot)) == []
 
 
+def both(robot: Robot) -> Profile:
+    """Return a profile of the eye, and of an ear that needs half of its CPU."""
+    profile = measured(robot)
+    eye = profile.components["eye"]
+    ear = replace(eye, cpu=Distribution(sustained=0.1))
+    return replace(profile, components={"eye": eye, "ear": ear})
+
+
+EYE = "cpu: 21%, memory: 10.5 MiB, "
+EAR = "cpu: 10.5%, memory: 10.5 MiB, "
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        (
+            "{eye: {movable: true}, ear: {state: 1}}",
+            f"{{eye: {{{EYE}movable: true}}, ear: {{{EAR}state: 1}}}}",
+        ),
+        (
+            "\n      eye: {\n        movable: true}\n      ear: {state: 1}",
+            f"\n      eye: {{\n        {EYE}movable: true}}\n      ear: {{{EAR}state: 1}}",
+        ),
+        ("{ear: &e {state: 1}, eye: *e}", f"{{ear: &e {{{EYE}state: 1}}, eye: *e}}"),
+    ],
+)
+def test_writes_demands_in_any_style(robot: Robot, before: str, after: str) -> None:
+    file = Path(robot.folder) / "robot.yaml"
+    head = TEXT[: TEXT.index("\n      eye")] + " "
+    file.write_text(head + before)
+    write_demands(file, both(robot))
+    assert file.read_text() == head + after
+
+
+def test_a_file_included_twice_gets_the_larger_demand(robot: Robot) -> None:
+    folder = Path(robot.folder)
+    part = "architectures: {see: {function: f, components: {e: {movable: true}}}}"
+    (folder / "part.yaml").write_text(part)
+    include = "include: [{file: part.yaml, prefix: a}, {file: part.yaml, prefix: b}]"
+    (folder / "robot.yaml").write_text(
+        f"robot: r\n{include}\ncomputers: {{a: {{cpu: 1, memory: 1 GiB}}}}\n"
+    )
+    eye, ear = both(robot).components.values()
+    profile = replace(both(robot), components={"ae": ear, "be": eye})
+    assert write_demands(folder / "robot.yaml", profile) == [folder / "part.yaml"]
+    written = (folder / "part.yaml").read_text()
+    assert written == part.replace("movable", f"{EYE}movable")
+
+
 def test_keeps_the_ends_of_lines(robot: Robot) -> None:
     file = Path(robot.folder) / "robot.yaml"
     before = TEXT.replace("\n", "\r\n").encode()

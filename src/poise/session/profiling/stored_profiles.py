@@ -16,7 +16,7 @@ from poise.estimate.demands import cpu_demand, memory_demand, missing, with_prof
 from poise.estimate.profiles import ComponentProfile, Profile, Store
 from poise.model.load import load_source
 from poise.model.robot import Robot
-from poise.model.yaml_tree import with_values
+from poise.model.yaml_tree import Location, with_values
 from poise.runtime.calibration import score
 from poise.session.folders import to_write, write_whole
 
@@ -110,7 +110,8 @@ def write_demands(file: Path, profile: Profile) -> list[Path]:
     """Write the demands of `profile` under the components of a robot file.
 
     Comments and layout of the file, of included files and of those in folders of
-    `repository` are kept. Files of installed packages are not changed.
+    `repository` are kept. Files of installed packages are not changed. Components that
+    are written in one place get the largest of their demands.
     """
     source = load_source(file)
     paths = [
@@ -119,23 +120,25 @@ def write_demands(file: Path, profile: Profile) -> list[Path]:
         for component in architecture.components
         if component.name in profile.components and not architecture.package
     ]
-    places = {path: source.positions.at(path) for path in paths}
-    before = {p.file: Path(p.file).read_bytes().decode() for p in places.values()}
+    places: dict[Location, list[tuple[str, ...]]] = {}
+    for path in paths:  # those of an alias, or of a file included twice, are in one
+        places.setdefault(source.positions.first_key(path), []).append(path)
+    before = {p.file: Path(p.file).read_bytes().decode() for p in places}
     texts = before
-    # from last to first: added lines move only what is done
-    for path in sorted(paths, key=lambda path: -places[path].line):
-        values = _values(profile.components[path[-1]])
-        texts = with_values(texts, source.positions, path, values)
+    # from last to first: what is added moves only what is done
+    for place in sorted(places, key=lambda p: (p.line, p.column), reverse=True):
+        values = _values([profile.components[path[-1]] for path in places[place]])
+        texts = with_values(texts, source.positions, places[place][0], values)
     changed = [name for name in texts if texts[name] != before[name]]
     for name in changed:
         write_whole(Path(name), texts[name])
     return [Path(name) for name in changed]
 
 
-def _values(found: ComponentProfile) -> dict[str, str]:
+def _values(found: list[ComponentProfile]) -> dict[str, str]:
     return {
-        "cpu": f"{100 * cpu_demand(found):.3g}%",
-        "memory": f"{memory_demand(found) / _MIB:.3g} MiB",
+        "cpu": f"{100 * max(map(cpu_demand, found)):.3g}%",
+        "memory": f"{max(map(memory_demand, found)) / _MIB:.3g} MiB",
     }
 
 
