@@ -130,8 +130,8 @@ EAR = "cpu: 10.5%, memory: 10.5 MiB, "
             f"{{eye: {{{EYE}movable: true}}, ear: {{{EAR}state: 1}}}}",
         ),
         (
-            "\n      eye: {\n        movable: true}\n      ear: {state: 1}",
-            f"\n      eye: {{\n        {EYE}movable: true}}\n      ear: {{{EAR}state: 1}}",
+            "\n      eye: {\n  movable: true}\n      ear: {state: 1}",
+            f"\n      eye: {{\n  {EYE}movable: true}}\n      ear: {{{EAR}state: 1}}",
         ),
         ("{ear: &e {state: 1}, eye: *e}", f"{{ear: &e {{{EYE}state: 1}}, eye: *e}}"),
     ],
