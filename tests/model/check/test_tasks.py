@@ -77,6 +77,12 @@ RIGHT = [
 ]
 
 
+def test_a_robot_without_chains_has_no_chain_to_wait_for(refuse: Refuse) -> None:
+    until = "{▸chain: sight, when: late}"
+    text = task(f"{{name: a, functions: [], until: {until}}}")
+    refuse(text.replace("chains:", "# chains:"), "no chain 'sight'", "chains: none")
+
+
 @pytest.mark.parametrize("step", RIGHT)
 def test_accepts(find: Find, step: str) -> None:
     assert find(task(step)) == ()
@@ -137,6 +143,14 @@ def test_accepts(find: Find, step: str) -> None:
         ("{name: a, functions: [], ▸until: used > 5 s}", ["cannot be compared"]),
         (
             "{name: a, functions: [], until: {▸component: eye, when: cpu > 1}}",
+            ["no component 'eye'", "did you mean 'eyes'?"],
+        ),
+        (
+            "{name: a, functions: [], until: {▸link: main-vison, when: cut}}",
+            ["no link 'main-vison'"],
+        ),
+        (
+            "{name: a, functions: [], until: {▸timer: eye.look, when: late}}",
             ["no component 'eye'", "did you mean 'eyes'?"],
         ),
         (

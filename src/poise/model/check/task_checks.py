@@ -88,6 +88,7 @@ def choices_of(robot: Robot, subject: Subject) -> Mapping[str, tuple[str, ...]]:
     names = {
         "computer": computers,
         "component": component_names(robot),
+        "link": tuple("-".join(link.between) for link in robot.links),
         "chain": tuple(chain.name for chain in robot.chains),
     }
     return {
@@ -245,9 +246,11 @@ def _conditions(task: Task) -> Iterator[tuple[Path, Until]]:
 
 def _condition(robot: Robot, path: Path, until: Until) -> Iterator[Finding]:
     choices = choices_of(robot, until.subject)
-    names = choices["name"]
-    if until.name and names and until.name not in names:
-        yield Finding((*path, until.subject), unknown(until.subject, until.name, names))
+    kind, name, names = until.subject, until.name, choices["name"]
+    if kind == "timer":  # which ones a component has, its code says
+        kind, name, names = "component", name.partition(".")[0], choices["component"]
+    if kind not in ("robot", "container") and name not in names:
+        yield Finding((*path, until.subject), unknown(kind, name, names))
     try:
         parse_condition(until.when, SUBJECTS[until.subject], choices)
     except ValueError as error:
