@@ -52,6 +52,19 @@ apart: [[b, a]]
     assert robot.folder == str(tmp_path)
 
 
+@pytest.mark.parametrize("include", ["nav.yaml", "{file: nav.yaml, prefix: a_}"])
+def test_what_an_included_file_includes_is_a_list(tmp_path: Path, include: str) -> None:
+    path = write(
+        tmp_path,
+        robot=f"robot: r\ninclude: [{include}]\n{COMPUTERS}",
+        nav="\ninclude: more.yaml\n",
+        more="devices: {arm: {computer: main}}\n",
+    )
+    (found,) = problems(path)
+    assert (found.file, found.line) == (str(tmp_path / "nav.yaml"), 2)
+    assert found.message == "include: must be a list, as in [a, b], not 'more.yaml'"
+
+
 def test_a_problem_in_an_included_file_is_told_at_its_place(tmp_path: Path) -> None:
     path = write(
         tmp_path,

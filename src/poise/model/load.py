@@ -136,6 +136,7 @@ def check(robot: Robot, repository: Repository) -> Iterator[Finding]:
 
 
 _INCLUDE = msgspec.inspect.type_info(str | Include)
+_INCLUDES = msgspec.inspect.type_info(tuple[str | Include, ...])
 MOST_FILES = 100
 """More included files than this are an error."""
 
@@ -190,6 +191,8 @@ class _Reader:
             include.value = [
                 item for item in include.value if self._include(item, (*above, path))
             ]
+        elif include is not None and asked:  # else it is validated with the rest
+            validate(include, _INCLUDES, self._problems, name="include")
 
     def _include(self, item: Node, above: tuple[Path, ...]) -> bool:
         """Merge the file that an item names; return whether the item is right."""
