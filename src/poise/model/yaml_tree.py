@@ -24,9 +24,8 @@ DEEPEST = 40
 """[levels] Deeper nesting is an error."""
 MOST = 100_000
 """[values] More of them in one file, after aliases are expanded, are an error."""
-_TAGS = {"!", "str", "int", "float", "bool", "null", "timestamp", "map", "seq"}
 _NO_TEXT = re.compile("[\0\ud800-\udfff]")
-_YAML = "tag:yaml.org,2002:"
+_YAML = "tag:yaml.org,2002:"  # what `!!` stands for
 
 
 class Location(Struct, frozen=True):
@@ -201,6 +200,9 @@ class _Builder:
             if not isinstance(key, Scalar):
                 text = "a key must be a word, not a list or mapping"
                 self._problems.append(place.problem(text))
+            elif key == Scalar("<<", plain=True):
+                text = "merge keys (<<) are not supported: write the keys themselves"
+                self._problems.append(place.problem(text))
             elif key.text in first:
                 self._problems.append(
                     place.problem(
@@ -228,7 +230,7 @@ class _Builder:
             return Node(node.place, value)
         if isinstance(node.value, list):
             return Node(node.place, [self._copy(e, depth + 1) for e in node.value])
-        return node
+        return Node(node.place, node.value)
 
     def _check_size(self, place: Location, depth: int) -> None:
         self._count += 1
@@ -246,8 +248,9 @@ class _Builder:
             )
 
     def _check_tag(self, tag: str | None, place: Location) -> None:
-        if tag is not None and tag.removeprefix(_YAML) not in _TAGS:
-            text = f"YAML tags are not supported: {quoted(tag)}"
+        if tag is not None:
+            written = quoted(tag.replace(_YAML, "!!"))
+            text = f"YAML tags are not supported: {written}; a text goes in quotes"
             self._problems.append(place.problem(text))
 
 
