@@ -90,6 +90,19 @@ def test_a_reference_to_no_argument_is_told_where_it_is(tmp_path: Path) -> None:
     assert "no argument 'gian' (did you mean 'gain'?)" in problem.message
 
 
+def test_a_problem_elsewhere_leaves_arguments_their_values(tmp_path: Path) -> None:
+    text = component("{cpu: $(cpu)}") + "arguments: {cpu: 5%}\nrobot: again\n"
+    (problem,) = problems(write(tmp_path, text))
+    assert "'robot' is defined twice" in problem.message
+
+
+def test_what_an_alias_repeats_is_filled_once(tmp_path: Path) -> None:
+    text = f"{TOP}architectures:\n  a: {{function: f, components: {{x: "
+    text += '{parameters: &p {say: "$$(gain)"}}, y: {parameters: *p}}}\n'
+    robot = load(write(tmp_path, text))
+    assert [c.parameters for c in robot.components()] == [{"say": "$(gain)"}] * 2
+
+
 def test_two_dollars_are_the_text(tmp_path: Path) -> None:
     text = component('{command: [sh, -c, "echo $$(date) $(date +%s)"]}')
     robot = load(write(tmp_path, text))

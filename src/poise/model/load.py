@@ -155,10 +155,13 @@ def read_tree(path: Path, problems: list[FileProblem], given: Given) -> Node | N
     """
     reader = _Reader(problems, [])
     reader.read(path, None, ())
-    if reader.root is not None and not problems:
+    if reader.root is None:
+        return None
+    is_whole = not problems  # else an argument may be in what could not be read
+    if is_whole:
         for text in unknown_arguments(reader.root, given).values():
             raise UsageError(f"{path}: {text}")
-        fill(reader.root, given, problems, is_top=True)
+    fill(reader.root, given, problems if is_whole else [], is_top=True)
     return reader.root
 
 
