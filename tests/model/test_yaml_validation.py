@@ -107,6 +107,10 @@ def test_refuses_a_missing_key(refuse: Refuse) -> None:
             ["parameters.n: '99999999999999999999' does not fit into 64 bits"],
         ),
         (component("{parameters: {▸n: 1e999}}"), ["too large"]),
+        (
+            component("{parameters: {▸n: True}}"),
+            ["parameters.n: 'True': write true, or put a text in quotes"],
+        ),
     ],
 )
 def test_refuses_a_wrong_value(refuse: Refuse, text: str, words: list[str]) -> None:

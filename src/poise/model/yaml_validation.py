@@ -41,6 +41,8 @@ def _scalar(scalar: Scalar) -> Any:  # noqa: ANN401, any scalar of YAML
         return text
     if text in _WORDS:
         return _WORDS[text]
+    if (word := text.lower()) in _WORDS:
+        raise ValueError(f"{quoted(text)}: write {word}, or put a text in quotes")
     if _INTEGER.fullmatch(text):
         if len(text.lstrip("+-0")) > _DIGITS or not -_LARGEST <= int(text) < _LARGEST:
             raise ValueError(f"{quoted(text)} does not fit into 64 bits")
