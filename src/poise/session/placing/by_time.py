@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from functools import partial
+from itertools import islice
 from math import inf, isclose
 
 from msgspec import Struct
@@ -34,8 +35,9 @@ from poise.simulation.workload import SimulatedWork, workload_of
 SURE = 1.25
 """What is predicted counts 1.25 times, as predictions may be wrong."""
 _ROUNDS = 8
-_SIMULATED = 24
-"""So many placements are simulated at most to improve one that is late."""
+_STARTS, _NEAR, _SIMULATED = 3, 8, 24
+"""Where something is late, up to 8 placements near each of the three best ones, and
+near what is better there, are simulated; 24 in all."""
 _ROUNDING = 1e-6
 
 Predict = Callable[..., Iterator[tuple[str, PredictedTimes]]]
@@ -73,11 +75,11 @@ def decide_by_time(
         return DecidedByTime(free)
     predict = partial(_predicted, robot, work)
     found = _tried(problem, solvers, predict)
-    # the last of equally good ones: what it was decided by is what was predicted of it
-    best = min(reversed(found), key=_total) if found else DecidedByTime(free)
-    best = _as_predicted(best, problem, predict)
+    starts = _distinct(found) or [DecidedByTime(free)]
     if len(solvers) > 1:
-        best = _improved(best, problem, predict)
+        best = _improved(starts[:_STARTS], problem, predict)
+    else:
+        best = _as_predicted(starts[0], problem, predict)
     _settle(best.task_result, free)
     return best
 
@@ -108,27 +110,63 @@ def _tried(
     return found
 
 
+def _distinct(found: Sequence[DecidedByTime]) -> list[DecidedByTime]:
+    """Return different placements, the best first.
+
+    Of two decisions for the same, the last one: what it was decided by is what was
+    predicted of it.
+    """
+    distinct: list[DecidedByTime] = []
+    latest_first = found[::-1]
+    for decided in sorted(latest_first, key=_total):
+        placed = _placed(decided.task_result)
+        if all(placed != _placed(other.task_result) for other in distinct):
+            distinct.append(decided)
+    return distinct
+
+
 def _improved(
-    best: DecidedByTime, problem: plan.TaskProblem, predict: Predict
+    starts: Sequence[DecidedByTime], problem: plan.TaskProblem, predict: Predict
 ) -> DecidedByTime:
-    """Return a placement that the simulation prefers, if one is near.
+    """Return the best of some placements, and of those near that are better.
 
     Sums that are fitted to one placement say of others only what may be better: those
     that promise most are simulated.
     """
-    left = _SIMULATED
-    while late := {limit.name for limit, _ in _late(best)}:
-        total = _total(best)
-        near = sorted(_neighbours(best.task_result, late), key=_promised)
-        for result in near[:left]:
-            left -= 1
-            found = DecidedByTime(result, dict(predict(result)))
-            if _total(found) < total - _ROUNDING:
-                best = _as_predicted(found, problem, predict)
-                break
-        else:
-            break
-    return best
+    seen = [_placed(start.task_result) for start in starts]
+    most = len(seen) + _SIMULATED
+    good: list[DecidedByTime] = []
+    for start in starts:
+        here: DecidedByTime | None = start
+        while here is not None:
+            good.append(_as_predicted(here, problem, predict))
+            late = {limit.name for limit, _ in _late(here)}
+            if not late:
+                return min(good, key=_total)
+            here = _better(good[-1], late, seen, most, predict)
+    return min(good, key=_total)
+
+
+def _better(
+    here: DecidedByTime,
+    late: Collection[str],
+    seen: list[Mapping[str, Mapping[str, str]]],
+    most: int,
+    predict: Predict,
+) -> DecidedByTime | None:
+    """Return a better placement near one where something is `late`, if one is found.
+
+    `seen`: the placements that were simulated, of which there may be so many at `most`.
+    """
+    total = _total(here)
+    near = sorted(_neighbours(here.task_result, late), key=_promised)
+    new = (result for result in near if _placed(result) not in seen)
+    for result in islice(new, min(_NEAR, most - len(seen))):
+        seen.append(_placed(result))
+        found = DecidedByTime(result, dict(predict(result)))
+        if _total(found) < total - _ROUNDING:
+            return found
+    return None
 
 
 def _promised(result: plan.TaskResult) -> float:
