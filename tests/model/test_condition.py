@@ -23,6 +23,7 @@ FULL = ComputerValues(
         ("full", True),
         ("not full", False),
         ("full and late > 2", False),
+        ("late" + " + 1" * 100 + " == 102", True),
         ("full and (late > 2 or memory > 200 MiB)", True),
         ("memory > 0.2 GiB and memory < 1GB", True),
         ("used >= 98% * capacity", True),

@@ -184,7 +184,7 @@ class _Compiler:
             case ast.BoolOp() | ast.UnaryOp(ast.Not()) | ast.Compare():
                 return _TRUTH, self._logic(node)
             case ast.UnaryOp(ast.USub(), inner):
-                kind, read = self._number(inner)
+                kind, read = self._of("number", inner)
                 return kind, lambda record: -read(record)
             case ast.BinOp(left, op, right) if type(op) in _ARITHMETIC:
                 return self._arithmetic(left, op, right)
@@ -215,22 +215,22 @@ class _Compiler:
 
     def of(self, wanted: str, node: ast.expr) -> _Read:
         """Return what reads an expression of the wanted type; ValueError for others."""
+        return self._of(wanted, node)[1]
+
+    def _of(self, wanted: str, node: ast.expr) -> tuple[_Kind, _Read]:
         kind, read = self.expression(node)
         if kind.type != wanted:
             what = quoted(node.id) if isinstance(node, ast.Name) else "a part of it"
             if what[1:-1] in self._constants:
                 what = f"{self._constants[what[1:-1]][0]:g}"
             raise ValueError(f"{what} is a {kind.type}, not a {wanted}: compare it")
-        return read
-
-    def _number(self, node: ast.expr) -> tuple[_Kind, _Read]:
-        read = self.of("number", node)
-        return self.expression(node)[0], read
+        return kind, read
 
     def _arithmetic(
         self, left: ast.expr, op: ast.operator, right: ast.expr
     ) -> tuple[_Kind, _Read]:
-        (kind, first), (other, second) = self._number(left), self._number(right)
+        kind, first = self._of("number", left)
+        other, second = self._of("number", right)
         kind = _common(kind, other) if isinstance(op, ast.Add | ast.Sub) else _NUMBER
         compute = _ARITHMETIC[type(op)]
         return kind, lambda record: compute(first(record), second(record))
