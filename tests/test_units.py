@@ -113,6 +113,7 @@ def test_gives_a_finite_amount_or_a_value_error(text: str, dimension: str) -> No
         (format_amount("memory", 2048), "2 KiB"),
         (format_amount("gpu", 2), "2"),
         (format_bytes(2000 * 1024**3), "2000 GiB"),
+        (format_bytes(999.7 * 1024**2), "1000 MiB"),
     ],
 )
 def test_writes_si_for_people(shown: str, text: str) -> None:

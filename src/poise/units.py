@@ -195,6 +195,6 @@ def _scaled(value: float, units: Mapping[str, float]) -> str:
 
 def _number(value: float) -> str:
     """Write three significant digits, without an exponent below a million."""
-    if abs(value) >= 1000:  # noqa: PLR2004, three digits left of the point
+    if abs(value) >= 999.5:  # noqa: PLR2004, it rounds to four digits
         return f"{value:.0f}" if abs(value) < 1e6 else f"{value:.3g}"  # noqa: PLR2004
     return f"{value:.3g}"
