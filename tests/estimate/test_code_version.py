@@ -59,6 +59,12 @@ def test_covers_a_command_and_the_files_it_names(folder: Path) -> None:
     assert version_of(component, str(folder)) != before
 
 
+def test_a_word_of_a_command_may_be_longer_than_a_file_name(folder: Path) -> None:
+    script = "sleep 1; " * 100
+    component = ComponentEntry(name="c", command=("sh", "-c", script))
+    assert version_of(component, str(folder))
+
+
 def test_survives_code_that_is_no_python(folder: Path) -> None:
     (folder / "pkg" / "eye.py").write_text("def (")
     assert version_of(EYE, str(folder))

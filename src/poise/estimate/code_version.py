@@ -9,6 +9,7 @@ import shutil
 from collections.abc import Iterable, Iterator, Sequence
 from functools import cache
 from itertools import islice
+from os.path import isfile
 from pathlib import Path
 
 import msgspec
@@ -48,7 +49,7 @@ def files_of(
         (number, folder / word)
         for number, folder in enumerate(places)
         for word in words
-        if word and (folder / word).is_file()
+        if word and isfile(folder / word)  # noqa: PTH113 - no error for a long one
     }
 
 
@@ -108,9 +109,6 @@ def _base(node: ast.ImportFrom, file: Path, folder: Path) -> str:
     package = file.parent.relative_to(folder).parts
     package = package[: len(package) - node.level + 1]
     return ".".join([*package, *([node.module] if node.module else [])])
-
-
-_MOST_FILES = 2000
 
 
 def hash_of(architecture: Architecture, folders: Iterable[str]) -> str:
