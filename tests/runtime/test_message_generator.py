@@ -40,7 +40,7 @@ class Sound(Message):
     samples: NDArray[np.float32]
 
 
-class Words(Message):
+class Words(Message, kw_only=True):
     text: str
 
 

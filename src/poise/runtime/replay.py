@@ -84,7 +84,10 @@ class _Filling:
             hints = get_type_hints(plain, include_extras=True)
             fields = msgspec.structs.fields(plain)
             return plain(
-                *(self.value(hints[f.name], f"{where}.{f.name}") for f in fields)
+                **{
+                    f.name: self.value(hints[f.name], f"{where}.{f.name}")
+                    for f in fields
+                }
             )
         return self._plain(plain, where)
 
