@@ -65,7 +65,7 @@ def _same_ends(path: Path, connector: Connector) -> Iterator[Finding]:
 
 def check_chains(robot: Robot) -> Iterator[Finding]:
     """Yield chains through unknown components, or along missing connectors."""
-    names = component_names(robot)
+    names = frozenset(component_names(robot))
     joined = {
         frozenset(end.component for end in connector.between)
         for _, _, connector in connectors(robot)

@@ -30,8 +30,10 @@ def check_ros2(robot: Robot) -> Iterator[Finding]:
     for path, _, component in components(robot):
         for key, message in _wrong_node(component):
             yield Finding((*path, key), f"component '{component.name}' {message}")
+    known = {c.name: c for c in robot.components()}
+    bridged = {bridge.port.component for bridge in robot.ros2.bridges}
     for path, _, connector in connectors(robot):
-        for message in _wrong_topic(robot, connector):
+        for message in _wrong_topic(connector, known, bridged):
             yield Finding((*path, "between"), f"the connector {connector} {message}")
     for index, bridge in enumerate(robot.ros2.bridges):
         for message in _wrong_bridge(robot, bridge):
@@ -56,10 +58,10 @@ def _wrong_node(component: ComponentEntry) -> Iterator[tuple[str, str]]:
         yield "ros2", f"has a `node`: `{key}` belongs to an `executable`"
 
 
-def _wrong_topic(robot: Robot, connector: Connector) -> Iterator[str]:
+def _wrong_topic(
+    connector: Connector, known: Mapping[str, ComponentEntry], bridged: set[str]
+) -> Iterator[str]:
     """Yield what does not fit an end that is a ROS 2 node."""
-    known = {c.name: c for c in robot.components()}
-    bridged = {bridge.port.component for bridge in robot.ros2.bridges}
     for end in connector.between:
         entry = known.get(end.component)
         if entry is None:
