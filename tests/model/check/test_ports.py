@@ -57,6 +57,21 @@ def test_refuses_ends_that_do_not_fit(
     refuse(ROBOT.replace("CONNECTORS", connectors), *words)
 
 
+CHAIN = "chains: {c: {through: [THROUGH], deadline: 1 s}}\n"
+
+
+def test_refuses_a_chain_against_the_way_of_messages(refuse: Refuse) -> None:
+    robot = ROBOT.replace("CONNECTORS", "{between: [laser.scan, map.scan]}")
+    chain = CHAIN.replace("THROUGH", "map, ▸laser")
+    refuse(robot + chain, "messages go from 'laser' to 'map' only")
+
+
+def test_a_chain_goes_with_messages_and_back_with_answers(find: Find) -> None:
+    both = "{between: [laser.scan, map.scan]}, {between: [drive.walls, map.walls]}"
+    chain = CHAIN.replace("THROUGH", "laser, map, drive")
+    assert find(ROBOT.replace("CONNECTORS", both) + chain) == ()
+
+
 def test_accepts_ends_that_fit(find: Find) -> None:
     connectors = (
         "{between: [laser.scan, map.scan]}, {between: [drive.walls, map.walls]}, "

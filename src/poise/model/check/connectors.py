@@ -157,6 +157,26 @@ def check_ports(robot: Robot, ports: Ports) -> Iterator[Finding]:
                     )
                     break
             served[caller].append(connector)
+    yield from _backwards(robot, ports)
+
+
+def _backwards(robot: Robot, ports: Ports) -> Iterator[Finding]:
+    """Yield the steps of chains that lead from a subscriber to its publisher only."""
+    ways: set[tuple[str, str]] = set()
+    for _, _, connector in connectors(robot):
+        source, target = (end.component for end in connector.between)
+        first = _find(connector.between[0], ports)
+        ways.add((source, target))
+        if first is None or first.kind != "publishes":
+            ways.add((target, source))  # with answers
+    for chain in robot.chains:
+        for index, (one, next_) in enumerate(pairwise(chain.through)):
+            if (next_, one) in ways and (one, next_) not in ways:
+                yield Finding(
+                    ("chains", chain.name, "through", index + 1),
+                    f"chain '{chain.name}' goes from '{one}' to '{next_}', but "
+                    f"messages go from '{next_}' to '{one}' only",
+                )
 
 
 def _are_alternatives(robot: Robot, *connectors: Connector) -> bool:
