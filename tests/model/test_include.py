@@ -65,6 +65,13 @@ def test_what_an_included_file_includes_is_a_list(tmp_path: Path, include: str) 
     assert found.message == "include: must be a list, as in [a, b], not 'more.yaml'"
 
 
+def test_an_unknown_key_of_an_include_is_told_once(tmp_path: Path) -> None:
+    include = "include: [{file: nav.yaml, prefx: a_}]\n"
+    path = write(tmp_path, robot=f"robot: r\n{include}{COMPUTERS}", nav="links: []\n")
+    (found,) = problems(path)
+    assert "unknown key 'prefx' (did you mean 'prefix'?)" in found.message
+
+
 def test_a_problem_in_an_included_file_is_told_at_its_place(tmp_path: Path) -> None:
     path = write(
         tmp_path,

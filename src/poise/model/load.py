@@ -191,20 +191,19 @@ class _Reader:
             root.value.pop("include", None)
             _merge(self.root, root, "", self._problems)
         if include is not None and isinstance(include.value, list):
-            include.value = [
-                item for item in include.value if self._include(item, (*above, path))
-            ]
+            for item in include.value:
+                self._include(item, (*above, path))
+            include.value = []  # none is to be validated again
         elif include is not None and asked:  # else it is validated with the rest
             validate(include, _INCLUDES, self._problems, name="include")
 
-    def _include(self, item: Node, above: tuple[Path, ...]) -> bool:
-        """Merge the file that an item names; return whether the item is right."""
+    def _include(self, item: Node, above: tuple[Path, ...]) -> None:
+        """Merge the file that an item names."""
         entry = validate(item, _INCLUDE, self._problems, name="include")
         if isinstance(entry, dict):
             self._include_as(item, msgspec.convert(entry, Include), above)
         elif entry is not None:
             self.read(above[-1].parent / entry, item.place, above)
-        return entry is not None
 
     def _include_as(self, item: Node, entry: Include, above: tuple[Path, ...]) -> None:
         """Merge a file with other names, and with values for its arguments."""
