@@ -3,7 +3,9 @@ from pathlib import Path
 import pytest
 
 from poise.estimate.code_version import version_of
+from poise.model.check.ros2_components import NODE
 from poise.model.robot import ComponentEntry
+from poise.model.ros2_node import Ros2Node
 
 
 @pytest.fixture
@@ -56,6 +58,18 @@ def test_covers_a_command_and_the_files_it_names(folder: Path) -> None:
     component = ComponentEntry(name="c", command=("sh", "run.sh", "-v"))
     before = version_of(component, str(folder))
     script.write_text("false\n")
+    assert version_of(component, str(folder)) != before
+
+
+@pytest.mark.parametrize("changed", ["pkg/eye.py", "params.yaml"])
+def test_covers_the_class_of_a_ros2_node_and_its_parameters(
+    folder: Path, changed: str
+) -> None:
+    (folder / "params.yaml").write_text("{}\n")
+    node = Ros2Node(node="pkg.eye:Eye", params_files=("params.yaml",))
+    component = ComponentEntry(name="eye", implementation=NODE, ros2=node)
+    before = version_of(component, str(folder))
+    (folder / changed).write_text("# other\n")
     assert version_of(component, str(folder)) != before
 
 

@@ -25,8 +25,8 @@ def version_of(component: ComponentEntry, *folders: str) -> str:
 
     It covers the parameters, the implementation's module and all modules that it
     imports from these folders, the robot's and the repository's, also one in C++; of a
-    command, the program and its arguments that are files. Installed packages are not
-    covered.
+    command, the program and its arguments that are files; of a ROS 2 node, its class
+    and its files of parameters. Installed packages are not covered.
     """
     digest = hashlib.sha256()
     digest.update(component.implementation.encode())
@@ -40,12 +40,12 @@ def files_of(
     component: ComponentEntry, folders: Iterable[str]
 ) -> set[tuple[int, Path]]:
     """Return the files of a component's code, each after the number of its folder."""
-    places = [Path(folder) for folder in folders]
-    if not component.command:
-        return files_of_modules([component.implementation.partition(":")[0]], places)
-    program, *words = component.command
-    words.append(program if "/" in program else shutil.which(program) or "")
-    return {
+    places, node = [Path(folder) for folder in folders], component.ros2
+    references = [component.implementation, node.node if node else ""]
+    modules = [reference.partition(":")[0] for reference in references if reference]
+    words = [*component.command[1:], *(node.params_files if node else ())]
+    words += [p if "/" in p else shutil.which(p) or "" for p in component.command[:1]]
+    return files_of_modules(modules, places) | {
         (number, folder / word)
         for number, folder in enumerate(places)
         for word in words
