@@ -95,6 +95,11 @@ def test_a_file_with_problems_is_an_error_with_all_of_them(tmp_path: Path) -> No
     assert "memroy" in text
 
 
+def test_a_name_that_no_file_has_is_a_problem() -> None:
+    (problem,) = poise.check("a\0b.yaml")
+    assert "is not a file name" in problem.message
+
+
 def test_a_placement_shows_where_components_are() -> None:
     placed = poise.place(hello())
     assert placed["counter"] == "left"

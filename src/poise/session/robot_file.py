@@ -41,7 +41,7 @@ def check(
     try:
         load_bare(file, arguments)
     except RobotError as error:
-        return error.problems
+        return error.problems or (FileProblem(str(file), 0, 0, str(error)),)
     return ()
 
 
