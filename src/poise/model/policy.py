@@ -372,13 +372,13 @@ def policies_of(written: Iterable[Policy]) -> tuple[Policy, ...]:
     """Return a robot's policies, `off` ones too: shipped ones first, then its own.
 
     What a policy of the robot file does not give is that of the shipped one of its
-    name, or a default.
+    name, unless a function decides instead, or a default.
     """
     policies = {policy.name: policy for policy in shipped()}
     for own in written:
-        policies[own.name] = _changed(
-            policies.get(own.name, Policy(name=own.name)), own
-        )
+        new = Policy(name=own.name)
+        before = new if own.call else policies.get(own.name, new)
+        policies[own.name] = _changed(before, own)
     return tuple(map(_whole, policies.values()))
 
 

@@ -93,3 +93,7 @@ def test_a_move_without_a_computer_is_found(refuse: Refuse) -> None:
 def test_a_function_decides_alone(refuse: Refuse) -> None:
     text = "mine: {call: 'a:b', ▸when: late}"
     refuse(ROBOT + text, "a policy with `call` has no 'when': its function decides")
+
+
+def test_a_function_may_take_the_place_of_a_shipped_policy(find: Find) -> None:
+    assert find(ROBOT + "drift: {call: 'a:b'}") == ()
