@@ -103,6 +103,15 @@ def test_what_an_alias_repeats_is_filled_once(tmp_path: Path) -> None:
     assert [c.parameters for c in robot.components()] == [{"say": "$(gain)"}] * 2
 
 
+def test_a_quoted_value_that_an_include_gives_is_a_text(tmp_path: Path) -> None:
+    arm = "arguments: {id: 1}\n" + component("{parameters: {id: $(id), n: 2}}")
+    arm = arm.replace(TOP, "")
+    for given, value in (("'007'", "007"), ("7", 7)):
+        include = f"include: [{{file: arm.yaml, arguments: {{id: {given}}}}}]\n"
+        (pilot,) = load(write(tmp_path, TOP + include, arm)).components()
+        assert pilot.parameters == {"id": value, "n": 2}
+
+
 def test_two_dollars_are_the_text(tmp_path: Path) -> None:
     text = component('{command: [sh, -c, "echo $$(date) $(date +%s)"]}')
     robot = load(write(tmp_path, text))

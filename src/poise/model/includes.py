@@ -127,6 +127,12 @@ def as_given(arguments: Mapping[str, object]) -> Given:
     return {name: Scalar(text, plain=True) for name, text in texts.items()}
 
 
+def given_in(item: Node) -> Given:
+    """Return the arguments that an entry of `include` gives, quoted ones as texts."""
+    nodes = _mapping(item, "arguments").items()
+    return {n: node.value for n, node in nodes if isinstance(node.value, Scalar)}
+
+
 def fill(
     root: Node, given: Given, problems: list[FileProblem], *, is_top: bool
 ) -> None:

@@ -37,6 +37,7 @@ from poise.model.includes import (
     add_prefix,
     as_given,
     fill,
+    given_in,
     unknown_arguments,
 )
 from poise.model.repository import Repository, with_repository
@@ -214,7 +215,7 @@ class _Reader:
             return
         assert isinstance(root.value, dict)  # noqa: S101 - it was read
         root.value.pop("include", None)
-        given = as_given(entry.arguments)
+        given = given_in(item)
         for text in unknown_arguments(root, given).values():
             self._problems.append(item.place.problem(f"include: {text}"))
         fill(root, given, self._problems, is_top=False)
