@@ -42,6 +42,7 @@ def test_every_value_knows_the_place_of_its_key() -> None:
         ("# only a comment\n", 1, 1, "the file is empty"),
         ("a: [1, 2\nb: 3\n", 2, 2, "not YAML"),
         ("a: 1\n b: 2\n", 2, 3, "is it indented too far, or is a `{`"),
+        ("a:\n\tb: 1\n", 2, 1, "is it a tab"),
         ("a: 1\n---\nb: 2\n", 2, 1, "expected a single document"),
         (
             "a: 1\nb: 2\na: 3\n",

@@ -272,6 +272,8 @@ def _syntax_problem(error: yaml.MarkedYAMLError, file: str) -> FileProblem:
     text = "not YAML: " + ", ".join(p for p in parts if p)
     if "mapping values" in text:
         text += " (is it indented too far, or is a `{` or quote before it stray?)"
+    if "cannot start any token" in text:
+        text += " (is it a tab, or a `@`, `%` or '`' without quotes around the text?)"
     return place.problem(text)
 
 
