@@ -16,6 +16,7 @@ from poise.model.robot import Robot
 from poise.model.yaml_tree import Finding
 from poise.plan import keep_components, problem_of
 from poise.plan.conflict import conflict
+from poise.plan.problem.arrays import arrays_of
 from poise.runtime.code_check import check_code_isolated
 from poise.session import Say, log, nothing
 from poise.session.profiling.stored_profiles import profiled
@@ -106,8 +107,9 @@ def check_late_chains(robot: Robot) -> Iterator[Finding]:
     if not robot.chains:
         return
     problem = problem_of(robot)
+    arrays = arrays_of(problem)
     for limit in problem.time_limits:
-        part = keep_components(problem, {*limit.components})
+        part = keep_components(problem, {*limit.components}, arrays=arrays)
         part = replace(part, time_limits=(), architectures=())
         if conflict(part) is not None:
             continue  # it has no place at all: that is said where it is placed
