@@ -11,6 +11,7 @@ import pytest
 
 from poise.emulate import InjectedFault, emulated_set
 from poise.emulate.registry import FaultKind
+from tests.waiting import wait_long
 
 
 @pytest.mark.parametrize(
@@ -39,6 +40,7 @@ def test_a_witness_is_frozen_as_an_agent_is(tmp_path: Path, what: str) -> None:
     (tmp_path / "sitecustomize.py").write_text("import time\ntime.sleep(60)\n")
     command = [sys.executable, "-m", "poise", what, "left"]
     with subprocess.Popen(command, env={"PYTHONPATH": str(tmp_path)}) as process:
+        wait_long(Path(f"/proc/{process.pid}/cmdline").read_bytes)
         is_agent = emulated_set._is_agent(process.pid, os.getpid())
         process.kill()
     assert is_agent == (what != "status")
