@@ -83,8 +83,9 @@ def large(seconds: float, *, is_encrypted: bool) -> tuple[float, float]:
             for component in components_of(robot.agents.statuses())
             if component.name == "viewer"
         ]
-        moves = [prepare_move(robot, "archive", target) for target in ("b", "a")]
-        reports = [move.run() for move in moves]
+        reports = [
+            prepare_move(robot, "archive", target).run() for target in ("b", "a")
+        ]
         assert all(report.committed for report in reports), reports
     (trip,) = trips
     return trip, median(report.prepared + report.downtime for report in reports)
