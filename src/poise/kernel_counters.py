@@ -12,6 +12,15 @@ from typing import NamedTuple
 
 from msgspec import Struct
 
+CPU_GROUP = "POISE_CPU_GROUP"
+"""Environment variable of an emulated computer: the folder of its CPU cgroup, for
+groups in it; empty: there is none. Not set on a real computer."""
+PRESSURE_GROUP = "POISE_PRESSURE_GROUP"
+"""Environment variable of an emulated computer: its cgroup in another hierarchy, which
+reports pressure; empty: there is none. Not set on a real computer."""
+PREPARED = "prepared"
+"""The group that an agent makes for containers that get only the CPU that others leave;
+with version 1, it makes one where the kernel reports pressure, too."""
 NO_LIMIT = 1 << 60
 """A memory limit from this on is none [bytes]."""
 

@@ -14,7 +14,7 @@ from msgspec import Struct
 from poise.emulate.emulated_network import NAMESPACES
 from poise.emulate.limits import Limits, Usage, starved_time
 from poise.emulate.processes import marked, stop
-from poise.kernel_counters import Mount, group_cpu, mounts, process_cpu, table
+from poise.kernel_counters import PREPARED, Mount, group_cpu, mounts, process_cpu, table
 
 
 class Files:
@@ -87,9 +87,6 @@ _MEMORY_PEAKS = (
 PROGRAMS = "programs"
 """The folder of a group of version 2 that has its processes: beside it, the computer's
 agent makes groups for containers."""
-PREPARED = "prepared"
-"""The group that an agent makes for containers that get only the CPU that others leave;
-with version 1, it makes one where the kernel reports pressure, too."""
 
 
 class Groups:

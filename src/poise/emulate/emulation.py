@@ -31,7 +31,7 @@ from poise.emulate.registry import (
     sweep,
 )
 from poise.errors import RunError
-from poise.kernel_counters import stolen_time
+from poise.kernel_counters import CPU_GROUP, PRESSURE_GROUP, stolen_time
 from poise.model.robot import Robot
 
 Stream = int | IO[bytes] | None
@@ -53,15 +53,6 @@ size can do that many times as much, and then take as long as they would there.
 
 CPU_FILE = "POISE_CPU_FILE"
 """Environment variable: the file that counts the computer's CPU time; empty: none."""
-
-
-CPU_GROUP = "POISE_CPU_GROUP"
-"""Environment variable: the computer's CPU cgroup, for groups in it; empty: none."""
-
-
-PRESSURE_GROUP = "POISE_PRESSURE_GROUP"
-"""Environment variable: its cgroup in the hierarchy that reports pressure; empty: that
-is the CPU cgroup's, or there is none."""
 
 
 class EmulatedComputer:

@@ -284,6 +284,10 @@ def evaluate(
 
     Parameters
     ----------
+    placement
+        Component -> computer.
+    method
+        What decided it, for people.
     suspended
         Architectures that do not run, as a result names them.
     why
@@ -294,13 +298,13 @@ def evaluate(
     UsageError
         When a component has no computer, or one that is not there.
     """
-    whole, problem = problem, alternatives.without(problem, suspended)
-    choice, part = alternatives.chosen_by(problem, placement)
+    runs = alternatives.without(problem, suspended) if suspended else problem
+    choice, part = alternatives.chosen_by(runs, placement)
     snapshot = Snapshot(part, given=placement)
     placed = snapshot.arrays.placed(placement)
     result = Result.of(snapshot, placed, method, given=True)
     if suspended:
-        choice = choice._replace(suspended=suspended, whole=whole, why=why)
+        choice = choice._replace(suspended=suspended, whole=problem, why=why)
     result.choice = choice
     return result
 

@@ -21,7 +21,7 @@ from poise.model.steps import Choice
 from poise.wire.records.status_records import ComponentStatus, TaskRequest
 
 _EPOCHS = 3
-"""The requests of so many incarnations of a component are told apart."""
+"""How many incarnations of a component are remembered, the last ones."""
 
 
 class EndReport(Struct, frozen=True):

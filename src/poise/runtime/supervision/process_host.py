@@ -11,7 +11,15 @@ from collections import deque
 from collections.abc import Iterable
 from pathlib import Path
 
-from poise.kernel_counters import NO_LIMIT, memory_group, mounts, table
+from poise.kernel_counters import (
+    CPU_GROUP,
+    NO_LIMIT,
+    PREPARED,
+    PRESSURE_GROUP,
+    memory_group,
+    mounts,
+    table,
+)
 from poise.priority import REAL_TIME
 from poise.runtime._calls import LeaseEnd, PageSampler
 from poise.runtime.container import zygote
@@ -28,12 +36,6 @@ _PREPARED_OOM_SCORE = 1000
 """When memory is short, the kernel ends first what is only prepared, then other
 containers, and last the agent."""
 log = logging.getLogger(__name__)
-CPU_GROUP = "POISE_CPU_GROUP"
-"""Environment variable of an emulated computer: the folder of its CPU cgroup; empty:
-there is none. Not set on a real computer."""
-PRESSURE_GROUP = "POISE_PRESSURE_GROUP"
-"""Environment variable of an emulated computer: its cgroup in another hierarchy, which
-reports pressure; empty: there is none. Not set on a real computer."""
 _MOST = 10_000
 """The highest weight that the kernel takes: the agent's own."""
 _SHARES = 10.24
@@ -249,7 +251,7 @@ class CpuWeights:
         if not spec.weight or self._folder is None or self.means == "nice":
             return
         group = self._folder / (
-            "prepared" if spec.preparation_cpu else f"container-{spec.name}"
+            PREPARED if spec.preparation_cpu else f"container-{spec.name}"
         )
         try:
             group.mkdir(exist_ok=True)
@@ -259,7 +261,7 @@ class CpuWeights:
                 _weigh(group, spec.weight)
             _enter(group, [pid])
             if pressure := os.environ.get(PRESSURE_GROUP):
-                apart = Path(pressure, "prepared" if spec.preparation_cpu else "")
+                apart = Path(pressure, PREPARED if spec.preparation_cpu else "")
                 apart.mkdir(exist_ok=True)
                 _enter(apart, [pid])
         except OSError as error:

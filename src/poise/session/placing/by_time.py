@@ -38,6 +38,8 @@ _ROUNDS = 8
 _STARTS, _NEAR, _SIMULATED = 3, 8, 24
 """Where something is late, up to 8 placements near each of the three best ones, and
 near what is better there, are simulated; 24 in all."""
+_SUMMED = 500
+"""So many of each phase are summed at most to find those."""
 _ROUNDING = 1e-6
 
 Predict = Callable[..., Iterator[tuple[str, PredictedTimes]]]
@@ -156,7 +158,7 @@ def _better(
 ) -> DecidedByTime | None:
     """Return a better placement near one where something is `late`, if one is found.
 
-    `seen`: the placements that were simulated, of which there may be so many at `most`.
+    `seen`: the placements that were simulated; `most`: how many that may be.
     """
     total = _total(here)
     near = sorted(_neighbours(here.task_result, late), key=_promised)
@@ -183,8 +185,9 @@ def _neighbours(
     problem = result.problem
     for phase in problem.phases:
         placed = result.results[phase.name]
-        for changes in _changes(phase.problem, placed.placement, late):
-            there = {**placed.placement, **changes}
+        changes = _changes(phase.problem, placed.placement, late)
+        for change in islice(changes, _SUMMED):
+            there = {**placed.placement, **change}
             changed = _evaluated(phase.problem, placed, there)
             if changed.feasible:
                 results = {**result.results, phase.name: changed}
@@ -202,16 +205,19 @@ def _evaluated(
 def _changes(
     problem: plan.Problem, placement: Mapping[str, str], late: Collection[str]
 ) -> Iterator[Mapping[str, str]]:
+    """Yield moves of late parts and of what is beside them, and swaps with parts."""
     limits = [each for each in problem.time_limits if each.name in late]
-    parts = {name for each in limits for name in each.components}
+    needed = {name for each in limits for name in each.components}
+    parts = [name for name in placement if name in needed]
+    crowded = {placement[part] for part in parts}
     for component, here in placement.items():
-        for computer in problem.computers:
+        for computer in problem.computers if here in crowded else ():
             if computer.name != here:
                 yield {component: computer.name}
-        for part in parts & placement.keys():
-            is_twice = component in parts and component > part
-            if placement[part] != here and not is_twice:
-                yield {component: placement[part], part: here}
+    for index, part in enumerate(parts):
+        for other, there in placement.items():
+            if there != placement[part] and other not in parts[:index]:
+                yield {part: there, other: placement[part]}
 
 
 def _settle(result: plan.TaskResult, free: plan.TaskResult) -> None:

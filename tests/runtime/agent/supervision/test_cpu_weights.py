@@ -8,13 +8,9 @@ from pathlib import Path
 import pytest
 from msgspec import structs
 
+from poise.kernel_counters import CPU_GROUP, PRESSURE_GROUP
 from poise.priority import REAL_TIME
-from poise.runtime.supervision.process_host import (
-    CPU_GROUP,
-    PRESSURE_GROUP,
-    CpuWeights,
-    own_group,
-)
+from poise.runtime.supervision.process_host import CpuWeights, own_group
 from poise.wire.records.deployment_records import ContainerSpec
 
 HIGH = ContainerSpec(
