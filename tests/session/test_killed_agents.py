@@ -39,6 +39,8 @@ class Sink(Component):
     def numbers(self, message: Number):
         self.wrong += message.value != self.last + 1
         self.last = message.value
+        if self.last % 25:  # a slow disk must not make the receiver the slower one
+            return
         path = os.path.join(self.parameters["folder"], "sink")
         with open(path + ".new", "w") as file:
             file.write(f"{self.last} {self.wrong}")
@@ -110,7 +112,6 @@ def test_killed_agents_are_restarted_and_no_message_is_lost(
             wait_restarted(robot, computer, agent)
             wait_more(file)
         status = robot.status()
-    assert numbers(file)[1] == 0  # none lost, doubled or out of order
     computers = status.computers.values()
     assert [each.adopted for each in computers] == [1, 1]
     connectors = [
@@ -120,6 +121,7 @@ def test_killed_agents_are_restarted_and_no_message_is_lost(
         for connector in container.connectors
     ]
     assert [connector.drops for connector in connectors] == [0, 0]
+    assert numbers(file)[1] == 0  # none lost, doubled or out of order
     assert status.placement == {"source": "left", "sink": "right"}
 
 
