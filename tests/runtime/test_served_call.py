@@ -201,6 +201,30 @@ def test_who_was_called_back_and_does_not_end_is_named(
     assert not others.submit(comes_in, chain, SHORT).result(LONG)
 
 
+@pytest.mark.slow
+def test_a_call_and_a_call_back_of_it_share_one_limit(
+    others: ThreadPoolExecutor,
+) -> None:
+    chain, limit = new_chain(), 2.0
+    inside, go_on = threading.Event(), threading.Event()
+
+    def stay(*_: object) -> bytes:
+        inside.set()
+        assert go_on.wait(LONG)
+        return b""
+
+    def meanwhile() -> None:
+        others.submit(come_in, chain, LONG, stay)
+        assert inside.wait(LONG)
+        time.sleep(limit)
+
+    began = time.monotonic()
+    with pytest.raises(Timeout, match="still runs"):
+        go(chain, limit, meanwhile)
+    assert time.monotonic() - began < 2 * limit
+    go_on.set()
+
+
 def test_who_is_called_back_too_long_still_keeps_others_out(
     others: ThreadPoolExecutor,
 ) -> None:

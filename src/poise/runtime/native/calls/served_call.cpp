@@ -191,6 +191,7 @@ void ServedCall::raise_callee_error() {
 
 nb::object call_remote(Chain chain, double limit, const char* what, nb::handle request,
                        nb::handle pieces) {
+  const Moment until = moment_after(wall_now(), limit);
   ChainRelease released(chain);
   const nb::float_ seconds(limit);
   PyObject* arguments[] = {pieces.ptr(), seconds.ptr()};
@@ -198,8 +199,9 @@ nb::object call_remote(Chain chain, double limit, const char* what, nb::handle r
   PyObject *type, *error, *trace;
   PyErr_Fetch(&type, &error, &trace);
   if (type) PyErr_NormalizeException(&type, &error, &trace);
-  // a call back that still runs is in a component that waits here
-  const Entry entry = released.take_again(limit);
+  // A call back that still runs is in a component that waits here. Its own limits end with this
+  // one, and it leaves a moment later.
+  const Entry entry = released.take_again(std::max(seconds_until(until), std::min(limit, 0.02)));
   if (entry <= Entry::late) {
     PyErr_Restore(type, error, trace);
     if (!answer.is_valid()) throw nb::python_error();
