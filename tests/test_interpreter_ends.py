@@ -48,6 +48,18 @@ exclusion = Exclusion("busy")
 def wait():
     exclusion.enter(1, 0.01)
 """
+SOLVES = """
+from poise.model.robot import Computer
+from poise.plan import Item, Problem
+from poise.plan._core import Core
+from poise.plan.problem.arrays import arrays_of
+items = tuple(Item(name=str(i), demand={"cpu": 0.1 + i}) for i in range(30))
+computers = tuple(Computer(name=name, capacity={"cpu": 999.0}) for name in "ab")
+core = Core(arrays_of(Problem(components=items, computers=computers)))
+
+def wait():
+    core.search([], 0.01, 10**9, 0)
+"""
 FIRST_FRAMES = """
 import threading, time
 from poise.wire import frame
@@ -79,7 +91,9 @@ def run(code: str) -> subprocess.CompletedProcess[str]:
     )
 
 
-@pytest.mark.parametrize("waits", [RECEIVES, ENTERS], ids=["receives", "enters"])
+@pytest.mark.parametrize(
+    "waits", [RECEIVES, ENTERS, SOLVES], ids=["receives", "enters", "solves"]
+)
 def test_a_thread_that_waits_while_the_interpreter_ends_does_not_abort_it(
     waits: str,
 ) -> None:

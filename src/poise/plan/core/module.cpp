@@ -7,6 +7,8 @@
 #include <memory>
 #include <stdexcept>
 
+#include <poise/unlocked.hpp>
+
 #include "tree.h"
 #include "greedy.h"
 #include "relaxation.h"
@@ -106,7 +108,7 @@ class Core {
       complete = greedy_.run(placed_);
     } else {  // long enough for other threads to run meanwhile
       const Busy busy(*this);
-      nb::gil_scoped_release free;
+      const Unlocked unlocked;
       complete = greedy_.run(placed_);
     }
     return nb::make_tuple(listed(placed_), complete);
@@ -174,7 +176,7 @@ class Core {
     Asked asked{stop, {}};
     Outcome out;
     {
-      nb::gil_scoped_release free;
+      const Unlocked unlocked;
       Stop until(seconds, steps, [&] { return asked(); });
       out = solver(until);
     }

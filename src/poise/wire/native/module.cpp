@@ -12,7 +12,7 @@
 #include "filling.h"
 #include "lender.h"
 #include "memory.h"
-#include "unlocked.h"
+#include <poise/unlocked.hpp>
 
 namespace nb = nanobind;
 using poise::Channel;

@@ -331,7 +331,7 @@ class Declaration {
   nb::tuple make(nb::handle component) {
     // its threads may take the interpreter's lock until its destructor has joined them
     const Instance object(new C(), [](C* ending) {
-      const nb::gil_scoped_release released;
+      const Unlocked unlocked;
       delete ending;
     });
     object->attach(component);

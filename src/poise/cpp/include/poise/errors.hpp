@@ -10,6 +10,8 @@
 #include <string>
 #include <typeinfo>
 
+#include "unlocked.hpp"
+
 namespace poise {
 
 namespace nb = nanobind;
@@ -132,7 +134,7 @@ inline Thrown thrown() {
 template <typename Function>
 auto run_released(Function&& function) {
   try {
-    const nb::gil_scoped_release released;
+    const Unlocked unlocked;
     return function();
   } catch (...) {
     raise_in_python();

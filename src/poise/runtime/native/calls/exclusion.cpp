@@ -10,7 +10,7 @@
 #include <ctime>
 #include <optional>
 
-#include "wire/native/unlocked.h"
+#include <poise/unlocked.hpp>
 
 #ifdef Py_LIMITED_API
 // Each Python from 3.4 on exports it, though the stable ABI does not list it.
