@@ -41,6 +41,7 @@ from poise.units import (
         ("1 GiB", BYTES, 1024**3),
         ("200 ms", SECONDS, 0.2),
         ("5 µs", SECONDS, 5e-6),
+        ("5 \u03bcs", SECONDS, 5e-6),
         ("2 min", SECONDS, 120.0),
         ("10 Hz", RATE, 10.0),
         ("3 1/s", RATE, 3.0),

@@ -35,7 +35,7 @@ class Dimension(Struct, frozen=True):
 
     def accepted(self) -> str:
         """Return an example and the units, for people."""
-        named = ", ".join(unit for unit in self.units if unit)
+        named = ", ".join(unit for unit in self.units if unit and unit.isascii())
         return f"{self.name} such as {self.example}" + (named and f" (units: {named})")
 
 
@@ -72,6 +72,7 @@ SECONDS = Dimension(
         "ms": 1e-3,
         "us": 1e-6,
         "µs": 1e-6,
+        "\N{GREEK SMALL LETTER MU}s": 1e-6,
         "ns": 1e-9,
         "min": 60.0,
         "h": 3600.0,

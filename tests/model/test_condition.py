@@ -10,8 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from poise.model.condition import check_sentence, parse_condition, sentence
-from poise.model.policy import ComponentValues, ComputerValues, LinkValues
+from poise.model.policy import ChainValues, ComponentValues, ComputerValues, LinkValues
 
+FRESH = ChainValues(name="x", component="c", computer="left")
 FULL = ComputerValues(
     name="left", capacity=0.5, used=0.49, full=True, memory=300 * 2**20, late=2
 )
@@ -38,6 +39,10 @@ FULL = ComputerValues(
 )
 def test_a_condition_means_what_it_says(text: str, *, holds: bool) -> None:
     assert parse_condition(text, ComputerValues)(FULL) is holds
+
+
+def test_a_micro_sign_may_be_a_greek_letter() -> None:
+    assert parse_condition("age < 5 \u03bcs", ChainValues)(FRESH)
 
 
 def test_nothing_is_more_than_what_is_divided_by_nothing() -> None:

@@ -34,7 +34,7 @@ _WORDS = {"and", "or", "not"}
 _TOKEN = re.compile(
     r"(?P<text>\"[^\"]*\"|'[^']*')"
     r"|(?<![\w.])(?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)"
-    r"(?:\s*(?P<unit>%|[A-Za-zµ]\w*(?:/s)?))?"
+    r"(?:\s*(?P<unit>%|[A-Za-zµ\u03bc]\w*(?:/s)?))?"
 )
 _OF_UNIT = {
     unit: frozenset(d.name for d in units.DIMENSIONS.values() if unit in d.units)
