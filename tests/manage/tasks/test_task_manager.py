@@ -200,22 +200,28 @@ def test_an_action_fails_at_once_when_an_alternative_lacks_what_ends_it(
 def test_a_component_learns_once_that_its_action_begins() -> None:
     rig = Rig(robot_with(task("t", act("a", "see"), act("b", "see"))), "t")
     first = rig.run.placed["seeer"]
-    assert (first.action, first.action_number > 0) == ("a", True)
+    assert [*first.actions.values()] == ["a"]
     rig.manager.advance()
     assert rig.run.placed["seeer"] == first
     rig.end("seeer")
     second = rig.run.placed["seeer"]
-    assert (second.action, second.epoch) == ("b", first.epoch)
-    assert second.action_number > first.action_number
+    assert [*second.actions.values()] == ["b"]
+    assert (second.epoch, first.actions.keys() & second.actions) == (first.epoch, set())
+
+
+def test_a_component_learns_of_all_actions_that_begin_at_once() -> None:
+    tasks = task("t", act("a", "see")), task("u", act("b", "see"))
+    rig = Rig(robot_with(*tasks), "t", "u")
+    assert [*rig.run.placed["seeer"].actions.values()] == ["a", "b"]
 
 
 def test_one_that_was_restarted_by_others_learns_its_action_again() -> None:
     rig = Rig(robot_with(task("t", act("a", "see"))), "t")
     placed = rig.run.placed["seeer"]
-    again = replace(placed, epoch=9, action_number=0, action="")
+    again = replace(placed, epoch=9, actions={})
     rig.run.commit(rig.run.desired.placing([again]), "it was restarted")
     rig.manager.advance()
-    assert rig.run.placed["seeer"].action_number == placed.action_number
+    assert rig.run.placed["seeer"].actions == placed.actions
 
 
 def test_what_no_action_needs_ends_after_its_linger() -> None:

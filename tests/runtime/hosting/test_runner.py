@@ -11,6 +11,7 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import ClassVar
 
 import pytest
+from msgspec.structs import replace
 
 from poise import Component, Message, every, subscribed
 from poise.clock import SystemClock
@@ -116,6 +117,23 @@ def receive(runner: Runner, *texts: str) -> None:
     feed = runner.endpoints.mailbox.feed("note", Counts())
     for text in texts:
         feed.put((0, Note(text)))
+
+
+def test_each_action_begins_once(running: Fixture) -> None:
+    class Acting(Recorder):
+        def begin(self, action: str) -> None:
+            self._do(action)
+
+    runner = running.start(Acting)
+    component = reach(runner, "active")
+    both = {2: "drive", 1: "look"}
+    for actions in (both, both, {1: "look", 3: "drive on"}):
+        runner.note_spec(replace(runner.spec, actions=actions))
+        receive(runner, "then")
+        component.wait_for([*actions.values()][-1])
+    reach(runner, "finalized")
+    begun = [what for what in component.record if what in {"look", *both.values()}]
+    assert begun == ["drive", "look"]
 
 
 def test_the_hooks_come_in_order(running: Fixture) -> None:

@@ -62,8 +62,7 @@ class ReportedIncarnation(Struct, frozen=True, kw_only=True):
             adapt=spec.adapt,
             fresh=spec.fresh,
             gently=spec.gently,
-            action_number=spec.action_number,
-            action=spec.action,
+            actions=spec.actions,
         )
 
 

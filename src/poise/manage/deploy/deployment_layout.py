@@ -286,8 +286,7 @@ class DeploymentLayout:
             leased=component.name in self.leased,
             held=incarnation.held,
             ends=self._ends.get(component.name, ()),
-            action_number=incarnation.action_number,
-            action=incarnation.action,
+            actions=incarnation.actions,
         )
 
     def _path(self, device: str) -> str:

@@ -34,9 +34,8 @@ class Incarnation(Struct, frozen=True, kw_only=True):
     # whether it has no connectors yet: the target of a migration that has not begun
     unjoined: bool = False
     held: bool = False  # whether it is inactive only because `Desired.held` names it
-    # the action of the task that it works for, and its number since the start
-    action_number: int = 0
-    action: str = ""
+    # the actions of tasks that it is to end, the last begun last: number and name
+    actions: Mapping[int, str] = {}
 
     def __str__(self) -> str:
         """Return what it is and where, for the journal."""

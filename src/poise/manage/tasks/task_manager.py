@@ -16,7 +16,7 @@ from poise.clock import boot_id, boot_time
 from poise.errors import PoiseError, RunError, UsageError
 from poise.manage.adaptation.policy_values import values_of
 from poise.manage.adaptation.situation import Situation
-from poise.manage.deploy.desired import Desired, Incarnation
+from poise.manage.deploy.desired import Desired
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.migration.transition_run import transit
 from poise.manage.tasks.action_placement import (
@@ -216,7 +216,7 @@ class TaskManager:
         """Return whether its component began with this action, and no other since."""
         end = attempt.action.ends
         placed = self._run.placed.get(end.component) if end is not None else None
-        return placed is not None and placed.action_number == attempt.number
+        return placed is not None and [*placed.actions][-1:] == [attempt.number]
 
     def _fail_endless(self, began: Iterable[Attempt]) -> bool:
         """End actions whose end would never be reported; return whether there are any.
@@ -236,23 +236,23 @@ class TaskManager:
 
         Also those that start again.
         """
-        run, begins = self._run, list[Incarnation]()
+        placed = dict(self._run.placed)
+        going_on = {
+            attempt.number
+            for record in self.tasks.records
+            if record.state not in OVER
+            for attempt in self.tasks.tries(record)
+        }
         for _, attempt in self._due_actions():
-            end = attempt.action.ends
+            end, number = attempt.action.ends, attempt.number
             if end is None or attempt.progress.since is None:
                 continue
-            placed = run.placed.get(end.component)
-            if placed is not None and placed.action_number < attempt.number:
-                begins.append(
-                    replace(
-                        placed, action_number=attempt.number, action=attempt.action.name
-                    )
-                )
-        placed_now = {
-            **run.placed,
-            **{incarnation.component: incarnation for incarnation in begins},
-        }
-        return replace(run.desired, placed=placed_now)
+            component = placed.get(end.component)
+            if component is not None and number not in component.actions:
+                known = {n: a for n, a in component.actions.items() if n in going_on}
+                actions = {**known, number: attempt.action.name}
+                placed[end.component] = replace(component, actions=actions)
+        return replace(self._run.desired, placed=placed)
 
     def _make_room(
         self, room: Room, begins: Mapping[str, str], stops: list[str]

@@ -114,7 +114,7 @@ class Runner:
         self._changed_parameters = spec.changed_parameters
         # one that comes to take over from another goes on with its action
         is_new = spec.goal == "active" or spec.fresh
-        self._action_begun = 0 if is_new else spec.action_number
+        self._begun = set[int]() if is_new else set(spec.actions)
         self._thread = threads.daemon(self._main, spec.name[:15])
         self.asked_at = clock.now()
         self.reason_to_end = ""
@@ -320,7 +320,7 @@ class Runner:
     def _restore(self, checkpoints: Checkpoints) -> None:
         age = checkpoints.restore(self.component, self.endpoints.latest)
         if age is not None:
-            self._action_begun = self.spec.action_number
+            self._begun = set(self.spec.actions)
             text = "component '%s' continues from its state of %.1f s ago"
             log.warning(text, self.spec.name, age)
 
@@ -339,9 +339,7 @@ class Runner:
         if spec.changed_parameters != self._changed_parameters and self._enter():
             self._changed_parameters = spec.changed_parameters
             self._run(self._take_parameters, "reconfigure", spec.changed_parameters)
-        if spec.action_number > self._action_begun and self._enter():
-            self._action_begun = spec.action_number
-            self._run(self.component.begin, "begin", spec.action)
+        self._begin_actions(spec.actions)
         while self._turns and self._enter():
             what, method = self._turns.popleft()
             self._run(method, what)
@@ -361,6 +359,12 @@ class Runner:
             self._deliver(work)
         elif work is not None:
             self.endpoints.mailbox.put_back(work)
+
+    def _begin_actions(self, actions: Mapping[int, str]) -> None:
+        for number, action in actions.items():
+            if number not in self._begun and self._enter():
+                self._begun = {number, *self._begun.intersection(actions)}
+                self._run(self.component.begin, "begin", action)
 
     @property
     def watches_inputs(self) -> bool:

@@ -66,9 +66,8 @@ class ComponentSpec(Struct, frozen=True, kw_only=True):
     held: bool = False
     # The ports with which it says that an action is done, or has failed
     ends: tuple[str, ...] = ()
-    # The number of the action that it is to end, which grows, and its name
-    action_number: int = 0
-    action: str = ""
+    # The actions that it is to end, the last begun last: number and name
+    actions: Mapping[int, str] = {}
 
 
 class ConnectorSpec(Struct, frozen=True, kw_only=True):
