@@ -70,7 +70,7 @@ def start_together(
     except RunError as error:
         run.journal.note("failed", f"components did not start: {error}")
         # computers may have been joined meanwhile: what is desired then stays
-        mine = {None, *inactive}
+        mine = (None, *inactive)
         back = [each for each in old if run.placed.get(each.component) in mine]
         run.commit(
             run.desired.with_coming(()).placing(back),
