@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import logging
 import os
 import signal
@@ -21,6 +22,9 @@ log = logging.getLogger(__name__)
 ADOPT_LIMIT = 5.0
 """A container of an earlier agent asks to be adopted within this time [s]."""
 
+_BUSY = -1
+"""A process that nobody can connect to now: a stopped one, for instance."""
+
 
 class AdoptedContainers:
     """Waits for the containers of an earlier agent, found by their sockets.
@@ -36,21 +40,21 @@ class AdoptedContainers:
         self._clock = clock
         self._until = clock.now() + ADOPT_LIMIT
         self._pidfds: dict[int, int] = {}
-        self._left: dict[int, Path] = {}
+        self._left: dict[Path, int] = {}
         self.num_adopted = 0
         self._listening = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         self._listening.setblocking(False)
         with rights_of(account):
             for path in set(folder.glob("*.sock")) - {agent_path(folder)}:
                 pid = _listener(path)
-                if pid and self.watch(pid):
-                    self._left[pid] = path
+                if pid == _BUSY or (pid and self.watch(pid)):
+                    self._left[path] = pid
             agent_path(folder).unlink(missing_ok=True)
             self._listening.bind(os.fspath(agent_path(folder)))
 
     def awaits(self, container: str) -> bool:
         """Return whether a container may run still, and so must not be started."""
-        return socket_path(self._folder, container) in self._left.values()
+        return socket_path(self._folder, container) in self._left
 
     def is_settled(self) -> bool:
         """Return whether all that were left have asked, or have ended."""
@@ -77,8 +81,8 @@ class AdoptedContainers:
                 return None
             if connection is None:  # no descriptor is free: it asks again
                 continue
-            is_left = self._left.pop(orphan.pid, None) is not None
-            if is_left or self.watch(orphan.pid):
+            if self.watch(orphan.pid):
+                self._left.pop(socket_path(self._folder, orphan.container), None)
                 self.num_adopted += 1
                 return orphan, connection, stats_page
             if self._is_foreign(orphan.pid):
@@ -92,22 +96,26 @@ class AdoptedContainers:
         for file in ready & self._pidfds.keys():
             pid = self._pidfds.pop(file)
             os.close(file)
-            self._left.pop(pid, None)
+            self._forget(pid)
             # what it leaves behind, if its zygote is gone, too
             with contextlib.suppress(ProcessLookupError, PermissionError):
                 os.killpg(pid, signal.SIGKILL)
             yield pid
 
     def give_up(self) -> None:
-        """Kill the containers that did not ask in time; they end soon."""
+        """Kill the containers that did not ask in time; they end soon.
+
+        One that is too busy to say who it is ends when it asks.
+        """
         if self._clock.now() < self.moment():
             return
         self._until = float("inf")
         for file, pid in self._pidfds.items():
-            if pid in self._left:
+            if pid in self._left.values():
                 log.warning("process %d of an earlier agent does not respond", pid)
                 with contextlib.suppress(ProcessLookupError):
                     signal.pidfd_send_signal(file, signal.SIGKILL)
+        self._forget(_BUSY)
 
     def close(self) -> None:
         """Kill what was not adopted, and adopt no more."""
@@ -126,16 +134,19 @@ class AdoptedContainers:
                 self._pidfds[os.pidfd_open(pid)] = pid
         return pid in self._pidfds.values()
 
+    def _forget(self, pid: int) -> None:
+        self._left = {path: of for path, of in self._left.items() if of != pid}
+
     def _is_foreign(self, pid: int) -> bool:
         """Return whether a process is another user's, whom a container may not end."""
         return self._account is not None and not self._account.owns(pid)
 
 
 def _listener(path: Path) -> int:
-    """Return the process that listens at a socket; 0: none does."""
+    """Return the process that listens at a socket; 0: none does, or `_BUSY`."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as asking:
         asking.setblocking(False)
-        if asking.connect_ex(os.fspath(path)):
-            return 0
+        if failure := asking.connect_ex(os.fspath(path)):
+            return _BUSY if failure == errno.EAGAIN else 0
         credentials = asking.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, 12)
         return int(struct.unpack("3i", credentials)[0])

@@ -10,6 +10,7 @@ import subprocess
 import tempfile
 import threading
 from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
 from typing import NoReturn
 
@@ -20,8 +21,9 @@ from poise.runtime.agent.agent_files import AgentFolder
 from poise.runtime.agent.surroundings import AgentState
 from poise.runtime.container.agent_link import Orphan, hand_over
 from poise.runtime.execution.counters import new_memory
-from poise.runtime.supervision.adopted_containers import AdoptedContainers
-from poise.wire.address import agent_path
+from poise.runtime.supervision.adopted_containers import ADOPT_LIMIT, AdoptedContainers
+from poise.testing import VirtualClock
+from poise.wire.address import agent_path, socket_path
 from poise.wire.records.deployment_records import Deployment
 from poise.wire.records.request_records import Claim, Refused
 from tests.processes import children_of
@@ -217,6 +219,33 @@ def test_what_has_ended_before_it_is_adopted_is_not_adopted(tmp_path: Path) -> N
     assert adopted.next_orphan() is None
     ours.close()
     adopted.close()
+
+
+def test_one_that_is_too_busy_to_be_asked_is_awaited(tmp_path: Path) -> None:
+    paths = [socket_path(tmp_path, name) for name in ("nav", "gone")]
+    with ExitStack() as stack:
+        for path in paths:
+            listening = stack.enter_context(socket.socket(socket.AF_UNIX))
+            listening.bind(os.fspath(path))
+            listening.listen(0)
+            waiting = stack.enter_context(socket.socket(socket.AF_UNIX))
+            waiting.connect(os.fspath(path))
+        clock = VirtualClock()
+        adopted = AdoptedContainers(tmp_path, clock)
+        way = stack.enter_context(socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM))
+        assert adopted.awaits("nav")
+        way.connect(os.fspath(agent_path(tmp_path)))
+        orphan = Orphan(container="nav", pid=os.getpid())
+        stack.enter_context(hand_over(way, orphan, new_memory()))
+        found = adopted.next_orphan()
+        assert found is not None
+        found[1].close()
+        os.close(found[2])
+        assert [adopted.awaits(name) for name in ("nav", "gone")] == [False, True]
+        clock.sleep(ADOPT_LIMIT)
+        adopted.give_up()
+        assert adopted.is_settled()
+        adopted.close()
 
 
 def test_a_state_that_cannot_be_kept_is_not_kept_half(tmp_path: Path) -> None:
