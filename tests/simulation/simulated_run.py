@@ -178,7 +178,7 @@ def simulate(
     )
     run = _Run(robot, scenario)
     failure = message = ""
-    with robot.library():
+    with robot.library:
         try:
             run.go()
         except SimulationError as error:

@@ -6,7 +6,7 @@ some runs have many of one kind and none of another.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from math import log
 from typing import TYPE_CHECKING, Literal
@@ -120,22 +120,35 @@ Mend = Callable[[], object]
 
 def _begin(robot: SimulatedRobot, fault: SimulatedFault) -> Mend:
     """Break something; return what makes it whole."""
-    verb = fault.kind.partition(" ")[0]
-    begin: Mapping[str, Callable[[SimulatedRobot, SimulatedFault], Mend]] = {
-        "kill": _kill,
-        "pause": _pause,
-        "suspend": _suspend,
-        "cut": _cut,
-        "isolate": _cut,
-        "clog": _clog,
-        "lose": _lose,
-        "step": _step_clock,
-        "slow": _slow_disk,
-        "full": _fill_disk,
-        "another": _start_manager,
-        "take": _start_manager,
-    }
-    return begin[verb](robot, fault)
+    by_verb = {"kill": _kill, "pause": _pause, "cut": _cut, "isolate": _cut}
+    begin = by_verb.get(fault.kind.partition(" ")[0])
+    if begin is not None:
+        return begin(robot, fault)
+    network = robot.network
+    match fault.kind:
+        case "lose datagrams":
+            lost = 0.1 + 0.6 * fault.pick
+            network.loss += lost
+            return lambda: setattr(network, "loss", network.loss - lost)
+        case "slow disk":
+            disk = robot.disks[fault.target]
+            disk.delay += fault.lasts
+            return lambda: setattr(disk, "delay", disk.delay - fault.lasts)
+        case "full disk":
+            disk = robot.disks[fault.target]
+            disk.is_full = True
+            return lambda: setattr(disk, "is_full", False)
+        case "suspend computer":
+            robot.computers[fault.target].suspend(fault.lasts)
+        case "clog link":
+            network.clog(fault.target, fault.other, fault.lasts)
+        case "step wall clock":
+            step = (fault.pick - 0.5) * _LONGEST_STEP
+            robot.computers[fault.target].wall_ahead += step
+        case "another manager" | "take over":  # though another may be at work
+            takes_over = fault.kind == "take over" and robot.is_reached()
+            robot.start_manager(fault.target, take_over=takes_over)
+    return _nothing
 
 
 def _nothing() -> None:
@@ -155,47 +168,6 @@ def _kill(robot: SimulatedRobot, fault: SimulatedFault) -> Mend:
     for process in killed:
         process.kill()
     return mend
-
-
-def _start_manager(robot: SimulatedRobot, fault: SimulatedFault) -> Mend:
-    """Let somebody run `poise up` on a computer, though another may be at work."""
-    takes_over = fault.kind == "take over" and robot.is_reached()
-    robot.start_manager(fault.target, take_over=takes_over)
-    return _nothing
-
-
-def _suspend(robot: SimulatedRobot, fault: SimulatedFault) -> Mend:
-    robot.computers[fault.target].suspend(fault.lasts)
-    return _nothing
-
-
-def _clog(robot: SimulatedRobot, fault: SimulatedFault) -> Mend:
-    robot.network.clog(fault.target, fault.other, fault.lasts)
-    return _nothing
-
-
-def _lose(robot: SimulatedRobot, fault: SimulatedFault) -> Mend:
-    network = robot.network
-    lost = 0.1 + 0.6 * fault.pick
-    network.loss += lost
-    return lambda: setattr(network, "loss", network.loss - lost)
-
-
-def _step_clock(robot: SimulatedRobot, fault: SimulatedFault) -> Mend:
-    robot.computers[fault.target].wall_ahead += (fault.pick - 0.5) * _LONGEST_STEP
-    return _nothing
-
-
-def _slow_disk(robot: SimulatedRobot, fault: SimulatedFault) -> Mend:
-    disk, before = robot.disks[fault.target], robot.disks[fault.target].delay
-    disk.delay = before + fault.lasts
-    return lambda: setattr(disk, "delay", disk.delay - fault.lasts)
-
-
-def _fill_disk(robot: SimulatedRobot, fault: SimulatedFault) -> Mend:
-    disk = robot.disks[fault.target]
-    disk.is_full = True
-    return lambda: setattr(disk, "is_full", False)
 
 
 def _containers(robot: SimulatedRobot, fault: SimulatedFault) -> list[Process]:

@@ -249,11 +249,12 @@ def predict_times(
     if None in predictions.values():
         free = PlacedComponents(_uncrowded(robot, len(placement)), placement, work)
         free.run(free.now + seconds)
-        predictions |= {
-            unplaced: _stuck(_chain(unplaced, [free], placement), seconds)
-            for unplaced, predicted in predictions.items()
-            if predicted is None
-        }
+        for unplaced in [chain for chain, known in predictions.items() if not known]:
+            stuck = _chain(unplaced, [free], placement)
+            if stuck is not None:  # with CPU enough, its data gets to its end
+                predictions[unplaced] = structs.replace(
+                    stuck, median=seconds, p99=seconds, late=1.0
+                )
     return PredictedTimes(
         chains=tuple(p for p in predictions.values() if p is not None),
         unknown=tuple(c.name for c, known in predictions.items() if known is None),
@@ -282,13 +283,6 @@ def _uncrowded(robot: Robot, cores: int) -> Robot:
     )
 
 
-def _stuck(free: PredictedChain | None, seconds: float) -> PredictedChain | None:
-    """Return a chain whose data only gets to its end where there is CPU enough."""
-    if free is None:
-        return None
-    return structs.replace(free, median=seconds, p99=seconds, late=1.0)
-
-
 def _chain(
     chain: Chain, robots: list[PlacedComponents], placement: Mapping[str, str]
 ) -> PredictedChain | None:
@@ -301,7 +295,7 @@ def _chain(
             for status in robot.chains(component)
             if status.name == chain.name
         ]
-        age = _mean(status.age for status in statuses)
+        age = mean_of(status.age for status in statuses)
         uses, missed = age.count, sum(status.missed for status in statuses)
         hops.append(
             PredictedHop(
@@ -335,7 +329,7 @@ def _timers(
             if first.deadline is None or not releases:
                 continue
             p99 = sum(
-                _mean(summaries).p99
+                mean_of(summaries).p99
                 for summaries in (
                     [timer.lateness for timer in same],
                     [timer.duration for timer in same],
@@ -351,7 +345,7 @@ def _timers(
             )
 
 
-def _mean(summaries: Iterable[Summary]) -> Summary:
+def mean_of(summaries: Iterable[Summary]) -> Summary:
     """Return what several summaries say, by their numbers of values."""
     known = [summary for summary in summaries if summary.count]
     count = sum(summary.count for summary in known)

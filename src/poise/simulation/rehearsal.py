@@ -177,7 +177,7 @@ class Rehearsal:
 
     def close(self) -> None:
         """End all that it simulates."""
-        with self._robot.library():
+        with self._robot.library:
             self._robot.end()
 
     def _break(self, fault: SimulatedFault) -> None:
@@ -191,7 +191,7 @@ class Rehearsal:
         began = time.process_time()
         gc.freeze()
         try:
-            with self._robot.library():
+            with self._robot.library:
                 yield
         except SimulationError as error:
             self._violations.append(f"no-bug-stops-the-robot: {error}")

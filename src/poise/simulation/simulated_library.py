@@ -168,11 +168,7 @@ def _monotonic(scheduler: Scheduler, real: Callable[[], float]) -> Callable[[], 
 
 
 def _threads(scheduler: Scheduler) -> list[Replaced]:
-    def lock() -> SimulatedLock:
-        return SimulatedLock(scheduler)
-
-    def rlock() -> SimulatedRLock:
-        return SimulatedRLock(scheduler)
+    lock = partial(SimulatedLock, scheduler)
 
     def ident() -> int:
         return 0 if scheduler.current is None else scheduler.current.number
@@ -191,7 +187,7 @@ def _threads(scheduler: Scheduler) -> list[Replaced]:
     return [
         (threading, "Lock", lock),
         (threading, "_allocate_lock", lock),
-        (threading, "RLock", rlock),
+        (threading, "RLock", partial(SimulatedRLock, scheduler)),
         (threading, "get_ident", ident),
         (threading, "get_native_id", ident),
         (threading, "current_thread", current),

@@ -8,6 +8,7 @@ from poise.manage.deploy.desired import Desired
 from poise.manage.journal import JournalEntry
 from poise.manage.migration.migration_report import MigrationReport
 from poise.model.robot import Robot
+from poise.simulation.predicted_times import mean_of
 from poise.simulation.robot.simulated_robot import SimulatedRobot
 from poise.simulation.simulation_report import (
     Outage,
@@ -132,17 +133,17 @@ class SimulationObserver:
                     if status.name == chain.name and status.age.count:
                         ages.append(status.age)
                         missed += status.missed - before.get(status.name, (0, 0))[1]
-            uses = sum(age.count for age in ages)
-            if uses:
+            age = mean_of(ages)
+            if age.count:
                 chains.append(
                     SimulatedChain(
                         name=chain.name,
                         deadline=chain.deadline,
-                        uses=uses,
+                        uses=age.count,
                         missed=missed,
-                        median=sum(age.median * age.count for age in ages) / uses,
-                        p99=sum(age.p99 * age.count for age in ages) / uses,
-                        maximum=max(age.maximum for age in ages),
+                        median=age.median,
+                        p99=age.p99,
+                        maximum=age.maximum,
                     )
                 )
         return tuple(chains)
@@ -196,7 +197,7 @@ class SimulationObserver:
 
     def _note_outages(self) -> None:
         now = self._robot.scheduler.now
-        working = self._robot.names_at_work()
+        working = self._robot.working().keys()
         is_calm = not (self._down or self._since or self._restarting)
         if is_calm and working >= self._placed.keys():
             return

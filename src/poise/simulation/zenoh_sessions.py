@@ -247,9 +247,11 @@ def matches(pattern: str, key: str) -> bool:
 
 
 def _sample(key: str, kind: zenoh.SampleKind, data: bytes = b"") -> SimpleNamespace:
-    return SimpleNamespace(
-        key_expr=key, kind=kind, payload=SimpleNamespace(to_bytes=lambda: data)
-    )
+    return SimpleNamespace(key_expr=key, kind=kind, payload=_payload(data))
+
+
+def _payload(data: bytes) -> SimpleNamespace:
+    return SimpleNamespace(to_bytes=lambda: data)
 
 
 _BEATS = 4
@@ -351,8 +353,7 @@ class Side:
         self._asked[number] = handler
 
         def reply(_: object, data: bytes) -> None:
-            ok = SimpleNamespace(payload=SimpleNamespace(to_bytes=lambda: data))
-            said = SimpleNamespace(ok=ok)
+            said = SimpleNamespace(ok=SimpleNamespace(payload=_payload(data)))
             other.send(len(data), lambda: self._replied(number, said))
 
         def drop() -> None:
@@ -360,7 +361,7 @@ class Side:
 
         query = SimpleNamespace(
             key_expr=key,
-            payload=SimpleNamespace(to_bytes=lambda: payload),
+            payload=_payload(payload),
             reply=reply,
             drop=drop,
         )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import partial
 from math import inf
 from signal import SIGKILL, Signals
@@ -140,7 +139,12 @@ class SimulatedHost:
             control.join()
             agent.post(lambda: agent.core.on_born(spec.name, process.pid))
 
-        process.on_end.append(self._tells_end(process.pid))
+        def tell_end() -> None:
+            agent.core.on_ended(process.pid, ProcessEnd(int(SIGKILL)))
+
+        process.on_end.append(
+            lambda: agent.process.after(_LOCAL, lambda: agent.post(tell_end))
+        )
         agent.watchdog.watch(container)
         process.after(drawn(world.choices, _FORK), be_born)
         return control
@@ -158,17 +162,6 @@ class SimulatedHost:
         """Return nothing: memory is never short."""
         del now
         return ""
-
-    def _tells_end(self, pid: int) -> Callable[[], None]:
-        agent = self._agent
-
-        def tell() -> None:
-            how = ProcessEnd(int(SIGKILL))
-            agent.process.after(
-                _LOCAL, lambda: agent.post(lambda: agent.core.on_ended(pid, how))
-            )
-
-        return tell
 
 
 class SimulatedAdoption:

@@ -54,7 +54,7 @@ class SimulatedComponent:
         self.executor.set_leased(spec.leased)
         self._is_changing = False
         start = self.model.start if container.is_new else self.model.start_later
-        process.after(drawn(world.choices, start), self._configured)
+        process.after(drawn(world.choices, start), lambda: self._enter("inactive"))
 
     def deploy(self, spec: ComponentSpec) -> None:
         """Be as a deployment says."""
@@ -90,9 +90,6 @@ class SimulatedComponent:
             timers=self.executor.timers(now),
             chains=self.executor.chains(),
         )
-
-    def _configured(self) -> None:
-        self._enter("inactive")
 
     def _enter(self, state: State) -> None:
         was, self.state, self._is_changing = self.state, state, False

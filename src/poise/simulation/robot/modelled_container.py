@@ -74,7 +74,7 @@ class SimulatedContainer:
         )
         self.extend_lease(self.lease_end)
         process.on_pause = self.execution.pause
-        process.on_end.append(self._close)
+        process.on_end.append(self.execution.end)
 
     def hear(self, record: ToContainer) -> None:
         """Take what its agent says; on a task or action of its process."""
@@ -237,15 +237,19 @@ class SimulatedContainer:
         )
 
     def _joined(self) -> tuple[ConnectorStatus, ...]:
-        return tuple(
-            ConnectorStatus(
-                name=connector.name,
-                kind=connector.kind,
-                end="both" if connector.kind == "direct" else self._end_of(connector),
-                ready=self._is_joined(connector),
+        statuses = []
+        for spec in self._connectors.values():
+            is_source = (spec.source, spec.source_epoch) in self.components
+            end: Side = "source" if is_source else "target"
+            statuses.append(
+                ConnectorStatus(
+                    name=spec.name,
+                    kind=spec.kind,
+                    end="both" if spec.kind == "direct" else end,
+                    ready=self._is_joined(spec),
+                )
             )
-            for connector in self._connectors.values()
-        )
+        return tuple(statuses)
 
     def _report_joined(self, before: tuple[ConnectorStatus, ...]) -> None:
         """Report when a connector is joined that was not; else look again."""
@@ -253,10 +257,6 @@ class SimulatedContainer:
             self.note_change()
         elif not self._is_reporting and self._reported == before:
             self.process.after(_JOINING_EVERY, lambda: self._report_joined(before))
-
-    def _end_of(self, spec: ConnectorSpec) -> Side:
-        is_source = (spec.source, spec.source_epoch) in self.components
-        return "source" if is_source else "target"
 
     def _is_joined(self, spec: ConnectorSpec) -> bool:
         here = self.process.computer.name
@@ -273,6 +273,3 @@ class SimulatedContainer:
             if other is None or is_cut:
                 return False
         return True
-
-    def _close(self) -> None:
-        self.execution.end()

@@ -328,7 +328,7 @@ class SimulatedSampler:
 
     def _of_sender(self, sender: Sender) -> ConnectorSample:
         name, calls, messages = sender.connector.name, sender.calls, sender.messages
-        size = round((calls + messages) * self._world.size_of(name))
+        size = round((calls + messages) * self._world.workload.traffic.size_of(name))
         return ConnectorSample(name, calls, messages, size, 0, 0, sender.drops)
 
 

@@ -183,10 +183,6 @@ class Process:
         self.computer.processes.pop(self.pid, None)
         self.scheduler.at(self.scheduler.now, self._bury)
 
-    def exit(self) -> None:
-        """End it from within, once its main task has ended."""
-        self.kill()
-
     def note_failure(self, task: SimulatedTask, error: BaseException) -> None:
         """Raise `TaskFailed` in the simulated world."""
         failure = TaskFailed(task, error)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import AbstractContextManager
 
 from msgspec import Struct
 from msgspec.msgpack import encode
@@ -127,7 +126,7 @@ class SimulatedManager:
             self._come_up()
         except PoiseError as error:
             self.error = error
-        self.process.exit()
+        self.process.kill()
 
     def _come_up(self) -> None:
         setup, robot = self._setup, self._setup.robot
@@ -181,7 +180,7 @@ OUTSIDE = "outside"
 
 
 class SimulatedRobot:
-    """A robot in virtual time. Use it as a context manager's content: `library()`.
+    """A robot in virtual time.
 
     `managed`: the robot, and what its managers are told.
     `workload`: what its components do.
@@ -212,7 +211,7 @@ class SimulatedRobot:
         self.ledger = self.scheduler.engine.ledger
         self.addresses = Addresses()
         self.sessions = ZenohNetwork(self.network, self.addresses)
-        self._library = SimulatedLibrary(self.scheduler, self.sessions)
+        self.library = SimulatedLibrary(self.scheduler, self.sessions)
         self.computers: dict[str, SimulatedComputer] = {}
         self.disks: dict[str, SimulatedDisk] = {}
         self.agents: dict[str, SimulatedAgent] = {}
@@ -245,10 +244,6 @@ class SimulatedRobot:
             self.endpoints[known.name] = f"tcp/{host}:{PORT}"
         self._outside = SimulatedComputer(self.scheduler, OUTSIDE)
         self.addresses.add(OUTSIDE)
-
-    def library(self) -> AbstractContextManager[None]:
-        """Return what gives the code under test virtual time, while it is entered."""
-        return self._library
 
     def others_than(self, computer: str) -> list[str]:
         """Return the other computers, and where a manager beside them runs."""
@@ -378,16 +373,6 @@ class SimulatedRobot:
                         working.setdefault(component.spec.name, []).append(at)
         return working
 
-    def names_at_work(self) -> set[str]:
-        """Return the components that work somewhere."""
-        return {
-            component.spec.name
-            for container in self.containers()
-            if not container.process.is_paused
-            for component in container.components.values()
-            if component.executor.is_working
-        }
-
     def container_of(
         self, computer: str, component: str, epoch: int
     ) -> SimulatedContainer | None:
@@ -405,10 +390,6 @@ class SimulatedRobot:
                 self._where[key] = container
                 return container
         return None
-
-    def size_of(self, connector: str) -> float:
-        """Return the size of a message, or of a call both ways [bytes]."""
-        return self.workload.traffic.size_of(connector)
 
     def datagrams_of(self, process: Process, port: int | None) -> SimulatedDatagrams:
         """Return what carries heartbeats to and from a port; None: a free one."""
