@@ -11,6 +11,7 @@ import socket
 import subprocess
 import sys
 from collections.abc import Callable, Iterable, Mapping
+from functools import cache
 
 from msgspec import Struct, structs
 
@@ -194,6 +195,7 @@ class Policies:
 
         `waits`: whether to wait for functions; else what they said last counts.
         """
+        read = cache(read)  # several policies look at the same subjects
         holding = {
             _key(policy, subject): (policy, subject)
             for policy, holds in self._policies
