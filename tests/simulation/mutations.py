@@ -19,7 +19,7 @@ from typing import Any, cast
 
 from msgspec import structs
 
-from poise.manage.adaptation import failover
+from poise.manage.adaptation import placement_responders
 from poise.manage.agent_connections import claims
 from poise.manage.agent_connections.agents import Agents
 from poise.manage.agent_connections.reports import AgentReports
@@ -327,7 +327,7 @@ DEFECTS: Defects = {
     "any-claim": ("an agent obeys whoever claims it", _claims_by_force),
     "no-failover": (
         "what was lost is not started again",
-        _put(failover, "start_together", lambda *_: False),
+        _put(placement_responders, "start_together", lambda *_: False),
     ),
 }
 

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping
 import pytest
 from msgspec.structs import replace
 
-from poise.manage.adaptation.failover import plan_failover
+from poise.manage.adaptation.placement_responders import plan_failover
 from poise.manage.adaptation.situation import Situation
 from poise.model.robot import (
     Action,

@@ -12,7 +12,7 @@ from msgspec.structs import replace
 from poise import plan
 from poise.errors import UsageError
 from poise.manage.adaptation.decision import decide
-from poise.manage.adaptation.failover import plan_failover
+from poise.manage.adaptation.placement_responders import plan_failover
 from poise.manage.adaptation.situation import Situation
 from poise.manage.migration.move import (
     prepare_alternative,

@@ -12,8 +12,8 @@ from poise.manage.agent_connections.agents import Agents
 from poise.manage.deploy.adoption import authoritative, found_in, joined_by
 from poise.manage.deploy.deployment_layout import DeploymentLayout
 from poise.manage.deploy.desired import Desired, Incarnation
-from poise.manage.deploy.joining_computer import WITNESS_LIMIT
 from poise.manage.deploy.lost_computers import LostComputers
+from poise.manage.deploy.reconciler import WITNESS_LIMIT
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.deploy.takeover import start_or_take_over
 from poise.manage.journal import Journal

@@ -18,9 +18,9 @@ from poise.clock import wall_time
 from poise.errors import PoiseError, UsageError
 from poise.manage.adaptation.actions import Actions
 from poise.manage.adaptation.bad_links import check_links
-from poise.manage.adaptation.failover import FailoverResponder
 from poise.manage.adaptation.move_forecast import alternatives, check_move, what_if
 from poise.manage.adaptation.placement_responders import (
+    FailoverResponder,
     ReplanResponder,
     Transitions,
     UseAgainResponder,

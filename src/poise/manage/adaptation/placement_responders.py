@@ -1,24 +1,211 @@
-"""Responders that change the placement: when something is wrong, or a computer is back.
+"""Responders that change the placement.
 
-`when_to_act` says when a change is worth its moves.
+What was on a lost computer restarts elsewhere; when something is wrong, another
+placement is decided on, and when a computer is back, it is used again. `when_to_act`
+says when a change is worth its moves.
 """
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Collection, Iterator, Mapping
 from functools import partial
 
+from msgspec import Struct
 from msgspec.structs import replace
 
+from poise import plan
+from poise.errors import RobotError
 from poise.manage.adaptation.decision import HORIZON, Decision, decide
 from poise.manage.adaptation.move_forecast import alternatives
 from poise.manage.adaptation.policies import Key, Policies, Symptom, saw
-from poise.manage.adaptation.situation import Change, Situation
+from poise.manage.adaptation.proposal import explain
+from poise.manage.adaptation.situation import Change, Homes, Situation
 from poise.manage.adaptation.when_to_act import LossSuffered, MoveLimits
 from poise.manage.deploy.desired import Desired
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.migration.migration_report import TransitionReport, TransitionStep
-from poise.manage.migration.transition_run import transit
+from poise.manage.migration.transition_plan import plan_transition
+from poise.manage.migration.transition_run import start_together, transit
+from poise.manage.shortages.free_room import placed_beside
 from poise.manage.shortages.suspension import CALM, Suspensions
+from poise.model.check.allowed_computers import allowed_computers, pinned_components
+from poise.model.robot import Architecture
+
+_ROOM_EVERY = 5.0
+"""Whether components of a lost computer fit meanwhile is tried this often [s]."""
+
+
+class FailoverPlan(Struct, frozen=True, kw_only=True):
+    """What becomes of the components of lost computers."""
+
+    placement: Mapping[str, str]  # component -> the computer where it restarts
+    missing: Mapping[str, str]
+    waits_for_room: bool = False
+    suspended: tuple[str, ...] = ()
+    steps: tuple[TransitionStep, ...] = ()  # moves of what works that make room before
+
+
+class FailoverResponder:
+    """Restarts elsewhere what was on lost computers, once for each loss."""
+
+    purpose = "restart components of lost computers"
+
+    def __init__(self, run: RunningComponents, suspensions: Suspensions) -> None:
+        self._run = run
+        self._suspensions = suspensions
+        self._limits = MoveLimits()
+        self._missing: set[str] = set()
+        self._tries_again = float("inf")
+
+    def respond(self, situation: Situation, desired: Desired) -> Change | None:
+        """Return where components restart, and what makes room for them."""
+        now = situation.now
+        if self._limits.is_backing_off(now):
+            return None
+        lost = {symptom.values.name for symptom in situation.about("fail over")}
+        stranded = {n for n, c in situation.placement.items() if c in lost}
+        self._missing &= stranded
+        if stranded <= self._missing and now < self._tries_again:
+            return None
+        failover = plan_failover(situation, lost)
+        before, self._missing = self._missing, set(failover.missing)
+        self._tries_again = (
+            now + _ROOM_EVERY if failover.waits_for_room else float("inf")
+        )
+        for name, why in sorted(failover.missing.items()):
+            if name not in before:
+                where = desired.placed[name].computer
+                what = f"component '{name}' of '{where}' is missing: {why}"
+                self._run.journal.note("wrong", what)
+        if not failover.placement and not failover.suspended:
+            return None
+        return Change(
+            why=_sentence(failover.placement) if failover.placement else "",
+            facts={"placement": failover.placement, "moves": failover.steps},
+            carry_out=partial(self._restart, failover, lost, now),
+        )
+
+    def _restart(
+        self, failover: FailoverPlan, lost: Collection[str], now: float
+    ) -> None:
+        if failover.suspended:
+            why = "components of a lost computer that have a higher priority need room"
+            self._suspensions.suspend(failover.suspended, why, now)
+        if failover.placement:
+            is_room = not failover.steps or transit(self._run, failover.steps).committed
+            if is_room and start_together(self._run, failover.placement, lost):
+                self._limits.reset_backoff()
+            else:
+                self._limits.start_backoff(now)
+
+
+def _sentence(placement: Mapping[str, str]) -> str:
+    where = ", ".join(f"'{c}' on '{at}'" for c, at in sorted(placement.items()))
+    return f"components of a lost computer restart: {where}"
+
+
+def plan_failover(situation: Situation, lost: Collection[str]) -> FailoverPlan:
+    """Return where the components of lost computers can run.
+
+    All run that memory and devices allow: CPU that is short is shared by priority. What
+    works moves when only that makes room; else it is moved later, if that is worth it.
+    """
+    allowed = allowed_computers(situation.robot)
+    pinned = pinned_components(situation.robot)
+    missing: dict[str, str] = {}
+    homes: dict[str, tuple[str, ...]] = {}
+    works = {n: at for n, at in situation.placement.items() if at not in lost}
+    for name in situation.placement:
+        choices = tuple(sorted(allowed[name] - set(lost)))
+        if name in works:
+            stays = name in pinned or works[name] not in choices
+            homes[name] = (works[name],) if stays else choices
+        elif name in pinned:
+            missing[name] = pinned[name]
+        elif not choices:
+            here = " or ".join(sorted(allowed[name]))
+            missing[name] = f"it may run on {here} only"
+        else:
+            homes[name] = choices
+    stranded = [name for name in homes if name not in works]
+    if not stranded:
+        return FailoverPlan(placement={}, missing=missing)
+    result = placed_beside(situation, homes)
+    if result.feasible:
+        where = {name: result.placement[name] for name in stranded}
+        has_room = plan.evaluate(result.problem, {**works, **where}).feasible
+        then = works if has_room else {name: result.placement[name] for name in works}
+        with contextlib.suppress(RobotError):  # no way leads there
+            robot = (
+                situation.of_running_components().robot
+            )  # no way leads over what is lost
+            steps = plan_transition(robot, works, then, shares_cpu=True)
+            return FailoverPlan(placement=where, missing=missing, steps=steps)
+    kept = {name: (at,) for name, at in works.items()}
+    wanted = {name: homes[name] for name in stranded}
+    return _by_priority(situation, kept, wanted, missing)
+
+
+def _by_priority(
+    situation: Situation,
+    kept: Homes,
+    stranded: Homes,
+    missing: Mapping[str, str],
+) -> FailoverPlan:
+    """Return what fits of the stranded, the highest priority first.
+
+    Architectures that run are suspended for higher ones only.
+    """
+    placement: dict[str, str] = {}
+    suspended: tuple[str, ...] = ()
+    missing = dict(missing)
+    for architecture in sorted(
+        situation.robot.architectures, key=lambda a: -a.priority
+    ):
+        names = [c.name for c in architecture.components if c.name in stranded]
+        if not names:
+            continue
+        wanted = {name: stranded[name] for name in names}
+        for lower in _more_and_more(situation, architecture.priority, kept):
+            gone = {c.name for a in lower for c in a.components}
+            left = {name: at for name, at in kept.items() if name not in gone}
+            result = placed_beside(situation, {**left, **wanted})
+            if result.feasible:
+                where = {name: result.placement[name] for name in names}
+                placement |= where
+                kept = {**left, **{name: (at,) for name, at in where.items()}}
+                suspended += tuple(a.name for a in lower)
+                break
+        else:
+            explain(result)
+            why = f"it fits nowhere beside the running components: {result.reason}"
+            missing |= dict.fromkeys(names, why)
+    return FailoverPlan(
+        placement=placement,
+        missing=missing,
+        suspended=suspended,
+        waits_for_room=placement.keys() != set(stranded),
+    )
+
+
+def _more_and_more(
+    situation: Situation, priority: int, kept: Homes
+) -> Iterator[tuple[Architecture, ...]]:
+    """Yield which of the running architectures of less priority make room."""
+    lower = sorted(
+        (
+            a
+            for a in situation.robot.architectures
+            if a.layer == "sequencing"
+            and a.priority < priority
+            and any(c.name in kept for c in a.components)
+        ),
+        key=lambda a: a.priority,
+    )
+    for number in range(len(lower) + 1):
+        yield tuple(lower[:number])
+
 
 _THINK_EVERY = 0.5
 """While a change is not worth its cost yet, it is thought about so often [s]."""

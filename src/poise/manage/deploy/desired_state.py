@@ -23,8 +23,7 @@ from poise.manage.agent_connections.statuses import gateways
 from poise.manage.deploy.adoption import as_committed, found_in, joined_by
 from poise.manage.deploy.deployment_layout import DeploymentLayout
 from poise.manage.deploy.desired import Desired, Incarnation, difference
-from poise.manage.deploy.joining_computer import JoiningComputer
-from poise.manage.deploy.reconciler import Reconciler
+from poise.manage.deploy.reconciler import JoiningComputer, Reconciler
 from poise.manage.journal import Journal
 from poise.manage.observe.troubles import SupervisedTick
 from poise.model.check.allowed_computers import allowed_computers

@@ -24,7 +24,7 @@ from poise.manage.deploy.adoption import (
     where_held,
 )
 from poise.manage.deploy.desired import Desired, Incarnation
-from poise.manage.deploy.joining_computer import WITNESS_LIMIT, halt
+from poise.manage.deploy.reconciler import WITNESS_LIMIT, halt
 from poise.manage.deploy.running_components import (
     ACTIVE_LIMIT,
     READY_LIMIT,

@@ -10,7 +10,7 @@ from msgspec.structs import replace
 
 from poise.errors import UsageError
 from poise.manage.adaptation.decision import decide
-from poise.manage.adaptation.failover import plan_failover
+from poise.manage.adaptation.placement_responders import plan_failover
 from poise.manage.adaptation.policies import Symptom
 from poise.manage.adaptation.situation import Responder, Situation
 from poise.manage.agent_connections.agents import Agents
