@@ -246,7 +246,7 @@ def standby_command(
     Example: poise standby main --claim /tmp/poise-agent-0-1f2e/claim
     """
     # the manager, which no agent needs
-    from poise.session.standby import stand_by
+    from poise.session.up import stand_by
 
     def say(sentence: str) -> None:
         with contextlib.suppress(OSError):  # nobody reads it

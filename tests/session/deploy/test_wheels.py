@@ -11,7 +11,7 @@ import msgspec
 import pytest
 
 from poise.errors import RunError, UsageError
-from poise.session.deploy.wheels import LOCK, files_for, lock_wheels, manifest_of
+from poise.session.deploy.deploy import LOCK, files_for, lock_wheels, manifest_of
 from poise.wire.records.code_records import Manifest
 from tests.tiny_wheel import make_wheel
 

@@ -20,8 +20,8 @@ from poise.session.ros2_import.graph_records import (
     NodeProcess,
     Topic,
 )
+from poise.session.ros2_import.import_robot import RobotText, hardware_keys
 from poise.session.ros2_import.node_processes import WhereImported
-from poise.session.ros2_import.robot_text import RobotText, hardware_keys
 
 STAMPS = tuple(range(20))
 GRAPH = Graph(
