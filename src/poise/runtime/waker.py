@@ -6,7 +6,7 @@ import contextlib
 import os
 import select
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 
 from poise.errors import Timeout
 
@@ -46,12 +46,17 @@ class Waker:
         os.close(self._in)
 
 
-def wait_readable(fds: Iterable[int], limit: float | None) -> set[int]:
-    """Wait up to `limit` [s; None: for ever] and return the readable descriptors."""
+def wait_readable(
+    fds: Iterable[int], limit: float | None, writing: Collection[int] = ()
+) -> set[int]:
+    """Wait up to `limit` [s; None: for ever] and return the readable descriptors.
+
+    Of those in `writing`, also the writable ones.
+    """
     # not select(): it refuses descriptors of 1024 and more
     poll = select.poll()
     for fd in fds:
-        poll.register(fd, select.POLLIN)
+        poll.register(fd, select.POLLIN | (select.POLLOUT if fd in writing else 0))
     # rounded up, or a thread would be awake for the last part of a millisecond
     wait = None if limit is None else int(limit * 1000) + 1
     return {fd for fd, _ in poll.poll(wait if limit else limit)}

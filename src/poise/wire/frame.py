@@ -28,6 +28,7 @@ identifies the route (`poise.runtime.connectors.flow_control`).
 
 from __future__ import annotations
 
+import contextlib
 import select
 import socket
 import struct
@@ -212,12 +213,25 @@ class RecordWriter:
 
         After a Timeout, what is left of a record that had begun goes before the next.
         """
-        packet, deadline = pack_record(record), time.monotonic() + RECORD_LIMIT
-        if len(packet) > LARGEST:
-            raise Unreadable(f"a frame of {len(packet)} B; {LARGEST} B is the largest")
+        packet, deadline = _packet(record), time.monotonic() + RECORD_LIMIT
         self._flush(deadline)
-        self._rest = memoryview(LENGTH.pack(len(packet), 0) + packet)
+        self._rest = memoryview(packet)
         self._flush(deadline)
+
+    def push(self, record: Struct) -> None:
+        """Send what a record has room for, and the rest by `flush`; never waits."""
+        self._rest = memoryview(bytes(self._rest) + _packet(record))
+        self.flush()
+
+    def flush(self) -> None:
+        """Send what there is room for."""
+        with contextlib.suppress(Timeout):
+            self._flush(0.0)
+
+    @property
+    def is_waiting(self) -> bool:
+        """Whether something is left for `flush`."""
+        return bool(self._rest)
 
     def _flush(self, deadline: float) -> None:
         flags = socket.MSG_DONTWAIT | socket.MSG_NOSIGNAL
@@ -234,6 +248,13 @@ class RecordWriter:
                     ) from None
             except OSError as error:
                 raise Unavailable(f"the other end is gone: {error}") from error
+
+
+def _packet(record: Struct) -> bytes:
+    packet = pack_record(record)
+    if len(packet) > LARGEST:
+        raise Unreadable(f"a frame of {len(packet)} B; {LARGEST} B is the largest")
+    return LENGTH.pack(len(packet), 0) + packet
 
 
 def pack_record(record: Struct) -> bytes:

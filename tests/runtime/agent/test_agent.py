@@ -25,6 +25,7 @@ from msgspec import structs
 from poise.runtime.agent.surroundings import BROKEN
 from poise.runtime.waker import wait_readable
 from poise.wire.address import agent_path
+from poise.wire.codec import pack
 from poise.wire.control_session import open_session
 from poise.wire.records.deployment_records import (
     ComponentSpec,
@@ -43,6 +44,7 @@ from poise.wire.records.request_records import (
     Claimed,
     ManagerId,
     ManagerRequest,
+    PortRequest,
     ReadOutput,
     Refused,
     Request,
@@ -591,6 +593,32 @@ def test_a_stopped_container_is_told_within_a_second_or_so(manager: Manager) -> 
     os.kill(container.pid, signal.SIGCONT)
     status = manager.wait_for(lambda s: health(s, "quiet").state == "running")
     assert "responds again" in manager.faults(status)[-1].message
+    assert manager.wait_active("quiet").pid == container.pid
+
+
+def test_a_large_request_to_a_stopped_container_harms_nobody(manager: Manager) -> None:
+    manager.deploy("quiet")
+    container = manager.wait_active("quiet")
+
+    def request(number: int, value: Any) -> Any:
+        request = PortRequest(
+            number=number,
+            container="quiet",
+            component="quiet",
+            port="no-port",
+            method="",
+            value=pack(value),
+            limit=LIMIT,
+        )
+        return manager.ask(request)
+
+    os.kill(container.pid, signal.SIGSTOP)
+    failed = request(1, "x" * 5_000_000)
+    assert isinstance(failed, StepsFailed)
+    assert "does not respond" in failed.reason
+    os.kill(container.pid, signal.SIGCONT)
+    manager.wait_for(lambda s: health(s, "quiet").state == "running")
+    assert "has no port" in request(2, "x").reason
     assert manager.wait_active("quiet").pid == container.pid
 
 

@@ -337,7 +337,9 @@ class Agent:
             fd for fd, does_wait in waits_for.items() if fd is not None and does_wait
         ]
         ready = wait_readable(
-            [*fds, *pidfds, *links], max(0.0, until - self._clock.now())
+            [*fds, *pidfds, *links],
+            max(0.0, until - self._clock.now()),
+            {fd for fd, link in links.items() if link.is_waiting},
         )
         supervised.attempt("adoption", self._note_ends, ready)
         for fd in ready.difference(pidfds):
@@ -354,8 +356,13 @@ class Agent:
                 supervised.attempt("zygote", self._hear_zygote)
 
     def _hear(self, link: ControlLink, *, to_the_end: bool = False) -> None:
-        """Tell the core what a container says: a record, or all that it has sent."""
+        """Tell the core what a container says: a record, or all that it has sent.
+
+        And send it more of what it had no room for.
+        """
         try:
+            if not to_the_end:
+                link.flush()
             while (said := link.next()) is not None:
                 self._core.on_record(link.name, said)
                 if not to_the_end:

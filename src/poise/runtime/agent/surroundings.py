@@ -84,7 +84,7 @@ class ContainerControl(Protocol):
         """Take note of its process; OSError or RuntimeError: no memory is free."""
 
     def send(self, record: ToContainer) -> None:
-        """Send it a record; may wait up to `poise.wire.frame.LIMIT`."""
+        """Send it a record, the rest of it when there is room; never waits."""
 
     def signal(self, number: Signals) -> None:
         """Send its process a signal; harmless when that has ended."""

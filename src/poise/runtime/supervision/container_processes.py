@@ -15,7 +15,7 @@ from poise.wire.codec import WireError
 from poise.wire.records.deployment_records import ContainerSpec
 from poise.wire.records.heartbeat_records import Clocks
 from poise.wire.records.migration_records import StepsFailed
-from poise.wire.records.request_records import PortAnswer, PortRequest
+from poise.wire.records.request_records import MOST_PACKED, PortAnswer, PortRequest
 from poise.wire.records.status_records import (
     ComponentStatus,
     ContainerAnswer,
@@ -258,8 +258,22 @@ class PendingRequests:
         if process.is_stuck():
             reply(StepsFailed(request.number, _why_silent(process)))
             return
+        if isinstance(request, PortRequest) and self._is_full(request):
+            reason = f"container '{request.container}' has not taken earlier requests"
+            reply(PortAnswer(number=request.number, outcome="late", reason=reason))
+            return
         process.pass_on(request)
         self._pending[request.number] = _Pending(request, reply, now + request.limit)
+
+    def _is_full(self, request: PortRequest) -> bool:
+        """Return whether what waits for its container would be too much with it."""
+        waiting = [p.request for p in self._pending.values()]
+        size = sum(
+            r.value.size
+            for r in waiting
+            if isinstance(r, PortRequest) and r.container == request.container
+        )
+        return size + request.value.size > 2 * MOST_PACKED
 
     def end(self, outcome: ContainerAnswer) -> None:
         """Answer with an outcome, unless that was answered before."""

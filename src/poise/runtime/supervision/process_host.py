@@ -55,6 +55,7 @@ class ControlLink:
         self.page: PageSampler | None = None
         self._connection = connection
         self._reader = frame.RecordReader(connection)
+        self._writer = frame.RecordWriter(connection)
         self._stats_page = stats_page
         self._lease: LeaseEnd | None = None
 
@@ -74,8 +75,17 @@ class ControlLink:
         self._lease = LeaseEnd(self._stats_page)
 
     def send(self, record: ToContainer) -> None:
-        """Tell it something; raises as `frame.send_record`."""
-        frame.send_record(self._connection, record)
+        """Tell it something; raises as `frame.RecordWriter.push`."""
+        self._writer.push(record)
+
+    def flush(self) -> None:
+        """Send more of what it had no room for; Unavailable: it is gone."""
+        self._writer.flush()
+
+    @property
+    def is_waiting(self) -> bool:
+        """Whether something is left for `flush`."""
+        return self._writer.is_waiting
 
     def signal(self, number: signal.Signals) -> None:
         """Send its process a signal; harmless when that has ended."""

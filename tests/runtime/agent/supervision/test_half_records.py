@@ -9,8 +9,11 @@ import pytest
 
 from poise.runtime.execution.counters import new_memory
 from poise.runtime.supervision.process_host import ControlLink
+from poise.runtime.waker import wait_readable
 from poise.wire import frame
-from poise.wire.records.status_records import ContainerStatus
+from poise.wire.records.heartbeat_records import Clocks
+from poise.wire.records.status_records import ContainerFailure, ContainerStatus
+from tests.waiting import LIMIT
 
 pytestmark = pytest.mark.slow
 
@@ -23,6 +26,25 @@ def ends() -> Iterator[tuple[socket.socket, socket.socket]]:
     ours, theirs = socket.socketpair()
     with ours, theirs:
         yield ours, theirs
+
+
+def test_what_a_container_has_no_room_for_goes_when_it_has(
+    ends: tuple[socket.socket, socket.socket],
+) -> None:
+    ours, theirs = ends
+    link, reader = ControlLink("see", ours, new_memory()), frame.RecordReader(theirs)
+    large = ContainerFailure(reason="x" * 5_000_000)
+    link.send(large)  # type: ignore[arg-type]  # any record will do
+    link.send(Clocks({}))
+    came: list[object] = []
+    while len(came) < 2:
+        assert wait_readable([theirs.fileno()], LIMIT)
+        said = reader.next(ContainerFailure | Clocks)
+        came += [] if said is None else [said]
+        link.flush()
+    assert came == [large, Clocks({})]
+    assert not link.is_waiting
+    link.close()
 
 
 def record() -> bytes:
