@@ -19,7 +19,6 @@ from __future__ import annotations
 import difflib
 import re
 from collections.abc import Iterable, Sequence
-from importlib.metadata import version
 from itertools import islice
 from signal import Signals
 
@@ -157,6 +156,8 @@ def why_too_old(least: str) -> str:
 
     Only major and minor version count. ValueError: `least` is no version.
     """
+    from importlib.metadata import version  # noqa: PLC0415 - slow, hardly ever needed
+
     own = version("poise")
     if _minor(least) <= _minor(own):
         return ""
