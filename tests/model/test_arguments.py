@@ -146,6 +146,30 @@ def test_a_file_is_included_twice_under_other_names(tmp_path: Path) -> None:
     assert robot.apart == (("left_eye", "left_hand"), ("right_eye", "right_hand"))
 
 
+def test_an_argument_says_which_file_is_included(tmp_path: Path) -> None:
+    for side in ("left", "right"):
+        (tmp_path / f"{side}.yaml").write_text(
+            f"devices: {{{side}: {{computer: main, path: /d}}}}\n"
+        )
+    inner = "arguments: {side: left}\ninclude: [$(side).yaml]\n"
+    path = write(tmp_path, TOP + inner)
+    assert [d.name for d in load(path).devices] == ["left"]
+    assert [d.name for d in load(path, {"side": "right"}).devices] == ["right"]
+    outer = (
+        "arguments: {which: right}\n"
+        "include: [{file: arm.yaml, prefix: $(which)_, arguments: {side: $(which)}}]\n"
+    )
+    path = write(tmp_path, TOP + outer, inner)
+    assert [d.name for d in load(path).devices] == ["right_right"]
+
+
+def test_an_include_of_no_argument_is_told_where_it_is(tmp_path: Path) -> None:
+    path = write(tmp_path, TOP + "include: [$(side).yaml]\n")
+    (problem,) = problems(path)
+    assert "there is no argument 'side': declare it" in problem.message
+    assert problem.line == 3
+
+
 def test_an_included_file_has_no_such_argument(tmp_path: Path) -> None:
     text = "include: [{file: arm.yaml, prefix: left_, arguments: {sid: left}}]\n"
     first = problems(write(tmp_path, component("{}") + text))[0]

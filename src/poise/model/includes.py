@@ -141,17 +141,28 @@ def fill(
     An included file may refer to those of the file above, too: what it does not have
     stays as it is, unless `is_top`.
     """
-    assert isinstance(root.value, dict)  # noqa: S101 - the reader has seen to it
-    defaults = root.value.get("arguments")
-    values: dict[str, Scalar] = {}
-    if defaults is not None and isinstance(defaults.value, dict):
-        for name, node in defaults.value.items():
-            _fill(node, values, problems, is_top=is_top)
-            if isinstance(node.value, Scalar):
-                node.value = values[name] = given.get(name, node.value)
-    for name, node in root.value.items():
+    values = arguments_of(root, given, problems, is_top=is_top)
+    for name, node in _mapping(root).items():
         if name != "arguments":
             _fill(node, values, problems, is_top=is_top)
+
+
+def arguments_of(
+    root: Node, given: Given, problems: list[FileProblem], *, is_top: bool
+) -> dict[str, Scalar]:
+    """Put the given values into a file's arguments, and return them all."""
+    values: dict[str, Scalar] = {}
+    for name, node in _mapping(root, "arguments").items():
+        _fill(node, values, problems, is_top=is_top)
+        if isinstance(node.value, Scalar):
+            node.value = values[name] = given.get(name, node.value)
+    return values
+
+
+def fill_include(item: Node, values: Given, problems: list[FileProblem]) -> None:
+    """Put the values of arguments into an entry of `include`."""
+    for name, node in (_mapping(item) or {"file": item}).items():
+        _fill(node, values, problems, is_top=name != "arguments")
 
 
 def unknown_arguments(root: Node, given: Given) -> dict[str, str]:

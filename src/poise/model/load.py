@@ -35,8 +35,10 @@ from poise.model.includes import (
     Given,
     Include,
     add_prefix,
+    arguments_of,
     as_given,
     fill,
+    fill_include,
     given_in,
     unknown_arguments,
 )
@@ -154,7 +156,7 @@ def read_tree(path: Path, problems: list[FileProblem], given: Given) -> Node | N
     UsageError
         The file has no argument of a name in `given`.
     """
-    reader = _Reader(problems, [])
+    reader = _Reader(problems, [], given, {})
     reader.read(path, None, ())
     if reader.root is None:
         return None
@@ -167,10 +169,17 @@ def read_tree(path: Path, problems: list[FileProblem], given: Given) -> Node | N
 
 
 class _Reader:
-    def __init__(self, problems: list[FileProblem], reads: list[str]) -> None:
+    def __init__(
+        self,
+        problems: list[FileProblem],
+        reads: list[str],
+        given: Given,
+        outer: Given,
+    ) -> None:
         self.root: Node | None = None
         self._problems = problems
         self._reads = reads  # all files that were read, also by other readers
+        self._given, self._outer = given, outer
         self._done: set[str] = set()
 
     def read(self, path: Path, asked: Location | None, above: tuple[Path, ...]) -> None:
@@ -200,22 +209,31 @@ class _Reader:
 
     def _include(self, item: Node, above: tuple[Path, ...]) -> None:
         """Merge the file that an item names."""
+        assert self.root is not None  # noqa: S101 - it includes
+        own = arguments_of(self.root, self._given, [], is_top=False)
+        values = {**self._outer, **own}
+        known = len(self._problems)
+        fill_include(item, values, self._problems)
+        if len(self._problems) > known:
+            return
         entry = validate(item, _INCLUDE, self._problems, name="include")
         if isinstance(entry, dict):
-            self._include_as(item, msgspec.convert(entry, Include), above)
+            self._include_as(item, msgspec.convert(entry, Include), values, above)
         elif entry is not None:
             self.read(above[-1].parent / entry, item.place, above)
 
-    def _include_as(self, item: Node, entry: Include, above: tuple[Path, ...]) -> None:
+    def _include_as(
+        self, item: Node, entry: Include, values: Given, above: tuple[Path, ...]
+    ) -> None:
         """Merge a file with other names, and with values for its arguments."""
-        reader = _Reader(self._problems, self._reads)
+        given = given_in(item)
+        reader = _Reader(self._problems, self._reads, given, values)
         reader.read(above[-1].parent / entry.file, item.place, above)
         root = reader.root
         if root is None:
             return
         assert isinstance(root.value, dict)  # noqa: S101 - it was read
         root.value.pop("include", None)
-        given = given_in(item)
         for text in unknown_arguments(root, given).values():
             self._problems.append(item.place.problem(f"include: {text}"))
         fill(root, given, self._problems, is_top=False)
