@@ -229,7 +229,8 @@ def _coded_ports(
         timers_of(code)
         known = [(n, _known_of(port)) for n, port in ports.items()]
         for port in ports.values():
-            _check_type(port)
+            # raises when the type cannot be encoded
+            (methods if port.kind in {"provides", "requires"} else codec)(port.type)
         check_state(code)
         _check_keeps_state(component, code)
     except PoiseError as error:
@@ -255,14 +256,6 @@ def _check_keeps_state(entry: ComponentEntry, code: type[Component]) -> None:
             f"'{entry.implementation}' has no `snapshot` or no `restore`: write them, "
             "or leave out `checkpoint`"
         )
-
-
-def _check_type(port: Port) -> None:
-    """Raise when the type of a port cannot be encoded."""
-    if port.kind in {"provides", "requires"}:
-        methods(port.type)
-    else:
-        codec(port.type)
 
 
 def _known_of(port: Port) -> KnownPort:

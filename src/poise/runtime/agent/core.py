@@ -237,12 +237,14 @@ class AgentCore:
 
     def _table(self) -> tuple[_Part, ...]:
         """Return what each tick does, in its order."""
-        adoption = self._world.adoption
+        adoption, standby, relay = self._world.adoption, self.standby, self._relay
         return (
             _Part("state", self._keep_state),
             _Part("lease", self._note_lease),
-            _Part("leader", self._watch_leader, self.standby.moment),
-            _Part("steps", self._give_up_steps, self._relay.moment),
+            _Part(
+                "leader", lambda: standby.look(is_over=self._is_over()), standby.moment
+            ),
+            _Part("steps", lambda: relay.give_up(self._clock.now()), relay.moment),
             _Part("adoption", adoption.give_up, adoption.moment),
             _Part("containers", self.supervisor.reconcile, self.supervisor.moment),
             _Part("clocks", self._tell_clocks),
@@ -281,7 +283,9 @@ class AgentCore:
         elif request.containers and self._setup.is_witness:
             computer = self._setup.computer
             reply(Refused(f"'{computer}' is a witness: `poise agent` runs components"))
-        elif why := self._refusal_of_code(request):
+        elif why := allowed_code.refusal(
+            request.containers, self._setup.allow, self._versions()
+        ):
             reply(Refused(why))
         else:
             self.supervisor.deploy(request)
@@ -293,11 +297,6 @@ class AgentCore:
         self._world.disk.keep_only(wanted)
         if self._world.code is not None:
             self._world.code.keep(wanted.code)
-
-    def _refusal_of_code(self, deployment: Deployment) -> str:
-        return allowed_code.refusal(
-            deployment.containers, self._setup.allow, self._versions()
-        )
 
     def _take_code(self, request: CodePart | InstallCode, reply: Reply) -> None:
         code = self._world.code
@@ -321,7 +320,8 @@ class AgentCore:
         beats, fence, silent = self.heartbeats, self.fence, self.heartbeats.silent()
         is_next = claim.election is not None or fence.succeeds(claim.manager.key)
         is_held = beats.is_held() and is_next
-        refused = fence.claim(claim, token, is_unheard=not beats.hears_leader())
+        is_unheard = self._clock.now() >= beats.leader_silent_from()
+        refused = fence.claim(claim, token, is_unheard=is_unheard)
         if refused is None and not claim.is_poll:
             if not is_held:  # what ran here may run elsewhere by now
                 fence.lapse()
@@ -339,9 +339,6 @@ class AgentCore:
             )
         )
 
-    def _watch_leader(self) -> None:
-        self.standby.look(is_over=self._is_over())
-
     def _is_over(self) -> bool:
         """Return whether nothing is to run on the robot, or nobody has said so."""
         wanted = self.supervisor.wanted
@@ -350,9 +347,6 @@ class AgentCore:
     def _note_lease(self) -> None:
         self.fence.update()
         self.supervisor.is_cut_off = bool(self.fence.cut_off)
-
-    def _give_up_steps(self) -> None:
-        self._relay.give_up(self._clock.now())
 
     def _tell_clocks(self) -> None:
         beats = self.heartbeats

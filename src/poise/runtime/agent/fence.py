@@ -37,7 +37,7 @@ class Fence:
         token: int = 0,
         wall: Callable[[], float] = wall_time,
     ) -> None:
-        self._wake = wake
+        self.wake = wake
         self._wall = wall
         self._say = say
         self.arrivals = 0
@@ -77,17 +77,13 @@ class Fence:
     def cut(self) -> None:
         """Note that the lease has ended; for the thread of the heartbeats."""
         self.is_cut_off = True
-        self._wake()
+        self.wake()
 
     def note_told(self) -> None:
         """Note that a deployment came: its manager knows the other computers."""
         if self.cut_off:
             self.cut_off, self.is_cut_off = 0.0, False
             self._say("reached by its manager again")
-
-    def wake(self) -> None:
-        """Let the agent look at everything soon; from any thread."""
-        self._wake()
 
     def is_managed(self) -> bool:
         """Return whether a manager may be at work, for all that is known."""
@@ -109,12 +105,12 @@ class Fence:
             self._gone.discard(key)
             self._ended.discard(key)
             self.arrivals += 1
-            self._wake()
+            self.wake()
         else:
             self._gone.add(key)
             if has_ended:
                 self._ended.add(key)
-                self._wake()
+                self.wake()
 
     def note_alive(self, key: str) -> None:
         """Note that a manager is at work though its liveliness token went."""

@@ -232,10 +232,6 @@ class HeartbeatExchange:
             self._heartbeats.send_to(self._targets)
             self._heartbeats.start()
 
-    def hears_leader(self) -> bool:
-        """Return whether its manager was heard a moment before, or may have been."""
-        return self._clock.now() < self.leader_silent_from()
-
     def leader_silent_from(self) -> float:
         """Return from when on its manager counts as silent, so far as is known [s]."""
         with self._lock:

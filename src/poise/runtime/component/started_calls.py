@@ -91,7 +91,7 @@ class StartedCalls:
         self.turn = turn
         self._name = name
         self._changed = threading.Condition()
-        self._num_open = self._num_calls = 0
+        self.num_open = self._num_calls = 0
 
     def start(
         self, call: Callable[P, R], *args: P.args, **kwargs: P.kwargs
@@ -114,20 +114,15 @@ class StartedCalls:
     def expect(self, *, calls: int = 0) -> None:
         """Count one more call, or answer to be taken, that is to be waited for."""
         with self._changed:
-            self._num_open += 1
+            self.num_open += 1
             self._num_calls += calls
 
     def end(self, *, calls: int = 0) -> None:
         """Count one less."""
         with self._changed:
-            self._num_open -= 1
+            self.num_open -= 1
             self._num_calls -= calls
             self._changed.notify_all()
-
-    @property
-    def num_open(self) -> int:
-        """How many calls and answers are to be waited for."""
-        return self._num_open
 
     def note_unawaited(self, answer: Future[Any]) -> None:
         """Log that a call failed whose answer nobody waits for."""
@@ -139,13 +134,13 @@ class StartedCalls:
         """Return what it waits for, for people."""
         if self._num_calls:
             return f"the answers of {counted(self._num_calls, 'call')} that it started"
-        return f"its turn to take {counted(self._num_open, 'answer')}"
+        return f"its turn to take {counted(self.num_open, 'answer')}"
 
     def wait(self, until: float) -> bool:
         """Wait until all were answered and taken, or a moment [s]; whether they are."""
         with self._changed:
             left = max(0.0, until - time.monotonic())
-            return self._changed.wait_for(lambda: not self._num_open, left)
+            return self._changed.wait_for(lambda: not self.num_open, left)
 
 
 class ImmediateCalls(StartedCalls):

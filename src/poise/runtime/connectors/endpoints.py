@@ -147,11 +147,12 @@ class ComponentEndpoints:
             self._rewire(port)
         return self.senders[name]
 
-    def drop_sender(self, name: str) -> None:
-        """Close the sender of a connector."""
-        sender = self.senders.pop(name)
-        sender.close()
-        self._rewire(sender.port)
+    def remove_route(self, sender: Sender, key: str) -> None:
+        """Close a route of a sender, and forget the sender with the last one."""
+        sender.remove(key)
+        if not sender.routes():
+            del self.senders[sender.name]
+            self._rewire(sender.port)
 
     def observed(self, port: Port) -> ObservedPort:
         """Return a published port, to be looked at without a connector."""

@@ -15,7 +15,6 @@ import signal
 import socket
 import sys
 import time
-from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from types import FrameType
@@ -268,7 +267,8 @@ class Container:
             is_paused = what.steps[-1].phase in {"quiesce", "transfer"}
             wait = _WHILE_PAUSED if is_paused else _WHILE_RESUMED
             self._news_waits_until = self._clock.now() + wait
-            self._step_threads.submit(self._run_steps, self._steps.receive(what))
+            take = self._steps.receive(what)
+            self._step_threads.submit(lambda: self._answer(take()))
         else:
             self._steps.note_deployment(what)
             self._wanted, self._news_waits_until = what, 0.0
@@ -298,9 +298,6 @@ class Container:
             )
         return runner.endpoints.observed(ports[name])
 
-    def _run_steps(self, run: Callable[[], ContainerAnswer]) -> None:
-        self._answer(run())
-
     def _answer(self, answer: ContainerAnswer) -> None:
         with contextlib.suppress(Timeout):  # the agent gave up on us
             self._link.send(answer)
@@ -310,7 +307,11 @@ class Container:
         search_also(spec.repository)
         wanted = {(c.name, c.epoch): c for c in spec.components}
         for key, (tried, _) in list(self._broken.items()):
-            if key not in wanted or _differ(tried, wanted[key]):
+            spec_now = wanted.get(key, tried)
+            if (
+                structs.replace(tried, goal=spec_now.goal) != spec_now
+                or key not in wanted
+            ):
                 del self._broken[key]
         known = {*self._runners, *self._preparing, *self._ending, *self._broken}
         for key, component in wanted.items():
@@ -446,11 +447,6 @@ def _failed(key: ComponentKey, what: str, why: str) -> ComponentStatus:
     name, epoch = key
     log.error("component '%s' cannot %s: %s", name, what, why)
     return ComponentStatus(name=name, epoch=epoch, state="failed", error=why, errors=1)
-
-
-def _differ(tried: ComponentSpec, wanted: ComponentSpec) -> bool:
-    """Return whether a component may start where it could not: not all is the same."""
-    return structs.replace(tried, goal=wanted.goal) != wanted
 
 
 def _end_by_signals() -> None:

@@ -208,16 +208,13 @@ class _Zygote:
         ready = wait_readable([self._agent.fileno(), self._waker.fileno()], None)
         if self._waker.fileno() in ready:
             self._waker.clear()
-            self._report_ended()
+            for pid, status in self._ended():
+                self._tell(ContainerEnded(pid, status))
         if self._agent.fileno() in ready:
             self._fork_next()
 
     def _tell(self, event: Event) -> None:
         self._agent.send(frame.pack_record(event))
-
-    def _report_ended(self) -> None:
-        for pid, status in self._ended():
-            self._tell(ContainerEnded(pid, status))
 
     def _ended(self) -> list[tuple[int, int]]:
         """Return the containers that ended since the last poll; kill what they left."""

@@ -33,41 +33,31 @@ class LifeCycle:
     """Where a component is, and where it should be; any thread may ask."""
 
     def __init__(self) -> None:
-        self._state: State = "unconfigured"
-        self._goal: TargetState = "inactive"
+        self.state: State = "unconfigured"
+        self.goal: TargetState = "inactive"
         self._changed = threading.Condition()
-
-    @property
-    def state(self) -> State:
-        """Where it is."""
-        return self._state
-
-    @property
-    def goal(self) -> TargetState:
-        """Where it should be."""
-        return self._goal
 
     @property
     def is_at_work(self) -> bool:
         """Whether it is active, and should be."""
-        return (self._state, self._goal) == ("active", "active")
+        return (self.state, self.goal) == ("active", "active")
 
     def aim(self, goal: TargetState) -> None:
         """Set the goal; in vain after `finalized`."""
         with self._changed:
-            if self._goal != "finalized":
-                self._goal = goal
+            if self.goal != "finalized":
+                self.goal = goal
             self._changed.notify_all()
 
     def enter(self, state: State) -> None:
         """Set the state."""
         with self._changed:
-            self._state = state
+            self.state = state
             self._changed.notify_all()
 
     def next_step(self) -> tuple[str, State] | None:
         """Return the hook to call and the state it leads to; None at the goal."""
-        match self._state, self._goal:
+        match self.state, self.goal:
             case "unconfigured", "inactive" | "ready" | "active":
                 return "configure", "inactive"
             case "inactive", "ready" | "active":
@@ -81,18 +71,18 @@ class LifeCycle:
     def wait_for_step(self) -> None:
         """Wait until there is something to do: this is how a component idles."""
         with self._changed:
-            self._changed.wait_for(lambda: self.next_step() or self._goal == "active")
+            self._changed.wait_for(lambda: self.next_step() or self.goal == "active")
 
     def wait_while_active(self, limit: float) -> None:
         """Wait up to `limit` [s] for another goal than ``active``."""
         with self._changed:
-            self._changed.wait_for(lambda: self._goal != "active", limit)
+            self._changed.wait_for(lambda: self.goal != "active", limit)
 
     def wait_state(self, states: AbstractSet[State], limit: float) -> State:
         """Wait up to `limit` [s] for one of `states`; return the state then."""
         with self._changed:
-            self._changed.wait_for(lambda: self._state in states, limit)
-            return self._state
+            self._changed.wait_for(lambda: self.state in states, limit)
+            return self.state
 
 
 class TaskNews:
@@ -149,15 +139,10 @@ class ExecutionGate:
         self._may_resume = may_resume
         self._borrow_limit = borrow_limit
         self._changed = threading.Condition()
-        self._is_paused = True
+        self.is_paused = True
         self._is_borrowed = self._resumes_later = False
         self._migration: object = None
         self._awaited_idle: threading.Event | None = None
-
-    @property
-    def is_paused(self) -> bool:
-        """Whether its code may not run now."""
-        return self._is_paused
 
     def begin_migration(self) -> None:
         """Allow a pause for a migration; what the one before paused resumes."""
@@ -180,7 +165,7 @@ class ExecutionGate:
 
     def pause(self, limit: float) -> None:
         """Pause; raise Timeout when it was busy for `limit` [s]."""
-        if not self._is_paused:
+        if not self.is_paused:
             until = time.monotonic() + limit
             self._keep_out(limit)
             while self._calls.num_open:  # their answers are still to be taken
@@ -206,7 +191,7 @@ class ExecutionGate:
     def pause_for_good(self) -> None:
         """Pause although others are inside: their process ends."""
         self._exclusion.redirect()
-        self._is_paused = True
+        self.is_paused = True
 
     def _keep_out(self, limit: float) -> None:
         try:
@@ -218,15 +203,15 @@ class ExecutionGate:
 
     def _note_paused(self) -> None:
         with self._changed:
-            self._is_paused = True
+            self.is_paused = True
             self._endpoints.mailbox.set_unbounded(unbounded=True)
 
     def resume(self) -> None:
         """Go on after a pause, if it is active; harmless when repeated."""
         with self._changed:
             self._resumes_later = self._is_borrowed
-            if self._is_paused and not self._is_borrowed and self._may_resume():
-                self._is_paused = False
+            if self.is_paused and not self._is_borrowed and self._may_resume():
+                self.is_paused = False
                 self._endpoints.mailbox.set_unbounded(unbounded=False)
                 self._endpoints.send_buffered()
                 self._exclusion.resume()
@@ -242,7 +227,7 @@ class ExecutionGate:
                     f"component '{self._name}': its `snapshot`, `restore` or another "
                     f"hook still runs after {self._borrow_limit:g} s"
                 )
-            if not self._is_paused:
+            if not self.is_paused:
                 raise RunError(f"component '{self._name}' is not paused")
             self._is_borrowed = True
         self._exclusion.lend(new_chain())

@@ -85,7 +85,8 @@ class Wiring:
         known = {opened.sender for opened in self.open_connectors()}
         troubles: dict[tuple[str, int], str] = {}
         for key, spec in wanted.items():
-            here = _ends_here(spec, runners)
+            ends = (spec.source, spec.source_epoch), (spec.target, spec.target_epoch)
+            here = [end for end in ends if end in runners]
             # without one of a direct connector's ends, the other has nothing to join
             if key in self._open or len(here) < (2 if spec.kind == "direct" else 1):
                 continue
@@ -235,7 +236,7 @@ class Wiring:
         opened.sender = sender
         opened.counts = sender.counts
         sender.add(spec.key, opened.route)
-        opened.closing.callback(_remove_route, source, sender, spec.key)
+        opened.closing.callback(source.endpoints.remove_route, sender, spec.key)
 
     def _open_target(self, opened: OpenConnector, target: Runner) -> None:
         spec = opened.spec
@@ -263,19 +264,8 @@ class Wiring:
         opened.closing.callback(self._server.shut, spec.key)
 
 
-def _ends_here(spec: ConnectorSpec, runners: Runners) -> list[tuple[str, int]]:
-    ends = (spec.source, spec.source_epoch), (spec.target, spec.target_epoch)
-    return [end for end in ends if end in runners]
-
-
 def _forget(spec: ConnectorSpec, target: Runner) -> None:
     target.endpoints.overtaken.forget(spec.name, spec.source_epoch)
-
-
-def _remove_route(source: Runner, sender: Sender, key: str) -> None:
-    sender.remove(key)
-    if not sender.routes():
-        source.endpoints.drop_sender(sender.name)
 
 
 def _port(runner: Runner, name: str, kinds: AbstractSet[Kind]) -> Port:

@@ -288,18 +288,17 @@ class CpuWeights:
 
     def _prepared(self) -> str:
         """Return what can be used; with groups, the agent is in one itself then."""
-        if self._folder is None or self._would_lose_real_time():
+        if self._folder is None:
+            return "nice"
+        is_real_time = os.environ.get(REAL_TIME) == "1"
+        # in groups of version 1 no thread may go to real time
+        if is_real_time and (self._folder / "cpu.rt_runtime_us").exists():
             return "nice"
         try:
             return self._use_groups(self._folder)
         except OSError as error:
             log.info("containers get nice values, not cgroups: %s", error)
             return "nice"
-
-    def _would_lose_real_time(self) -> bool:
-        """Whether real-time threads may not enter groups: so it is with version 1."""
-        is_wanted = os.environ.get(REAL_TIME) == "1"
-        return is_wanted and (Path(self._folder or "") / "cpu.rt_runtime_us").exists()
 
     @staticmethod
     def _use_groups(folder: Path) -> str:
