@@ -54,6 +54,14 @@ class Endpoint(Struct, frozen=True):
         return f"{host}:{self.port}"
 
 
+def is_loopback(host: str) -> bool:
+    """Return whether only this computer reaches an address."""
+    try:
+        return ip_address(host.strip("[]")).is_loopback
+    except ValueError:
+        return host == "localhost"
+
+
 def _host_fault(host: str) -> str:
     if _is_ip(host):
         return ""

@@ -22,6 +22,7 @@ from rich.markup import escape
 
 from poise.cli.options import AsJson, print_json, running, show
 from poise.cli.running_robot_command import Robot
+from poise.endpoint import is_loopback
 from poise.errors import UsageError
 from poise.manage.agent_connections.statuses import connectors_of
 from poise.manage.journal import KINDS, JournalEntry, read_journal
@@ -344,7 +345,7 @@ def dashboard_command(
     Example: poise dashboard
     """
     check_dashboard()
-    from poise.view.dashboard.dashboard_server import is_loopback, serve
+    from poise.view.dashboard.dashboard_server import serve
 
     keys = None if insecure or is_loopback(host) else _keys(robot)
 

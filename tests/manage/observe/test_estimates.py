@@ -238,6 +238,19 @@ def test_serves_metrics(robot: Robot, steady: Sampler) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("host", ["evil.example", "evil.example:80", "[", "[::2]"])
+def test_metrics_on_loopback_are_refused_under_another_name(host: str) -> None:
+    with MetricsServer("127.0.0.1", 0) as server:
+        at = f"http://127.0.0.1:{server.port}/metrics"
+        request = urllib.request.Request(at, headers={"Host": host})
+        with pytest.raises(urllib.error.HTTPError, match="403"):
+            urllib.request.urlopen(request, timeout=20)
+        for name in ("localhost", "[::1]:9464"):
+            request = urllib.request.Request(at, headers={"Host": name})
+            urllib.request.urlopen(request, timeout=20).close()
+
+
+@pytest.mark.slow
 def test_metrics_where_somebody_else_listens_name_the_address() -> None:
     with socket.create_server(("127.0.0.1", 0)) as other:
         port = other.getsockname()[1]

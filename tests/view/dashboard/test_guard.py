@@ -6,14 +6,8 @@ from typing import Any
 
 import pytest
 
-from poise.view.dashboard.dashboard_server import (
-    Guard,
-    Message,
-    Receive,
-    Scope,
-    Send,
-    is_loopback,
-)
+from poise.endpoint import is_loopback
+from poise.view.dashboard.dashboard_server import Guard, Message, Receive, Scope, Send
 
 TOKEN = "a-token"
 

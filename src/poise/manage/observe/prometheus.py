@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Callable, Iterable
-from typing import Self
+from typing import Any, Self
 
 from prometheus_client import CollectorRegistry, start_http_server
 from prometheus_client.metrics_core import Metric
 from prometheus_client.registry import Collector
 
+from poise.endpoint import is_loopback
 from poise.errors import RunError
 from poise.manage.control_socket.commands import RobotStatus
 from poise.manage.observe.metrics import METRICS, kind_of, samples
@@ -42,6 +44,9 @@ class MetricsCollector(Collector):
 class MetricsServer:
     """Serves ``/metrics`` at an IP address and TCP port, until it is closed.
 
+    On loopback, a request must name this computer: a page that a browser has from
+    another site could read the metrics under that site's name.
+
     `patience`: for so long who listens there may take to end [s].
     """
 
@@ -59,6 +64,8 @@ class MetricsServer:
             self._server, self._thread = start_http_server(port, host, self._registry)
         except OSError as error:
             return error
+        if is_loopback(host):
+            self._server.set_app(_for_this_computer(self._server.get_app()))
         return None
 
     def show(self, status: Callable[[], RobotStatus]) -> None:
@@ -78,3 +85,14 @@ class MetricsServer:
         self._server.shutdown()
         self._server.server_close()
         self._thread.join()
+
+
+def _for_this_computer(app: Any) -> Callable[..., Any]:  # noqa: ANN401, WSGI
+    def guarded(environ: dict[str, Any], start_response: Callable[..., Any]) -> Any:  # noqa: ANN401
+        host = environ.get("HTTP_HOST", "")
+        if host and not is_loopback(re.sub(r":\d*$", "", host)):
+            start_response("403 Forbidden", [("Content-Type", "text/plain")])
+            return [f"{host} is not a name of this computer\n".encode("latin-1")]
+        return app(environ, start_response)
+
+    return guarded

@@ -7,7 +7,6 @@ import contextlib
 import secrets
 import time
 from collections.abc import Awaitable, Callable, Mapping, MutableMapping
-from ipaddress import ip_address
 from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
@@ -16,6 +15,7 @@ from nicegui import app, background_tasks, run, ui
 from nicegui.events import GenericEventArguments
 
 from poise.clock import wall_time
+from poise.endpoint import is_loopback
 from poise.view.dashboard.dialogs import PageActions
 from poise.view.dashboard.state import Page, PageState, Updates
 from poise.view.robot_view import LiveReader, LiveReading
@@ -29,14 +29,6 @@ App = Callable[[Scope, Receive, Send], Awaitable[None]]
 
 _MAY_ACT = "poise_may_act"
 """In the scope of a request: whether who made it may act on the robot."""
-
-
-def is_loopback(host: str) -> bool:
-    """Return whether only this computer reaches an address."""
-    try:
-        return ip_address(host.strip("[]")).is_loopback
-    except ValueError:
-        return host == "localhost"
 
 
 class Guard:
