@@ -191,11 +191,7 @@ class Manager:
         lost_states = tuple(self._run.lost_states.copy().values())
         return structs.replace(
             known,
-            deviations=(
-                *self._superseded(),
-                *known.deviations,
-                *self._deviations(),
-            ),
+            deviations=(*self._superseded(), *known.deviations, *self._deviations()),
             under_way=(
                 *(p.under_way() for _, p, _ in self._preparations.copy()),
                 *self._canaries.under_way(),
@@ -211,7 +207,8 @@ class Manager:
 
     def work(self, limit: float) -> None:
         """Carry out a command if one comes within `limit` [s]; look at the robot."""
-        if self._tick.run("wait for news", partial(self._wait_news, limit)) is None:
+        wait = partial(self._run.agents.wait_news, self._has_news, limit)
+        if self._tick.run("wait for news", wait) is None:
             self._run.clock.sleep(limit)
         try:
             command, future = self._commands.get_nowait()
@@ -259,9 +256,8 @@ class Manager:
         while not self._commands.empty():
             _answer(self._commands.get_nowait()[1], Refusal(text, "RunError"))
         for _, _, future, _ in self._unstored:
-            future.set_result(
-                Refusal(f"{text}; the command may have taken effect", "RunError")
-            )
+            done = f"{text}; the command may have taken effect"
+            future.set_result(Refusal(done, "RunError"))
         self._unstored.clear()
 
     def end_estimates(self) -> None:
@@ -291,11 +287,7 @@ class Manager:
     def _prepare_next(self) -> None:
         self._prefetch.update(self.tasks.likely_next(), self._estimates.loads.loads)
 
-    def _wait_news(self, limit: float) -> bool:
-        return self._run.agents.wait_news(self._has_news, limit)
-
     def _deviations(self) -> tuple[Deviation, ...]:
-        """Return what is wrong, so far as this manager looks after it."""
         return (
             *self._tick.deviations(),
             *self._troubles.deviations(),
@@ -308,16 +300,12 @@ class Manager:
             *self._canaries.deviations(),
         )
 
-    def _has_news_of_tasks(self) -> bool:
-        backs_off = self._tick.backs_off("look after tasks")
-        return not backs_off and self.tasks.has_news()
-
     def _has_news(self) -> bool:
         """Return whether something is to be done at once."""
         return (
             self.is_stopping
             or not self._commands.empty()
-            or self._has_news_of_tasks()
+            or (not self._tick.backs_off("look after tasks") and self.tasks.has_news())
             or any(preparation.is_over() for _, preparation, _ in self._preparations)
             or any(self._run.agents.has_stored(each[0]) for each in self._unstored)
         )
@@ -369,19 +357,15 @@ class Manager:
         except PoiseError as error:
             return Refusal.from_error(error)
         except Exception as error:  # noqa: BLE001, a bug of Poise must not end the robot
-            return self._refusal_of_bug(command, error)
-
-    def _refusal_of_bug(self, command: Command, error: Exception) -> Refusal:
-        """Journal an error that nobody foresaw, and let what was placed go on."""
-        asked = type(command).__name__.removesuffix("Command").lower()
-        what = (
-            f"command '{asked}' failed because of a bug in Poise: "
-            f"{type(error).__name__}: {error}"
-        )
-        trace = traceback.format_exc()
-        self._run.journal.note("failed", what, command=command, traceback=trace)
-        self._run.release(what)
-        return Refusal(f"{what}. The robot keeps its placement", "RunError")
+            asked = type(command).__name__.removesuffix("Command").lower()
+            what = (
+                f"command '{asked}' failed because of a bug in Poise: "
+                f"{type(error).__name__}: {error}"
+            )
+            trace = traceback.format_exc()
+            self._run.journal.note("failed", what, command=command, traceback=trace)
+            self._run.release(what)  # what was placed goes on
+            return Refusal(f"{what}. The robot keeps its placement", "RunError")
 
     def _do(self, command: Command) -> Result | MigrationPreparation:
         """Do what a command asks for; return a migration that is prepared first."""

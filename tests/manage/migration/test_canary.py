@@ -13,10 +13,8 @@ from poise.manage.migration import canary
 from poise.manage.migration.canary import Canaries
 from poise.manage.migration.migration_report import MigrationReport
 from poise.wire.records.status_records import (
-    AgentStatus,
     ComponentStatus,
     ContainerHealth,
-    ContainerStatus,
     Summary,
     TimerStatus,
 )
@@ -51,29 +49,22 @@ class Robot:
         self.gives_state = True
         run: Any = self
         self.clock = SimpleNamespace(now=lambda: self.now)
-        self.layout = SimpleNamespace(container_of=lambda _: "eyes")
         self.journal = SimpleNamespace(note=lambda _, what: self.notes.append(what))
         monkeypatch.setattr(canary, "prepare_return", self._returned)
         monkeypatch.setattr(canary, "start_together", self._restarted)
         self.canaries = Canaries(run)
 
-    def current(self) -> dict[str, AgentStatus]:
+    def reported(self, wanted: Incarnation) -> ComponentStatus | None:
         component = ComponentStatus(
             name="eye",
             epoch=self.placed["eye"].epoch,
             state=self.state,
             timers=(self.timer,),
         )
-        container = ContainerStatus(name="eyes", pid=1, components=(component,))
-        status = AgentStatus(
-            computer="left",
-            generation=1,
-            uptime=1.0,
-            cpu=0.0,
-            containers=(container,),
-            health=(self.health,),
-        )
-        return {"left": status}
+        return component if component.epoch == wanted.epoch else None
+
+    def health_of(self, _: Incarnation) -> ContainerHealth:
+        return self.health
 
     def replace(self) -> None:
         """Let new code take over, which is watched for 30 s."""

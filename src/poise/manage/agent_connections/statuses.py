@@ -97,8 +97,7 @@ def not_at_goals(
         + (f"{state}, not yet {incarnation.goal}" if state else "not there yet")
         + _WORKING.get(state, "")
         for incarnation in wanted
-        if (state := states.get((incarnation.component, incarnation.epoch), ""))
-        != incarnation.goal
+        if (state := states.get(incarnation.key, "")) != incarnation.goal
     ]
     return found
 

@@ -17,11 +17,11 @@ from typing import Any
 from msgspec import Struct, structs
 from msgspec.structs import replace
 
-from poise.manage.agent_connections.statuses import Statuses
+from poise.manage.agent_connections.statuses import Statuses, located
 from poise.manage.deploy.deployment_layout import DeploymentLayout
 from poise.manage.deploy.desired import Desired, Incarnation
 from poise.model.check.allowed_computers import allowed_computers, leased_components
-from poise.model.robot import Architecture, Robot
+from poise.model.robot import Robot
 from poise.wire.records.deployment_records import ComponentSpec, Deployment, Goal
 
 
@@ -118,9 +118,7 @@ def as_committed(
     """
     working = {
         (computer, component.name, component.epoch)
-        for computer, status in statuses.items()
-        for container in status.containers
-        for component in container.components
+        for computer, component in located(statuses)
         if component.state == "active"
     }
     return [
@@ -384,25 +382,25 @@ def joined_by(
         for a in robot.architectures
         if not placed.keys().isdisjoint(c.name for c in a.components)
     }
+    homes = {c.name: a for a in robot.architectures for c in a.components}
     allowed = allowed_computers(robot)
     for reported in sorted(found, key=lambda f: f.spec.epoch):
-        before = placed.get(reported.name)
+        before, own = placed.get(reported.name), homes.get(reported.name)
         # of what is only held here, the later incarnation counts; what was to start
         # on a computer that was not claimed is not there
         is_later = before is not None and (
             before.computer not in claimed
             or (
                 reported.name in held
-                and (
-                    reported.spec.epoch > before.epoch
-                    or (before.component, before.epoch) in doubted
-                )
+                and (reported.spec.epoch > before.epoch or before.key in doubted)
             )
         )
         is_lacking = (
             before is None
-            and reported.computer in allowed.get(reported.name, ())
-            and _may_provide(robot.architecture_of(reported.name), provider)
+            and own is not None
+            and reported.computer in allowed[reported.name]
+            # a part of what provides it may have joined before, from another computer
+            and provider.get(own.function) in {None, own.name}
         )
         if reported.goal == "active" and (is_later or is_lacking):
             placed[reported.name] = reported.incarnation
@@ -415,11 +413,3 @@ def joined_by(
     return replace(
         desired, placed=placed, held=frozenset(held - freed), parameters=parameters
     )
-
-
-def _may_provide(architecture: Architecture, provider: Mapping[str, str]) -> bool:
-    """Return whether no other architecture provides its function.
-
-    It may do so itself: a part of it joined before, from another computer.
-    """
-    return provider.get(architecture.function) in {None, architecture.name}

@@ -41,6 +41,11 @@ class Incarnation(Struct, frozen=True, kw_only=True):
         """Return what it is and where, for the journal."""
         return f"{self.component}/{self.epoch} on {self.computer} ({self.goal})"
 
+    @property
+    def key(self) -> tuple[str, int]:
+        """Component and epoch, which tell it from all others."""
+        return self.component, self.epoch
+
     def with_goal(self, goal: Goal) -> Incarnation:
         """Return the same with another goal."""
         return structs.replace(self, goal=goal)
@@ -112,8 +117,8 @@ class Desired(Struct, frozen=True, kw_only=True):
 
     def without_configured_ahead(self, targets: Iterable[Incarnation]) -> Desired:
         """Return this without targets of a migration that begins, or never will."""
-        keys = {(incarnation.component, incarnation.epoch) for incarnation in targets}
-        left = (e for e in self.configured_ahead if (e.component, e.epoch) not in keys)
+        keys = {incarnation.key for incarnation in targets}
+        left = (each for each in self.configured_ahead if each.key not in keys)
         return replace(self, configured_ahead=tuple(left))
 
     def placing(self, incarnations: Iterable[Incarnation]) -> Desired:
@@ -167,10 +172,7 @@ def difference(before: Desired, after: Desired) -> list[str]:
     if before.is_stopped != after.is_stopped:
         return ["nothing is to run" if after.is_stopped else "all is to run"]
     old, new = (
-        {
-            (incarnation.component, incarnation.epoch): incarnation
-            for incarnation in record.incarnations()
-        }
+        {incarnation.key: incarnation for incarnation in record.incarnations()}
         for record in (before, after)
     )
     gone = (f"- {incarnation}" for key, incarnation in old.items() if key not in new)

@@ -93,6 +93,10 @@ class DesiredState:
         """Component -> its idle incarnation, to be active soon."""
         return self.desired.prefetched
 
+    def prepared(self) -> dict[str, str]:
+        """Return idle component -> computer; from any thread."""
+        return {name: idle.computer for name, idle in self.prefetched.items()}
+
     def placement(self) -> dict[str, str]:
         """Return component -> computer, as it is now; from any thread."""
         return self.desired.placement()

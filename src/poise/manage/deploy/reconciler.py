@@ -12,19 +12,17 @@ may have ended since.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from typing import Protocol
+from collections.abc import Callable, Iterator
 
-from msgspec import structs
+from msgspec import Struct, structs
 
 from poise.clock import Clock
 from poise.manage.agent_connections.agents import Agents
 from poise.manage.agent_connections.reports import LOOK_EVERY
 from poise.manage.agent_connections.requests import ANSWER_LIMIT, PendingAnswer
-from poise.manage.agent_connections.statuses import Statuses
 from poise.wire.records.deployment_records import Deployment
 from poise.wire.records.migration_records import MigrationSteps, Step, StepsDone
-from poise.wire.records.request_records import Accepted, Claimed, ManagerId, Refused
+from poise.wire.records.request_records import Accepted, Claimed, Refused
 from poise.wire.records.status_records import AgentStatus
 
 APPLY_LIMIT = 1.0
@@ -34,49 +32,15 @@ TRY_AGAIN = 1.0
 """An agent that refused or did not answer is asked again after this time [s]."""
 
 
-class ReconciledAgents(Protocol):
-    """What the reconciler needs of the manager's connections to agents."""
-
-    def statuses(self) -> Statuses:
-        """Return what each agent reported last."""
-        ...
-
-    def out_of_reach(self) -> Mapping[str, float]:
-        """Return the agents that are not reached."""
-        ...
-
-    def obey(self, computer: str) -> bool:
-        """Return whether an agent is reached and obeys this manager."""
-        ...
-
-    def successor(self) -> ManagerId | None:
-        """Return the manager to which this one gives way; None: there is none."""
-        ...
-
-    def begin_claim(self, computer: str) -> PendingAnswer:
-        """Ask an agent to obey this manager; do not wait."""
-        ...
-
-    def end_claim(self, computer: str, reply: PendingAnswer) -> None:
-        """Take note that an agent accepted a claim."""
-        ...
-
-    def begin_deploy(self, computer: str, deployment: Deployment) -> PendingAnswer:
-        """Tell an agent what should run; do not wait."""
-        ...
-
-
-class _AskedAgent:
-    """What was asked of one agent."""
-
-    def __init__(self) -> None:
-        self.sent: Deployment | None = None
-        self.pid = 0
-        self.sent_at = self.again_at = float("-inf")
-        self.reply: PendingAnswer | None = None
-        self.is_claim = False
-        self.trouble = ""
-        self.refusal = ""
+class _AskedAgent(Struct):
+    sent: Deployment | None = None
+    pid: int = 0
+    sent_at: float = float("-inf")
+    again_at: float = float("-inf")
+    reply: PendingAnswer | None = None
+    is_claim: bool = False
+    trouble: str = ""
+    refusal: str = ""
 
 
 class Reconciler:
@@ -84,7 +48,7 @@ class Reconciler:
 
     def __init__(
         self,
-        agents: ReconciledAgents,
+        agents: Agents,
         clock: Clock,
         on_claimed: Callable[[str, Claimed], object],
     ) -> None:
@@ -100,27 +64,6 @@ class Reconciler:
         """
         away = self._agents.out_of_reach()
         status = None if computer in away else self._agents.statuses().get(computer)
-        self._bring(computer, wanted, status)
-
-    def troubles(self) -> dict[str, str]:
-        """Return computer -> what its agent refuses or does not answer, for people."""
-        known = self._known.copy()
-        return {name: agent.trouble for name, agent in known.items() if agent.trouble}
-
-    def is_current(self, computer: str, status: AgentStatus) -> bool:
-        """Return whether a status speaks of what its agent was sent last."""
-        agent = self._known.get(computer)
-        sent = agent.sent if agent else None
-        return sent is not None and status.generation >= sent.generation
-
-    def refusal(self, computer: str) -> str:
-        """Return why an agent refuses what it was sent last; empty: it does not."""
-        agent = self._known.get(computer)
-        return agent.refusal if agent else ""
-
-    def _bring(
-        self, computer: str, wanted: Deployment | None, status: AgentStatus | None
-    ) -> None:
         agent, now = self._known.get(computer), self._clock.now()
         if agent is None:
             agent = self._known[computer] = _AskedAgent()
@@ -152,6 +95,22 @@ class Reconciler:
         agent.reply = self._agents.begin_deploy(computer, wanted)
         agent.is_claim = False
         self._take(computer, agent, now)
+
+    def troubles(self) -> dict[str, str]:
+        """Return computer -> what its agent refuses or does not answer, for people."""
+        known = self._known.copy()
+        return {name: agent.trouble for name, agent in known.items() if agent.trouble}
+
+    def is_current(self, computer: str, status: AgentStatus) -> bool:
+        """Return whether a status speaks of what its agent was sent last."""
+        agent = self._known.get(computer)
+        sent = agent.sent if agent else None
+        return sent is not None and status.generation >= sent.generation
+
+    def refusal(self, computer: str) -> str:
+        """Return why an agent refuses what it was sent last; empty: it does not."""
+        agent = self._known.get(computer)
+        return agent.refusal if agent else ""
 
     def _is_sent(
         self, agent: _AskedAgent, wanted: Deployment, status: AgentStatus, now: float

@@ -36,7 +36,11 @@ from poise.manage.tasks.prefetch_report import Switches
 from poise.model.robot import Robot
 from poise.units import counted
 from poise.wire.records.deployment_records import Goal
-from poise.wire.records.status_records import AgentStatus
+from poise.wire.records.status_records import (
+    AgentStatus,
+    ComponentStatus,
+    ContainerHealth,
+)
 
 READY_LIMIT = 20.0
 """All components are configured and all connectors joined within this time [s]."""
@@ -203,11 +207,19 @@ class RunningComponents(DesiredState):
         """Return whether an incarnation is not there any more, so far as is known."""
         if gone.computer in self.agents.out_of_reach():
             return True
-        status = self.current().get(gone.computer)
-        return status is not None and all(
-            (component.name, component.epoch) != (gone.component, gone.epoch)
-            for component in components_of({gone.computer: status})
-        )
+        return gone.computer in self.current() and self.reported(gone) is None
+
+    def reported(self, wanted: Incarnation) -> ComponentStatus | None:
+        """Return what is known of an incarnation; None: nothing."""
+        components = components_of(self.current())
+        return next((c for c in components if (c.name, c.epoch) == wanted.key), None)
+
+    def health_of(self, wanted: Incarnation) -> ContainerHealth | None:
+        """Return what is known of an incarnation's container; None: nothing."""
+        status = self.current().get(wanted.computer)
+        name = self.layout.container_of(wanted)
+        health = status.health if status is not None else ()
+        return next((h for h in health if h.name == name), None)
 
     def wait_ended(self, gone: Incarnation) -> None:
         """Wait until an incarnation that is not wanted any more has ended."""
@@ -316,11 +328,8 @@ class RunningComponents(DesiredState):
 
     def _raise_on_trouble(self) -> bool:
         self.poll()
-        desired = self.desired
-        judged = {
-            (incarnation.component, incarnation.epoch)
-            for incarnation in (*desired.placed.values(), *desired.coming)
-        }
+        wanted = (*self.desired.placed.values(), *self.desired.coming)
+        judged = {incarnation.key for incarnation in wanted}
         for computer, component in located(self.agents.statuses()):
             is_judged = (component.name, component.epoch) in judged
             if component.state == "failed" and is_judged:
@@ -333,16 +342,12 @@ class RunningComponents(DesiredState):
         """Raise RunError when one failed, or its container does not respond."""
         if stuck := self.unresponsive(incarnations):
             raise RunError("; ".join(stuck))
-        where = {
-            (incarnation.component, incarnation.epoch): incarnation.computer
-            for incarnation in incarnations
-        }
-        for component in components_of(self.current()):
-            computer = where.get((component.name, component.epoch))
-            if computer is not None and component.state == "failed":
+        for incarnation in incarnations:
+            found = self.reported(incarnation)
+            if found is not None and found.state == "failed":
                 raise RunError(
-                    f"component '{component.name}' cannot be configured on "
-                    f"'{computer}':\n{component.error}"
+                    f"component '{found.name}' cannot be configured on "
+                    f"'{incarnation.computer}':\n{found.error}"
                 )
 
     def raise_on_unreached(self, incarnations: Iterable[Incarnation]) -> None:
@@ -356,11 +361,9 @@ class RunningComponents(DesiredState):
         """Raise RunError when an agent refuses what should run there, or it is held."""
         incarnations = tuple(incarnations)
         for incarnation in incarnations:
-            if (
-                incarnation.goal == "active"
-                and incarnation.component in self.desired.held
-            ):
-                raise RunError(self.why_held(incarnation.component))
+            name = incarnation.component
+            if incarnation.goal == "active" and name in self.desired.held:
+                raise RunError(self.why_held(name))
         for computer in sorted({incarnation.computer for incarnation in incarnations}):
             if refusal := self.reconciler.refusal(computer):
                 raise RunError(refusal)

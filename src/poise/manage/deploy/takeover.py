@@ -194,7 +194,7 @@ def _elected(
                     f"the leases of components on {names} may not have ended"
                 )
             run.clock.sleep(_LOOK_EVERY)
-    known = {(each.component, each.epoch) for each in record.incarnations()}
+    known = {each.key for each in record.incarnations()}
     return {name: _with_only(known, each) for name, each in found.items()}
 
 

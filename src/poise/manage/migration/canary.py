@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterator, Mapping
 from msgspec import Struct
 
 from poise.clock import wall_time
-from poise.manage.agent_connections.statuses import components_of
 from poise.manage.deploy.desired import Incarnation
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.migration.migration_report import MigrationReport
@@ -15,7 +14,6 @@ from poise.manage.migration.move import prepare_return
 from poise.manage.migration.transition_run import start_together
 from poise.manage.observe.chains import is_late
 from poise.manage.observe.deviations import Deviation
-from poise.wire.records.status_records import ComponentStatus, ContainerHealth
 
 _SEVERAL = 3
 """New code fails by as many missed deadlines: a first one may be late by the move."""
@@ -24,8 +22,6 @@ SHOWN_FOR = 60.0
 
 
 class _Trial(Struct, frozen=True, kw_only=True):
-    """New code that is watched."""
-
     before: Incarnation  # What comes back
     new: Incarnation
     misses: Mapping[str, float]  # Timer -> share of deadlines that were missed before
@@ -49,13 +45,13 @@ class Canaries:
         run, before = self._run, self._run.placed.get(component)
         if before is None:  # it was stopped meanwhile: the migration says so
             return migrate()
-        found = _reported(run, before)
+        found = run.reported(before)
         timers = found.timers if found is not None else ()
         misses = {t.name: t.missed / max(1, t.releases) for t in timers}
         report = migrate()
         if report.committed:
             new = run.placed[component]
-            health = _health(run, new)
+            health = run.health_of(new)
             self._trials[component] = _Trial(
                 before=before,
                 new=new,
@@ -103,13 +99,13 @@ class Canaries:
 
     def _failure(self, trial: _Trial, placed: Incarnation) -> str:
         """Return why new code has failed; empty: it has not."""
-        health = _health(self._run, placed)
+        health = self._run.health_of(placed)
         if health is not None and health.restarts > trial.restarts:
             fault = health.last_fault
             return f"its container crashed: {fault.message if fault else 'unknown'}"
         if health is not None and health.state not in {"starting", "running"}:
             return f"its container is {health.state}"
-        found = _reported(self._run, placed)
+        found = self._run.reported(placed)
         if found is not None and found.state == "failed":
             return f"it failed: {found.error}"
         for timer in found.timers if found is not None else ():
@@ -132,7 +128,7 @@ class Canaries:
             what=what, computer=placed.computer, component=name, since=wall_time()
         )
         self._returned[name] = shown, until
-        found = _reported(run, placed)
+        found = run.reported(placed)
         is_there = found is not None and found.state == "active"
         if not (is_there and prepare_return(run, trial.before).run().committed):
             start_together(run, {name: placed.computer}, instead={name: trial.before})
@@ -140,18 +136,3 @@ class Canaries:
 
 def _code_of(incarnation: Incarnation) -> tuple[str, str]:
     return incarnation.implementation, incarnation.code
-
-
-def _reported(
-    run: RunningComponents, incarnation: Incarnation
-) -> ComponentStatus | None:
-    key = incarnation.component, incarnation.epoch
-    components = components_of(run.current())
-    return next((c for c in components if (c.name, c.epoch) == key), None)
-
-
-def _health(run: RunningComponents, incarnation: Incarnation) -> ContainerHealth | None:
-    status = run.current().get(incarnation.computer)
-    name = run.layout.container_of(incarnation)
-    health = status.health if status is not None else ()
-    return next((h for h in health if h.name == name), None)

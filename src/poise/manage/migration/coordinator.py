@@ -18,7 +18,6 @@ from msgspec import Struct, structs
 from poise.errors import RunError
 from poise.manage.agent_connections.statuses import (
     calling_ports,
-    components_of,
     cut_links,
     keeping_ports,
 )
@@ -38,7 +37,6 @@ from poise.wire.records.migration_records import (
     StepsOutcome,
     StepTaken,
 )
-from poise.wire.records.status_records import ComponentStatus
 
 DOWNTIME_LIMIT = 1.4
 """The migration is committed within this time after the pause [s], or rolls back."""
@@ -195,11 +193,9 @@ class Migration:
 
     def _copies_ahead(self) -> bool:
         """Return whether a large state, or the import of `adapt`, may take its time."""
-        targets = {(t.component, t.epoch) for t in self._targets}
+        found = map(self._run.reported, self._targets)
         return any(t.adapt for t in self._targets) or any(
-            component.copies_ahead
-            for component in components_of(self._run.current())
-            if (component.name, component.epoch) in targets
+            component.copies_ahead for component in found if component is not None
         )
 
     def _switch(self, plan: MigrationRounds, deadline: float) -> str:
@@ -297,7 +293,7 @@ class Migration:
                     container,
                     tuple(step for _, step in batches[computer, container]),
                     limit,
-                    tuple((each.component, each.epoch) for each in self._targets),
+                    tuple(each.key for each in self._targets),
                 ),
             )
             for number, (computer, container) in by_number.items()
@@ -340,21 +336,12 @@ class Migration:
         ends = [*self._sources, *self._targets]
         run.raise_on_unreached(ends)
         run.raise_on_broken(ends)
-        sources = {(s.component, s.epoch): s for s in self._sources}
-        for component in components_of(run.current()):
-            key = component.name, component.epoch
-            if key in sources and component.state != "active":
-                raise RunError(self._why_not_active(sources[key], component))
+        for source in self._sources:
+            found = run.reported(source)
+            if found is not None and found.state != "active":
+                what = explain(source, found, run.health_of(source))
+                raise RunError(f"{what}: its state cannot be transferred")
         return False
-
-    def _why_not_active(self, source: Incarnation, found: ComponentStatus) -> str:
-        container = self._run.layout.container_of(source)
-        status = self._run.current().get(source.computer)
-        health = status.health if status is not None else ()
-        of_container = next((h for h in health if h.name == container), None)
-        return (
-            f"{explain(source, found, of_container)}: its state cannot be transferred"
-        )
 
 
 def _names(steps: Sequence[PlacedStep]) -> str:

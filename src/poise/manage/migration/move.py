@@ -108,11 +108,7 @@ def prepare_replacement(
     empty: the new implementation restores the old one's state as it is.
     """
     old = _placed(run, component)
-    if (layer := run.robot.architecture_of(component).layer) != "sequencing":
-        raise UsageError(
-            f"component '{component}' is in the {layer} layer, which stays as it is: "
-            "stop the robot to change it"
-        )
+    _check_layer(run.robot.architecture_of(component), f"component '{component}'")
     if run.robot.component(component).command:
         raise UsageError(
             f"component '{component}' is a command line: it has no implementation"
@@ -313,11 +309,7 @@ def _checked(
             f"it is not an alternative to '{name}'"
         )
     for architecture in (old, new):
-        if architecture.layer != "sequencing":
-            raise UsageError(
-                f"architecture '{architecture.name}' is in the {architecture.layer} "
-                "layer, which stays as it is: stop the robot to change it"
-            )
+        _check_layer(architecture, f"architecture '{architecture.name}'")
     if any(c.name in run.placed for c in new.components):
         raise UsageError(f"architecture '{by}' runs already")
     commands = [c.name for c in (*old.components, *new.components) if c.command]
@@ -328,6 +320,14 @@ def _checked(
         )
     _check_callers(run, old, new)
     return old, new
+
+
+def _check_layer(architecture: Architecture, what: str) -> None:
+    if architecture.layer != "sequencing":
+        raise UsageError(
+            f"{what} is in the {architecture.layer} layer, which stays as it is: stop "
+            "the robot to change it"
+        )
 
 
 def _check_stateless(run: RunningComponents, old: Architecture) -> None:

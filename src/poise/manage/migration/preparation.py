@@ -54,10 +54,9 @@ class Stall:
     def _is_configuring(self, wanted: Collection[Incarnation]) -> bool:
         """Return whether one is being started, imported or configured."""
         current, container_of = self._run.current(), self._run.layout.container_of
-        keys = {(w.component, w.epoch) for w in wanted}
         places = {(w.computer, container_of(w)) for w in wanted}
         states = {(c.name, c.epoch): c.state for c in components_of(current)}
-        return any(states.get(key) == "unconfigured" for key in keys) or any(
+        return any(states.get(w.key) == "unconfigured" for w in wanted) or any(
             health.state == "starting" and (computer, health.name) in places
             for computer, status in current.items()
             for health in status.health
@@ -84,7 +83,7 @@ class MigrationPreparation:
     ) -> None:
         self._run = run
         self._report = report
-        self._sources = {(s.component, s.epoch): s for s in sources}
+        self._sources = {source.key: source for source in sources}
         self._targets = tuple(structs.replace(t, unjoined=True) for t in targets)
         self._migrate = migrate
         self._began = 0.0

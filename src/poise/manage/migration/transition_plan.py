@@ -10,14 +10,14 @@ and the plan says so.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from math import inf
 
 from poise.errors import RobotError
 from poise.manage.migration.migration_report import TransitionStep
 from poise.model.check.allowed_computers import allowed_computers
 from poise.model.hardware import fits
-from poise.model.robot import ComponentEntry, Robot
+from poise.model.robot import Robot
 from poise.units import format_amount
 
 
@@ -62,10 +62,7 @@ class _Planner:
         """Let computers be this full."""
         for computer, load in loads.items():
             usable = self._usable[computer]
-            self._usable[computer] = {
-                **usable,
-                "cpu": max(usable.get("cpu", 0.0), load),
-            }
+            usable["cpu"] = max(usable.get("cpu", 0.0), load)
 
     def plan(self) -> tuple[TransitionStep, ...]:
         for name in sorted(self._now.keys() - self._then.keys()):
@@ -98,32 +95,33 @@ class _Planner:
         stopped: set[str] = set()
         intermediate: set[str] = set()
         while pending := self._pending():
-            name = _first(pending, self._fits_at_target)
-            if name is not None:
+            ready = (n for n in pending if self._fits(n, self._then[n]))
+            if (name := next(ready, None)) is not None:
                 self._move(name, self._then[name])
                 continue
             if self._cpu_is_in_the_way:
                 self._cpu_is_in_the_way = False
                 self._raise_cpu(dict.fromkeys(self._usable, inf))
                 continue
-            move = self._intermediate_move(pending, intermediate)
-            if move is not None:
+            if (move := self._intermediate_move(pending, intermediate)) is not None:
                 intermediate.add(move[0])
                 self._move(*move, why="an intermediate move: there is no room yet")
                 continue
             name = pending[0]
-            self._stop(
-                name, "a cold move: no computer has room for an intermediate move"
-            )
+            why = "a cold move: no computer has room for an intermediate move"
+            self._stop(name, why)
             stopped.add(name)
         return stopped
 
     def _pending(self) -> list[str]:
         """Return what must still move: the least state first, then what helps most."""
-        return sorted(
-            (n for n, h in self._now.items() if self._then.get(n, h) != h),
-            key=lambda name: (*_weight(self._components[name]), name),
-        )
+
+        def rank(name: str) -> tuple[float, float, str]:
+            component = self._components[name]
+            return component.state, -component.demand.get("cpu", 0.0), name
+
+        away = (n for n, h in self._now.items() if self._then.get(n, h) != h)
+        return sorted(away, key=rank)
 
     def _intermediate_move(
         self, pending: Iterable[str], done: set[str]
@@ -134,9 +132,6 @@ class _Planner:
                 if name not in done and self._fits(name, computer):
                     return name, computer
         return None
-
-    def _fits_at_target(self, name: str) -> bool:
-        return self._fits(name, self._then[name])
 
     def _fits(self, name: str, computer: str) -> bool:
         load = self._loads(self._now)[computer]
@@ -166,14 +161,6 @@ class _Planner:
     def _start(self, name: str, why: str) -> None:
         self._now[name] = self._then[name]
         self._steps.append(TransitionStep(name, target=self._then[name], why=why))
-
-
-def _weight(component: ComponentEntry) -> tuple[float, float]:
-    return component.state, -component.demand.get("cpu", 0.0)
-
-
-def _first(names: Iterable[str], holds: Callable[[str], bool]) -> str | None:
-    return next((name for name in names if holds(name)), None)
 
 
 def residue(robot: Robot, placement: Mapping[str, str]) -> dict[str, dict[str, float]]:

@@ -9,7 +9,7 @@ from msgspec import structs
 
 from poise.clock import wall_time
 from poise.errors import RunError, UsageError
-from poise.manage.agent_connections.statuses import components_of
+from poise.manage.agent_connections.statuses import located
 from poise.manage.deploy.desired import Incarnation
 from poise.manage.deploy.running_components import (
     ACTIVE_LIMIT,
@@ -131,17 +131,16 @@ def _with_checkpoint(run: RunningComponents, new: Incarnation) -> Incarnation:
 def _note_lost_state(run: RunningComponents, before: Incarnation) -> None:
     """Journal that a component lost its state, if it had one; `status` shows it."""
     name = before.component
-    by_name = {component.name: component for component in run.robot.components()}
-    status = run.agents.statuses().get(before.computer)
-    known = [] if status is None else components_of({before.computer: status})
-    has_state = any(c.name == name and c.has_state for c in known)
-    if not (by_name[name].checkpoint or has_state):
-        return
-    why = (
-        "this manager has no copy of its checkpoint"
-        if by_name[name].checkpoint
-        else "it has no `checkpoint` in the robot file"
+    has_checkpoint = bool(run.robot.component(name).checkpoint)
+    has_state = any(
+        at == before.computer and c.name == name and c.has_state
+        for at, c in located(run.agents.statuses())
     )
+    if not (has_checkpoint or has_state):
+        return
+    why = "it has no `checkpoint` in the robot file"
+    if has_checkpoint:
+        why = "this manager has no copy of its checkpoint"
     lost = f"without the state that it had on '{before.computer}': {why}"
     what = f"component '{name}' started {lost}"
     run.journal.note("wrong", what)
@@ -154,21 +153,18 @@ def transit(
     run: RunningComponents, steps: tuple[TransitionStep, ...]
 ) -> TransitionReport:
     """Take the steps of a planned transition; roll all back when one fails."""
-    run.journal.note(
-        "decided", f"transition of {counted(len(steps), 'step')}", steps=steps
-    )
+    what = f"transition of {counted(len(steps), 'step')}"
+    run.journal.note("decided", what, steps=steps)
     transition = _Transition(run)
     for number, step in enumerate(steps):
-        reason = transition.execute(step)
-        if reason:
-            reason = f"step '{step}' failed: {reason}"
-            reason += transition.roll_back(steps[:number])
+        if why := transition.execute(step):
+            reason = (
+                f"step '{step}' failed: {why}{transition.roll_back(steps[:number])}"
+            )
             run.journal.note("failed", f"transition rolled back; {reason}")
+            moves = tuple(transition.moves)
             return TransitionReport(
-                steps=steps,
-                committed=False,
-                reason=reason,
-                moves=tuple(transition.moves),
+                steps=steps, committed=False, reason=reason, moves=moves
             )
     run.journal.note("done", "transition", placement=run.placement())
     return TransitionReport(steps=steps, committed=True, moves=tuple(transition.moves))
@@ -202,8 +198,7 @@ class _Transition:
         """Undo the steps that were taken, last first; return what went wrong there."""
         troubles = ""
         for step in reversed(taken):
-            reason = self.execute(step.inverse())
-            if reason:
+            if reason := self.execute(step.inverse()):
                 troubles += f"; rolling back '{step}' failed: {reason}"
         return troubles
 

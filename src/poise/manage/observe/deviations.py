@@ -108,7 +108,7 @@ def _of_components(
     there = {(c.name, c.epoch): c for c in status.components}
     health = {health.name: health for health in status.health}
     for incarnation in settled:
-        reported = there.get((incarnation.component, incarnation.epoch))
+        reported = there.get(incarnation.key)
         if reported is None or reported.state != incarnation.goal:
             container = health.get(layout.container_of(incarnation))
             has_failed = reported is not None and reported.state == "failed"
@@ -229,8 +229,6 @@ class FaultFilter:
 
 
 class _Faults:
-    """The latest faults of one container."""
-
     def __init__(self) -> None:
         self.is_reported = self.is_over = False
         self._moments: deque[float] = deque(maxlen=_FIRST)

@@ -7,14 +7,12 @@ from collections.abc import Set as AbstractSet
 
 from msgspec import Struct
 
-from poise.errors import PoiseError
-from poise.estimate.outcomes import Conditions, Ending, note_outcome
+from poise.estimate.outcomes import Conditions
 from poise.estimate.success_rates import learned
 from poise.manage.adaptation.decision import shortages_of
 from poise.manage.adaptation.situation import Situation
 from poise.manage.agent_connections.statuses import components_of
 from poise.manage.deploy.running_components import RunningComponents
-from poise.manage.journal import Journal
 from poise.model.phases import first_action, promise_of
 from poise.model.robot import Architecture, ConnectorEnd, Robot
 from poise.model.steps import Choice
@@ -175,23 +173,3 @@ def conditions_of(situation: Situation) -> Conditions:
         lost=tuple(situation.lost),
         cpu_is_short=any(short > 0 for short in shortages_of(situation).values()),
     )
-
-
-def note_ending(
-    robot: Robot,
-    journal: Journal,
-    action: str,
-    architectures: Iterable[str],
-    conditions: Conditions,
-    *,
-    done: bool,
-) -> None:
-    """Note how an action ended, with what served it; say so when it cannot be kept."""
-    names = tuple(architectures)
-    if not robot.folder or not names:
-        return
-    ending: Ending = "done" if done else "failed"
-    try:
-        note_outcome(robot, action, ending, names, conditions=conditions)
-    except PoiseError as error:
-        journal.note("failed", f"the outcome of '{action}' is not learned: {error}")

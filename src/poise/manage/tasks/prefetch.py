@@ -19,7 +19,6 @@ from poise.manage.tasks.switch import drop, prepare
 from poise.model.hardware import fits
 from poise.model.robot import ComponentEntry, Robot
 from poise.units import format_amount
-from poise.wire.records.status_records import AgentStatus
 
 LEAST_CPU = 0.01
 """Nothing begins to be prepared where less CPU is left for it [cores]."""
@@ -57,7 +56,10 @@ def choose(
     in_use = _exclusive_devices(robot, running, components)
     placement: dict[str, str] = {}
     why_not: dict[tuple[str, str], str] = {}
-    idle = [_idle(n, computer) for n, computer in held.items()]
+    idle = [
+        LikelyAction(task="", action=name, placement={name: at}, probability=0.0)
+        for name, at in held.items()
+    ]
     for action in [*sorted(likely, key=lambda action: -action.probability), *idle]:
         wanted = {
             name: computer
@@ -76,12 +78,6 @@ def choose(
                 left[computer][resource] -= amount
         placement |= wanted
     return PrefetchPlan(placement=placement, why_not=why_not)
-
-
-def _idle(component: str, computer: str) -> LikelyAction:
-    return LikelyAction(
-        task="", action=component, placement={component: computer}, probability=0.0
-    )
 
 
 def _held_by(component: ComponentEntry) -> Iterable[tuple[str, float]]:
@@ -163,7 +159,7 @@ class Prefetcher:
         return PrefetchReport(
             hit=switches.summary(is_hit=True),
             miss=switches.summary(is_hit=False),
-            prepared={n: e.computer for n, e in self._run.prefetched.items()},
+            prepared=self._run.prepared(),
             memory=sum(self._memory.copy().values()),
             wasted=self._wasted,
         )
@@ -185,10 +181,7 @@ class Prefetcher:
         self._chosen_at = now
         likely = [action for action in likely if not self._is_backed_off(action)]
         cpu = self._cpu_left(placement, loads())
-        held = {
-            name: incarnation.computer
-            for name, incarnation in self._run.prefetched.items()
-        }
+        held = self._run.prepared()
         choice = choose(self._run.robot, placement, likely, cpu=cpu, held=held)
         self._go_to(choice, likely, cpu)
         self._chosen_for = [*likely], placement, [*self._run.prefetched], cpu.keys()
@@ -205,9 +198,7 @@ class Prefetcher:
                 note("seen", f"nothing is prepared for {_named(action, task)}: {why}")
         self._why_not = choice.why_not
         wanted = choice.placement
-        held = {
-            name: incarnation.computer for name, incarnation in run.prefetched.items()
-        }
+        held = run.prepared()
         drops = [name for name in held if wanted.get(name) != held[name]]
         drops += self._make_idle(likely, drops)
         begins = {n: at for n, at in wanted.items() if held.get(n) != at}
@@ -223,25 +214,14 @@ class Prefetcher:
                 if likely_action.placement.get(n) == at
             }
             if mine:
-                what = (
-                    f"{_named(likely_action.action, likely_action.task)} is likely next"
-                )
-                note(
-                    "decided",
-                    f"{what}: {_list(mine)} prepared",
-                    placement=mine,
-                    probability=likely_action.probability,
-                )
+                what = _named(likely_action.action, likely_action.task)
+                text = f"{what} is likely next: {_list(mine)} prepared"
+                probability = likely_action.probability
+                note("decided", text, placement=mine, probability=probability)
         if begins:
             prepare(run, begins, {at: cpu[at] for at in begins.values()})
-        new = [
-            run.prefetched[name]
-            for name in sorted(begins.keys() & run.prefetched.keys())
-        ]
-        self._begun |= {
-            (incarnation.component, incarnation.epoch): incarnation
-            for incarnation in new
-        }
+        new = (run.prefetched[n] for n in sorted(begins.keys() & run.prefetched.keys()))
+        self._begun |= {incarnation.key: incarnation for incarnation in new}
         restarts = {
             (computer, health.name): health.restarts
             for computer, status in run.agents.statuses().items()
@@ -261,7 +241,7 @@ class Prefetcher:
         for name, incarnation in run.prefetched.items():
             if not incarnation.gently or name in needed or name in drops:
                 continue
-            if (name, incarnation.epoch) in self._ready:
+            if incarnation.key in self._ready:
                 ready.append(replace(incarnation, gently=False))
             else:
                 unready.append(name)
@@ -290,32 +270,25 @@ class Prefetcher:
         if not self._begun:
             return
         run = self._run
-        failed: dict[str, str] = {}
-        statuses = run.current()
-        for name, incarnation in run.prefetched.items():
-            status = statuses.get(incarnation.computer)
-            if status is None or (name, incarnation.epoch) not in self._begun:
-                continue
-            before = self._restarts.get((name, incarnation.epoch), 0)
-            why = _failure(
-                status, incarnation, run.layout.container_of(incarnation), before
-            )
-            if why:
-                failed[name] = why
+        failed = {
+            name: why
+            for name, incarnation in run.prefetched.items()
+            if incarnation.key in self._begun and (why := self._failure(incarnation))
+        }
         for name, why in failed.items():
             computer = run.prefetched[name].computer
             where = f"component '{name}' cannot be prepared on '{computer}'"
             text = f"{where}; it starts only with its action: {why}"
             run.journal.note("failed", text)
         if failed:
-            self._back_off(failed)
+            self._backed_off |= dict.fromkeys(failed, self._clock() + TRY_AGAIN)
             drop(run, failed)
 
     def _note_ready(self) -> None:
         """Journal what is ready now, and count what was dropped that never worked."""
         run = self._run
-        here = {(n, e.epoch) for n, e in run.prefetched.items()}
-        at_work = {(n, e.epoch) for n, e in run.placed.items()}
+        here = {idle.key for idle in run.prefetched.values()}
+        at_work = {incarnation.key for incarnation in run.placed.values()}
         used = {
             self._container(incarnation)
             for incarnation in (*run.prefetched.values(), *run.placed.values())
@@ -326,9 +299,7 @@ class Prefetcher:
             if key not in here | at_work
         }
         self._wasted += sum(self._memory.get(key, 0) for key in gone - used)
-        self._begun = {
-            k: incarnation for k, incarnation in self._begun.items() if k in here
-        }
+        self._begun = {key: idle for key, idle in self._begun.items() if key in here}
         self._ready &= self._begun.keys()
         statuses, waiting = run.current(), map(self._container, run.prefetched.values())
         self._memory = {
@@ -350,32 +321,24 @@ class Prefetcher:
             names = _list([component.name for component in ready])
             run.journal.note("done", f"{names} prepared within {seconds:.2f} s")
 
+    def _failure(self, idle: Incarnation) -> str:
+        """Return why something that is prepared fails; empty: it does not."""
+        health, before = self._run.health_of(idle), self._restarts.get(idle.key, 0)
+        if health is not None and (
+            health.state == "restarting" or health.restarts > before
+        ):
+            return health.last_fault.message if health.last_fault else "it ended"
+        component = self._run.reported(idle)
+        if component is None or component.state != "failed":
+            return ""
+        return component.error.rstrip().rpartition("\n")[2] or "it failed"
+
     def _container(self, incarnation: Incarnation) -> tuple[str, str]:
         return incarnation.computer, self._run.layout.container_of(incarnation)
-
-    def _back_off(self, components: Iterable[str]) -> None:
-        until = self._clock() + TRY_AGAIN
-        self._backed_off |= dict.fromkeys(components, until)
 
     def _is_backed_off(self, action: LikelyAction) -> bool:
         now = self._clock()
         return any(now < self._backed_off.get(name, now) for name in action.placement)
-
-
-def _failure(
-    status: AgentStatus, incarnation: Incarnation, container: str, restarts: int
-) -> str:
-    """Return why something that is prepared fails; empty: it does not."""
-    health = next((h for h in status.health if h.name == container), None)
-    if health is not None and (
-        health.state == "restarting" or health.restarts > restarts
-    ):
-        return health.last_fault.message if health.last_fault else "it ended"
-    states = {(c.name, c.epoch): c for c in components_of({status.computer: status})}
-    component = states.get((incarnation.component, incarnation.epoch))
-    if component is None or component.state != "failed":
-        return ""
-    return component.error.rstrip().rpartition("\n")[2] or "it failed"
 
 
 def _named(action: str, task: str) -> str:

@@ -124,7 +124,7 @@ def _wait(
     run: RunningComponents, wanted: Collection[Incarnation], limit: float
 ) -> None:
     """Wait until components are at their goals; others' troubles do not count."""
-    mine = {(incarnation.component, incarnation.epoch) for incarnation in wanted}
+    mine = {incarnation.key for incarnation in wanted}
 
     def trouble() -> bool:
         run.poll()

@@ -14,6 +14,7 @@ from msgspec.structs import replace
 
 from poise.clock import boot_id, boot_time
 from poise.errors import PoiseError, RunError, UsageError
+from poise.estimate.outcomes import Ending, note_outcome
 from poise.manage.adaptation.policy_values import values_of
 from poise.manage.adaptation.situation import Situation
 from poise.manage.deploy.desired import Desired
@@ -33,7 +34,6 @@ from poise.manage.tasks.component_reports import (
     Serving,
     choose,
     conditions_of,
-    note_ending,
 )
 from poise.manage.tasks.concurrent_tasks import TaskReport, Tasks, task_reports
 from poise.manage.tasks.switch import IdleComponents, switch
@@ -103,12 +103,9 @@ class TaskManager:
 
     def likely_next(self) -> list[LikelyAction]:
         """Return what may be needed next and does not run, the most probable first."""
-        run = self._run
-        idle = {
-            name: incarnation.computer for name, incarnation in run.prefetched.items()
-        }
-        self._upcoming = self.tasks.next_actions()
-        return likely_next(self._upcoming, self._plans, run.placement(), idle)
+        run, self._upcoming = self._run, self.tasks.next_actions()
+        placed, idle = run.placement(), run.prepared()
+        return likely_next(self._upcoming, self._plans, placed, idle)
 
     def is_over(self) -> bool:
         """Return whether no task runs, waits or is paused any more."""
@@ -336,14 +333,16 @@ class TaskManager:
     def _learn(self) -> None:
         """Learn from what has ended: that takes longer than a switch."""
         for ended, serving in self._unlearned:
-            note_ending(
-                self._run.robot,
-                self._run.journal,
-                ended.action.name,
-                serving,
-                conditions_of(self._situation()),
-                done=ended.done,
-            )
+            robot, name = self._run.robot, ended.action.name
+            if not robot.folder or not serving:
+                continue
+            ending: Ending = "done" if ended.done else "failed"
+            conditions = conditions_of(self._situation())
+            try:
+                note_outcome(robot, name, ending, serving, conditions=conditions)
+            except PoiseError as error:
+                what = f"the outcome of '{name}' is not learned: {error}"
+                self._run.journal.note("failed", what)
         self._unlearned.clear()
 
     def _condition_holds(self, until: Until) -> bool:
