@@ -6,10 +6,8 @@ comes late is refused by the incarnation's phase, or undone by the next deployme
 
 from __future__ import annotations
 
-import threading
 import time
-from collections.abc import Callable, Collection
-from functools import partial
+from collections.abc import Collection
 
 from poise.errors import PoiseError, RunError
 from poise.priority import as_usual
@@ -17,22 +15,12 @@ from poise.runtime.component.error_report import brief_traceback
 from poise.runtime.hosting.runner import Runner
 from poise.runtime.hosting.wiring import Runners, Wiring
 from poise.runtime.migration.state_transfer import StateReceiver, StateSender
+from poise.runtime.migration.step_taker import StepTaker
 from poise.runtime.waker import poll_until
 from poise.wire.address import Address
 from poise.wire.connections.channel import Channel
 from poise.wire.connections.connection_server import ConnectionServer
-from poise.wire.records.deployment_records import ContainerSpec
-from poise.wire.records.migration_records import (
-    MigrationPhases,
-    MigrationSteps,
-    Role,
-    Step,
-    StepsDone,
-    StepsFailed,
-    StepsOutcome,
-    StepTaken,
-    Targets,
-)
+from poise.wire.records.migration_records import MigrationPhases, Role, Step
 
 _PAUSE_SHARE = 0.8
 """A pause may take this share of its time, so that targets learn why they get no state
@@ -142,83 +130,32 @@ def _left(deadline: float) -> float:
     return max(0.0, deadline - time.monotonic())
 
 
-_SHARE = 0.75
-"""Steps may take this share of their limit: the rest is for the answer, so that the
-manager learns which step was too slow, and of what component."""
-
-
-class MigrationExecutor:
-    """Takes steps in one container, on any thread."""
+class MigrationExecutor(StepTaker):
+    """Takes steps in a real container."""
 
     def __init__(
         self, runners: Runners, wiring: Wiring, server: ConnectionServer
     ) -> None:
+        super().__init__(time.monotonic)
         self._runners = runners
         self._wiring = wiring
         self._server = server
         self._participants: dict[Runner, Participant] = {}
-        self._beginning = threading.Lock()
-        self._num_deployments = 0
-        self._targets: Targets = ()
-        self._is_committed = False
-        self._deployed: ContainerSpec | None = None
-
-    def note_deployment(self, spec: ContainerSpec) -> None:
-        """Refuse the steps received until now: a manager's deployment counts."""
-        with self._beginning:
-            self._num_deployments += 1
-            if self._deployed is None or not self._deployed.agrees_with(spec):
-                self._deployed, self._targets, self._is_committed = spec, (), False
-
-    def halt(self, batch: MigrationSteps) -> StepsDone:
-        """Refuse the steps that were received until now; return how far they got."""
-        with self._beginning:
-            self._num_deployments += 1
-            return StepsDone(
-                batch.number, targets=self._targets, is_committed=self._is_committed
-            )
-
-    def receive(self, batch: MigrationSteps) -> Callable[[], StepsOutcome]:
-        """Return what takes steps that came just now."""
-        return partial(self._take_all, batch, time.monotonic(), self._num_deployments)
 
     def forget(self, runner: Runner) -> None:
         """Know no more of an incarnation that has ended."""
         if runner in self._participants:
             self._participants.pop(runner).close()
 
-    def _take_all(
-        self, batch: MigrationSteps, received: float, deployment: int
-    ) -> StepsOutcome:
-        deadline = received + _SHARE * batch.limit
-        taken: list[StepTaken] = []
-        try:
-            for step in batch.steps:
-                self._begin(step, deployment, batch.targets)
-                began = time.monotonic()
-                self._take(step, batch.migration, deadline)
-                ended = time.monotonic()
-                is_sender = not step.component
-                who = batch.container if is_sender else f"{step.component}/{step.epoch}"
-                taken.append(StepTaken(who, step.name, step.phase, began, ended))
-        except PoiseError as error:
-            return StepsFailed(batch.number, str(error), tuple(taken))
-        except Exception as error:  # noqa: BLE001, a user's restore may raise anything
-            return StepsFailed(batch.number, brief_traceback(error), tuple(taken))
-        return StepsDone(batch.number, tuple(taken))
-
-    def _begin(self, step: Step, deployment: int, targets: Targets) -> None:
-        """Note whether there is a way back; raise RunError for a step overtaken."""
-        with self._beginning:
-            if deployment != self._num_deployments:
-                text = f"'{step.name}' was overtaken by a deployment"
-                raise RunError(text)
-            if targets != self._targets:
-                self._targets, self._is_committed = targets, False
-            if step.phase in {"commit", "resume"}:
-                self._is_committed = True
-
     def _take(self, step: Step, migration: int, deadline: float) -> None:
+        try:
+            self._act(step, migration, deadline)
+        except PoiseError:
+            raise
+        except Exception as error:  # a user's restore may raise anything
+            raise RunError(brief_traceback(error)) from error
+
+    def _act(self, step: Step, migration: int, deadline: float) -> None:
         match step.name:
             case "buffer":
                 self._buffer(step, migration)

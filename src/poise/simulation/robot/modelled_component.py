@@ -8,23 +8,12 @@ from __future__ import annotations
 from operator import itemgetter
 from typing import TYPE_CHECKING
 
-from poise.errors import PoiseError, RunError
+from poise.errors import RunError
+from poise.runtime.migration.step_taker import StepTaker
 from poise.simulation._engine import ExecutorState, Sender
 from poise.simulation.component_models import drawn
-from poise.wire.records.deployment_records import (
-    ComponentSpec,
-    ContainerSpec,
-    TargetState,
-)
-from poise.wire.records.migration_records import (
-    MigrationPhases,
-    MigrationSteps,
-    Step,
-    StepsDone,
-    StepsFailed,
-    StepTaken,
-    Targets,
-)
+from poise.wire.records.deployment_records import ComponentSpec, TargetState
+from poise.wire.records.migration_records import MigrationPhases, MigrationSteps, Step
 from poise.wire.records.status_records import ComponentStatus, State
 
 if TYPE_CHECKING:
@@ -123,87 +112,37 @@ class SimulatedComponent:
         self.container.process.after(pause, lambda: self._enter(state))
 
 
-_SHARE = 0.75
-"""As in the real container: the rest of the limit is for the answer."""
 _POLL_EVERY = 0.002
 
 
-class MigrationModel:
+class MigrationModel(StepTaker):
     """The steps of one container.
 
     `states`: component, epoch and migration -> what sources here have sent.
     """
 
     def __init__(self, container: SimulatedContainer) -> None:
+        super().__init__(lambda: container.world.scheduler.now)
         self._container = container
-        self._num_deployments = 0
-        self._targets: Targets = ()
-        self._is_committed = False
-        self._deployed: ContainerSpec | None = None
         self._phases: dict[tuple[str, int], tuple[int, MigrationPhases]] = {}
         self.states: dict[tuple[str, int, int], ExecutorState] = {}
-
-    def note_deployment(self, spec: ContainerSpec) -> None:
-        """Refuse the steps that were received until now."""
-        self._num_deployments += 1
-        if self._deployed is None or not self._deployed.agrees_with(spec):
-            self._deployed, self._targets, self._is_committed = spec, (), False
 
     def give_back(self, component: SimulatedComponent) -> None:
         """Let a source go on with all that waited for it: the real one keeps it."""
         for key in [key for key in self.states if key[:2] == component.key]:
             component.executor.take_back(self.states.pop(key))
 
-    def receive(self, batch: MigrationSteps) -> None:
+    def hear(self, batch: MigrationSteps) -> None:
         """Take steps on a task of their own, and answer; `halt` at once."""
+        container = self._container
         if batch.steps and batch.steps[0].name == "halt":
-            self._num_deployments += 1
-            done = StepsDone(
-                batch.number, targets=self._targets, is_committed=self._is_committed
-            )
-            self._container.answer(done)
+            container.answer(self.halt(batch))
             return
-        world, computer = self._container.world, self._container.process.computer
-        world.on_moment("steps", computer.name)
-        received, deployment = self._now, self._num_deployments
-        self._container.process.spawn(
-            f"steps {batch.number % 1000}",
-            lambda: self._take_all(batch, received, deployment),
+        container.world.on_moment("steps", container.process.computer.name)
+        take = self.receive(batch)
+        container.process.spawn(
+            f"steps {batch.number % 1000}", lambda: container.answer(take())
         )
-
-    @property
-    def _now(self) -> float:
-        return self._container.world.scheduler.now
-
-    def _take_all(
-        self, batch: MigrationSteps, received: float, deployment: int
-    ) -> None:
-        deadline = received + _SHARE * batch.limit
-        taken: list[StepTaken] = []
-        try:
-            for step in batch.steps:
-                self._begin(step, deployment, batch.targets)
-                began = self._now
-                self._take(step, batch.migration, deadline)
-                who = f"{step.component}/{step.epoch}" if step.component else ""
-                taken.append(
-                    StepTaken(
-                        who or batch.container, step.name, step.phase, began, self._now
-                    )
-                )
-        except PoiseError as error:
-            failed = StepsFailed(batch.number, str(error), tuple(taken))
-            self._container.answer(failed)
-        else:
-            self._container.answer(StepsDone(batch.number, tuple(taken)))
-
-    def _begin(self, step: Step, deployment: int, targets: Targets) -> None:
-        if deployment != self._num_deployments:
-            raise RunError(f"'{step.name}' was overtaken by a deployment")
-        if targets != self._targets:
-            self._targets, self._is_committed = targets, False
-        if step.phase in {"commit", "resume"}:
-            self._is_committed = True
 
     def _take(self, step: Step, migration: int, deadline: float) -> None:
         container = self._container
@@ -248,8 +187,8 @@ class MigrationModel:
         container, key, executor = self._container, component.key, component.executor
         match step.name:
             case "await idle":
-                until = min(deadline, self._now + step.limit)
-                while executor.is_busy and self._now < until:
+                until = min(deadline, self._now() + step.limit)
+                while executor.is_busy and self._now() < until:
                     container.world.scheduler.wait(_POLL_EVERY, "an idle component")
             case "pause":
                 executor.pause()
@@ -302,7 +241,7 @@ class MigrationModel:
             return (name, epoch, migration) in states
 
         while not is_there():
-            if self._now >= deadline or source.process.is_dead:
+            if self._now() >= deadline or source.process.is_dead:
                 raise RunError(f"the state of '{name}' did not come from '{there}'")
             world.scheduler.wait(_POLL_EVERY, "a state")
         state = states[name, epoch, migration]

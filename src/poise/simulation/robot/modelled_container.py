@@ -86,7 +86,7 @@ class SimulatedContainer:
             self._report()
             self._report_later()
         elif isinstance(record, MigrationSteps):
-            self.migration.receive(record)
+            self.migration.hear(record)
         elif isinstance(record, PortRequest):
             why = "what a component would answer is not simulated"
             self.answer(PortAnswer(number=record.number, outcome="refused", reason=why))
