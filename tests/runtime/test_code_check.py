@@ -132,6 +132,10 @@ class Walking(Component):
     done: Published[bool]
     at: Published[Pose]
 
+class Ticking(Component):
+    @every(1.0)
+    def tick(self): ...
+
 class Misspelt(Component):
     scan: Published["Sacn"]
 """
@@ -447,6 +451,24 @@ def test_an_action_ends_by_a_published_bool(
 ) -> None:
     task = f"{{name: walk, functions: [f], ends: walker.{port}}}"
     more = 'walker: {implementation: "PACKAGE.nav:Walking"}'
+    found = check(more, f"\ntasks: {{t: {{actions: [{task}]}}}}")
+    assert len(found) == bool(words)
+    assert all(word in problem.message for problem in found for word in words)
+
+
+@pytest.mark.parametrize(
+    ("timer", "words"),
+    [
+        ("ticker.tick", []),
+        ("ticker.tack", ["component 'ticker'", "'tack'", "'tick'"]),
+    ],
+)
+def test_a_condition_is_about_a_timer_of_the_component(
+    check: Check, timer: str, words: list[str]
+) -> None:
+    until = f"{{timer: {timer}, when: late}}"
+    task = f"{{name: walk, functions: [f], until: {until}}}"
+    more = 'ticker: {implementation: "PACKAGE.nav:Ticking"}'
     found = check(more, f"\ntasks: {{t: {{actions: [{task}]}}}}")
     assert len(found) == bool(words)
     assert all(word in problem.message for problem in found for word in words)

@@ -15,7 +15,7 @@ import signal
 import subprocess
 import sys
 import traceback
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from contextlib import suppress
 from tempfile import TemporaryFile
@@ -31,7 +31,7 @@ from poise.model.check.connectors import (
     check_unconnected,
 )
 from poise.model.check.names import components
-from poise.model.check.task_checks import check_ends, check_generated
+from poise.model.check.task_checks import check_ends, check_generated, check_timers
 from poise.model.robot import ComponentEntry, PortKind, Robot
 from poise.model.software import CodeTimer, ComponentCode
 from poise.model.yaml_tree import Finding, Path
@@ -79,6 +79,7 @@ def check_code(
     search_also(robot.repository)
     findings: list[Finding] = []
     known: _Known = {}
+    timers: dict[str, Collection[str]] = {}
     reentrant: set[str] = set()
     broken: dict[object, list[_BrokenImport]] = {}
     for path, architecture, component in components(robot):
@@ -101,6 +102,7 @@ def check_code(
                 known[component.name] = ports
             if component.implementation:
                 code = find(component.implementation, robot.folder)
+                timers[component.name] = timers_of(code)
                 reentrant |= {component.name} if code.reentrant else set()
                 findings += check_origin(path, architecture, module)
                 findings += check_parameters(path, component, code)
@@ -113,6 +115,7 @@ def check_code(
     findings += check_programs(robot)
     findings += _check_functions(robot)
     findings += check_ends(robot, known)
+    findings += check_timers(robot, timers)
     return findings
 
 

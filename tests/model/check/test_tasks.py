@@ -154,6 +154,10 @@ def test_accepts(find: Find, step: str) -> None:
             ["no component 'eye'", "did you mean 'eyes'?"],
         ),
         (
+            "{name: a, functions: [], until: {▸timer: eyes, when: late}}",
+            ["name the timer of 'eyes' too, as in eyes.update"],
+        ),
+        (
             "{name: a, functions: [], until: {component: eyes, ▸when: age > 1 s}}",
             ["no value 'age'"],
         ),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 
 from poise.errors import did_you_mean, listed, unknown
 from poise.model.check.connectors import KnownPort, Ports, no_such_port
@@ -141,6 +141,19 @@ def check_ends(robot: Robot, ports: Ports) -> Iterator[Finding]:
                 )
 
 
+def check_timers(
+    robot: Robot, timers: Mapping[str, Collection[str]]
+) -> Iterator[Finding]:
+    """Yield conditions about timers that components do not have, as far as known."""
+    for task in robot.tasks:
+        for path, until in _conditions(task):
+            component, _, timer = until.name.partition(".")
+            known = timers.get(component) if until.subject == "timer" else None
+            if known is not None and timer not in known:
+                text = unknown("timer", timer, known)
+                yield Finding((*path, "timer"), f"component '{component}': {text}")
+
+
 _ENDS = {("publishes", "bool"), ("publishes", "builtins:bool")}
 
 
@@ -247,10 +260,15 @@ def _conditions(task: Task) -> Iterator[tuple[Path, Until]]:
 def _condition(robot: Robot, path: Path, until: Until) -> Iterator[Finding]:
     choices = choices_of(robot, until.subject)
     kind, name, names = until.subject, until.name, choices["name"]
-    if kind == "timer":  # which ones a component has, its code says
-        kind, name, names = "component", name.partition(".")[0], choices["component"]
+    timer = "?"
+    if kind == "timer":  # `check_timers` knows which ones a component has
+        kind, names = "component", choices["component"]
+        name, _, timer = name.partition(".")
     if kind not in ("robot", "container") and name not in names:
         yield Finding((*path, until.subject), unknown(kind, name, names))
+    elif not timer:
+        text = f"name the timer of '{name}' too, as in {name}.update"
+        yield Finding((*path, "timer"), text)
     try:
         parse_condition(until.when, SUBJECTS[until.subject], choices)
     except ValueError as error:
