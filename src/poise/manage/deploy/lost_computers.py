@@ -43,9 +43,7 @@ class LostComputers:
         """Journal which computers were lost, which are back, and which refuse."""
         run = self._run
         pids = _pids(run)
-        obeying = {
-            computer for computer in run.computers() if run.agents.obey(computer)
-        }
+        obeying = set(filter(run.agents.obey, run.computers()))
         restarted = {
             computer
             for computer in self._obeying & obeying
@@ -134,11 +132,7 @@ class LostComputers:
 
         run.agents.wait_news(are_back, _MOMENT)
         back = lost - self._lost_at.keys()
-        here = [
-            incarnation
-            for incarnation in run.placed.values()
-            if incarnation.computer in back
-        ]
+        here = [each for each in run.placed.values() if each.computer in back]
         with contextlib.suppress(RunError):  # the command itself says so
             run.wait(here, _MOMENT)
 
@@ -187,5 +181,4 @@ class LostComputers:
 
 
 def _pids(run: RunningComponents) -> dict[str, int]:
-    """Return the processes of the agents, by computer."""
     return {name: status.pid for name, status in run.agents.statuses().items()}

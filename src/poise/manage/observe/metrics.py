@@ -122,13 +122,9 @@ def _sources(robot: RobotStatus, *, is_lost: bool) -> set[str]:
 
 
 def _timer_samples(component: ComponentStatus, computer: str) -> Iterator[Sample]:
-    """Yield how a component's timers kept their rates."""
     for timer in component.timers:
-        labels = {
-            "component": component.name,
-            "timer": timer.name,
-            "computer": computer,
-        }
+        names = {"component": component.name, "timer": timer.name}
+        labels = {**names, "computer": computer}
         yield "poise_timer_releases_total", labels, timer.releases
         yield "poise_timer_missed_total", labels, timer.missed
 
@@ -147,13 +143,9 @@ def _end_samples(labels: dict[str, str], end: ConnectorStatus) -> Iterator[Sampl
 
 
 def _chain_samples(component: ComponentStatus, computer: str) -> Iterator[Sample]:
-    """Yield how old the data of chains was when a component used it."""
     for chain in component.chains:
-        labels = {
-            "chain": chain.name,
-            "component": component.name,
-            "computer": computer,
-        }
+        names = {"chain": chain.name, "component": component.name}
+        labels = {**names, "computer": computer}
         yield from _summary_samples(_AGE, labels, chain.age)
         if chain.deadline is not None:
             yield "poise_chain_missed_total", labels, chain.missed
