@@ -18,6 +18,7 @@ from poise.clock import SystemClock
 from poise.errors import RunError, Timeout
 from poise.runtime.execution.counters import Counts
 from poise.runtime.execution.exclusion import Redirected, new_chain
+from poise.runtime.hosting import runner as runner_module
 from poise.runtime.hosting.runner import Runner
 from poise.wire.records.deployment_records import ComponentSpec
 from poise.wire.records.status_records import State
@@ -480,6 +481,37 @@ def test_what_is_ready_does_nothing_before_it_is_active(running: Fixture) -> Non
     assert component.record == ["configure", "activate"]
     runner.aim("active")
     component.wait_for("a")
+
+
+@pytest.mark.slow
+def test_one_that_is_wanted_again_while_callers_stay_inside_goes_on(
+    running: Fixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(runner_module, "_PATIENCE", 0.02)
+    runner = running.start(Recorder)
+    component = reach(runner, "active")
+    runner.exclusion.enter(new_chain(), LIMIT)
+    runner.aim("inactive")
+    time.sleep(0.05)
+    runner.aim("active")
+    wait_until(lambda: runner.life_cycle.is_at_work)
+    time.sleep(0.05)
+    runner.exclusion.leave()
+    receive(runner, "still here")
+    component.wait_for("still here")
+    assert "deactivate" not in component.record
+
+
+def test_one_whose_callers_stay_inside_fails_and_says_so(
+    running: Fixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(runner_module, "_PATIENCE", 0.02)
+    monkeypatch.setattr(runner_module, "_BUSY_LIMIT", 0.05)
+    runner = running.start(Recorder)
+    reach(runner, "active")
+    runner.exclusion.enter(new_chain(), LIMIT)
+    reach(runner, "failed")
+    assert "did not pause" in runner.status().error
 
 
 def test_what_has_ended_does_not_begin_again(running: Fixture) -> None:

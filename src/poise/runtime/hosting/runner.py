@@ -44,6 +44,8 @@ log = logging.getLogger(__name__)
 
 _PATIENCE = 1.0
 """How long a timer or message waits to enter before it looks at the goal [s]."""
+_BUSY_LIMIT = 60.0
+"""A component to be deactivated fails when others stay inside for this time [s]."""
 _FENCED = 0.02
 """A component whose lease has ended looks so often whether it was extended [s]."""
 
@@ -247,7 +249,8 @@ class Runner:
         if step is not None and step[0] == "activate" and self.is_fenced:
             self.life_cycle.wait_while_active(_FENCED)
         elif step is not None:
-            self._take(*step)
+            if step[0] != "deactivate" or self._pause():
+                self._take(*step)
         elif self.life_cycle.goal == "active":
             self._work()
         else:
@@ -258,7 +261,6 @@ class Runner:
     def _take(self, hook: str, state: State) -> None:
         if hook == "deactivate":
             self.counters.plan([])
-            self._pause()
             self.timers.stop(self.clock.now())
         elif hook == "activate":
             # the incarnation before it may still be at work, and goes first
@@ -292,15 +294,25 @@ class Runner:
         self.gate.resume()
         self._on_change()
 
-    def _pause(self) -> None:
-        """Pause before it is deactivated, once nobody is inside, unless it ends."""
-        while not self.gate.is_paused:
+    def _pause(self) -> bool:
+        """Pause before it is deactivated, once nobody is inside, unless it ends.
+
+        False: it is to go on after all, or it has failed.
+        """
+        until = self.clock.now() + _BUSY_LIMIT
+        while not self.gate.is_paused and self.life_cycle.goal != "active":
             try:
                 self.gate.pause_oneself(_PATIENCE, self._take_answers)
             except Timeout as error:
                 log.warning("%s", error)
                 if self.life_cycle.goal == "finalized":
                     self.gate.pause_for_good()
+                elif self.clock.now() > until:
+                    self._errors.note("deactivate", error, self.clock.now())
+                    self.life_cycle.enter("failed")
+                    self._on_change()
+                    return False
+        return self.gate.is_paused
 
     def _take_answers(self) -> bool:
         """Run what waits for its turn; return False when nothing may: no lease."""
