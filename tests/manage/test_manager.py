@@ -7,6 +7,7 @@ from typing import cast
 import pytest
 from msgspec.structs import replace
 
+from poise.errors import RunError
 from poise.manage.agent_connections.agents import Agents
 from poise.manage.control_socket.commands import (
     LogCommand,
@@ -250,6 +251,16 @@ def test_a_stop_that_comes_after_the_end_is_answered(managed: Managed) -> None:
     managed.manager.end()
     asked = managed.manager.submit(StopCommand())
     assert asked.result(0.0) == StopReport(())
+
+
+def test_who_asks_for_a_stop_learns_what_remains_and_nothing_else(
+    managed: Managed,
+) -> None:
+    managed.agents.gone.add("right")
+    with pytest.raises(RunError, match="stopped, but") as left:
+        managed.manager.stop()
+    asked = managed.manager.submit(StopCommand())
+    assert asked.result(0.0) == StopReport((str(left.value),))
 
 
 def test_a_status_waits_for_nothing_that_the_manager_does(managed: Managed) -> None:

@@ -1,17 +1,8 @@
-"""What a run says: warnings once, with a count; and what of it still runs."""
+"""What a run says: warnings once, with a count."""
 
 from __future__ import annotations
 
-import contextlib
-from functools import partial
-from types import SimpleNamespace
-from typing import Any
-
-import pytest
-
-from poise.errors import RunError
 from poise.manage.journal import JournalEntry
-from poise.session import run as session_run
 from poise.session.run import Warnings
 
 
@@ -29,17 +20,3 @@ def test_says_the_same_warning_once_and_counts_it() -> None:
     assert [each.partition(" ")[2] for each in said] == [first, other]
     warnings.end()
     assert said[2:] == [f"2 times: {first}"]
-
-
-def test_who_stops_a_run_is_told_what_still_runs() -> None:
-    ended: list[tuple[str, ...]] = []
-    manager: Any = SimpleNamespace(end=ended.append)
-
-    def run() -> None:
-        with contextlib.ExitStack() as stack:
-            stack.push(partial(session_run._answer_stops, manager))
-            raise RunError("computer 'left' still runs")
-
-    with pytest.raises(RunError):
-        run()
-    assert ended == [("computer 'left' still runs",)]

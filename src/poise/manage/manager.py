@@ -20,7 +20,7 @@ from typing import TypeVar
 from msgspec import structs
 
 from poise.clock import wall_time
-from poise.errors import PoiseError, RunError, TakenOver, UsageError
+from poise.errors import PoiseError, TakenOver, UsageError
 from poise.manage.adaptation.loop import Adaptation
 from poise.manage.adaptation.situation import Situation, SituationReader
 from poise.manage.control_socket.commands import (
@@ -229,17 +229,13 @@ class Manager:
 
     def stop(self) -> None:
         """Stop the robot, and answer the clients that still wait."""
-        remaining: tuple[str, ...] = ()
         self._stopping.set()
         try:
             stop(self._run)
-        except RunError as error:
-            remaining = (str(error),)
-            raise
         finally:
-            self.end(remaining)
+            self.end()
 
-    def end(self, remaining: tuple[str, ...] = ()) -> None:
+    def end(self) -> None:
         """Answer the clients that still wait: the robot has stopped."""
         self._stopping.set()
         self._adaptation.close()
@@ -247,7 +243,8 @@ class Manager:
         if self._why_over:
             text = "another manager has taken the robot over: ask that one"
         refusal = Refusal(text, "RunError") if self._why_over else None
-        self._ended = refusal or StopReport(remaining)
+        remaining = self._run.remaining
+        self._ended = refusal or StopReport((remaining,) if remaining else ())
         for future in self._stops:
             _answer(future, self._ended)
         for _, _, future in self._preparations:

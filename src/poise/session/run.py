@@ -7,7 +7,6 @@ import re
 import time
 from collections import Counter
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 
 from poise.clock import wall_time
@@ -102,17 +101,11 @@ def run(  # noqa: PLR0913 - each is a choice of the user
         recorded = keeping(robot, placed.where, record, say)
         runs, recorder = stack.enter_context(recorded)
         answering = stack.enter_context(contextlib.ExitStack())
+        what = planned(runs, first)
         up, manager = stack.enter_context(
-            managed(
-                planned(runs, first),
-                book,
-                say,
-                check,
-                adapts=adapt,
-                recorder=recorder,
-            )
+            managed(what, book, say, check, adapts=adapt, recorder=recorder)
         )
-        answering.push(partial(_answer_stops, manager))
+        answering.callback(manager.end)
         shows = ""
         if server is not None:
             server.start(manager.submit)
@@ -126,13 +119,6 @@ def run(  # noqa: PLR0913 - each is a choice of the user
             lacks = counted(book.forgotten, "earlier line")
             say(f"the report lacks {lacks} of the journal; `poise journal` has more")
         return reported(up, placed, manager.tasks.reports, seen, entries)
-
-
-def _answer_stops(
-    manager: Manager, _type: object, error: BaseException | None, _traceback: object
-) -> None:
-    """Say to who stopped the run whether something of it still runs."""
-    manager.end((str(error),) if isinstance(error, RunError) else ())
 
 
 class Warnings:

@@ -183,10 +183,19 @@ def stop(run: RunningComponents) -> None:
     """Stop everything, callers first, on all computers that are reached.
 
     Computers that come back within `RETURN_LIMIT` are stopped, too. Harmless when
-    repeated, and where another manager has the robot.
+    repeated, and where another manager has the robot. After RunError, `run.remaining`
+    says what still runs.
     """
     if run.is_left or run.desired.is_stopped:
         return
+    try:
+        _stop(run)
+    except RunError as error:
+        run.remaining = str(error)
+        raise
+
+
+def _stop(run: RunningComponents) -> None:
     agents, run.goes_on_without_lost = run.agents, True
     with contextlib.suppress(RunError):  # it is only for quiet
         deactivate_callers(run)

@@ -72,6 +72,8 @@ class RunningComponents(DesiredState):
         self._faults_before_commit = self.faults_before
         self.lost_states: dict[str, Deviation] = {}
         """Component -> how it lost its state when it was started elsewhere."""
+        self.remaining = ""
+        """What still runs after a stop, in words."""
         self.has_taken_over = False
         """Whether it was at work under another manager before."""
         self.solve_steps: int | None = None
