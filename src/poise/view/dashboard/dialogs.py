@@ -208,8 +208,13 @@ class PageActions:
         self._show_undo()
 
     async def _undo_last(self) -> None:
-        component, source = self._undo.pop()
-        await self._move(component, source, force=True)
+        if not self._button.enabled:
+            return
+        self._button.disable()  # or a double click would undo two moves
+        last = self._undo.pop()
+        if not await self._move(*last, force=True):
+            self._undo.append(last)
+        self._button.enable()
         self._show_undo()
 
     def _show_undo(self) -> None:
