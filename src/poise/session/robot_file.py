@@ -155,7 +155,6 @@ def task_of(robot: Robot, task: str | None) -> str:
 
 
 def _as_html(robot: Robot) -> str:
-    """Return a robot's components as a diagram."""
     from poise.session.diagrams.draw import draw  # noqa: PLC0415, for notebooks only
 
     return draw(robot).text(".svg")

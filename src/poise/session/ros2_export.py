@@ -89,16 +89,12 @@ def _action(entry: ComponentEntry, network: Mapping[str, str]) -> str:
     own = {k: v for k, v in entry.environment.items() if network.get(k) != v}
     keys: dict[str, object] = {"output": "screen", "additional_env": own}
     if entry.ros2 is not None and entry.ros2.package:
-        of_package = {
-            "package": entry.ros2.package,
-            "executable": entry.ros2.executable,
-        }
-        return _call("Node", {**of_package, "arguments": words[1:], **keys})
+        node = {"package": entry.ros2.package, "executable": entry.ros2.executable}
+        return _call("Node", {**node, "arguments": words[1:], **keys})
     return _call("ExecuteProcess", {"name": entry.name, "cmd": words, **keys})
 
 
 def _words(node: Ros2Node) -> tuple[str, ...]:
-    """Return the command line of a node."""
     if not node.node:
         program, *others = node.command()
         return ("python3" if program == "python" else program, *others)

@@ -116,12 +116,7 @@ def component_errors(
     """Return all that components on their computers raised, the first first."""
     found = [
         ComponentError(
-            component=component.name,
-            computer=computer,
-            where=error.where,
-            text=error.text,
-            first=error.first,
-            count=error.count,
+            component=component.name, computer=computer, **structs.asdict(error)
         )
         for computer, component in located
         for error in component.error_counts
@@ -240,10 +235,7 @@ class RunRecord(Struct, frozen=True, kw_only=True):
 
     def component(self, name: str) -> ComponentReport:
         """Return the report of one component; KeyError when it did not run."""
-        for component in self.components:
-            if component.name == name:
-                return component
-        raise KeyError(name)
+        return {component.name: component for component in self.components}[name]
 
     @property
     def failed(self) -> bool:

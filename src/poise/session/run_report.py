@@ -99,12 +99,8 @@ class RunReport(Printable, RunRecord, frozen=True, kw_only=True):
 
         Statistics have the name of what they are of, as in ``duration_p99``.
         """
-        if of == "connectors":
-            return [_flat(each) for each in self.connectors]
-        if of == "chains":
-            return [_flat(each) for each in self.chains]
-        if of == "components":
-            return [_flat(each) for each in self.components]
+        if of != "timers":
+            return [_flat(each) for each in getattr(self, of)]
         return [
             {"component": component.name, "timer": timer.name, **_flat(timer, "name")}
             for component in self.components

@@ -229,7 +229,6 @@ def _recorded(robot: Robot, recording: str | PathLike[str] | None) -> dict[str, 
 def _simulated(
     asked: RehearsalPlan, seed: int, placed: Placement, meanwhile: Watch, check: Check
 ) -> Simulation:
-    """Return what comes of a placement."""
     scenario = structs.replace(asked, placement=placed.where, method=placed.method)
     rehearsal, _ = _engine()
     check()

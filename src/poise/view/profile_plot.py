@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from poise.errors import UsageError
 from poise.estimate.demands import cpu_demand, memory_demand
 from poise.estimate.profiles import Profile
 
 FORMATS = (".svg", ".png", ".pdf")
+T = TypeVar("T")
 _MIB = 2**20
 _ROW = 0.24
 """Height of a row [inch]."""
@@ -53,11 +54,13 @@ def plot_profile(profile: Profile, overheads: Mapping[str, float], path: Path) -
 _NO_DATE: dict[str, Any] = {"Date": None}
 
 
+def _largest(parts: Mapping[str, T], size: Callable[[T], float]) -> dict[str, T]:
+    return dict(sorted(parts.items(), key=lambda part: size(part[1]))[-_MOST_ROWS:])
+
+
 def _draw_cpu(axes: Any, profile: Profile) -> None:  # noqa: ANN401, of a library
-    largest = sorted(profile.components.items(), key=lambda entry: entry[1].cpu.mean)
-    largest = largest[-_MOST_ROWS:]
-    names = [name for name, _ in largest]
-    cpus = [component.cpu for _, component in largest]
+    largest = _largest(profile.components, lambda component: component.cpu.mean)
+    names, cpus = [*largest], [component.cpu for component in largest.values()]
     axes.barh(
         names,
         [100 * cpu.mean for cpu in cpus],
@@ -70,24 +73,23 @@ def _draw_cpu(axes: Any, profile: Profile) -> None:  # noqa: ANN401, of a librar
         ("p99 of 100 ms", ":", [cpu.p99 for cpu in cpus]),
         ("peak of 100 ms", ">", [cpu.peak for cpu in cpus]),
         ("p95 of 2 s", "s", [cpu.sustained for cpu in cpus]),
-        ("demand", "D", [cpu_demand(component) for _, component in largest]),
+        ("demand", "D", [*map(cpu_demand, largest.values())]),
     ):
         marker = {"marker": "." if mark == ":" else mark, "linestyle": "none"}
         axes.plot([100 * v for v in values], names, label=label, **marker)
-    unstable = [name for name, component in largest if not component.stable]
+    unstable = [name for name, component in largest.items() if not component.stable]
     title = f"; not stable: {', '.join(unstable)}" if unstable else ""
     _label(axes, f"CPU{title}", "% of a core of the reference computer")
 
 
 def _draw_memory(axes: Any, profile: Profile) -> None:  # noqa: ANN401, as above
-    largest = sorted(profile.components.items(), key=lambda e: memory_demand(e[1]))
-    largest = largest[-_MOST_ROWS:]
-    names = [name for name, _ in largest]
-    own = [component.memory / _MIB for _, component in largest]
-    base = [component.base / _MIB for _, component in largest]
+    largest = _largest(profile.components, memory_demand)
+    names = [*largest]
+    own = [component.memory / _MIB for component in largest.values()]
+    base = [component.base / _MIB for component in largest.values()]
     axes.barh(names, own, color="tab:green", label="own, at most")
     axes.barh(names, base, left=own, color="tab:gray", label="part of the container")
-    states = [component.state / _MIB for _, component in largest]
+    states = [component.state / _MIB for component in largest.values()]
     axes.plot(states, names, "k|", label="snapshot")
     _label(axes, "Memory", "MiB")
 
@@ -113,10 +115,9 @@ def _draw_connectors(
     profile: Profile,
     overheads: Mapping[str, float],
 ) -> None:
-    largest = sorted(profile.connectors.items(), key=lambda entry: entry[1].traffic)
-    largest = largest[-_MOST_ROWS:]
-    names = [name for name, _ in largest]
-    traffic = [connector.traffic / 1e3 for _, connector in largest]
+    largest = _largest(profile.connectors, lambda connector: connector.traffic)
+    names = [*largest]
+    traffic = [connector.traffic / 1e3 for connector in largest.values()]
     axes.barh(names, traffic, color="tab:purple", label="traffic [kB/s]")
     unit = "0.01 cores" if profile.costs else "MB/s"
     values = [overheads.get(name, 0.0) for name in names]

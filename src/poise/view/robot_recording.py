@@ -14,7 +14,7 @@ import msgspec
 from msgspec import Struct
 from msgspec.structs import asdict
 
-from poise.clock import wall_time
+from poise.clock import steady_wall_time, wall_time
 from poise.errors import PoiseError, RunError
 from poise.session import Check, Say, log, nothing
 from poise.session.running_robots.running import JournalEntry, Status, connect
@@ -219,6 +219,7 @@ class Recorder:
         self._live = LiveReader(robot)
         self._reader = Reader()
         self._rate = rate
+        self._time = steady_wall_time()
         self._viewer = secrets.token_hex(8)
         self._latest: dict[str, tuple[int, int]] = {}
         self._manager = ""
@@ -272,7 +273,7 @@ class Recorder:
         file.flush()
 
     def _write_rows(self, file: McapFile, status: Status, now: float) -> None:
-        view, at = self._reader.update(status, now), wall_time()
+        view, at = self._reader.update(status, now), self._time()
         ages = tuple(
             ChainRow(c.name, c.age.median, c.age.p99, c.deadline, c.missed)
             for c in status.chains
@@ -314,7 +315,8 @@ class Recorder:
             "line": 0,
             "facts": entry.facts if isinstance(entry.facts, dict) else {},
         }
-        file.add("decisions", LOG, entry.at, log)
+        step = wall_time() - self._time()
+        file.add("decisions", LOG, entry.at - step, log)
 
     def _take_messages(self, file: McapFile, connector: str, say: Say) -> None:
         """Write its messages; say why there are none, and that there are some again."""

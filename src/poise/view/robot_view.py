@@ -236,10 +236,7 @@ def _components_since(
     past, unknown = dict(containers(before)), now.not_known()
     for key, container in containers(now):
         first, seconds = _since(past.get(key), container)
-        earlier = {
-            (component.name, component.epoch): component
-            for component in first.components
-        }
+        earlier = {(each.name, each.epoch): each for each in first.components}
         for component in container.components:
             was = earlier.get((component.name, component.epoch))
             is_known = was is not None and key.computer not in unknown
@@ -320,9 +317,8 @@ class LiveReader:
             if status.by_agents:  # the journal is the manager's
                 first = status.deviations[0]
                 trouble, since = first.what, first.since
-                return self._note(
-                    LiveReading(status=status, trouble=trouble, since=since)
-                )
+                seen = LiveReading(status=status, trouble=trouble, since=since)
+                return self._note(seen)
             after = self._entries[-1].number if self._entries else 0
             self._entries.extend(self.running.journal(after))
         except PoiseError as error:

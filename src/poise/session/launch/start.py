@@ -9,7 +9,7 @@ import signal
 import subprocess
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -296,16 +296,10 @@ def _forget_if_ended(robot: str, agents: Agents, computers: Iterable[str]) -> No
         forget(robot)
 
 
-def _check_runnable(robot: Robot, placed: Iterable[str]) -> None:
+def _check_runnable(robot: Robot, placed: Collection[str]) -> None:
     """Raise RobotError when components are described for planning only."""
-    wanted = set(placed)
-    nothing = [
-        component.name
-        for component in robot.components()
-        if component.name in wanted
-        and not (component.implementation or component.command)
-    ]
-    if nothing:
+    found = (component for component in robot.components() if component.name in placed)
+    if nothing := [c.name for c in found if not (c.implementation or c.command)]:
         raise RobotError(
             f"components without `implementation` or `command`: {', '.join(nothing)}. "
             "They can be planned, but not run"

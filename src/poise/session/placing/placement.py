@@ -337,24 +337,17 @@ def place(  # noqa: PLR0913 - each is a choice of the user
     RobotError
         A component can run nowhere, or an architecture has no home.
     """
+    actions = robot.actions(task)
     robot = learned(
-        robot,
-        robot.actions(task),
-        conditions=conditions,
-        explore=explore,
-        seed=seed,
+        robot, actions, conditions=conditions, explore=explore, seed=seed
     ).robot
     problem = problem_of_task(robot, task, at_once=at_once)
     solve = partial(
         plan.solve_phases, budget=budget, method=method, seed=seed, fewer=fewer
     )
     found = decided(robot, problem, method, solve)
-    return Placement(
-        task=task,
-        method=method,
-        task_result=found.task_result,
-        predicted=found.predicted,
-    )
+    result, predicted = found.task_result, found.predicted
+    return Placement(task=task, method=method, task_result=result, predicted=predicted)
 
 
 def problem_of_task(
@@ -399,10 +392,8 @@ def _ruled(
         (phase,) = problem.phases
         result = _by_file(method, robot, phase.problem)
         return plan.TaskResult(problem, {phase.name: result})
-    results = {
-        phase.name: plan.evaluate(
-            phase.problem, by_rule(method, robot, phase.problem), method
-        )
-        for phase in problem.phases
-    }
+    results = {}
+    for phase in problem.phases:
+        where = by_rule(method, robot, phase.problem)
+        results[phase.name] = plan.evaluate(phase.problem, where, method)
     return plan.TaskResult(problem, results)

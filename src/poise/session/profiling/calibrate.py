@@ -166,7 +166,12 @@ def costs_of(
     """Return the costs of connectors by kind; remote only with two computers."""
     uses, computers = _uses(samples, speeds)
     kinds = KINDS if len(computers) > 1 else KINDS[:-1]
-    costs = {kind: _fitted(uses, kind) for kind in kinds}
+    sources = {pair: use.source for pair, use in uses.items()}
+    targets = {pair: use.target for pair, use in uses.items()}
+    costs = {
+        kind: KindCosts(source=_end(sources, kind), target=_end(targets, kind))
+        for kind in kinds
+    }
     for kind, both in costs.items():
         if kind != "direct" and not both.source.call * both.source.message:
             raise RunError(
@@ -213,13 +218,6 @@ def _cores(samples: Sequence[ContainerSample]) -> float:
 
 def _count(sample: ContainerSample) -> int:
     return sum(each.calls + each.messages for each in sample.connectors)
-
-
-def _fitted(uses: Mapping[Pair, Use], kind: str) -> KindCosts:
-    return KindCosts(
-        source=_end({p: use.source for p, use in uses.items()}, kind),
-        target=_end({p: use.target for p, use in uses.items()}, kind),
-    )
 
 
 def _end(uses: Mapping[Pair, float], kind: str) -> Costs:

@@ -22,7 +22,6 @@ from poise.model.robot import (
     Computer,
     Connector,
     ConnectorEnd,
-    Device,
     Robot,
     Simulator,
 )
@@ -220,7 +219,10 @@ def _emulated(robot: Robot, computer: str) -> tuple[Robot, str]:
         computers=(chosen, others),
         links=(),
         # one machine emulates both, so its simulator reaches both
-        devices=tuple(_at(device, computer) for device in robot.devices),
+        devices=tuple(
+            msgspec.structs.replace(device, computer=computer)
+            for device in robot.devices
+        ),
         simulator=_simulator(robot),
     )
     return rig, OTHERS
@@ -236,10 +238,6 @@ def _simulator(robot: Robot) -> Simulator | None:
     if robot.workload is not None and robot.workload.command:
         return Simulator(command=robot.workload.command)
     return robot.simulator
-
-
-def _at(device: Device, computer: str) -> Device:
-    return msgspec.structs.replace(device, computer=computer)
 
 
 def _held_by_devices(

@@ -62,12 +62,10 @@ def profiled(robot: Robot) -> Profiled:
             f"'{robot.name}'"
         )
     source = f"{robot.profile}, measured by `poise profile` on '{profile.computer}'"
-    says = [f"demands from {source}, {profile.at}"]
-    says.append(
-        "overheads from measured costs of connectors"
-        if profile.costs
-        else "overheads are MB/s: `poise calibrate` measures the costs of connectors"
-    )
+    costs = "overheads are MB/s: `poise calibrate` measures the costs of connectors"
+    if profile.costs:
+        costs = "overheads from measured costs of connectors"
+    says = [f"demands from {source}, {profile.at}", costs]
     own = [
         component.name
         for component in robot.components()
@@ -76,17 +74,14 @@ def profiled(robot: Robot) -> Profiled:
     ]
     if own:
         says.append(f"demands from the robot file, which take precedence: {_some(own)}")
-    gaps = missing(robot, profile)
-    if gaps:
+    if gaps := missing(robot, profile):
         says.append(f"no demand is known of: {_some(gaps)}")
-    old = stale(robot, profile)
-    if old:
+    if old := stale(robot, profile):
         says.append(f"changed since they were measured: {_some(old)}")
     return Profiled(with_profile(robot, profile), tuple(says))
 
 
 def _some(names: list[str]) -> str:
-    """Return the names, or the first few of many."""
     if len(names) <= _MOST_NAMED:
         return ", ".join(names)
     return f"{', '.join(names[:_MOST_NAMED])} and {len(names) - _MOST_NAMED} more"

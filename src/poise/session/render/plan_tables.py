@@ -309,7 +309,6 @@ def show_explanation(
 
 
 def _show_options(explanation: plan.Explanation, console: Console) -> None:
-    """Print why a component is where it is, and what each other computer costs."""
     console.print(str(explanation), highlight=False)
     if explanation.together:
         names = ", ".join(explanation.together)
@@ -336,7 +335,6 @@ def _show_options(explanation: plan.Explanation, console: Console) -> None:
 
 
 def _show_rejection(rejection: plan.Rejection, console: Console) -> None:
-    """Print why an architecture was not chosen, and what it would cost."""
     console.print(str(rejection), highlight=False)
     if rejection.objective is None or rejection.change is None:
         return
@@ -354,14 +352,9 @@ def _terms(result: plan.Result) -> str:
     if terms is None:
         return ""
     parts = [
-        f"communication {_cost(terms.communication)}",
-        f"balance {_cost(terms.balance)}",
-        f"move {_cost(terms.move)}",
-    ]
-    parts += [
         f"{name} {_cost(cost)}"
-        for name in ("quality", "shortage", "time")
-        if (cost := getattr(terms, name))
+        for name in TERMS
+        if (cost := getattr(terms, name)) or name in ALWAYS
     ]
     known = _known(result.bound, is_least=result.proven)
     return (

@@ -69,9 +69,7 @@ def report_parts(report: RunRecord) -> Iterator[RenderableType]:
     yield from chain_tables(report.chains)
     yield from connector_tables(report.connectors)
     yield from clock_tables(report.clocks)
-    shares = ", ".join(
-        f"{name} {share:.0%}" for name, share in report.cpu_share.items()
-    )
+    shares = ", ".join(f"{n} {share:.0%}" for n, share in report.cpu_share.items())
     yield f"ran for {report.seconds:.1f} s; CPU used: {shares}"
     yield from task_lines(report.tasks, is_over=True)
     for name in report.suspended:

@@ -119,11 +119,8 @@ def comparison_parts(
             where = escape(f"{method}: {sentence}")
             yield f"[red]a promise of Poise did not hold: {where}[/]"
         if ended_early(report):
-            whole = span(report.asked)
-            yield (
-                f"[yellow]{escape(method)} was ended after {span(report.seconds)} of "
-                f"{whole}[/]"
-            )
+            after = f"{span(report.seconds)} of {span(report.asked)}"
+            yield f"[yellow]{escape(method)} was ended after {after}[/]"
 
 
 COMPARED = (
@@ -169,9 +166,8 @@ def _stopped(report: SimulationReport) -> str:
     if not names:
         return "no function stopped"
     longest = max(each.lasts for each in report.outages)
-    if len(names) > 1:
-        return f"{len(names)} functions stopped, for up to {format_seconds(longest)}"
-    return f"{names[0]} stopped, for up to {format_seconds(longest)}"
+    what = f"{len(names)} functions" if len(names) > 1 else names[0]
+    return f"{what} stopped, for up to {format_seconds(longest)}"
 
 
 def _computers(report: SimulationReport) -> Table:
@@ -221,9 +217,7 @@ def _chains(report: SimulationReport) -> Iterator[RenderableType]:
         if not chain.uses:
             rows.add_row(*head)
             continue
-        part = (
-            "" if chain.deadline is None else f"{share(chain.missed, chain.uses):.1%}"
-        )
+        part = f"{share(chain.missed, chain.uses):.1%}" if until else ""
         ages = map(format_seconds, (chain.median, chain.p99, chain.maximum))
         rows.add_row(*head, part, *ages)
     if rows.row_count:
@@ -310,7 +304,6 @@ def comparison_page(results: Mapping[str, SimulationReport], figures: str) -> st
 
 
 def _pictures(report: SimulationReport) -> Iterator[str]:
-    """Yield a simulation in words and pictures."""
     yield f'<p class="verdict">{html.escape(verdict(report))}</p>'
     yield f"<p>{html.escape(took(report))}</p>"
     yield "<h2>Over time</h2>"

@@ -76,10 +76,8 @@ def detail_parts(status: RobotStatus) -> Iterator[RenderableType]:
     known = {name: each.clocks for name, each in sorted(status.computers.items())}
     yield from clock_tables(known)
     yield container_table(status)
-    if means := {
-        n: c.cpu_weights for n, c in status.computers.items() if c.cpu_weights
-    }:
-        by = ", ".join(f"{how} on {name}" for name, how in sorted(means.items()))
+    means = {name: each.cpu_weights for name, each in sorted(status.computers.items())}
+    if by := ", ".join(f"{how} on {name}" for name, how in means.items() if how):
         yield f"containers share the CPU by priority: {by}"
 
 
@@ -131,14 +129,11 @@ def container_table(answer: RobotStatus) -> Table:
     names = "container", "computer", "memory", "demand", "grows", "components"
     rows = table(*names, folds=len(names) - 1)
     for name, computer in sorted(answer.computers.items()):
-        inside = {
-            container.name: [component.name for component in container.components]
-            for container in computer.containers
-        }
+        inside = {each.name: each.components for each in computer.containers}
         for health in computer.health:
             if health.name not in inside:
                 continue
-            components = inside[health.name]
+            components = [component.name for component in inside[health.name]]
             demand = sum(answer.memory_demands.get(each, 0.0) for each in components)
             text = format_bytes(health.memory)
             rows.add_row(
@@ -205,8 +200,7 @@ def remarks(answer: RobotStatus) -> Iterator[str]:
     for computer, component, standing in _each(answer):
         load = answer.loads.get(computer)
         culprit = culprit_on(load, answer.demand_estimates, component.name)
-        found = ", ".join(_remarks(component, standing, culprit))
-        if found:
+        if found := ", ".join(_remarks(component, standing, culprit)):
             yield f"{component.name}: {found}"
 
 
@@ -223,9 +217,8 @@ def _remarks(
 ) -> Iterator[str]:
     if component.errors:
         last = component.error.rstrip().rpartition("\n")[2]
-        yield counted(component.errors, "error") + (
-            f" ({escape(last)})" if last else ""
-        )
+        which = f" ({escape(last)})" if last else ""
+        yield f"{counted(component.errors, 'error')}{which}"
     if standing is not None and standing.estimate.starved:
         why = f" ({culprit})" if culprit else ""
         yield f"starved {standing.estimate.starved:.0%}{why}"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from itertools import pairwise
 
 from rich import box
@@ -57,18 +57,13 @@ class NamedRows:
     ) -> RenderResult:
         """Give the lines, for rich."""
         title, rule, *rows = console.render_lines(self._rows, options, pad=False)
-        yield from _line(title)
-        yield from _line(rule)
+        yield from (*title, Segment.line(), *rule, Segment.line())
         before = None
         for name, row in zip(self._names, rows, strict=True):
             if name != before:
                 yield name
             before = name
-            yield from _line(row)
-
-
-def _line(segments: list[Segment]) -> list[Segment]:
-    return [*segments, Segment.line()]
+            yield from (*row, Segment.line())
 
 
 def chain_tables(chains: Iterable[ChainReport]) -> Iterator[Table]:
@@ -120,25 +115,28 @@ def clock_tables(
 
 def _signed(offset: float, error: float) -> str:
     """Return an offset, as exactly as it is known."""
-    if abs(offset) <= error:
-        return "0 s"
     sign = "-" if offset < 0 else ""
-    return f"{sign}{format_seconds(abs(offset))}"
+    return "0 s" if abs(offset) <= error else f"{sign}{format_seconds(abs(offset))}"
 
 
 _OF = "connector"
 _Ends = list[ConnectorStatus]
-_Cells = Callable[[_Ends], tuple[str, ...]]
 
 
 def connector_tables(ends: Iterable[ConnectorStatus]) -> list[NamedRows]:
     """Return what went over connectors, how long it took, and how large it was."""
-    grouped = dict(sorted(_grouped(ends).items()))
+    grouped: dict[tuple[str, str], _Ends] = {}
+    for end in ends:
+        grouped.setdefault((end.name, end.end), []).append(end)
     counts = NamedRows(_OF, "kind", "end", "count", "out", "in", "errors", "drops")
     times = NamedRows(_OF, "end", "took", "p99", "one way", "p99")
     sizes = NamedRows(_OF, "end", "size", "p99", "largest")
-    for rows, cells in ((counts, _counts), (times, _times), (sizes, _sizes)):
-        _fill(rows, grouped, cells)
+    for (name, _), same in sorted(grouped.items()):
+        # a source that has a path more reports the same numbers twice
+        each = same if same[0].end == "target" else same[:1]
+        for rows, cells in ((counts, _counts), (times, _times), (sizes, _sizes)):
+            if found := cells(each):
+                rows.add_row(name, *found)
     return [rows for rows in (counts, times, sizes) if rows.row_count]
 
 
@@ -147,23 +145,6 @@ def failed_calls(ends: Iterable[ConnectorStatus]) -> Iterator[str]:
     for end in sorted(ends, key=lambda end: end.name):
         if end.end != "target" and end.calls and end.errors:
             yield f"{end.name}: {end.errors:,} of {end.calls:,} calls failed"
-
-
-def _grouped(ends: Iterable[ConnectorStatus]) -> dict[tuple[str, str], _Ends]:
-    found: dict[tuple[str, str], _Ends] = {}
-    for end in ends:
-        found.setdefault((end.name, end.end), []).append(end)
-    return found
-
-
-def _fill(
-    rows: NamedRows, grouped: dict[tuple[str, str], _Ends], cells: _Cells
-) -> None:
-    for (name, _), same in grouped.items():
-        # a source that has a path more reports the same numbers twice
-        found = cells(same if same[0].end == "target" else same[:1])
-        if found:
-            rows.add_row(name, *found)
 
 
 def _counts(same: _Ends) -> tuple[str, ...]:
@@ -196,8 +177,7 @@ def _sizes(same: _Ends) -> tuple[str, ...]:
     size = _most(end.size for end in same)
     if not size.count:
         return ()
-    found = size.median, size.p99, size.maximum
-    return (same[0].end, *map(format_bytes, found))
+    return (same[0].end, *map(format_bytes, (size.median, size.p99, size.maximum)))
 
 
 def _pair(times: Summary) -> tuple[str, str]:

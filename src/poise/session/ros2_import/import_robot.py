@@ -177,7 +177,7 @@ class RobotText:
         here: WhereImported,
     ) -> None:
         self._graph, self._robot = graph, robot
-        self._computers, self._here = computers, here
+        self._computers = computers
         self._names = _unique_names(graph.processes)
         self._component = {
             node: self._names[process.pid]
@@ -286,10 +286,8 @@ class RobotText:
 
     def _ends(self, source: str, target: str) -> tuple[str, str] | None:
         """Return the components of two nodes; None: they are not two of this file."""
-        ends = self._component.get(source), self._component.get(target)
-        if ends[0] is None or ends[1] is None or ends[0] == ends[1]:
-            return None
-        return ends[0], ends[1]
+        one, other = self._component.get(source), self._component.get(target)
+        return (one, other) if one and other and one != other else None
 
     def _chains(self) -> Iterator[str]:
         lines = []

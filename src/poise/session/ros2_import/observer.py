@@ -50,7 +50,6 @@ class TopicProbe:
         self._look_at = 0.0
         self._bytes = self._messages = 0
         self.publishers: dict[bytes, PublisherCount] = {}
-        self.was_sampled = False
 
     def adjust(self) -> None:
         """Begin or end a look, if it is time to."""
@@ -65,7 +64,6 @@ class TopicProbe:
                 raw=True,
             )
         elif self._subscription is not None and is_long:
-            self.was_sampled = True
             self._look_at = time.monotonic() + BETWEEN
             self.close()
 
@@ -224,9 +222,7 @@ class _Observer:
 
     def _find_topics(self) -> None:
         for topic, types in self._node.get_topic_names_and_types():
-            if topic in self._probes or topic in self._unmeasured:
-                continue
-            if topic in _EVERY_NODES or "/_" in topic:
+            if topic in self._probes or topic in self._unmeasured or _is_hidden(topic):
                 continue
             try:
                 message = message_type(types[0])
@@ -256,7 +252,7 @@ class _Observer:
     def _ends(self) -> Mapping[str, _Ends]:
         found = {}
         for topic, types in sorted(self._node.get_topic_names_and_types()):
-            if topic in _EVERY_NODES or "/_" in topic:
+            if _is_hidden(topic):
                 continue
             publishers = self._node.get_publishers_info_by_topic(topic)
             subscribers = [
@@ -291,11 +287,8 @@ class _Observer:
     def _endpoints(self) -> dict[str, TopicEndpointInfo]:
         """Return node -> one of its publishers; nearly every node has one of these."""
         found: dict[str, TopicEndpointInfo] = {}
-        topics = [
-            *_EVERY_NODES,
-            *(t for t, _ in self._node.get_topic_names_and_types()),
-        ]
-        for topic in topics:
+        names = (topic for topic, _ in self._node.get_topic_names_and_types())
+        for topic in (*_EVERY_NODES, *names):
             for info in self._node.get_publishers_info_by_topic(topic):
                 found.setdefault(_full_name(info), info)
         return found
@@ -333,6 +326,10 @@ class _Observer:
                 clients=tuple(sorted(clients[key])),
                 servers=tuple(sorted(servers[key])),
             )
+
+
+def _is_hidden(topic: str) -> bool:
+    return topic in _EVERY_NODES or "/_" in topic
 
 
 def _full_name(info: TopicEndpointInfo) -> str:

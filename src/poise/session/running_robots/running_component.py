@@ -207,21 +207,17 @@ class RunningComponent:
         CalleeError
             Its ``reconfigure`` refused them: none has changed.
         """
-        try:
-            packed = pack(dict(changes))
-        except WireError as error:
-            raise UsageError(str(error)) from error
+        packed = _packed(dict(changes))
         command = ParametersCommand(component=self.name, changes=packed, limit=limit)
-        answer = self._sent(command, PARAMETERS)
-        return dict(unpack(answer.value))
+        return dict(unpack(self._sent(command, PARAMETERS).value))
 
     def _ask(self, port: str, method: str, value: object, limit: float) -> PortAnswer:
-        try:
-            packed = pack(value)
-        except WireError as error:
-            raise UsageError(str(error)) from error
         command = PortCommand(
-            component=self.name, port=port, method=method, value=packed, limit=limit
+            component=self.name,
+            port=port,
+            method=method,
+            value=_packed(value),
+            limit=limit,
         )
         return self._sent(command, port)
 
@@ -231,9 +227,7 @@ class RunningComponent:
         if command.limit > 0 >= limit:
             raise Timeout(f"'{self.name}.{port}': no time is left")
         command = structs.replace(command, limit=limit)
-        return self._checked(ask(self._robot, command, PortAnswer), port)
-
-    def _checked(self, answer: PortAnswer, port: str) -> PortAnswer:
+        answer = ask(self._robot, command, PortAnswer)
         match answer.outcome:
             case "raised":
                 raise CalleeError(answer.error_type, answer.reason, answer.traceback)
@@ -269,6 +263,13 @@ class _Interface:
             )
 
         return call
+
+
+def _packed(value: object) -> Packed:
+    try:
+        return pack(value)
+    except WireError as error:
+        raise UsageError(str(error)) from error
 
 
 def _name(type_: object) -> str:

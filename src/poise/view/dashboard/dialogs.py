@@ -58,14 +58,23 @@ class PageActions:
         button.props('outline dense no-caps color=""')
 
     def _ask_to_stop(self) -> None:
+        says = "All its components end, on all computers, and its manager, too."
+        words = "Stop the robot?", says, "Stop it", "Cancel"
+        self._question(words, self._running.stop, "color=red-10")
+
+    def _question(
+        self, words: tuple[str, str, str, str], act: Callable[[], object], look: str
+    ) -> None:
+        """Ask before something is done: head, consequence, yes and no."""
+        head, says, yes, no = words
         with self._place, _dialog() as dialog:
-            ui.html("<h2>Stop the robot?</h2>")
-            ui.label("All its components end, on all computers, and its manager, too.")
+            ui.html(f"<h2>{escape(head)}</h2>")
+            ui.label(says)
             with ui.row():
-                ui.button(
-                    "Stop it", on_click=lambda: self._call(self._running.stop, dialog)
-                ).props("no-caps color=red-10")
-                ui.button("Cancel", on_click=dialog.close).props("no-caps outline")
+                ui.button(yes, on_click=lambda: self._call(act, dialog)).props(
+                    f"no-caps {look}"
+                )
+                ui.button(no, on_click=dialog.close).props("no-caps outline")
 
     async def do_task(self, verb: str, task: str) -> None:
         """Start, pause, resume or cancel a task; before the last, ask."""
@@ -73,16 +82,9 @@ class PageActions:
         if verb != "cancel":
             await self._call(act)
             return
-        with self._place, _dialog() as dialog:
-            ui.html(f"<h2>{escape(f'Cancel task {task}?')}</h2>")
-            ui.label("It begins from its start when it is started again.")
-            with ui.row():
-                ui.button(
-                    "Cancel the task", on_click=lambda: self._call(act, dialog)
-                ).props("no-caps")
-                ui.button("Keep it running", on_click=dialog.close).props(
-                    "no-caps outline"
-                )
+        says = "It begins from its start when it is started again."
+        words = f"Cancel task {task}?", says, "Cancel the task", "Keep it running"
+        self._question(words, act, "")
 
     async def _call(self, act: Callable[[], object], dialog: Any = None) -> None:  # noqa: ANN401, NiceGUI's
         if dialog is not None:
@@ -282,7 +284,6 @@ def _said(value: Any) -> str:  # noqa: ANN401, JSON's
 
 
 def _alternatives(others: list[dict[str, Any]]) -> str:
-    """Return what could have been done as a table."""
     heads = ("", "F", "cores too little", "cost", "limits that it breaks")
     cells = [
         (
@@ -298,7 +299,6 @@ def _alternatives(others: list[dict[str, Any]]) -> str:
 
 
 def _terms(columns: dict[str, Any]) -> str:
-    """Return F and its parts as a table."""
     terms = {name: msgspec.to_builtins(column) for name, column in columns.items()}
     names = {"total": "F"} | {n: n for n in ("communication", "balance", "move")}
     if any(values["time"] for values in terms.values()):

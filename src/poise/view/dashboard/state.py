@@ -189,23 +189,20 @@ def _timers(
     """Yield timers; `now` is the share that is late; None: it is not known."""
     late = {row.name: row.missed / row.rate for row in rows if row.missed and row.rate}
     known = {row.name for row in rows if row.missed is not None}
-    for _, container in containers(status):
-        for component in container.components:
-            for timer in component.timers:
-                name = f"{component.name}.{timer.name}"
-                yield (
-                    name,
-                    {
-                        "component": component.name,
-                        "period": timer.period,
-                        "deadline": timer.deadline,
-                        "releases": timer.releases,
-                        "missed": timer.missed,
-                        "p99": _round(timer.duration.p99),
-                        "now": _round(late.get(name, 0.0)) if name in known else None,
-                        "known": name in known,
-                    },
-                )
+    for _, component in status.located():
+        for timer in component.timers:
+            name = f"{component.name}.{timer.name}"
+            shown = {
+                "component": component.name,
+                "period": timer.period,
+                "deadline": timer.deadline,
+                "releases": timer.releases,
+                "missed": timer.missed,
+                "p99": _round(timer.duration.p99),
+                "now": _round(late.get(name, 0.0)) if name in known else None,
+                "known": name in known,
+            }
+            yield name, shown
 
 
 def _chain(chain: ChainReport, late: float | None, status: Status) -> dict[str, Any]:
@@ -263,10 +260,7 @@ def _components(status: Status) -> Iterator[tuple[str, dict[str, Any]]]:
                 }
     for name, shown_as in shown.items():
         if (need := needs.get(name)) is not None:
-            shown_as["cpu"], shown_as["starved"] = (
-                _round(need.mean),
-                _round(need.starved),
-            )
+            shown_as |= {"cpu": _round(need.mean), "starved": _round(need.starved)}
             error = None if need.is_least else need.error
             shown_as["sure"] = None if error is None else _round(error)
         if shown_as["at"] in status.not_known():
@@ -281,9 +275,7 @@ def _computers(
     for name in sorted({*status.computers, *status.placement.values(), *unknown}):
         agent, load = status.computers.get(name), status.loads.get(name)
         age = status.ages.get(name)
-        here = [
-            component for component in components.values() if component["at"] == name
-        ]
+        here = [each for each in components.values() if each["at"] == name]
         needs = [component["cpu"] for component in here if "cpu" in component]
         sure = [component.get("sure") or 0.0 for component in here]
         row: dict[str, Any] = {
@@ -341,12 +333,12 @@ class RecentHistory:
         self._before[name] = uses, total
         if not chain["known"] or uses <= before:
             return None
-        return _digits((total - total_before) / (uses - before) / chain["deadline"])
+        return _round((total - total_before) / (uses - before) / chain["deadline"])
 
 
 def _share(computer: dict[str, Any]) -> float | None:
     used, capacity = computer.get("used"), computer.get("capacity")
-    return _digits(used / capacity) if capacity and used is not None else None
+    return _round(used / capacity) if capacity and used is not None else None
 
 
 def _late(page: Page) -> float | None:
@@ -354,7 +346,3 @@ def _late(page: Page) -> float | None:
     shares = [timer["now"] for timer in page["timers"].values() if timer["deadline"]]
     known = [share for share in shares if share is not None]
     return max(known) if known else None
-
-
-def _digits(value: float) -> float:
-    return float(f"{value:.3g}")
