@@ -7,6 +7,7 @@ is a `Stamp`, which says whose clock it is.
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Protocol
 
@@ -19,6 +20,12 @@ DRIFT = 50e-6
 def wall_time() -> float:
     """Return the time of day [s since 1970], for people only: it steps, by years."""
     return time.time()  # noqa: TID251, the one place
+
+
+def steady_wall_time() -> Callable[[], float]:
+    """Return a clock [s since 1970] that steps no more from now on."""
+    began = wall_time() - time.monotonic()
+    return lambda: began + time.monotonic()
 
 
 def boot_time() -> float:

@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Sequence
 from pathlib import Path
 
-from poise.clock import wall_time
+from poise.clock import steady_wall_time
 from poise.manage.background_file import BackgroundWriter
 from poise.model.policy import Seen
 from poise.units import counted
@@ -67,6 +67,7 @@ class RecordingFile(BackgroundWriter[tuple[str, float, bytes]]):
         self.file = McapFile(path, robot, replaces=True)
         self.count = 0
         """How many samples came."""
+        self._time = steady_wall_time()
         super().__init__(
             path, "the recording", "record", most=MOST_WAITING, every=_WRITE_EVERY
         )
@@ -83,7 +84,7 @@ class RecordingFile(BackgroundWriter[tuple[str, float, bytes]]):
 
     def _add(self, record: AgentSample | Seen) -> None:
         topic, data = message_of(record)
-        self.put((topic, wall_time(), data), len(data))
+        self.put((topic, self._time(), data), len(data))
 
     def write(self, records: Sequence[tuple[str, float, bytes]]) -> None:
         """Compress records, and write them."""

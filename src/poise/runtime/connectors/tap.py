@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
-from poise.clock import wall_time
+from poise.clock import steady_wall_time
 from poise.errors import RunError, UsageError
 from poise.runtime.connectors.latest import (
     NONE,
@@ -94,10 +94,11 @@ class Observer:
         self._missing = 0
         self._latest = latest
         self._lock = threading.Lock()
+        self._time = steady_wall_time()
 
     def note(self, value: Callable[[], object], number: Number = NONE) -> None:
         """Note that something went out; its content is asked for when it is due."""
-        at, now = wall_time(), time.monotonic()
+        at, now = self._time(), time.monotonic()
         with self._lock:
             if number == self._latest != NONE:
                 return
@@ -342,12 +343,13 @@ class InputFile:
         self._numbered = numbered_tag(port.type) if is_topic else None
         self._size = 0
         self._has_ended = False
+        self._time = steady_wall_time()
 
     def handler(self, handle: Handler) -> Handler:
         """Return a handler that also records messages and calls."""
 
         def handle_and_record(received: Frame) -> Pieces | None:
-            at = wall_time()
+            at = self._time()
             answer = handle(received)
             if received.kind in _RECORDED:
                 self._add(at, received, answer)
