@@ -138,12 +138,9 @@ class Agents(AgentReports):
             ),
         ]
         if on_sample is not None:
-            self._declared.append(
-                self._session.declare_subscriber(
-                    f"{prefix}/samples/*",
-                    reading(AgentSample, on_sample, self.on_refused),
-                )
-            )
+            take = reading(AgentSample, on_sample, self.on_refused)
+            samples = self._session.declare_subscriber(f"{prefix}/samples/*", take)
+            self._declared.append(samples)
         # last, because agents report at once to a manager that comes
         self._token = self._session.liveliness().declare_token(
             f"{prefix}/manager/{self.manager.key}"
@@ -258,18 +255,15 @@ class Agents(AgentReports):
         votes = self._claims.votes
 
         def claimed(computers: Collection[str], *, is_poll: bool) -> dict[str, Claimed]:
-            claims: dict[str, Request] = {
-                name: replace(
-                    self._new_claim(name, take_over=take_over), is_poll=is_poll
-                )
-                for name in sorted(computers)
-            }
+            claims: dict[str, Request] = {}
+            for name in sorted(computers):
+                claim = self._new_claim(name, take_over=take_over)
+                claims[name] = replace(claim, is_poll=is_poll)
             answers = self.ask_all(claims, _VOTE_LIMIT)
             accepted = {n: a for n, a in answers.items() if isinstance(a, Claimed)}
             if not self._claims.has_majority(accepted):
-                said = sorted(
-                    {a.reason for a in answers.values() if isinstance(a, Refused)}
-                )
+                refused = (a for a in answers.values() if isinstance(a, Refused))
+                said = sorted({answer.reason for answer in refused})
                 away = sorted(votes.keys() - computers)
                 said += [f"not reached: {', '.join(away)}"] if away else []
                 raise RunError(f"no majority of votes: {'; '.join(said)}")
@@ -330,9 +324,8 @@ class Agents(AgentReports):
             raise RunError(f"the agent of '{computer}' has not reported yet")
         status = self.statuses().get(computer)
         before = status.manager if status is not None else None
-        is_late = bool(self._claims.accepted) or (
-            before is not None and has_ended(before)
-        )
+        has_gone = before is not None and has_ended(before)
+        is_late = bool(self._claims.accepted) or has_gone
         until = self._clock.now() + (_LATE if is_late else 0.0)
         while True:
             claim = self._new_claim(computer, take_over=take_over)

@@ -54,10 +54,8 @@ def robots_without_manager(but: Collection[str] = ()) -> dict[str, RobotStatus]:
     """Return the robots that go on without a manager that this computer had."""
     left = [addresses for addresses in noted() if addresses.robot not in but]
     with ThreadPoolExecutor(_MOST_AT_ONCE) as pool:
-        found = dict(
-            zip([e.robot for e in left], pool.map(ask_agents, left), strict=True)
-        )
-    return {name: status for name, status in found.items() if status is not None}
+        found = list(pool.map(ask_agents, left))
+    return {status.robot: status for status in found if status is not None}
 
 
 def ask_agents(addresses: AgentAddresses, why: str = "") -> RobotStatus | None:
@@ -68,11 +66,9 @@ def ask_agents(addresses: AgentAddresses, why: str = "") -> RobotStatus | None:
     with ThreadPoolExecutor(_MOST_AT_ONCE) as pool:
         if not any(pool.map(_listens, addresses.endpoints.values())):
             return None
-    reports = AgentReports(addresses.robot, addresses.endpoints, SystemClock())
-    endpoints = addresses.endpoints
-    session = open_session(
-        connect=tuple(endpoints.values()), keys=addresses.credentials()
-    )
+    endpoints, keys = addresses.endpoints, addresses.credentials()
+    reports = AgentReports(addresses.robot, endpoints, SystemClock())
+    session = open_session(connect=tuple(endpoints.values()), keys=keys)
     try:
         kept = reports.subscribe(session)
         reports.wait_news(lambda: bool(reports.reached()), AGENT_LIMIT)
@@ -91,9 +87,7 @@ def status_by_agents(
 
     `now`: when they were asked [s since 1970].
     """
-    managers = [
-        status.manager for status in statuses.values() if status.manager is not None
-    ]
+    managers = [s.manager for s in statuses.values() if s.manager is not None]
     if not managers or not any(status.containers for status in statuses.values()):
         return None
     # of agents that were out of the last manager's reach, an earlier one
@@ -154,12 +148,9 @@ def _deviations(
                 )
     for name, component in located(statuses):
         if component.state in {"failed", "unresponsive"}:
-            yield Deviation(
-                what=f"component '{component.name}' on '{name}' is {component.state}",
-                computer=name,
-                component=component.name,
-                since=now,
-            )
+            own = component.name
+            what = f"component '{own}' on '{name}' is {component.state}"
+            yield Deviation(what=what, computer=name, component=own, since=now)
 
 
 def _placement(statuses: Statuses) -> dict[str, str]:

@@ -72,11 +72,8 @@ def send_command(robot: str | None, command: Command) -> Result:
     except BlockingIOError:  # its queue is full
         raise _no_answer(name) from None
     except (OSError, RunError, WireError) as error:
-        done = (
-            ""
-            if isinstance(command, LookCommand)
-            else "; the command may have taken effect"
-        )
+        is_look = isinstance(command, LookCommand)
+        done = "" if is_look else "; the command may have taken effect"
         raise RunError(f"robot '{name}' gave no answer: {error}{done}") from error
     if isinstance(told, Refusal):
         raise told.to_error()
@@ -111,7 +108,6 @@ def _find(robot: str | None) -> Path | AgentAddresses:
 
 
 def _only_one(managed: Sequence[str], noted_here: Collection[str]) -> str:
-    """Return the name of the only robot that runs."""
     names = {*managed, *noted_here}
     if len(names) > 1:  # a note may be older than the end of its robot
         names = {*managed, *robots_without_manager(but=managed)}
@@ -201,9 +197,7 @@ def _no_manager(addresses: AgentAddresses, denied: str = "") -> NoManager:
     if status is None:
         raise _not_here(addresses.robot, running_here())
     why, agents = status.deviations[0].what, status.computers.values()
-    is_over = all(agent.unmanaged for agent in agents) and not any(
-        agent.has_standbys for agent in agents
-    )
+    is_over = all(each.unmanaged and not each.has_standbys for each in agents)
     why += f" ({denied})" if denied else ""
     return NoManager(why, status, addresses if is_over else None)
 

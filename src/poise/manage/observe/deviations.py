@@ -69,8 +69,7 @@ def find_deviations(
     for incarnation in settled:
         here[incarnation.computer].append(incarnation)
     for incarnation in wanted:
-        container = layout.container_of(incarnation)
-        names[incarnation.computer].add(container)
+        names[incarnation.computer].add(layout.container_of(incarnation))
     for computer, status in sorted(statuses.items()):
         yield from _of_components(here[computer], layout, status, now)
         for what in _of_containers(names[computer], status):
@@ -141,10 +140,8 @@ def _of_containers(wanted: AbstractSet[str], status: AgentStatus) -> Iterator[st
     for health in status.health:
         if health.name in wanted and health.restarts_lately >= _CRASH_LOOP:
             where = f"container '{health.name}' on '{status.computer}'"
-            yield (
-                f"{where} is in a crash loop: restarted at least {_CRASH_LOOP} times "
-                "within a minute"
-            )
+            often = f"restarted at least {_CRASH_LOOP} times within a minute"
+            yield f"{where} is in a crash loop: {often}"
 
 
 def explain(
@@ -156,9 +153,8 @@ def explain(
     what = f"component '{wanted.component}' on '{wanted.computer}'"
     if reported is None:
         is_restarting = container is not None and container.state == "restarting"
-        return f"{what} does not run" + (
-            ": its container is being restarted" if is_restarting else ""
-        )
+        restarts = ": its container is being restarted" if is_restarting else ""
+        return f"{what} does not run{restarts}"
     if reported.state == "unresponsive" and container:
         return f"{what} does not respond: {container.reason}"
     last = reported.error.rstrip().rpartition("\n")[2]

@@ -68,11 +68,8 @@ def _problem_of(situation: Situation, robot: Robot) -> plan.Problem:
     """Return the problem of placing all components of what is left of the robot."""
     problem = plan.problem_of(robot, present=situation.placement)
     fixed = {a.name for a in situation.robot.architectures if a.layer != "sequencing"}
-    bundles = tuple(
-        replace(bundle, required=bundle.name in fixed)
-        for bundle in problem.architectures
-    )
-    return replace(problem, architectures=bundles)
+    bundles = (replace(b, required=b.name in fixed) for b in problem.architectures)
+    return replace(problem, architectures=tuple(bundles))
 
 
 def _what_is_left(

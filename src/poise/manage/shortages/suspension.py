@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from functools import partial
 from itertools import groupby, islice, product
+from operator import attrgetter
 
 from msgspec import structs
 
@@ -128,10 +129,7 @@ class Suspensions:
 
     def record(self) -> None:
         """Note what does not run, and what runs again."""
-        suspended = {
-            architecture.name: architecture.function
-            for architecture in self._suspended()
-        }
+        suspended = {each.name: each.function for each in self._suspended()}
         for name in sorted(self._known.keys() - suspended.keys()):
             del self._known[name]
             self._run.journal.note("right", f"architecture '{name}' runs again")
@@ -162,10 +160,7 @@ class Suspensions:
         return has_news
 
     def _stop(self, components: Mapping[str, str]) -> bool:
-        steps = tuple(
-            TransitionStep(component, computer)
-            for component, computer in sorted(components.items())
-        )
+        steps = tuple(TransitionStep(*each) for each in sorted(components.items()))
         return transit(self._run, steps).committed
 
     def _stay(self, name: str, now: float, *, first: float) -> None:
@@ -206,10 +201,8 @@ class Suspensions:
         return self._not_running
 
     def _add(self, name: str, why: str) -> None:
-        before, what = (
-            self._known.get(name),
-            f"architecture '{name}' is suspended: {why}",
-        )
+        before = self._known.get(name)
+        what = f"architecture '{name}' is suspended: {why}"
         since = before.since if before else wall_time()
         self._known[name] = Deviation(what=what, computer="", since=since)
         if before is None or before.what != what:
@@ -228,14 +221,11 @@ def not_running(robot: Robot, task: str, placed: Iterable[str]) -> list[Architec
         for a in robot.architectures
         if not there.isdisjoint(c.name for c in a.components)
     }
-    return sorted(
-        (
-            a
-            for a in robot.architectures
-            if a.function in functions - running and a.layer == "sequencing"
-        ),
-        key=lambda a: (-a.priority, -a.quality),
-    )
+    return [
+        a
+        for a in sorted(robot.architectures, key=lambda a: (-a.priority, -a.quality))
+        if a.function in functions - running and a.layer == "sequencing"
+    ]
 
 
 class NeededFunctions:
@@ -264,7 +254,7 @@ class NeededFunctions:
         for name in sorted(lasting - self._said.keys()):
             what = f"task '{task}' goes on without function '{name}'"
             if name in needed:
-                what = f"{lacking(task, {name})}"
+                what = lacking(task, {name})
             self._said[name] = Deviation(what=what, computer="", since=wall_time())
             self._journal.note("wrong", what)
         return lasting & needed
@@ -283,7 +273,7 @@ def lacking(task: str, functions: Iterable[str]) -> str:
 
 def missing_functions(situation: Situation) -> AbstractSet[str]:
     """Return the functions of the task that nothing provides now."""
-    there = {n for n, at in situation.placement.items() if at not in situation.lost}
+    there = situation.within_reach().placement
     provided = {a.function for a in situation.robot.whole(there)}
     return {*situation.robot.functions_of(situation.task)} - provided
 
@@ -315,9 +305,7 @@ class StopWithoutNeeded:
         now, robot = situation.now, situation.robot
         if not situation.missing or now < self._again_at:
             return None
-        there = {
-            n: at for n, at in situation.placement.items() if at not in situation.lost
-        }
+        there = situation.within_reach().placement
         functions = robot.functions_of(situation.task)
         stops = [
             a
@@ -329,11 +317,8 @@ class StopWithoutNeeded:
         self._again_at = now + _TRY_AGAIN
         where = {c.name: there[c.name] for a in stops for c in a.components}
         why = lacking(situation.task, situation.missing)
-        return Change(
-            carry_out=partial(
-                self._suspensions.suspend_with_task, stops, where, why, now
-            )
-        )
+        stop = self._suspensions.suspend_with_task
+        return Change(carry_out=partial(stop, stops, where, why, now))
 
 
 class ResumeSuspended:
@@ -394,12 +379,10 @@ class ResumeSuspended:
         """
         if not missing:
             held = [a for a in due if a.name in self._suspensions.suspended_with_task]
-            return [
-                *([held] if held else []),
-                *([architecture] for architecture in due),
-            ]
-        needed = sorted((a for a in due if a.function in missing), key=_function)
-        of_each = [list(group) for _, group in groupby(needed, _function)]
+            return [*([held] if held else []), *([each] for each in due)]
+        function = attrgetter("function")
+        needed = sorted((a for a in due if a.function in missing), key=function)
+        of_each = [list(group) for _, group in groupby(needed, function)]
         if len(of_each) < len(missing):
             return []
         return [*islice(product(*of_each), _MOST_CHOICES)]
@@ -409,7 +392,3 @@ class ResumeSuspended:
             self._suspensions.note_resumed(names, now)
         else:
             self._suspensions.note_suspended(names, "it could not be started", now)
-
-
-def _function(architecture: Architecture) -> str:
-    return architecture.function

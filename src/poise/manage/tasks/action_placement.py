@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from collections.abc import Set as AbstractSet
+from contextlib import suppress
 
 from msgspec import Struct
 from msgspec.structs import replace
@@ -64,9 +65,8 @@ def room_for_functions(
         moves = plan_transition(robot, present, {**present, **kept})
     except RobotError as error:
         return Room(why=str(error))
-    return Room(
-        begins={n: at for n, at in then.items() if n not in present}, moves=moves
-    )
+    begins = {n: at for n, at in then.items() if n not in present}
+    return Room(begins=begins, moves=moves)
 
 
 def beyond_memory(
@@ -95,16 +95,12 @@ def _fits(problem: plan.Problem, placement: Mapping[str, str]) -> bool:
         return False
     if not computers.issuperset(placement.values()):  # one was lost since the plan
         return False
-    for function in {bundle.function for bundle in problem.architectures}:
-        if not any(
-            placement.keys() >= {*bundle.components}
-            for bundle in problem.architectures
-            if bundle.function == function
-        ):
-            return False
-    return plan.evaluate(
-        plan.keep_components(problem, placement.keys()), placement
-    ).feasible
+    bundles = problem.architectures
+    whole = {b.function for b in bundles if placement.keys() >= {*b.components}}
+    if whole != {bundle.function for bundle in bundles}:
+        return False
+    kept = plan.keep_components(problem, placement.keys())
+    return plan.evaluate(kept, placement).feasible
 
 
 def _with_chosen(robot: Robot, placement: Mapping[str, str]) -> Robot:
@@ -114,12 +110,10 @@ def _with_chosen(robot: Robot, placement: Mapping[str, str]) -> Robot:
         for a in robot.architectures
         if any(c.name in placement for c in a.components)
     }
-    return replace(
-        robot,
-        architectures=tuple(
-            a for a in robot.architectures if running.get(a.function, a.name) == a.name
-        ),
+    chosen = (
+        a for a in robot.architectures if running.get(a.function, a.name) == a.name
     )
+    return replace(robot, architectures=tuple(chosen))
 
 
 PLAN_FOR = 0.3
@@ -163,15 +157,14 @@ class PlanOverTime:
 
     def _of(self, task: str) -> plan.TaskResult | None:
         if task not in self._phases:
-            try:
-                problem = plan.task_problem_of(self._robot, task)
-                result = plan.solve_phases(
-                    problem, PLAN_FOR, steps=self._steps, why=False
+            self._phases[task] = None
+            with suppress(PoiseError):  # where it is needed, the reason is said
+                self._phases[task] = plan.solve_phases(
+                    plan.task_problem_of(self._robot, task),
+                    PLAN_FOR,
+                    steps=self._steps,
+                    why=False,
                 )
-            except PoiseError:  # where it is needed, the reason is said
-                self._phases[task] = None
-            else:
-                self._phases[task] = result
         return self._phases[task]
 
 
@@ -184,12 +177,9 @@ def likely_next(
     """Return what may be needed next and does not run, the most probable first."""
     actions = []
     for record, attempt, probability in upcoming:
-        placement = plans.placement(
-            record.name, (attempt.name,), attempt.action.functions
-        )
-        missing = {
-            n: idle.get(n, at) for n, at in placement.items() if n not in running
-        }
+        functions = attempt.action.functions
+        where = plans.placement(record.name, (attempt.name,), functions)
+        missing = {n: idle.get(n, at) for n, at in where.items() if n not in running}
         if missing:
             actions.append(
                 LikelyAction(
@@ -239,9 +229,8 @@ class Admission:
         by_plan: dict[str, str] = {}
         for record, attempt in new:
             names = tuple(t.name for t in self._tasks.tries(record))
-            by_plan |= self._plans.placement(
-                record.name, names, attempt.action.functions
-            )
+            functions = attempt.action.functions
+            by_plan |= self._plans.placement(record.name, names, functions)
         going = self._tasks.going()
         whole = self._beside(situation, going, left_out, by_plan)
         if not whole.why:
@@ -262,9 +251,8 @@ class Admission:
         now = boot_time()
         for attempt in self._tasks.tries(record):
             if attempt.progress.since is None:
-                self._tasks.end(
-                    attempt.number, now, f"it does not fit: {why}", done=False
-                )
+                text = f"it does not fit: {why}"
+                self._tasks.end(attempt.number, now, text, done=False)
                 return
         self._tasks.block(record.name, f"it does not fit any more: {why}")
 
@@ -280,12 +268,7 @@ class Admission:
         functions -= left_out
         runs = situation.robot.components_for(functions)
         placement = {n: at for n, at in situation.placement.items() if n in runs}
-        idle = self._run.prefetched
-        hint = {
-            n: idle[n].computer if n in idle else at
-            for n, at in by_plan.items()
-            if n in runs
-        }
-        return room_for_functions(
-            replace(situation, placement=placement), functions, hint
-        )
+        idle = self._run.prepared()
+        hint = {n: idle.get(n, at) for n, at in by_plan.items() if n in runs}
+        here = replace(situation, placement=placement)
+        return room_for_functions(here, functions, hint)

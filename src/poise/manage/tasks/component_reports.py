@@ -115,12 +115,8 @@ class Serving:
 
     def functions_of(self, components: Iterable[str]) -> set[str]:
         """Return the functions that components belong to."""
-        names = set(components)
-        return {
-            a.function
-            for a in self._run.robot.architectures
-            if any(c.name in names for c in a.components)
-        }
+        architecture_of = self._run.robot.architecture_of
+        return {architecture_of(name).function for name in components}
 
     def why_endless(self, end: ConnectorEnd | None) -> str:
         """Return why nothing can report an action's end; empty: its component runs."""

@@ -24,7 +24,6 @@ from poise.manage.deploy.running_components import (
     RunningComponents,
 )
 from poise.model.robot import Architecture
-from poise.wire.records.status_records import State
 
 
 def prepare(
@@ -53,6 +52,14 @@ def drop(run: RunningComponents, components: Iterable[str]) -> None:
     gone = [name for name in components if name in run.prefetched]
     if gone:
         run.commit(run.desired.without(gone), "idle components end")
+
+
+class DoesNotStart(RunError):
+    """A component that was to begin has failed by its own doing."""
+
+    def __init__(self, component: str, error: str) -> None:
+        super().__init__(f"component '{component}' failed:\n{error}")
+        self.component = component
 
 
 def switch(
@@ -87,29 +94,23 @@ def switch(
 
 def _are_ready(run: RunningComponents, components: Mapping[str, str]) -> bool:
     """Return whether all of some components are prepared where they are to work."""
-    states = _states(run)
     return all(
         (idle := run.prefetched.get(name)) is not None
         and idle.computer == computer
-        and states.get((name, idle.epoch)) == "inactive"
+        and (found := run.reported(idle)) is not None
+        and found.state == "inactive"
         for name, computer in components.items()
     )
-
-
-def _states(run: RunningComponents) -> dict[tuple[str, int], State]:
-    return {(c.name, c.epoch): c.state for c in components_of(run.current())}
 
 
 def _prepared(
     run: RunningComponents, name: str, computer: str, *, gently: bool = False
 ) -> Incarnation:
     before = run.prefetched.get(name)
-    if (
-        before is not None
-        and before.computer == computer
-        and _states(run).get((name, before.epoch)) != "failed"
-    ):
-        return before
+    if before is not None and before.computer == computer:
+        found = run.reported(before)
+        if found is None or found.state != "failed":
+            return before
     return Incarnation(
         component=name,
         computer=computer,
@@ -131,9 +132,7 @@ def _wait(
         for component in components_of(run.agents.statuses()):
             is_mine = (component.name, component.epoch) in mine
             if is_mine and component.state == "failed":
-                raise RunError(
-                    f"component '{component.name}' failed:\n{component.error}"
-                )
+                raise DoesNotStart(component.name, component.error)
         return False
 
     run.wait(wanted, limit, trouble)

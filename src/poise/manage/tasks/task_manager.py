@@ -36,7 +36,7 @@ from poise.manage.tasks.component_reports import (
     conditions_of,
 )
 from poise.manage.tasks.concurrent_tasks import TaskReport, Tasks, task_reports
-from poise.manage.tasks.switch import IdleComponents, switch
+from poise.manage.tasks.switch import DoesNotStart, IdleComponents, switch
 from poise.manage.tasks.task_progress import (
     OVER,
     ActionEnded,
@@ -142,9 +142,7 @@ class TaskManager:
 
     def _due_actions(self) -> list[DueAction]:
         """Return the actions that should work now, of the first task first."""
-        return [
-            (r, attempt) for r in self.tasks.going() for attempt in self.tasks.tries(r)
-        ]
+        return [(r, each) for r in self.tasks.going() for each in self.tasks.tries(r)]
 
     def _go_on(self) -> None:
         """Let what should run now run, until nothing changes by that."""
@@ -173,9 +171,8 @@ class TaskManager:
         room = Room()
         there = self._serving.functions() | self._serving.broken(self._lost)
         if wanted - there - self._suspended:
-            situation = self._situation()
             room = self._room.admit(
-                situation, new, self._suspended, explore=self._explore
+                self._situation(), new, self._suspended, explore=self._explore
             )
         if room.why:
             self._note_ended()
@@ -196,7 +193,7 @@ class TaskManager:
             if stops or begins:
                 is_hit = switch(run, stops, begins)
         except RunError as error:
-            self._fail(new, begins, str(error))
+            self._fail(new, begins, error)
             return True
         served = self._serving.functions() | self._suspended
         began = [due for due in new if served.issuperset(due[1].action.functions)]
@@ -267,18 +264,17 @@ class TaskManager:
         order = self._idle.oldest_first(idle)
         gone = beyond_memory(run.robot, {**works, **begins}, idle, order)
         if gone:
-            names = ", ".join(gone)
-            run.journal.note(
-                "decided", f"there is not enough memory to keep {names} idle"
-            )
+            what = f"there is not enough memory to keep {', '.join(gone)} idle"
+            run.journal.note("decided", what)
         gone += [n for n in stops if run.placed[n].computer in away]
         if gone:
             why = "it cannot stay idle: no memory, or its computer is out of reach"
             run.commit(run.desired.without(gone), why)
         return [name for name in stops if name not in gone]
 
-    def _fail(self, new: list[DueAction], begins: Iterable[str], why: str) -> None:
+    def _fail(self, new: list[DueAction], begins: Iterable[str], error: RunError) -> None:
         """End the actions that cannot begin; the others stay as they are."""
+        why = str(error)
         self._run.journal.note("failed", f"an action cannot begin: {why}")
         functions = self._serving.functions_of(begins)
         # of a traceback the last line says most
@@ -287,7 +283,7 @@ class TaskManager:
             if not functions or functions.intersection(attempt.action.functions):
                 what = f"it cannot begin: {short}"
                 self.tasks.end(attempt.number, boot_time(), what, done=False)
-        self._note_ended()
+        self._note_ended(error.component if isinstance(error, DoesNotStart) else "")
 
     def _process_reports(self) -> None:
         """End the actions whose components say so, and do what components request."""
@@ -298,9 +294,8 @@ class TaskManager:
         self._note_ended()
         note = self._run.journal.note
         for component, request in self._component_reports.requests():
-            what = (
-                f"component '{component}' asks to {request.verb} task '{request.task}'"
-            )
+            asks = f"asks to {request.verb} task '{request.task}'"
+            what = f"component '{component}' {asks}"
             note("seen", what)
             try:
                 self.command(request.verb, request.task)
@@ -309,9 +304,7 @@ class TaskManager:
 
     def _reported_ends(self) -> list[tuple[Attempt, EndReport]]:
         """Return the actions that are at work, and that a component says to end."""
-        turns = [
-            attempt for _, attempt in self._due_actions() if attempt.may_be_ended()
-        ]
+        turns = [each for _, each in self._due_actions() if each.may_be_ended()]
         heard, ended = self._component_reports.ends() if turns else {}, []
         for attempt in turns:
             said = heard.get(str(attempt.action.ends))
@@ -319,12 +312,18 @@ class TaskManager:
                 ended.append((attempt, said))
         return ended
 
-    def _note_ended(self) -> None:
-        """Remember what has ended, with the architectures that served it."""
+    def _note_ended(self, broken: str = "") -> None:
+        """Remember what has ended, with the architectures that served it.
+
+        `broken`: the component whose architecture could not begin.
+        """
+        blamed = self._run.robot.architecture_of(broken) if broken else None
         for ended in self.tasks.take_ended():
             self._since = boot_time()
             self._room_at = 0.0
             end = ended.action.ends
+            if blamed is not None and blamed.function in ended.action.functions:
+                self._unlearned.append((ended, [blamed.name]))
             if not ended.worked or (end and end.component not in self._run.placed):
                 continue  # nothing could do it, or report it: none of them is to blame
             serving = self._serving.architectures(ended.action.functions)
@@ -379,9 +378,8 @@ class TaskManager:
         self._run.switches.note(seconds, is_hit=is_hit)
         how = "it was prepared" if is_hit else "it was not prepared"
         text = f"switched to action '{attempt.name}' in {seconds:.3f} s: {how}"
-        self._run.journal.note(
-            "done", text, task=record.name, is_hit=is_hit, seconds=seconds
-        )
+        facts = {"task": record.name, "is_hit": is_hit, "seconds": seconds}
+        self._run.journal.note("done", text, **facts)
 
     def _save(self) -> None:
         """Let components and the next manager know what they need, if that is new."""

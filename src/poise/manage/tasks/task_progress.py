@@ -284,11 +284,9 @@ class Steps:
         attempts: list[Attempt] = []
         for inner, inside in self._pairs(step, progress):
             attempts += self._after(inner, inside, prefix)
-        if attempts:
-            return attempts
         steps = self._of(step)
-        if not steps:
-            return []
+        if attempts or not steps:
+            return attempts
         if progress.index + 1 < len(steps):
             return self._first(steps[progress.index + 1], prefix)
         goes_on = isinstance(step, Repeat) and (
@@ -299,9 +297,8 @@ class Steps:
     def _first(self, step: Step, prefix: str) -> list[Attempt]:
         match step:
             case Action():
-                return [
-                    Attempt(name=prefix + step.name, action=step, progress=Progress())
-                ]
+                name = prefix + step.name
+                return [Attempt(name=name, action=step, progress=Progress())]
             case Parallel(steps=steps):
                 return [t for step in steps for t in self._first(step, prefix)]
             case Choice(steps=steps):
