@@ -450,6 +450,17 @@ def test_what_could_not_begin_is_no_failure_of_what_serves_it(tmp_path: Path) ->
     assert [belief.action for belief in beliefs_about(robot, "see-arch")] == ["a"]
 
 
+def test_what_does_not_start_is_a_failure_of_its_architecture(tmp_path: Path) -> None:
+    failing = act("a", "see", "go", on_failure=act("b", "see"))
+    robot = replace(robot_with(task("t", failing)), folder=str(tmp_path))
+    rig = Rig(robot)
+    rig.agents.states["goer"] = ComponentStatus(name="goer", state="failed", error="E")
+    rig.manager.command("start", "t")
+    (belief,) = beliefs_about(robot, "go-arch")
+    assert (belief.action, belief.failed) == ("a", 1)
+    assert beliefs_about(robot, "see-arch") == []
+
+
 @pytest.mark.parametrize(
     "steps", [(act("a", "see"),), (act("a", "see"), Parallel(steps=(act("b", "go"),)))]
 )

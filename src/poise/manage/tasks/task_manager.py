@@ -272,7 +272,9 @@ class TaskManager:
             run.commit(run.desired.without(gone), why)
         return [name for name in stops if name not in gone]
 
-    def _fail(self, new: list[DueAction], begins: Iterable[str], error: RunError) -> None:
+    def _fail(
+        self, new: list[DueAction], begins: Iterable[str], error: RunError
+    ) -> None:
         """End the actions that cannot begin; the others stay as they are."""
         why = str(error)
         self._run.journal.note("failed", f"an action cannot begin: {why}")
