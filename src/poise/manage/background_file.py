@@ -86,9 +86,8 @@ class BackgroundWriter(Generic[T]):
         if not error and began and time.monotonic() - began > _SLOW_AFTER:
             error = f"its disk has not answered for {_SLOW_AFTER:g} s"
         if error:
-            return (
-                f"{self._what} cannot be written: {error}{self._lacks(', and so far')}"
-            )
+            lacks = self._lacks(", and so far")
+            return f"{self._what} cannot be written: {error}{lacks}"
         return self._what + lacks if (lacks := self._lacks("")) else ""
 
     def flush(self, limit: float = _CLOSE_LIMIT) -> bool:

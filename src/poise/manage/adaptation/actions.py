@@ -165,11 +165,8 @@ def _lowest(situation: Situation, computer: str) -> Architecture:
         for a in situation.robot.architectures
         if any(situation.placement.get(c.name) == computer for c in a.components)
     ]
-    lowest = min(
-        (a for a in here if a.layer == "sequencing"),
-        key=lambda a: a.priority,
-        default=None,
-    )
+    lower = (a for a in here if a.layer == "sequencing")
+    lowest = min(lower, key=lambda a: a.priority, default=None)
     if lowest is None or lowest.priority == max(a.priority for a in here):
         raise RunError(f"no architecture on '{computer}' has a lower priority")
     return lowest
@@ -257,11 +254,8 @@ def _crashed_before(
     """Return where agents saw it crash as often, under an earlier manager, and when."""
     crashed = {}
     for computer, status in situation.statuses.items():
-        ages = [
-            status.uptime - fault.uptime
-            for fault in status.faults
-            if fault.container == container and not fault.is_over
-        ]
+        faults = [fault for fault in status.faults if fault.container == container]
+        ages = [status.uptime - fault.uptime for fault in faults if not fault.is_over]
         if sum(age < FORGET_AFTER for age in ages) >= CRASHES:
             crashed[computer] = now - max(0.0, ages[-1])
     return crashed

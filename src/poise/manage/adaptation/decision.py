@@ -117,12 +117,8 @@ def decide(
     per_core = horizon / WORTH
     undone = (proposal.now.shortage + proposal.now.time) / per_core + in_vain
     in_vain -= wasted(situation, proposal.placement, bad)
-    mended = (
-        proposal.now.shortage
-        + proposal.now.time
-        - proposal.then.shortage
-        - proposal.then.time
-    ) / per_core
+    now, then = proposal.now, proposal.then
+    mended = (now.shortage + now.time - then.shortage - then.time) / per_core
     gain = mended + in_vain
     cost = sum(costs[step.component] for step in proposal.steps)
     acts = bool(proposal.steps) and gain > _LEAST and gain * horizon > doubt * cost
@@ -219,11 +215,8 @@ def _why_not(situation: Situation, causes: str, costs: Mapping[str, float]) -> s
 def _room(situation: Situation) -> str:
     """Return what the components need and what there is for them, for people."""
     robot = situation.left().robot_now
-    needed = sum(
-        c.demand.get("cpu", 0.0)
-        for c in robot.components()
-        if c.name in situation.placement
-    )
+    demands = robot.demands("cpu")
+    needed = sum(demands[name] for name in situation.placement)
     usable = ", ".join(
         f"'{c.name}' has {format_cores(c.usable('cpu'))}" for c in robot.computers
     )
@@ -276,9 +269,9 @@ def shortages_of(situation: Situation) -> dict[str, float]:
 def _suffering(situation: Situation) -> set[str]:
     """Return the components that are starved, or miss deadlines."""
     starved = {
-        demand.component
-        for demand in situation.demand_estimates
-        if demand.estimate.starved >= STARVED
+        each.component
+        for each in situation.demand_estimates
+        if each.estimate.starved >= STARVED
     }
     return starved | {timer.component for timer in situation.misses if timer.late}
 

@@ -128,13 +128,9 @@ class Adaptation:
         if dry or not proposal.steps:
             return proposal, None
         what = f"asked to balance: {counted(len(proposal.steps), 'step')}"
-        self._run.journal.note(
-            "decided",
-            what,
-            proposal=proposal,
-            alternatives=alternatives(situation),
-            loads=situation.loads,
-        )
+        others, loads = alternatives(situation), situation.loads
+        facts = {"proposal": proposal, "alternatives": others, "loads": loads}
+        self._run.journal.note("decided", what, **facts)
         return proposal, self._transitions.carry_out(proposal.steps, situation.now)
 
     def what_if(self, component: str, computer: str) -> WhatIf:

@@ -63,11 +63,8 @@ def _components(situation: Situation) -> Iterator[Values]:
         for container in status.containers
         for component in container.components
     }
-    memory = {
-        (computer, health.name): health.memory
-        for computer, status in situation.statuses.items()
-        for health in status.health
-    }
+    statuses = situation.statuses.items()
+    memory = {(at, each.name): each.memory for at, s in statuses for each in s.health}
     demands = {each.component: each.estimate for each in situation.demand_estimates}
     for architecture in situation.robot.architectures:
         for entry in architecture.components:

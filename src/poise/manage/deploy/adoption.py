@@ -117,9 +117,9 @@ def as_committed(
     `committed`: targets of which their containers said so.
     """
     working = {
-        (computer, component.name, component.epoch)
-        for computer, component in located(statuses)
-        if component.state == "active"
+        (computer, each.name, each.epoch)
+        for computer, each in located(statuses)
+        if each.state == "active"
     }
     return [
         structs.replace(reported, spec=structs.replace(reported.spec, goal="active"))
@@ -158,13 +158,10 @@ def adopt(
     if keeps:
         wanted = _with_providers(robot, wanted, counts)
     restarts = dict(_differences(counts, robot, layout, wanted))
-    kept = {
-        n: reported
-        for n, reported in counts.items()
-        if n in wanted and n not in restarts
-    }
+    goes_on = wanted.keys() - restarts.keys()
+    kept = {n: each.incarnation for n, each in counts.items() if n in goes_on}
     return Adoption(
-        kept={name: reported.incarnation for name, reported in kept.items()},
+        kept=kept,
         restarts=restarts,
         ends=tuple(sorted({reported.name for reported in found} - wanted.keys())),
         starts={name: at for name, at in wanted.items() if name not in kept},
@@ -276,9 +273,8 @@ def _spec_now(reported: ReportedIncarnation, layout: DeploymentLayout) -> Compon
     now = layout.component_spec(reported.incarnation)
     if now.instead_of == reported.spec.instead_of:
         return now
-    return layout.component_spec(
-        structs.replace(reported.incarnation, implementation="")
-    )
+    plain = structs.replace(reported.incarnation, implementation="")
+    return layout.component_spec(plain)
 
 
 def _has_other_code(

@@ -62,16 +62,9 @@ class DeploymentLayout:
         self._weigh = weigh
         self._folder = folder
         weights = cpu_weights(robot)
-        self._weights = {
-            _container(a, c): weights[a.name]
-            for a in robot.architectures
-            for c in a.components
-        }
-        self._containers = {
-            component.name: _container(architecture, component)
-            for architecture in robot.architectures
-            for component in architecture.components
-        }
+        own = [(a, c) for a in robot.architectures for c in a.components]
+        self._weights = {_container(a, c): weights[a.name] for a, c in own}
+        self._containers = {c.name: _container(a, c) for a, c in own}
         self._components = {c.name: c for c in robot.components()}
         self.leased = leased_components(robot)
         # command-line components speak by their own means: nothing is joined to them
@@ -163,10 +156,9 @@ class DeploymentLayout:
         """Return the connectors between placed components that Poise joins."""
         there = set(placed)
         return [
-            connector
-            for connector in self._joinable
-            if connector.between[0].component in there
-            and connector.between[1].component in there
+            each
+            for each in self._joinable
+            if there.issuperset(end.component for end in each.between)
         ]
 
     def connectors_at(
@@ -174,9 +166,9 @@ class DeploymentLayout:
     ) -> list[Connector]:
         """Return those of `connectors` that begin or end at some components."""
         return [
-            connector
-            for connector in self.connectors(placed)
-            if any(end.component in components for end in connector.between)
+            each
+            for each in self.connectors(placed)
+            if any(end.component in components for end in each.between)
         ]
 
     def slot_of(self, connector: Connector) -> str:
@@ -319,11 +311,8 @@ def _chain_parts(robot: Robot) -> dict[str, tuple[ChainPart, ...]]:
     for chain in robot.chains:
         first, last = chain.through[0], chain.through[-1]
         for name in chain.through:
-            part = ChainPart(
-                name=chain.name,
-                is_first=name == first,
-                deadline=chain.deadline if name == last else None,
-            )
+            ends, begins = chain.deadline if name == last else None, name == first
+            part = ChainPart(name=chain.name, is_first=begins, deadline=ends)
             parts[name] = (*parts.get(name, ()), part)
     return parts
 

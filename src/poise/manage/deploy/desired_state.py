@@ -249,21 +249,14 @@ class DesiredState:
                 self._epochs.get(reported.name, self._last_epoch), reported.spec.epoch
             )
         names = ", ".join(f"'{name}'" for name in sorted(deployments))
-        missing = (
-            {c.name for c in self.robot.computers} - self.claimed - deployments.keys()
-        )
+        known = self.claimed | deployments.keys()
+        missing = {c.name for c in self.robot.computers} - known
+        before, claimed, doubted = self.desired, self.claimed, self.doubted
         desired = joined_by(
-            self.desired,
-            self.robot,
-            at_work,
-            self.claimed,
-            missing,
-            fenced,
-            self.doubted,
+            before, self.robot, at_work, claimed, missing, fenced, doubted
         )
         last = max(deployment.generation for deployment in deployments.values())
-        desired = structs.replace(
-            desired, generation=max(last, self.desired.generation) + 1
-        )
+        generation = max(last, self.desired.generation) + 1
+        desired = structs.replace(desired, generation=generation)
         self.claimed |= deployments.keys()
         self.commit(desired, f"components on {names} keep running")

@@ -52,11 +52,8 @@ class LostComputers:
         }
         for computer in sorted(self._obeying - obeying | restarted):
             self._note_lost(computer)
-        self._was_cut_off |= {
-            c
-            for c in self._lost_at
-            if c not in obeying and run.agents.heartbeats.is_cut_off(c)
-        }
+        disobey = self._lost_at.keys() - obeying
+        self._was_cut_off |= set(filter(run.agents.heartbeats.is_cut_off, disobey))
         for computer in sorted(self._lost_at.keys() & obeying):
             status = run.agents.statuses().get(computer)
             if status is not None and run.reconciler.is_current(computer, status):

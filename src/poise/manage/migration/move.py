@@ -212,10 +212,8 @@ def _move_cold(
         run.commit(desired, f"the cold move of {report.name} is rolled back: {error}")
         phases = {"prepare": time.monotonic() - started}
         return structs.replace(report, reason=str(error), phases=phases)
-    prepared = time.monotonic() - started
-    return structs.replace(
-        _restart(run, report, old, new), phases={"prepare": prepared}
-    )
+    phases = {"prepare": time.monotonic() - started}
+    return structs.replace(_restart(run, report, old, new), phases=phases)
 
 
 def _restart(
@@ -349,9 +347,7 @@ def _check_callers(
 ) -> None:
     """Raise UsageError when a caller of `old` could not call `new`."""
     layout = run.layout
-    olds, news = (
-        {c.name for c in architecture.components} for architecture in (old, new)
-    )
+    olds, news = ({c.name for c in each.components} for each in (old, new))
     others = run.placed.keys() - olds
     offered = {
         layout.slot_of(connector)

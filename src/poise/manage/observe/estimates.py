@@ -76,11 +76,7 @@ class Loads:
             sample.busy,
             sample.cpu,
             {container.pid: _used(container) for container in sample.containers},
-            {
-                c.name: c.cpu
-                for container in sample.containers
-                for c in container.components
-            },
+            {c.name: c.cpu for each in sample.containers for c in each.components},
         )
         with self._lock:
             totals = self._totals.setdefault(sample.computer, deque())
@@ -227,15 +223,9 @@ class Estimates:
             return None
         known.epoch, known.computer = component.epoch, computer
         speed = self._speeds.get(computer, 1.0)
-        return known.running.update(
-            Reading(
-                at,
-                component.cpu * speed,
-                component.wait * speed,
-                component.asked,
-                component.done,
-            )
-        )
+        cpu, wait = component.cpu * speed, component.wait * speed
+        reading = Reading(at, cpu, wait, component.asked, component.done)
+        return known.running.update(reading)
 
     def _follow(self, component: ComponentSample, computer: str) -> _Followed:
         known = self._profile and self._profile.components.get(component.name)

@@ -70,14 +70,12 @@ class Watch:
         wanted, settled = run.desired.incarnations(), run.desired.settled()
         moving = run.placed.keys() - settled.keys()
         current = {key: before[key] for key in sorted(before.keys() & moving)}
-        deviations = find_deviations(
-            settled.values(), wanted, run.layout, statuses, now
-        )
-        current |= {deviation.key: deviation for deviation in deviations}
+        here = settled.values()
+        found = find_deviations(here, wanted, run.layout, statuses, now)
+        current |= {deviation.key: deviation for deviation in found}
+        well = (each for name, each in settled.items() if name not in current)
         there = [
-            incarnation
-            for name, incarnation in settled.items()
-            if name not in current and incarnation.computer in statuses
+            incarnation for incarnation in well if incarnation.computer in statuses
         ]
         began = time.monotonic()
         joined = run.layout.connectors(run.placed) if self._unjoined else ()

@@ -208,11 +208,8 @@ class Prefetcher:
             note("decided", f"{_list(drops)} no longer kept prepared")
             drop(run, drops)
         for likely_action in likely:
-            mine = {
-                n: at
-                for n, at in begins.items()
-                if likely_action.placement.get(n) == at
-            }
+            needs = likely_action.placement
+            mine = {n: at for n, at in begins.items() if needs.get(n) == at}
             if mine:
                 what = _named(likely_action.action, likely_action.task)
                 text = f"{what} is likely next: {_list(mine)} prepared"
@@ -246,9 +243,8 @@ class Prefetcher:
             else:
                 unready.append(name)
         if ready:
-            run.commit(
-                run.desired.with_prefetched(ready), "prepared components are idle"
-            )
+            desired = run.desired.with_prefetched(ready)
+            run.commit(desired, "prepared components are idle")
         return unready
 
     def _cpu_left(
@@ -293,11 +289,8 @@ class Prefetcher:
             self._container(incarnation)
             for incarnation in (*run.prefetched.values(), *run.placed.values())
         }
-        gone = {
-            self._container(incarnation)
-            for key, incarnation in self._begun.items()
-            if key not in here | at_work
-        }
+        over = self._begun.keys() - here - at_work
+        gone = {self._container(self._begun[key]) for key in over}
         self._wasted += sum(self._memory.get(key, 0) for key in gone - used)
         self._begun = {key: idle for key, idle in self._begun.items() if key in here}
         self._ready &= self._begun.keys()
