@@ -45,13 +45,12 @@ def bag_traffic(robot: Robot, path: Path) -> Mapping[str, ConnectorProfile]:
     for message in bag.messages(topics):
         counts[message.topic] += 1
         sizes[message.topic] += len(message.data)
-    return {
-        connector: ConnectorProfile(
-            messages=count / (bag.seconds + PAUSE), size=sizes[topic] / count
-        )
-        for topic, count in counts.items()
-        for connector in topics[topic]
-    }
+    found: dict[str, ConnectorProfile] = {}
+    for topic, count in counts.items():
+        rate, size = count / (bag.seconds + PAUSE), sizes[topic] / count
+        profile = ConnectorProfile(messages=rate, size=size)
+        found |= dict.fromkeys(topics[topic], profile)
+    return found
 
 
 def _topics(robot: Robot, bag: Bag) -> dict[str, list[str]]:

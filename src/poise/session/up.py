@@ -289,13 +289,8 @@ def _lead(claim: Claim, say: Say) -> None:
         journal = Journal(make_journal(robot.name), lambda entry: say(str(entry)))
         stack.callback(journal.close)
         agents = AgentAddresses(robot.name, claim.agents, os.environ.get(KEYS, ""))
-        what = ToManage(
-            robot=robot,
-            where={},
-            tasks=Tasks(robot),
-            election=claim.election,
-            computers=Computers(agents),
-        )
+        election, computers = claim.election, Computers(agents)
+        what = ToManage(robot, {}, Tasks(robot), election=election, computers=computers)
         it, manager = stack.enter_context(
             managed(
                 what,

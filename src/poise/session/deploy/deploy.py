@@ -170,11 +170,9 @@ def deploy(robot: Robot, *, say: Say = log.info, check: Check = nothing) -> Depl
         if not reports.wait_news(lambda: wanted <= reports.reached(), REACH_LIMIT):
             missing = sorted(wanted - reports.reached())
             why = {n: computers.why_silent(computers.endpoints[n]) for n in missing}
-            raise RunError(
-                "nothing was sent: out of reach within "
-                f"{REACH_LIMIT:g} s: "
-                f"{', '.join(f'{n} ({w})' if w else n for n, w in why.items())}"
-            )
+            said = ", ".join(f"{n} ({w})" if w else n for n, w in why.items())
+            what = f"nothing was sent: out of reach within {REACH_LIMIT:g} s"
+            raise RunError(f"{what}: {said}")
         statuses = reports.statuses()
         platforms = {statuses[name].platform for name in names}
         manifest = lock_wheels(robot.folder, platforms)
@@ -219,10 +217,7 @@ def as_deployed(robot: Robot) -> Robot:
     if not any(there.values()):
         return robot
     version = version_of(pack(robot, manifest_of(robot.folder)))
-    lacking = sorted(
-        name for name, versions in there.items() if version not in versions
-    )
-    if lacking:
+    if lacking := sorted(name for name, has in there.items() if version not in has):
         raise UsageError(
             f"version {version[:SHOWN]} of robot '{robot.name}', its code as it is "
             f"here, is not on {', '.join(lacking)}: run `poise deploy FILE`"
@@ -240,12 +235,10 @@ def _agents(robot: Robot) -> Iterator[tuple[AgentReports, AgentRequests, Compute
         )
     addresses = real_agents(robot)
     clock = SystemClock()
-    session = open_session(
-        connect=tuple(addresses.endpoints.values()),
-        keys=addresses.credentials(),
-    )
+    endpoints, keys = addresses.endpoints, addresses.credentials()
+    session = open_session(connect=tuple(endpoints.values()), keys=keys)
     try:
-        reports = AgentReports(robot.name, addresses.endpoints, clock)
+        reports = AgentReports(robot.name, endpoints, clock)
         kept = reports.subscribe(session)
         requests = AgentRequests(session, f"poise/{robot.name}", reports, clock, {})
         yield reports, requests, Computers(addresses)
@@ -283,10 +276,8 @@ class _Sending:
         before, at, sent = self._there, 0, 0
         while at < len(content):
             data = content[at : at + _PART]
-            answer = self._ask(
-                CodePart(file=digest, size=len(content), offset=at, data=data),
-                _PART_LIMIT,
-            )
+            part = CodePart(file=digest, size=len(content), offset=at, data=data)
+            answer = self._ask(part, _PART_LIMIT)
             assert isinstance(answer, CodeReceived)  # noqa: S101, else it was refused
             sent += len(data) if answer.size == at + len(data) else 0
             at = answer.size
@@ -411,9 +402,8 @@ def _target(platform: str) -> list[str]:
     names = [f"linux_{machine}", f"manylinux2014_{machine}"]
     if library:
         newest = int(library[0].split(".")[1])
-        names += [
-            f"manylinux_2_{minor}_{machine}" for minor in range(newest, _OLDEST - 1, -1)
-        ]
+        minors = range(newest, _OLDEST - 1, -1)
+        names += [f"manylinux_2_{minor}_{machine}" for minor in minors]
     options = ["--python-version", python, "--implementation", "cp"]
     return [*options, *(word for name in names for word in ("--platform", name))]
 

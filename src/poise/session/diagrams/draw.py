@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from itertools import chain
 from pathlib import Path
 from typing import Literal
 
@@ -132,9 +133,9 @@ Ports = dict[str, dict[str, tuple[str, str]]]
 def component_diagram(robot: Robot, functions: Collection[str] | None) -> BoxDiagram:
     """Return the diagram of what provides `functions`; None: of all architectures."""
     chosen = [
-        architecture
-        for architecture in robot.architectures
-        if functions is None or architecture.function in functions
+        each
+        for each in robot.architectures
+        if functions is None or each.function in functions
     ]
     drawn = {c.name for each in chosen for c in each.components}
     boxes = tuple(_subsystem(each) for each in chosen)
@@ -283,11 +284,8 @@ def sequence_diagram(
 ) -> SequenceDiagram:
     """Return the steps as messages between the manager and the agents of computers."""
     states = {each.name: each.state for each in robot.components()}
-    messages = tuple(
-        message
-        for step in steps
-        for message in _messages(step, states.get(step.component, 0.0))
-    )
+    of_each = (_messages(step, states.get(step.component, 0.0)) for step in steps)
+    messages = tuple(chain.from_iterable(of_each))
     used = {name for each in messages for name in (each.source, each.target)}
     computers = [c.name for c in robot.computers if c.name in used]
     return SequenceDiagram(f"{robot.name}: {title}", (MANAGER, *computers), messages)

@@ -45,11 +45,8 @@ def election_of(robot: Robot, *, adapts: bool) -> Election | None:
     is_real = any(computer.address for computer in robot.computers)
     if not robot.standbys or not (is_real or set_for(robot) is not None):
         return None
-    return Election(
-        votes=robot.votes,
-        managers=robot.standbys,
-        setup=msgspec.msgpack.encode(StandbySetup(robot=robot, adapts=adapts)),
-    )
+    setup = msgspec.msgpack.encode(StandbySetup(robot=robot, adapts=adapts))
+    return Election(votes=robot.votes, managers=robot.standbys, setup=setup)
 
 
 def without_standbys(robot: Robot) -> str:

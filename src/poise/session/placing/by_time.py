@@ -161,7 +161,7 @@ def _better(
     `seen`: the placements that were simulated; `most`: how many that may be.
     """
     total = _total(here)
-    near = sorted(_neighbours(here.task_result, late), key=_promised)
+    near = sorted(_neighbours(here.task_result, late), key=_whole)
     new = (result for result in near if _placed(result) not in seen)
     for result in islice(new, min(_NEAR, most - len(seen))):
         seen.append(_placed(result))
@@ -169,10 +169,6 @@ def _better(
         if _total(found) < total - _ROUNDING:
             return found
     return None
-
-
-def _promised(result: plan.TaskResult) -> float:
-    return inf if result.total is None else result.total
 
 
 def _neighbours(
@@ -233,8 +229,12 @@ def _settle(result: plan.TaskResult, free: plan.TaskResult) -> None:
         total = each.objective.total if each.objective else inf
         each.settle(bound, proven=is_same and by.proven and total <= bound + _ROUNDING)
     result.bound = least = free.bound
-    whole = inf if result.total is None else result.total
-    result.proven = free.proven and least is not None and whole <= least + _ROUNDING
+    is_least = least is not None and _whole(result) <= least + _ROUNDING
+    result.proven = free.proven and is_least
+
+
+def _whole(result: plan.TaskResult) -> float:
+    return inf if result.total is None else result.total
 
 
 def _as_predicted(
@@ -372,9 +372,8 @@ def _with_predictions(
             )
         }
         limits = tuple(fitted.get(e.name, e) for e in earlier.problem.time_limits)
-        phases.append(
-            replace(earlier, problem=replace(earlier.problem, time_limits=limits))
-        )
+        fitting = replace(earlier.problem, time_limits=limits)
+        phases.append(replace(earlier, problem=fitting))
     return replace(before, phases=tuple(phases))
 
 
@@ -389,9 +388,8 @@ def _fitted_limits(
     What would be missing from a sum if nobody waited for CPU is missing on any
     placement; the rest grows with the waiting for CPU that the sum has.
     """
-    limits = [
-        summed[each.name] for each in result.problem.time_limits if each.name in ages
-    ]
+    names = (each.name for each in result.problem.time_limits)
+    limits = [summed[name] for name in names if name in ages]
     seconds = _seconds(result, limits)
     hops = _seconds(result, [_without_runs(each) for each in limits])
     for each in limits:

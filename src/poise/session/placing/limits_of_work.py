@@ -72,12 +72,8 @@ class _Paths:
         The first component makes it when it sends it.
         """
         for component in chain.through[1:]:
-            handlers = [
-                handler
-                for pair in pairwise(chain.through)
-                if component in pair
-                for handler in self._at(component, *pair)
-            ]
+            pairs = (pair for pair in pairwise(chain.through) if component in pair)
+            handlers = [each for pair in pairs for each in self._at(component, *pair)]
             for handler in {id(each): each for each in handlers}.values():
                 yield component, handler
 

@@ -272,9 +272,8 @@ class Placement(Printable, Struct, frozen=True, kw_only=True):
         phase
             Its name; None: the first in which the component or architecture may run.
         """
-        return self.task_result.explain(
-            phase or self.task_result.first_with(name), name
-        )
+        phase = phase or self.task_result.first_with(name)
+        return self.task_result.explain(phase, name)
 
     def parts(self) -> tuple[RenderableType, ...]:
         """Return what is printed."""

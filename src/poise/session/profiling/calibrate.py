@@ -103,17 +103,15 @@ def pairs(robot: Robot, here: str, there: str) -> tuple[Robot, dict[str, str]]:
     ):
         placement[name] = here
         silent = ComponentEntry(name=name, implementation=implementation)
-        architectures.append(
-            Architecture(name=name, function=name, components=(silent,))
-        )
+        alone = Architecture(name=name, function=name, components=(silent,))
+        architectures.append(alone)
     return _bare(robot, tuple(architectures)), placement
 
 
 def _architectures() -> Iterator[Architecture]:
     for pair in PAIRS:
-        source, target = (
-            ("Asker", "Echoer") if pair.how == "call" else ("Talker", "Listener")
-        )
+        is_call = pair.how == "call"
+        classes = ("Asker", "Echoer") if is_call else ("Talker", "Listener")
         ends = (f"{pair.name}-source", f"{pair.name}-target")
         yield Architecture(
             name=pair.name,
@@ -125,7 +123,7 @@ def _architectures() -> Iterator[Architecture]:
                     isolated=pair.kind != "direct",
                     parameters={"size": pair.size},
                 )
-                for name, class_ in zip(ends, (source, target), strict=True)
+                for name, class_ in zip(ends, classes, strict=True)
             ),
             connectors=(
                 Connector(
@@ -227,11 +225,8 @@ def _end(uses: Mapping[Pair, float], kind: str) -> Costs:
     messages = [uses[Pair(kind, "message", size)] for size in SIZES]
     slopes = [(b - a) / (large - small) for a, b in (calls, messages)]
     byte = max(0.0, sum(slopes) / len(slopes))
-    return Costs(
-        call=max(0.0, calls[0] - small * byte),
-        message=max(0.0, messages[0] - small * byte),
-        byte=byte,
-    )
+    call, message = (max(0.0, each[0] - small * byte) for each in (calls, messages))
+    return Costs(call=call, message=message, byte=byte)
 
 
 _WARM_UP = 1.0
@@ -355,9 +350,8 @@ def _speeds(
     for computer in robot.hosts:
         scores = measured.get(computer.name, ())
         loops = max(scores, default=0.0)
-        speeds[computer.name] = ComputerSpeed(
-            loops, loops / unit if computer.address else None
-        )
+        speed = loops / unit if computer.address else None
+        speeds[computer.name] = ComputerSpeed(loops, speed)
         doubts.append(_doubt(computer.name, scores))
     return speeds, doubts
 

@@ -216,12 +216,9 @@ class _Measuring(Struct, frozen=True, kw_only=True):
         doubtful = disagreeing(runs, rig.measured)
         if doubtful:
             self.say(_not_stable(len(runs), doubtful))
-        versions = {
-            c.name: version_of(c, *self.robot.folders) for c in self.robot.components()
-        }
-        found = figures(
-            self.robot, rig, runs, sizes, versions=versions, speed=self._speed()
-        )
+        robot, speed = self.robot, self._speed()
+        versions = {c.name: version_of(c, *robot.folders) for c in robot.components()}
+        found = figures(robot, rig, runs, sizes, versions=versions, speed=speed)
         silent = self._silent(rig, [*runs, sizes])
         failed = failures(rig.robot, runs[-1], rig.measured)
         for sentence in failed.sentences:
@@ -372,11 +369,9 @@ def measure_alone(
             invalid = up.computers.end(rig.computer)
             working = up.run.agents.statuses()
             up.run.reach("inactive", ACTIVE_LIMIT)
+            measured, ended = measure(samples), up.run.agents.statuses()
             return Observed(
-                measured=measure(samples),
-                statuses=up.run.agents.statuses(),
-                working=working,
-                invalid=invalid,
+                measured=measured, statuses=ended, working=working, invalid=invalid
             )
     finally:
         journal.close()

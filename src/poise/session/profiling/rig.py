@@ -13,7 +13,7 @@ from collections.abc import Set as AbstractSet
 from pathlib import Path
 
 import msgspec
-from msgspec import Struct
+from msgspec import Struct, structs
 
 from poise.errors import UsageError
 from poise.model.robot import (
@@ -98,9 +98,8 @@ class Played(Struct, frozen=True):
     @staticmethod
     def _connector(input_: str, name: str) -> Connector:
         component, _, port = input_.partition(".")
-        return Connector(
-            between=(ConnectorEnd(PLAYER, name), ConnectorEnd(component, port))
-        )
+        ends = ConnectorEnd(PLAYER, name), ConnectorEnd(component, port)
+        return Connector(between=ends)
 
 
 def played(robot: Robot) -> Played:
@@ -192,7 +191,7 @@ def rig_of(
     there = {*here, *beside}
     placement = _held_by_devices(rig, {**here, **beside}, (chosen, *others))
     return ProfilingRig(
-        msgspec.structs.replace(
+        structs.replace(
             rig,
             architectures=(chosen, *others),
             connectors=tuple(
@@ -214,15 +213,12 @@ def _emulated(robot: Robot, computer: str) -> tuple[Robot, str]:
     total = sum(c.total("cpu") for c in robot.hosts)
     memory = sum(c.capacity["memory"] for c in robot.hosts)
     others = Computer(name=OTHERS, capacity={"cpu": total, "memory": memory})
-    rig = msgspec.structs.replace(
+    rig = structs.replace(
         robot,
         computers=(chosen, others),
         links=(),
         # one machine emulates both, so its simulator reaches both
-        devices=tuple(
-            msgspec.structs.replace(device, computer=computer)
-            for device in robot.devices
-        ),
+        devices=tuple(structs.replace(d, computer=computer) for d in robot.devices),
         simulator=_simulator(robot),
     )
     return rig, OTHERS
@@ -230,7 +226,7 @@ def _emulated(robot: Robot, computer: str) -> tuple[Robot, str]:
 
 def _real(robot: Robot, computer: str) -> tuple[Robot, str]:
     names = [c.name for c in robot.hosts if c.name != computer]
-    rig = msgspec.structs.replace(robot, simulator=_simulator(robot))
+    rig = structs.replace(robot, simulator=_simulator(robot))
     return rig, names[0] if names else computer
 
 
@@ -263,11 +259,8 @@ def _apart(architecture: Architecture) -> Architecture:
         implementation="poise.runtime.component.component:Component",
         isolated=True,
     )
-    alone = (
-        msgspec.structs.replace(component, isolated=True)
-        for component in architecture.components
-    )
-    return msgspec.structs.replace(architecture, components=(*alone, empty))
+    alone = (structs.replace(each, isolated=True) for each in architecture.components)
+    return structs.replace(architecture, components=(*alone, empty))
 
 
 def _feeding(

@@ -223,9 +223,8 @@ def _phases(task_result: plan.TaskResult) -> tuple[RenderableType, ...]:
         )
     parts: list[RenderableType] = [rows]
     if task_result.reason:
-        head = (
-            "suspended: not everything fits" if task_result.feasible else "not feasible"
-        )
+        is_whole = task_result.feasible
+        head = "suspended: not everything fits" if is_whole else "not feasible"
         parts.append(_line(head, task_result.reason))
     for name, result in task_result.results.items():
         parts += [f"{name}: {f} by {by}" for f, by in result.architectures.items()]
@@ -314,11 +313,8 @@ def _show_options(explanation: plan.Explanation, console: Console) -> None:
         names = ", ".join(explanation.together)
         console.print(f"It moves together with {names}.", highlight=False)
     options = explanation.options
-    terms = [
-        name
-        for name in TERMS
-        if name in ALWAYS or any(getattr(each.change, name) for each in options)
-    ]
+    changes = [option.change for option in options]
+    terms = [n for n in TERMS if n in ALWAYS or any(getattr(c, n) for c in changes)]
     rows = table("computer", "F", "change", *terms, "", folds=3 + len(terms))
     for option in options:
         here = option.computer == explanation.computer

@@ -112,9 +112,8 @@ def chains_of(topics: Sequence[Topic]) -> Iterator[StampedChain]:
             nodes = _back_from(flow, topics, ())
             for last in topic.subscribers:
                 if len(nodes) > 1 and last not in nodes:
-                    yield StampedChain(
-                        topic=topic.name, nodes=(*nodes, last), age=flow.age
-                    )
+                    whole = (*nodes, last)
+                    yield StampedChain(topic=topic.name, nodes=whole, age=flow.age)
 
 
 def _back_from(

@@ -45,7 +45,7 @@ def relevant(environment: Mapping[str, str]) -> dict[str, str]:
     }
 
 
-def find_pid(low: int, proc: Path = Path("/proc")) -> int | None:
+def find_pid(low: int) -> int | None:
     """Return the process whose id ends so and that has ROS 2 loaded; None: unclear.
 
     Parameters
@@ -53,11 +53,8 @@ def find_pid(low: int, proc: Path = Path("/proc")) -> int | None:
     low
         The last 16 bits of its id, in its own namespace of processes.
     """
-    found = [
-        int(folder.name)
-        for folder in proc.iterdir()
-        if folder.name.isdigit() and low in _low_ids(folder) and _has_ros(folder)
-    ]
+    folders = (each for each in Path("/proc").iterdir() if each.name.isdigit())
+    found = [int(f.name) for f in folders if low in _low_ids(f) and _has_ros(f)]
     return found[0] if len(found) == 1 else None
 
 
@@ -360,11 +357,8 @@ def start_of(process: NodeProcess, here: WhereImported) -> Start:
     if not process.arguments:
         return Start(remarks=("its command line cannot be read",))
     found = split(process.arguments)
-    differs = {
-        name: value
-        for name, value in process.environment.items()
-        if here.environment.get(name) != value
-    }
+    known = here.environment
+    differs = {n: v for n, v in process.environment.items() if known.get(n) != v}
     ros2, remarks = _program(process, found, here), list[str]()
     params, files = _parameters(process, found, here, remarks)
     params |= found.params

@@ -255,11 +255,8 @@ class _Observer:
             if _is_hidden(topic):
                 continue
             publishers = self._node.get_publishers_info_by_topic(topic)
-            subscribers = [
-                info
-                for info in self._node.get_subscriptions_info_by_topic(topic)
-                if info.node_name != _NAME
-            ]
+            every = self._node.get_subscriptions_info_by_topic(topic)
+            subscribers = [info for info in every if info.node_name != _NAME]
             if publishers or subscribers:
                 found[topic] = _Ends(types[0], publishers, subscribers)
         return found

@@ -212,12 +212,9 @@ class RunningComponent:
         return dict(unpack(self._sent(command, PARAMETERS).value))
 
     def _ask(self, port: str, method: str, value: object, limit: float) -> PortAnswer:
+        packed = _packed(value)
         command = PortCommand(
-            component=self.name,
-            port=port,
-            method=method,
-            value=_packed(value),
-            limit=limit,
+            component=self.name, port=port, method=method, value=packed, limit=limit
         )
         return self._sent(command, port)
 
