@@ -219,14 +219,14 @@ class RecordWriter:
         self._flush(deadline)
 
     def push(self, record: Struct) -> None:
-        """Send what a record has room for, and the rest by `flush`; never waits."""
+        """Send what there is room for of a record; `flush` sends the rest."""
         self._rest = memoryview(bytes(self._rest) + _packet(record))
-        self.flush()
+        self.flush(0.0)
 
-    def flush(self) -> None:
-        """Send what there is room for."""
+    def flush(self, limit: float) -> None:
+        """Send what there is room for within `limit` [s]."""
         with contextlib.suppress(Timeout):
-            self._flush(0.0)
+            self._flush(time.monotonic() + limit)
 
     @property
     def is_waiting(self) -> bool:
