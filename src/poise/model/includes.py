@@ -33,17 +33,17 @@ def add_prefix(root: Node, prefix: str, problems: list[FileProblem]) -> None:
     for name in [name for name in root.value if name not in _SECTIONS]:
         problem = f"{name}: a file with a prefix has only {listed(_SECTIONS)}"
         problems.append(root.value.pop(name).place.problem(problem))
-    architectures = [*_entries(root, "architectures")]
+    architectures = [*_mapping(root, "architectures").values()]
     components = {n for a in architectures for n in _mapping(a, "components")}
     devices = {*_mapping(root, "devices")}
     for architecture in architectures:
-        for component in _entries(architecture, "components"):
+        for component in _mapping(architecture, "components").values():
             _refer(_mapping(component).get("devices"), devices, prefix)
         _rename(_mapping(architecture, "components"), prefix)
-        _refer(_mapping(architecture).get("function"), _All(), prefix)
+        _refer(_mapping(architecture).get("function"), None, prefix)
         _refer_ends(_mapping(architecture).get("connectors"), components, prefix)
     _refer_ends(_mapping(root).get("connectors"), components, prefix)
-    for chain in _entries(root, "chains"):
+    for chain in _mapping(root, "chains").values():
         _refer(_mapping(chain).get("through"), components, prefix)
     for name in ("together", "apart"):
         _refer(_mapping(root).get(name), components, prefix)
@@ -53,11 +53,6 @@ def add_prefix(root: Node, prefix: str, problems: list[FileProblem]) -> None:
         _rename(_mapping(root, name), prefix)
 
 
-class _All:
-    def __contains__(self, _: object) -> bool:
-        return True
-
-
 def _refer_ends(
     connectors: Node | None, components: Container[str], prefix: str
 ) -> None:
@@ -65,12 +60,15 @@ def _refer_ends(
         _refer(_mapping(connector).get("between"), components, prefix)
 
 
-def _refer(node: Node | None, names: Container[str], prefix: str) -> None:
-    """Prefix a name among `names`, also before a dot, or each in a list of such."""
-    value = node.value if node is not None else None
-    if isinstance(value, Scalar) and value.text.partition(".")[0] in names:
-        assert node is not None  # noqa: S101 - it has a value
-        node.value = Scalar(prefix + value.text, value.plain)
+def _refer(node: Node | None, names: Container[str] | None, prefix: str) -> None:
+    """Prefix a name among `names`, also before a dot, or each in a list of such.
+
+    None: any name.
+    """
+    if node is not None and isinstance(node.value, Scalar):
+        text = node.value.text
+        if names is None or text.partition(".")[0] in names:
+            node.value = Scalar(prefix + text, node.value.plain)
     for item in _items(node):
         _refer(item, names, prefix)
 
@@ -87,10 +85,6 @@ def _mapping(node: Node | None, *keys: str) -> dict[str, Node]:
     for key in keys:
         node = _mapping(node).get(key)
     return node.value if node is not None and isinstance(node.value, dict) else {}
-
-
-def _entries(node: Node, key: str) -> Iterator[Node]:
-    yield from _mapping(node, key).values()
 
 
 def _items(node: Node | None) -> Iterator[Node]:
@@ -167,9 +161,7 @@ def fill_include(item: Node, values: Given, problems: list[FileProblem]) -> None
 
 def unknown_arguments(root: Node, given: Given) -> dict[str, str]:
     """Return what is wrong with arguments that a file does not have."""
-    assert isinstance(root.value, dict)  # noqa: S101 - the reader has seen to it
-    node = root.value.get("arguments")
-    known = node.value if node is not None and isinstance(node.value, dict) else {}
+    known = _mapping(root, "arguments")
     return {n: unknown("argument", n, known) for n in given if n not in known}
 
 

@@ -277,7 +277,7 @@ def _merge(into: Node, other: Node, name: str, problems: list[FileProblem]) -> N
     elif (
         isinstance(into.value, dict)
         and isinstance(other.value, dict)
-        and _is_section(name)
+        and "." not in name  # the file itself, or one of its sections
     ):
         for key, node in other.value.items():
             present = into.value.setdefault(key, node)
@@ -287,8 +287,3 @@ def _merge(into: Node, other: Node, name: str, problems: list[FileProblem]) -> N
         problems.append(
             other.place.problem(f"{name} is defined twice, first at {into.place}")
         )
-
-
-def _is_section(name: str) -> bool:
-    """Whether the mapping is the file itself or one of its sections."""
-    return "." not in name

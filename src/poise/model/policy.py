@@ -378,13 +378,9 @@ def policies_of(written: Iterable[Policy]) -> tuple[Policy, ...]:
     for own in written:
         new = Policy(name=own.name)
         before = new if own.call else policies.get(own.name, new)
-        policies[own.name] = _changed(before, own)
+        given = {k: v for k, v in msgspec.structs.asdict(own).items() if v is not None}
+        policies[own.name] = msgspec.structs.replace(before, **given)
     return tuple(map(_whole, policies.values()))
-
-
-def _changed(policy: Policy, by: Policy) -> Policy:
-    given = {k: v for k, v in msgspec.structs.asdict(by).items() if v is not None}
-    return msgspec.structs.replace(policy, **given)
 
 
 def _whole(policy: Policy) -> Policy:

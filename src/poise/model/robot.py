@@ -323,11 +323,7 @@ class Robot(Struct, frozen=True, kw_only=True):
         """
         architectures = []
         for architecture in self.architectures:
-            changed = tuple(
-                component
-                for component in map(change, architecture.components)
-                if component is not None
-            )
+            changed = tuple(filter(None, map(change, architecture.components)))
             if changed:
                 architectures.append(replace(architecture, components=changed))
         return replace(self, architectures=tuple(architectures))

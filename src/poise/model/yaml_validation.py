@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import operator
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeAlias
 
 from msgspec import Struct
@@ -211,14 +211,10 @@ def _tagged(node: Node, kinds: Sequence[types.Type], where: Where) -> Value:
     present = [key for key in node.value if key in tags]
     if len(present) != 1:
         keys = " and ".join(map(quoted, present or node.value)) or "nothing"
-        likely = "" if present else _likely(node.value, tags)
+        guesses = (did_you_mean(key, tags) for key in node.value if not present)
+        likely = next(filter(None, guesses), "")
         return where.wrong(f"has {keys}{likely}; it takes one of {listed(tags)}")
     return _value(node, tags[present[0]], where)
-
-
-def _likely(keys: Iterable[str], tags: Iterable[str]) -> str:
-    """Return a suggestion for the first key that is like a tag."""
-    return next(filter(None, (did_you_mean(key, tags) for key in keys)), "")
 
 
 def _tag(kind: types.Type) -> str:

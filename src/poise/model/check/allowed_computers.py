@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from functools import cache
 from itertools import combinations
 from typing import NamedTuple
 
@@ -79,8 +80,13 @@ def check_allowed_computers(robot: Robot) -> Iterator[Finding]:
 
 def check_demands(robot: Robot) -> Iterator[Finding]:
     """Yield the demands that are larger than every computer that is allowed."""
+
+    @cache
+    def largest(allowed: Names, resource: str) -> Computer:
+        computers = (host for host in robot.hosts if host.name in allowed)
+        return max(computers, key=lambda computer: computer.usable(resource))
+
     hosts = allowed_computers(robot)
-    largest = _Largest(robot.hosts)
     findings: dict[str, list[Finding]] = {a.name: [] for a in robot.architectures}
     for path, architecture, component in components(robot):
         if allowed := hosts[component.name]:
@@ -91,26 +97,14 @@ def check_demands(robot: Robot) -> Iterator[Finding]:
             yield from findings[architecture.name]
 
 
-class _Largest(dict[tuple[Names, str], Computer]):
-    """Which of some computers has most of a resource, found when it is asked for."""
-
-    def __init__(self, computers: tuple[Computer, ...]) -> None:
-        super().__init__()
-        self._computers = computers
-
-    def __missing__(self, key: tuple[Names, str]) -> Computer:
-        names, resource = key
-        allowed = (known for known in self._computers if known.name in names)
-        largest = max(allowed, key=lambda computer: computer.usable(resource))
-        self[key] = largest
-        return largest
-
-
 def _too_large(
-    path: Path, component: ComponentEntry, allowed: Names, largest: _Largest
+    path: Path,
+    component: ComponentEntry,
+    allowed: Names,
+    largest: Callable[[Names, str], Computer],
 ) -> Iterator[Finding]:
     for resource, amount in component.demand.items():
-        computer = largest[allowed, resource]
+        computer = largest(allowed, resource)
         usable = computer.usable(resource)
         if not fits(amount, usable):
             key = () if resource in ("cpu", "memory") else ("resources",)
@@ -203,18 +197,17 @@ def pinned_components(robot: Robot) -> Mapping[str, str]:
     """Return component -> why it stays on its computer, of those that do."""
     allowed = allowed_computers(robot)
     pinned = {}
-    for architecture in robot.architectures:
-        for component in architecture.components:
-            choices = sorted(allowed[component.name])
-            if architecture.layer != "sequencing":
-                why = f"it belongs to the {architecture.layer} layer, which stays"
-            elif not component.movable:
-                why = "it is not movable (robot file)"
-            elif len(choices) < 2:  # noqa: PLR2004
-                why = f"it may run on {' or '.join(choices)} only"
-            else:
-                continue
-            pinned[component.name] = why
+    for _, architecture, component in components(robot):
+        choices = sorted(allowed[component.name])
+        if architecture.layer != "sequencing":
+            why = f"it belongs to the {architecture.layer} layer, which stays"
+        elif not component.movable:
+            why = "it is not movable (robot file)"
+        elif len(choices) < 2:  # noqa: PLR2004
+            why = f"it may run on {' or '.join(choices)} only"
+        else:
+            continue
+        pinned[component.name] = why
     return pinned
 
 

@@ -37,7 +37,10 @@ def check_connectors(robot: Robot) -> Iterator[Finding]:
                 yield Finding((*path, "between", index), message)
         if architecture is not None:
             yield from _foreign_ends(path, architecture, connector, names)
-        yield from _same_ends(path, connector)
+        first, second = connector.between
+        if first.component == second.component:
+            text = f"the connector {connector} joins a component to itself"
+            yield Finding(path, text)
         if str(connector) in seen:
             yield Finding(path, f"the connector {connector} is defined twice")
         seen.add(str(connector))
@@ -55,12 +58,6 @@ def _foreign_ends(
                 f"'{architecture.name}': move this connector to the top-level "
                 "`connectors`",
             )
-
-
-def _same_ends(path: Path, connector: Connector) -> Iterator[Finding]:
-    first, second = connector.between
-    if first.component == second.component:
-        yield Finding(path, f"the connector {connector} joins a component to itself")
 
 
 def check_chains(robot: Robot) -> Iterator[Finding]:
@@ -283,7 +280,7 @@ def _calls(robot: Robot, ports: Ports, reentrant: AbstractSet[str]) -> _Graph:
     graph: _Graph = {}
     for path, _, connector in connectors(robot):
         source, target = connector.between
-        known = [ports.get(end.component, {}).get(end.port) for end in (source, target)]
+        known = [_find(end, ports) for end in connector.between]
         waits = any(port is not None and port.waits for port in known)
         ends = {source.component, target.component}
         if waits and reentrant.isdisjoint(ends):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 
 from poise.endpoint import Endpoint
 from poise.errors import listed, unknown
@@ -93,7 +93,7 @@ def _duplicate_components(robot: Robot) -> Iterator[Finding]:
 def _devices(robot: Robot) -> Iterator[Finding]:
     for device in robot.devices:
         path = ("devices", device.name, "computer")
-        yield from _known(path, "computer", [device.computer], _computers(robot))
+        yield from _known(path, "computer", device.computer, _computers(robot))
 
 
 def _links(robot: Robot) -> Iterator[Finding]:
@@ -114,8 +114,8 @@ def _architectures(robot: Robot) -> Iterator[Finding]:
     for architecture in robot.architectures:
         path: Path = ("architectures", architecture.name)
         if architecture.home is not None:
-            home = [architecture.home]
-            yield from _known((*path, "home"), "computer", home, _computers(robot))
+            home = (*path, "home")
+            yield from _known(home, "computer", architecture.home, _computers(robot))
         elif architecture.layer != "sequencing":
             yield Finding(
                 path,
@@ -173,11 +173,11 @@ def _resources(robot: Robot) -> Iterator[Finding]:
     for section in ("weights", "sizes"):
         for resource in getattr(robot.objective, section):
             path = ("objective", section, resource)
-            yield from _known(path, "resource", [resource], known)
+            yield from _known(path, "resource", resource, known)
     for computer in robot.computers:
         for resource in computer.reserve:
             path = ("computers", computer.name, "reserve", resource)
-            yield from _known(path, "resource", [resource], computer.capacity)
+            yield from _known(path, "resource", resource, computer.capacity)
 
 
 def _computers(robot: Robot) -> list[str]:
@@ -190,7 +190,7 @@ def each_known(
     """Yield a finding at its own index for every unknown or duplicate name."""
     choices, seen = tuple(choices), set()
     for index, name in enumerate(names):
-        yield from _known((*path, index), kind, [name], choices)
+        yield from _known((*path, index), kind, name, choices)
         # A link from a computer to itself has a message of its own.
         if name in seen and path[0] != "links":
             yield Finding((*path, index), f"the {kind} '{name}' is listed twice")
@@ -198,12 +198,10 @@ def each_known(
 
 
 def _known(
-    path: Path, kind: str, names: Iterable[str], choices: Iterable[str]
+    path: Path, kind: str, name: str, choices: Collection[str]
 ) -> Iterator[Finding]:
-    choices = tuple(choices)
-    for name in names:
-        if name not in choices:
-            yield Finding(path, unknown(kind, name, choices))
+    if name not in choices:
+        yield Finding(path, unknown(kind, name, choices))
 
 
 def check_components_known(
