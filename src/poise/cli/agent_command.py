@@ -301,7 +301,7 @@ def install_command(
     service = AgentService(robot, computer, is_users=user, folder=unit_folder)
     user_name = Account.of(run_as).name if run_as else ""
     is_started = service.install(service.text(arguments, user_name))
-    _print(
+    typer.echo(
         f"{service.path} runs the agent; `journalctl {'--user ' * user}-u "
         f"{service.name}` shows its log"
         if is_started
@@ -309,7 +309,7 @@ def install_command(
         f"`systemctl {'--user ' * user}enable --now {service.name}`"
     )
     if is_started and user:
-        _print("`loginctl enable-linger` lets it run when you are not logged in")
+        typer.echo("`loginctl enable-linger` lets it run when you are not logged in")
 
 
 def uninstall_command(
@@ -324,8 +324,4 @@ def uninstall_command(
     """
     service = AgentService(robot, computer, is_users=user, folder=unit_folder)
     service.uninstall()
-    _print(f"{service.path} is removed")
-
-
-def _print(sentence: str) -> None:
-    sys.stdout.write(f"{sentence}\n")
+    typer.echo(f"{service.path} is removed")

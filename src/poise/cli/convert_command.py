@@ -48,10 +48,7 @@ def draw_command(
         typer.Option(help="What to draw. Default: what the placements ask for."),
     ] = None,
     task: RobotTask = None,
-    placement: Annotated[
-        str | None,
-        typer.Option(help=_WHERE),
-    ] = None,
+    placement: Annotated[str | None, typer.Option(help=_WHERE)] = None,
     compare: Annotated[
         str | None,
         typer.Option(help="Placements side by side, before and after: static,auto."),
@@ -196,10 +193,7 @@ def export_command(
             help="The task. Default: all functions.", autocompletion=in_file("tasks")
         ),
     ] = None,
-    placement: Annotated[
-        str,
-        typer.Option(help=_WHERE),
-    ] = "auto",
+    placement: Annotated[str, typer.Option(help=_WHERE)] = "auto",
     output: Annotated[
         Path, typer.Option("--output", "-o", help="The folder for the launch files.")
     ] = Path(),

@@ -44,8 +44,12 @@ def init_command(robot: RobotName, folder: Folder = None) -> None:
     poise keys init hello
     """
     authority = init_keys(robot, folder)
-    _say(f"the authority of robot '{robot}' and your keys are in {authority.folder}")
-    _say(f"next: `poise keys issue {robot} COMPUTER...` makes those of its computers")
+    typer.echo(
+        f"the authority of robot '{robot}' and your keys are in {authority.folder}"
+    )
+    typer.echo(
+        f"next: `poise keys issue {robot} COMPUTER...` makes those of its computers"
+    )
 
 
 def issue_command(
@@ -92,11 +96,13 @@ def issue_command(
         issued = authority.issue(name, of_role, out / name, days=days)
         if leads:
             authority.issue(name, "manager", issued.to_lead, days=days)
-        _say(f"{issued.folder}: {issued.name}, until {_day(issued.expires)}")
+        typer.echo(f"{issued.folder}: {issued.name}, until {_day(issued.expires)}")
     if issued.expires >= authority.ends.timestamp():
-        _say(f"the authority ends then, too: `poise keys rotate {robot}` makes another")
+        typer.echo(
+            f"the authority ends then, too: `poise keys rotate {robot}` makes another"
+        )
     place = folders(robot)[-1] if of_role == "agent" else folders(robot)[0]
-    _say(
+    typer.echo(
         f"next: copy each folder to its computer, as {place} or where `--keys` or "
         "POISE_KEYS says, readable for its user alone, and start its agent again"
     )
@@ -117,8 +123,8 @@ def rotate_command(robot: RobotName, folder: Folder = None) -> None:
     signs = authority.rotate()
     authority.issue("owner", "manager", authority.folder)
     what = "signs now" if signs else "is known; it signs after the next `rotate`"
-    _say(f"robot '{robot}': the next authority {what}")
-    _say(f"next: `poise keys issue {robot} ...` for all, and copy their folders")
+    typer.echo(f"robot '{robot}': the next authority {what}")
+    typer.echo(f"next: `poise keys issue {robot} ...` for all, and copy their folders")
 
 
 def list_command(
@@ -186,10 +192,6 @@ def _role(text: str) -> Role:
 
 def _day(moment: float) -> str:
     return f"{datetime.fromtimestamp(moment, UTC):%Y-%m-%d %H:%M} UTC"
-
-
-def _say(sentence: str) -> None:
-    sys.stdout.write(f"{sentence}\n")
 
 
 keys_command = list_command

@@ -60,7 +60,6 @@ def _flush() -> None:
 
 
 def _run(words: list[str]) -> NoReturn:
-    """Run a command, and end it with its exit code."""
     import typer
 
     from poise.cli.command_table import build, check_words

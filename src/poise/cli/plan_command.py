@@ -199,7 +199,6 @@ def _decide(
     method: str,
     problem: plan.TaskProblem,
 ) -> DecidedByTime:
-    """Decide where components run, by a method."""
     with busy("placing"):
         return decided(robot, problem, method, partial(solve, method=method))
 

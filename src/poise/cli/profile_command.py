@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -86,7 +87,7 @@ def profile_command(
             warm_up=parse_option("--warm-up", warm_up, SECONDS),
             repeat=repeat,
             say=lambda sentence: console.print(f"[yellow]{sentence}[/]"),
-            progress=_Bars(console).progress,
+            progress=partial(_progress, console),
             check=interrupts.check,
         )
     _print(robot, measured.profile, console, as_json=as_json)
@@ -173,20 +174,14 @@ def _report_silence(measured: Profiling, console: Console) -> None:
         )
 
 
-class _Bars:
-    """Shows the progress of each architecture on a console."""
-
-    def __init__(self, console: Console) -> None:
-        self._console = console
-
-    @contextlib.contextmanager
-    def progress(self, architecture: str, seconds: float) -> Iterator[Tick]:
-        """Show a bar for `seconds` [s]."""
-        self._console.print(f"measuring {architecture}")
-        columns = TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn()
-        with Progress(*columns, console=self._console, transient=True) as bars:
-            bar = bars.add_task(architecture, total=seconds)
-            yield lambda passed: bars.advance(bar, passed)
+@contextlib.contextmanager
+def _progress(console: Console, architecture: str, seconds: float) -> Iterator[Tick]:
+    """Show a bar for `seconds` [s] on a console."""
+    console.print(f"measuring {architecture}")
+    columns = TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn()
+    with Progress(*columns, console=console, transient=True) as bars:
+        bar = bars.add_task(architecture, total=seconds)
+        yield lambda passed: bars.advance(bar, passed)
 
 
 def calibrate_command(

@@ -47,7 +47,9 @@ def check_command(
     Example: poise check robot.yaml
     """
     if schema:
-        _print_schema()
+        from poise.model.schema import schema_text
+
+        sys.stdout.write(schema_text())
         return
     if file is None:
         raise UsageError("give a robot file, as in `poise check robot.yaml`")
@@ -61,12 +63,6 @@ def check_command(
         _print_text(file, problems, said)
     if problems:
         raise typer.Exit(1)
-
-
-def _print_schema() -> None:
-    from poise.model.schema import schema_text
-
-    sys.stdout.write(schema_text())
 
 
 def _print_json(problems: tuple[FileProblem, ...], notes: tuple[str, ...]) -> None:

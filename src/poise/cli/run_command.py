@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import importlib
 import sys
+from functools import partial
 from pathlib import Path
 from types import ModuleType
 from typing import Annotated, Literal
@@ -320,11 +321,8 @@ def deploy_command(file: RobotFile, as_json: AsJson = False, set_: Set = None) -
 
     Example: poise deploy robot.yaml
     """
-    robot = load(file, arguments_of(set_), say=_say)
+    say = partial(typer.echo, err=True)
+    robot = load(file, arguments_of(set_), say=say)
     with Interrupts() as interrupts:
-        deployed = deploy(robot, say=_say, check=interrupts.check)
+        deployed = deploy(robot, say=say, check=interrupts.check)
     show(deployed, [str(deployed)], as_json=as_json)
-
-
-def _say(sentence: str) -> None:
-    sys.stderr.write(f"{sentence}\n")

@@ -349,11 +349,7 @@ def dashboard_command(
 
     keys = None if insecure or is_loopback(host) else _keys(robot)
 
-    def say(text: str) -> None:
-        sys.stdout.write(f"{text}\n")
-        sys.stdout.flush()
-
-    serve(robot, host, _free_port(host, port), say, keys)
+    serve(robot, host, _free_port(host, port), typer.echo, keys)
 
 
 def _keys(robot: str | None) -> Credentials:
