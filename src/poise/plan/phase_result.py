@@ -59,7 +59,7 @@ class PlainPhases(TypedDict):
     phases: list[PlainPhase]
 
 
-class TaskResult:
+class TaskResult(Struct, eq=False):
     """A placement of each phase of a task.
 
     Attributes
@@ -78,21 +78,12 @@ class TaskResult:
         How long deciding took [s].
     """
 
-    def __init__(
-        self,
-        problem: TaskProblem,
-        results: Mapping[str, Result],
-        *,
-        proven: bool = False,
-        bound: float | None = None,
-        seconds: float = 0.0,
-    ) -> None:
-        self.problem = problem
-        self.results = results
-        self.proven = proven
-        self.bound = bound
-        self.stopped_by: Stopped = "done"
-        self.seconds = seconds
+    problem: TaskProblem
+    results: Mapping[str, Result]
+    proven: bool = False
+    bound: float | None = None
+    seconds: float = 0.0
+    stopped_by: Stopped = "done"
 
     @property
     def moves(self) -> tuple[PhaseMove, ...]:

@@ -84,7 +84,10 @@ def without(problem: Problem, names: Collection[str]) -> Problem:
     UsageError
         When there is no such computer, or a component may run on no other.
     """
-    _check_computers(problem, names)
+    known = [h.name for h in problem.computers]
+    for name in names:
+        if name not in known:
+            raise UsageError(unknown("computer", name, known))
     stranded = [
         c.name for c in problem.components if c.only and set(c.only) <= set(names)
     ]
@@ -165,13 +168,6 @@ def _without(component: Item, names: Collection[str]) -> Item:
     present = None if component.present in names else component.present
     cost = {h: x for h, x in component.cost.items() if h not in names}
     return replace(component, only=only, present=present, cost=cost)
-
-
-def _check_computers(problem: Problem, names: Collection[str]) -> None:
-    known = [h.name for h in problem.computers]
-    for name in names:
-        if name not in known:
-            raise UsageError(unknown("computer", name, known))
 
 
 PRICE = 1000.0
