@@ -202,10 +202,9 @@ class EmulatedSet:
         for name in on:
             if name not in self.computers:
                 names = ", ".join(self.computers)
-                text = (
+                raise UsageError(
                     f"robot '{self.robot}' has no computer '{name}' (it has: {names})"
                 )
-                raise UsageError(text)
         if computer == other:
             raise UsageError(f"'{computer}' is named twice: name two computers")
         return on

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import subprocess
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from itertools import count
 from pathlib import Path
 from types import MappingProxyType
@@ -233,7 +233,11 @@ class Emulation:
             *shortages(
                 {computer.name: computer.limits for computer in layout.computers}
             ),
-            *([_BLIND] if _is_blind(computers.values()) else []),
+            *(
+                [_BLIND]
+                if any(c.usage().starved is None for c in computers.values())
+                else []
+            ),
             *host.without_network(),
             *unshaped,
         )
@@ -250,10 +254,6 @@ _BLIND = (
     "invalid runs: the kernel does not report the CPU pressure of cgroups, so Poise "
     "cannot tell when the host is too busy for the emulation"
 )
-
-
-def _is_blind(computers: Iterable[EmulatedComputer]) -> bool:
-    return any(computer.usage().starved is None for computer in computers)
 
 
 def _prepared(groups: Groups, run: str) -> tuple[Groups, list[str]]:

@@ -93,11 +93,10 @@ def _quota(computer: Computer) -> float:
     quota = computer.capacity.get("cpu", 0.0) * computer.speed
     least = _SMALLEST / _LONGEST
     if not least <= quota < math.inf:
-        message = (
+        raise RobotError(
             f"computer {computer.name!r} cannot be emulated with {quota:g} cores "
             f"(cpu capacity x speed); it must be at least {least:g}, and finite"
         )
-        raise RobotError(message)
     return quota
 
 

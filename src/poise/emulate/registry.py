@@ -47,11 +47,10 @@ def registry() -> Path:
         folder.mkdir(mode=0o700, exist_ok=True)
         owner = folder.lstat()
     except OSError as error:
-        message = (
+        raise RunError(
             f"there is no list of emulated computers ({error}): set XDG_RUNTIME_DIR, "
             f"or {FOLDER}, to a folder of yours"
-        )
-        raise RunError(message) from error
+        ) from error
     if owner.st_uid != os.getuid() or owner.st_mode & 0o022 or folder.is_symlink():
         message = f"{folder} must belong to user {os.getuid()} alone: remove it"
         raise RunError(message)
@@ -87,11 +86,10 @@ def locked() -> Iterator[None]:
         deadline = time.monotonic() + _LOCK_LIMIT
         while not _is_locked(handle):
             if time.monotonic() > deadline:
-                message = (
+                raise RunError(
                     "another command has been changing emulated computers for "
                     f"{_LOCK_LIMIT:g} s: `lsof {registry()}` names its process"
                 )
-                raise RunError(message)
             time.sleep(_POLL_EVERY)
         yield
     finally:
@@ -173,11 +171,10 @@ def _raise_if_kept(robot: str, run: str) -> None:
     for other in registered():
         is_kept = other.kept is not None and other.kept.robot == robot
         if is_kept and other.run != run and other.owner.is_alive():
-            message = (
+            raise UsageError(
                 f"robot '{robot}' has emulated computers already, of process "
                 f"{other.owner.pid}: `poise emulate stop --robot {robot}` ends them"
             )
-            raise UsageError(message)
 
 
 def _is_locked(handle: int) -> bool:

@@ -105,7 +105,6 @@ class AsksActions(AsksRos):
     """Answers the port by the results of goals in ROS 2."""
 
     def _client(self, kind: Any, name: str) -> Any:  # noqa: ANN401, of rclpy
-        """Return what sends goals."""
         from rclpy.action import ActionClient  # noqa: PLC0415, only where a node runs
 
         return ActionClient(self.node, kind, name)

@@ -90,7 +90,6 @@ def _kind(port: Port, entries: Sequence[BridgeLine]) -> str:
 
 
 def _full(port: Port, kind: str, entry: BridgeLine) -> BridgeLine:
-    """Return an entry with its type, and its method."""
     full = entry.type or named(port.type.__qualname__, kind)
     method = entry.method
     if kind != "msg" and not method:

@@ -76,7 +76,8 @@ class Conversions:
                 steps.append((name, True, self._value(hint, inner[name], at)))
             else:
                 known = [*kinds, *inner]
-                text = f"{_name_of(ros)} has no such field{did_you_mean(name, known)}"
+                kind = f"{ros.__module__.split('.')[0]}/{ros.__name__}"
+                text = f"{kind} has no such field{did_you_mean(name, known)}"
                 self._wrong(at, f"{text}; it has {listed(known)}")
 
         def to_ros(value: Any) -> Any:  # noqa: ANN401, a message
@@ -106,7 +107,7 @@ class Conversions:
         if (of := _element(kind)) is not None:
             return self._several(hint, of, kind, where)
         if "/" in kind:
-            if _is_message(hint):
+            if isinstance(hint, type) and issubclass(hint, msgspec.Struct):
                 return self._message(hint, _class_of(kind), where)
             return self._wrong(where, f"is {_shown(hint)}, but a {kind} in ROS 2")
         return self._single(hint, kind, where)
@@ -214,10 +215,6 @@ def _hints(message: type[Any]) -> dict[str, Any]:
     return {name: hints[name] for name in message.__struct_fields__}
 
 
-def _is_message(hint: Any) -> bool:  # noqa: ANN401, any type
-    return isinstance(hint, type) and issubclass(hint, msgspec.Struct)
-
-
 def _element(kind: str) -> str | None:
     """Return what ``sequence<double>`` or ``double[9]`` has; None: it is neither."""
     if kind.startswith("sequence<"):
@@ -228,10 +225,6 @@ def _element(kind: str) -> str | None:
 def _class_of(kind: str) -> Any:  # noqa: ANN401, a generated class
     package, name = kind.split("/")
     return getattr(importlib.import_module(f"{package}.msg"), name)
-
-
-def _name_of(ros: Any) -> str:  # noqa: ANN401, a generated class
-    return f"{ros.__module__.split('.')[0]}/{ros.__name__}"
 
 
 def _shown(hint: Any) -> str:  # noqa: ANN401, any type

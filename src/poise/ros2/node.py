@@ -100,7 +100,6 @@ class RosNode(Component):
             )
 
     def _transit(self, name: str) -> None:
-        """Let a lifecycle node make a transition."""
         trigger = getattr(self.node, f"trigger_{name}", None)
         if trigger is None:
             return

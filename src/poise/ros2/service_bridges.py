@@ -109,7 +109,6 @@ class AsksRos(Services):
         }
 
     def _client(self, kind: Any, name: str) -> Any:  # noqa: ANN401, of rclpy
-        """Return what asks."""
         return self.node.create_client(kind, name)
 
     def listen(self) -> None:

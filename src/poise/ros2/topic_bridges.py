@@ -36,16 +36,14 @@ class ToTopics(BridgeNode):
 
     def open(self) -> None:
         """Make the publishers."""
-        pairs = zip(self.entries, self.conversions(self.clock), strict=True)
-        self._out = [(self._publish_of(entry), pair.to_ros) for entry, pair in pairs]
+        self._out: list[tuple[Convert, Convert]] = []
+        for entry, pair in zip(self.entries, self.conversions(self.clock), strict=True):
+            kind = interface(entry.type)
+            publisher = self.node.create_publisher(kind, entry.ros2, entry.qos())
+            self._out.append((publisher.publish, pair.to_ros))
 
     def listen(self) -> None:
         """Do not wait for ROS 2, from where nothing comes."""
-
-    def _publish_of(self, entry: BridgeLine) -> Convert:
-        kind = interface(entry.type)
-        publisher = self.node.create_publisher(kind, entry.ros2, entry.qos())
-        return publisher.publish  # type: ignore[no-any-return]
 
     def _take(self, message: Any) -> None:  # noqa: ANN401, as the port says
         for publish, to_ros in self._out:

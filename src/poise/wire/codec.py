@@ -12,6 +12,7 @@ import re
 import threading
 from collections.abc import Iterable
 from functools import cache, lru_cache
+from itertools import chain
 from math import prod
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar, get_args
@@ -122,7 +123,8 @@ class Packed(msgspec.Struct, frozen=True):
 def pack(value: object) -> Packed:
     """Return a value as plain data; WireError when it cannot cross a connector."""
     body, buffers = codec(Any).encode(value)
-    return Packed(body, b"".join(_padded(buffers)))
+    parts = ((buffer, bytes(padding(buffer.nbytes))) for buffer in buffers)
+    return Packed(body, b"".join(chain.from_iterable(parts)))
 
 
 def unpack(packed: Packed, type_: Any = Any) -> Any:  # noqa: ANN401, any type
@@ -135,12 +137,6 @@ def unpack(packed: Packed, type_: Any = Any) -> Any:  # noqa: ANN401, any type
         return msgspec.convert(plain, type_, dec_hook=_array_of)
     except (msgspec.ValidationError, *_UNFIT) as error:
         raise WireError(str(error)) from error
-
-
-def _padded(buffers: Iterable[memoryview]) -> Iterable[bytes]:
-    for buffer in buffers:
-        yield bytes(buffer)
-        yield bytes(padding(buffer.nbytes))
 
 
 def _array_of(type_: Any, value: Any) -> Any:  # noqa: ANN401, msgspec's hook

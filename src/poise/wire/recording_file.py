@@ -137,10 +137,7 @@ class McapFile:
             self._check_room()
             if topic not in self._channels:
                 self._channels[topic] = self._writer.register_channel(
-                    topic,
-                    encoding,
-                    self._schema(schema),
-                    {"name": name},
+                    topic, encoding, self._schema(schema), {"name": name}
                 )
             try:
                 self._writer.add_message(self._channels[topic], moment, data, moment)
