@@ -246,7 +246,6 @@ class Replay(Component):
             self.measure("failed_calls", 1)
 
     def _generated(self, name: str, how: Generated) -> Iterator[Due]:
-        """Yield generated messages."""
         rng = random.Random(how.seed)  # noqa: S311, it is to be repeatable
         make: Any = maker(self.types[name])
         if how.message:

@@ -249,7 +249,12 @@ class _ComponentWork:
 
     def _timers(self) -> list[Timer]:
         if self._entry.implementation == BRIDGE:
-            return list(self._arrivals())
+            return [  # what comes from ROS 2: no component sends it
+                Timer(connector.between[0].port, 1 / rate, None)
+                for connector in self._robot.all_connectors()
+                if connector.between[0].component == self._entry.name
+                if (rate := self._over[str(connector)].rate)
+            ]
         if self._code is not None and (self._code.timers or not self._known):
             return [Timer(t.name, t.period, t.deadline) for t in self._code.timers]
         measured = self._known.timers if self._known else {}
@@ -257,13 +262,6 @@ class _ComponentWork:
             Timer(name, timer.period, timer.period if self._code is None else None)
             for name, timer in measured.items()
         ]
-
-    def _arrivals(self) -> Iterator[Timer]:
-        """Yield what comes to a bridge from ROS 2 as timers: no component sends it."""
-        for connector in self._robot.all_connectors():
-            end, rate = connector.between[0], self._over[str(connector)].rate
-            if end.component == self._entry.name and rate:
-                yield Timer(end.port, 1 / rate, None)
 
     def _timer(self, timer: Timer) -> _Rated:
         if (rated := self._measured(timer.name, 1 / timer.period)) is not None:

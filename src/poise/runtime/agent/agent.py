@@ -208,7 +208,6 @@ class Agent:
         sampler: Sampler,
         disk: DiskThread,
     ) -> Surroundings:
-        """Return the real world for the core."""
         statuses = session.declare_publisher(
             f"poise/{self._setup.robot}/status/{self._setup.computer}"
         )
@@ -302,7 +301,6 @@ class Agent:
         return AgentNote(self._setup.robot, keys)
 
     def _appear(self, session: zenoh.Session) -> None:
-        """Let managers see the agent."""
         robot, computer = self._setup.robot, self._setup.computer
         identity = identity_key(self._locator, robot, computer)
         for key in (f"poise/{robot}/alive/{computer}", identity)[len(self._tokens) :]:
@@ -407,7 +405,6 @@ class Agent:
             self._core.on_born(event.name, event.pid)
 
     def _adopt(self) -> None:
-        """Take over containers of an earlier agent."""
         try:
             while (adopted := self._adoption.next_orphan()) is not None:
                 orphan, connection, stats_page = adopted
@@ -426,7 +423,6 @@ class Agent:
             ) from error
 
     def _end_all(self) -> None:
-        """End every container in stages."""
         core = self._core
         try:
             core.end()

@@ -236,7 +236,6 @@ class AgentCore:
             self._about(process.name, process.kill)
 
     def _table(self) -> tuple[_Part, ...]:
-        """Return what each tick does, in its order."""
         adoption, standby, relay = self._world.adoption, self.standby, self._relay
         return (
             _Part("state", self._keep_state),
@@ -346,7 +345,7 @@ class AgentCore:
 
     def _note_lease(self) -> None:
         self.fence.update()
-        self.supervisor.is_cut_off = bool(self.fence.cut_off)
+        self.supervisor.note_cut_off(is_cut_off=bool(self.fence.cut_off))
 
     def _tell_clocks(self) -> None:
         beats = self.heartbeats

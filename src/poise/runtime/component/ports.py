@@ -261,10 +261,9 @@ def every(
     if callable(period):
         raise UsageError("@every takes its period [s], as in @every(0.1)")
     if (period is None) == (hz is None):
-        text = (
+        raise UsageError(
             f"every({period}, hz={hz}): give either, as in @every(0.1) or every(hz=10)"
         )
-        raise UsageError(text)
     if any(given is not None and not given > 0 for given in (period, hz, deadline)):
         text = f"every({period}, hz={hz}, deadline={deadline}): all must be above 0"
         raise UsageError(text)
@@ -393,19 +392,17 @@ def _message_type(method: Callable[..., Any]) -> Any:  # noqa: ANN401, any type
     hints = get_type_hints(method)
     names = list(inspect.signature(method).parameters)[1:]
     if len(names) != 1 or names[0] not in hints:
-        msg = (
+        raise UsageError(
             f"{method.__qualname__}: a subscribed method takes one message and says "
             f"its type, as in `def {method.__name__}(self, message: Scan) -> None`"
         )
-        raise UsageError(msg)
     return hints[names[0]]
 
 
 def _check_provided(component: type, port: Port) -> None:
     missing = [m for m in methods_of(port.type) if not hasattr(component, m)]
     if missing:
-        msg = (
+        raise UsageError(
             f"{component.__qualname__} provides {port.name}: "
             f"{port.type.__qualname__}, but has no method {', '.join(missing)}"
         )
-        raise UsageError(msg)

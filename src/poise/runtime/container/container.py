@@ -196,7 +196,6 @@ class Container:
         return any(looks_soon)
 
     def _missed(self) -> int:
-        """Return how many deadlines of timers were missed."""
         now = self._clock.now()
         return sum(runner.timers.missed(now) for runner in self._runners.values())
 

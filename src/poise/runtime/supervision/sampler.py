@@ -192,7 +192,8 @@ class Sampler:
             known, is_due = before.get(pid), self._count == place * _SELDOM
             if known is None or is_due or not one_grew:
                 processes = [pid, *page.commands()]
-                has_grown = known is not None and _has_grown(processes, known)
+                resident = sum(map(resident_memory, processes))
+                has_grown = known is not None and resident > _GROWN * known.resident
                 one_grew = one_grew or has_grown
                 if known is None or is_due or has_grown:
                     known = _weigh(processes, known)
@@ -223,10 +224,6 @@ class _Weight(Struct, frozen=True):
     resident: int
     proportional: int
     age: int = 0
-
-
-def _has_grown(processes: Sequence[int], known: _Weight) -> bool:
-    return sum(map(resident_memory, processes)) > _GROWN * known.resident
 
 
 def _weigh(processes: Sequence[int], known: _Weight | None) -> _Weight:

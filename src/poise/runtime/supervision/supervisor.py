@@ -55,7 +55,7 @@ class Supervisor:
         self.cpu_of_ended = 0.0
         self.trouble = ""
         self.lease_end = -inf
-        self._is_cut_off = False
+        self.is_cut_off = False
         self._is_left = False
         self._cut_off_at = inf
         self._host = host
@@ -67,16 +67,11 @@ class Supervisor:
         self._backoffs: dict[str, BackOff] = {}
         self._is_ending = False
 
-    @property
-    def is_cut_off(self) -> bool:
-        """Whether the lease has ended: leased components are to be inactive."""
-        return self._is_cut_off
-
-    @is_cut_off.setter
-    def is_cut_off(self, is_cut_off: bool) -> None:
-        if is_cut_off != self._is_cut_off:
+    def note_cut_off(self, *, is_cut_off: bool) -> None:
+        """Take in whether the lease has ended: leased components are to be inactive."""
+        if is_cut_off != self.is_cut_off:
             self._cut_off_at = self._clock.now() if is_cut_off else inf
-        self._is_cut_off = is_cut_off
+        self.is_cut_off = is_cut_off
 
     def extend_lease(self, until: float) -> None:
         """Let leased components act until then [s, CLOCK_BOOTTIME]; on any thread."""

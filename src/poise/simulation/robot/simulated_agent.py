@@ -380,7 +380,7 @@ class SimulatedDisk:
         elif self.is_full:
             reply(Refused("it cannot use its folder: no space left on device"))
         else:
-            self._write(lambda: self._store(request))
+            self._process.after(self.delay, lambda: self._store(request))
             self._process.after(self.delay, lambda: reply(Accepted()))
 
     def keep_only(self, wanted: Deployment) -> None:
@@ -422,10 +422,6 @@ class SimulatedDisk:
         at = self._computer.boottime() - copy.age
         self._checkpoints[copy.component, copy.epoch] = at, copy.data or b""
         self._send_soon()
-
-    def _write(self, act: Callable[[], object]) -> None:
-        if not self.is_full:
-            self._process.after(self.delay, act)
 
     def _send_soon(self) -> None:
         """Send copies of new checkpoints within a moment; of several one."""
