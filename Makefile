@@ -25,7 +25,7 @@ PYTEST := $(BIN)/python -m pytest -q -n 5 --dist loadgroup --no-loadscope-reorde
 test: setup
 	@$(PYTEST) -m "not exhaustive and not wheels"
 
-# what explores for long, and whole demos
+# what explores or measures for long, builds or deploys code; whole demos and benchmarks
 exhaustive: setup
 	@$(PYTEST) -m exhaustive
 

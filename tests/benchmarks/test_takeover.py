@@ -12,7 +12,7 @@ import pytest
 from poise.emulate import probe_host
 from tests.waiting import LONG
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.exhaustive, pytest.mark.slow]
 
 ROOT = Path(__file__).parents[2]
 

@@ -27,6 +27,7 @@ def _robot(tmp_path: Path) -> None:
         shutil.copy(HELLO / name, tmp_path)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.slow
 def test_measures_speeds_and_costs_says_a_busy_machine_and_keeps_them(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -23,7 +23,7 @@ from tests.command import POISE, robot_up
 from tests.manage.agents import TELLING
 from tests.waiting import LONG, wait_long
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.exhaustive, pytest.mark.slow]
 
 NAME = f"crowded{os.getpid()}"
 CODE = (

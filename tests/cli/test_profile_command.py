@@ -39,6 +39,7 @@ while True:
 """
 
 
+@pytest.mark.exhaustive
 @pytest.mark.slow
 def test_measures_command_line_components(tmp_path: Path, poise: Poise) -> None:
     (tmp_path / "robot.yaml").write_text(ROBOT)

@@ -33,7 +33,7 @@ class Thinker(Component):
             pass
 """
 LIMIT = 60.0
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.exhaustive, pytest.mark.slow]
 
 
 JOBS, DEARER, COMMAND = "jobs", "dearer", "command"

@@ -47,7 +47,7 @@ from tests.runtime.conftest import Pair, every_kind, pair
 from tests.waiting import LIMIT, LONG, wait_long, wait_until
 
 __all__ = ["pair"]
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.exhaustive, pytest.mark.slow]
 ROOT = Path(__file__).parents[2]
 EXAMPLE = ROOT / "examples/cpp"
 

@@ -11,6 +11,7 @@ from poise.emulate import probe_host
 from tests.command import run_poise
 
 
+@pytest.mark.exhaustive
 @pytest.mark.slow
 def test_components_of_a_crashed_computer_go_on_elsewhere() -> None:
     if reasons := probe_host().without_network():

@@ -1,8 +1,4 @@
-"""Every `python -m` command of the documents runs, in a form that is short.
-
-`QUICK` runs in `make test`; `ROBOTS` starts robots and measures, which takes minutes,
-and runs in `make exhaustive`. `.ci/run` runs both.
-"""
+"""Every `python -m` command of the documents runs, in a form that is short."""
 
 from __future__ import annotations
 
@@ -24,14 +20,7 @@ DOCUMENTS = [
     *(ROOT / "examples").rglob("*.md"),
     *(ROOT / "benchmarks").rglob("*.md"),
 ]
-QUICK = {
-    "benchmarks.learning": "--seeds 4 --json",
-    "benchmarks.lease": "",
-    "benchmarks.placement": "--quick --only proof --json",
-    "benchmarks.regret": "--seeds 1 --kinds lost --json",
-    "tests.simulation": "2",
-}
-ROBOTS = {
+SHORT_FORMS = {
     "benchmarks.adaptation": "--quick --only decision --json",
     "benchmarks.calls": "--quick --only direct --json",
     "benchmarks.dashboard": "--seconds 1 --components 5",
@@ -42,14 +31,19 @@ ROBOTS = {
     "benchmarks.experiment": "--one --json --folder {folder}",
     "benchmarks.faults": "--quick --json",
     "benchmarks.idle": "--quick --json",
+    "benchmarks.learning": "--seeds 4 --json",
+    "benchmarks.lease": "",
     "benchmarks.moves": "--quick --json",
+    "benchmarks.placement": "--quick --only proof --json",
     "benchmarks.prefetch": "--seconds 5 --json",
     "benchmarks.priorities": "--rounds 1 --seconds 2",
+    "benchmarks.regret": "--seeds 1 --kinds lost --json",
     "benchmarks.ros2_bridge": "--quick",
     "benchmarks.simulation": "--seconds 3 --only two --json",
     "benchmarks.starvation": "",
     "benchmarks.takeover": "--moves 5 --json",
     "tests.chaos": "10s --folder {folder}",
+    "tests.simulation": "2",
 }
 BUSY = {"benchmarks.experiment": '"invalid":1'}
 """Module -> what it prints when the tests beside it leave it too little CPU; it then
@@ -77,7 +71,7 @@ NAMED = sorted(set(commands()))
 
 def test_every_command_has_a_short_form() -> None:
     modules = {module for module, _ in NAMED}
-    assert modules - QUICK.keys() - ROBOTS.keys() - EXEMPT.keys() == set()
+    assert modules - SHORT_FORMS.keys() - EXEMPT.keys() == set()
 
 
 def test_every_benchmark_has_a_short_form() -> None:
@@ -87,27 +81,14 @@ def test_every_benchmark_has_a_short_form() -> None:
         if 'if __name__ == "__main__":' in file.read_text()
     }
     parts = {"benchmarks.calls.peer", "benchmarks.dashboard_pictures"}
-    assert programs - parts - QUICK.keys() - ROBOTS.keys() == set()
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("module", "options"), QUICK.items(), ids=QUICK)
-def test_a_command_without_robots_runs(
-    module: str, options: str, tmp_path: Path
-) -> None:
-    run(module, options, tmp_path)
+    assert programs - parts - SHORT_FORMS.keys() == set()
 
 
 @pytest.mark.slow
 @pytest.mark.exhaustive
-@pytest.mark.parametrize(("module", "options"), ROBOTS.items(), ids=ROBOTS)
-def test_a_command_with_robots_runs(module: str, options: str, tmp_path: Path) -> None:
-    run(module, options, tmp_path)
-
-
-def run(module: str, options: str, folder: Path) -> None:
-    """Run a command to its end, which must agree with its exit code; read its JSON."""
-    words = shlex.split(options.format(folder=folder))
+@pytest.mark.parametrize(("module", "options"), SHORT_FORMS.items(), ids=SHORT_FORMS)
+def test_a_command_runs_to_its_end(module: str, options: str, tmp_path: Path) -> None:
+    words = shlex.split(options.format(folder=tmp_path))
     # else NiceGUI takes the dashboard for a part of this test
     environment = {k: v for k, v in os.environ.items() if k != "PYTEST_CURRENT_TEST"}
     done = subprocess.run(

@@ -46,6 +46,7 @@ def test_it_has_the_files_of_a_robot(write_files: Write, tmp_path: Path) -> None
     assert names == ["computers.yaml", "patrol.py", "robot.yaml"]
 
 
+@pytest.mark.exhaustive
 @pytest.mark.slow
 def test_steps_2_to_7_run(write_files: Write, poise: Poise, tmp_path: Path) -> None:
     write_files(PAGE, tmp_path)

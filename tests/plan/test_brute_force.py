@@ -84,6 +84,7 @@ def least(asked: Problem) -> float:
     )
 
 
+@pytest.mark.exhaustive
 @pytest.mark.slow
 @pytest.mark.parametrize("seeds", [range(start, start + 50) for start in (0, 50)])
 def test_no_placement_costs_less_with_soft_limits(seeds: range) -> None:

@@ -157,6 +157,7 @@ def test_a_rise_counts_speed_and_reserve() -> None:
     assert result.conflict.more == (plan.More(on=("h0",), resource="cpu", amount=1.0),)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.slow
 def test_a_fleet_that_is_short_is_told_soon() -> None:
     robot = random_robot(1, 2000, 20, load=1.05)

@@ -85,6 +85,7 @@ def _limit(random: Random, asked: Problem, name: str) -> TimeLimit:
     )
 
 
+@pytest.mark.exhaustive
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "seeds", [range(start, start + 60) for start in range(0, 360, 60)]

@@ -98,6 +98,7 @@ def test_a_stamp_is_as_old_as_when_it_was_recorded(tmp_path: Path) -> None:
     assert stamped_later(none, 1.5) == none
 
 
+@pytest.mark.exhaustive
 @pytest.mark.slow
 @pytest.mark.timeout(LONG)
 def test_profiles_a_component_and_its_bridge_on_a_bag(

@@ -11,7 +11,7 @@ from poise.estimate.online import Estimate
 from poise.session.render.status_tables import remarks
 from tests.waiting import LONG, wait_long
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(LONG)]
+pytestmark = [pytest.mark.exhaustive, pytest.mark.slow, pytest.mark.timeout(LONG)]
 
 CODE = '''
 """They spin in a timer, a call and native code; one needs what the first takes."""

@@ -15,7 +15,7 @@ from benchmarks.priorities import run
 from poise.emulate.emulation import EmulatedComputer
 from poise.kernel_counters import CPU_GROUP
 
-pytestmark = [pytest.mark.slow, pytest.mark.one_worker]
+pytestmark = [pytest.mark.exhaustive, pytest.mark.slow, pytest.mark.one_worker]
 
 WORK = (0.03, 0.04)
 """CPU of a step [s]; 20 steps a second want 0.6 and 0.8 of 0.5 cores."""

@@ -17,7 +17,7 @@ from poise.emulate import EmulatedSet, probe_host
 from tests.session.emulated_robot import written
 from tests.waiting import LONG, wait_long
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(LONG)]
+pytestmark = [pytest.mark.exhaustive, pytest.mark.slow, pytest.mark.timeout(LONG)]
 
 TAKEN_OVER = 3
 CODE = """

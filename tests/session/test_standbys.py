@@ -10,7 +10,7 @@ from poise.emulate import probe_host
 from tests.leader_kills.kills import Kills, Report
 from tests.waiting import LONG
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(LONG)]
+pytestmark = [pytest.mark.exhaustive, pytest.mark.slow, pytest.mark.timeout(LONG)]
 
 
 @pytest.fixture(autouse=True)

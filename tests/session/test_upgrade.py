@@ -20,7 +20,7 @@ from tests.runtime.conftest import free_port
 from tests.session.emulated_robot import written
 from tests.waiting import LONG, wait_long
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(2 * LONG)]
+pytestmark = [pytest.mark.exhaustive, pytest.mark.slow, pytest.mark.timeout(2 * LONG)]
 
 NAMES = "left", "right", "third"
 CODE = """

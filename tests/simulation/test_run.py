@@ -122,6 +122,7 @@ def test_an_error_of_the_manager_is_found(
     assert outcome.failure != ""
 
 
+@pytest.mark.exhaustive
 @pytest.mark.slow
 def test_a_failure_is_shrunk_to_the_fault_that_it_needs(
     scenario: Scenario, monkeypatch: pytest.MonkeyPatch
@@ -141,6 +142,7 @@ def test_a_failure_is_shrunk_to_the_fault_that_it_needs(
     assert again.digest == shrunk.outcome.digest
 
 
+@pytest.mark.exhaustive
 @pytest.mark.slow
 def test_a_seed_gives_one_run_in_any_interpreter() -> None:
     """Whatever the hash seed, which orders sets of texts, and whatever ran before."""
@@ -206,6 +208,7 @@ def test_managers_that_somebody_starts_run_nothing_twice_and_undo_no_move(
     assert run(seed, 40.0).message == ""
 
 
+@pytest.mark.exhaustive
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 17, 37, 555, 774, 2089, 3045])
 def test_standbys_follow_each_other_and_nothing_is_active_twice(seed: int) -> None:

@@ -34,6 +34,7 @@ def test_kubernetes_takes_no_node_that_the_requests_do_not_fit_on() -> None:
     )
 
 
+@pytest.mark.exhaustive
 @pytest.mark.slow
 @pytest.mark.parametrize("rule", ["least-allocated", "least-loaded"])
 def test_a_balancer_places_all_that_static_does_where_it_may_run(rule: str) -> None:

@@ -294,6 +294,7 @@ def every_load(examples: int) -> Callable[[Callable[..., None]], Callable[..., N
     return lambda test: limits(strategies(test))
 
 
+@pytest.mark.exhaustive
 @pytest.mark.slow
 @every_load(12)
 def test_moves_cost_no_more_than_any_load_takes(seed: int, kind: str) -> None:

@@ -19,7 +19,7 @@ from tests.session.conftest import bare_computers
 from tests.tiny_wheel import make_wheel
 from tests.waiting import LONG, wait_long
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(LONG)]
+pytestmark = [pytest.mark.exhaustive, pytest.mark.slow, pytest.mark.timeout(LONG)]
 
 NAMES = ("left", "right")
 CODE = """

@@ -33,6 +33,7 @@ def test_a_robot_without_requirements_has_no_wheels(tmp_path: Path) -> None:
     assert lock_wheels(str(tmp_path), PLATFORMS) == Manifest()
 
 
+@pytest.mark.exhaustive
 @pytest.mark.slow
 def test_wheels_are_for_the_platform_of_each_computer(
     tmp_path: Path, index: Path
@@ -46,6 +47,7 @@ def test_wheels_are_for_the_platform_of_each_computer(
         lock_wheels(str(tmp_path), ["riscv64 3.11 2.36"])
 
 
+@pytest.mark.exhaustive
 @pytest.mark.slow
 def test_a_lock_holds_until_the_requirements_change(
     tmp_path: Path, index: Path

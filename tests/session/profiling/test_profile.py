@@ -51,6 +51,7 @@ class Mind(Component):
 """
 
 
+@pytest.mark.exhaustive
 @pytest.mark.slow
 def test_a_component_without_messages_is_said_and_not_recorded(tmp_path: Path) -> None:
     """The mind would need far more if it saw anything: no figure is better than 0."""
@@ -76,6 +77,7 @@ FAILING = CODE.replace(
 )
 
 
+@pytest.mark.exhaustive
 @pytest.mark.slow
 def test_a_component_whose_work_always_fails_is_said_and_not_recorded(
     tmp_path: Path,
