@@ -332,12 +332,12 @@ class Recorder:
             say(why or f"connector '{connector}' is recorded again")
 
     def _read_messages(self, connector: str) -> TapReading:
-        reading = self._live.running.look_at(
-            connector,
-            self._viewer,
-            rate=self._rate,
-            is_whole=True,
-            latest=self._latest.get(connector, (0, 0)),
+        look_at, latest = (
+            self._live.running.look_at,
+            self._latest.get(connector, (0, 0)),
+        )
+        reading = look_at(
+            connector, self._viewer, rate=self._rate, is_whole=True, latest=latest
         )
         self._latest[reading.connector] = reading.latest
         return reading

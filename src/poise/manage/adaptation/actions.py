@@ -263,22 +263,16 @@ def _crashed_before(
 
 def components_in(run: RunningComponents, symptom: Symptom) -> list[str]:
     """Return the components of the container that a symptom is about."""
-    return sorted(
-        name
-        for name, incarnation in run.placed.items()
-        if incarnation.computer == symptom.computer
-        and run.layout.container_of(incarnation) == symptom.values.name
-    )
+    container_of = run.layout.container_of
+    here = [each for each in run.placed.values() if each.computer == symptom.computer]
+    inside = (each for each in here if container_of(each) == symptom.values.name)
+    return sorted(incarnation.component for incarnation in inside)
 
 
 def _pinned(robot: Robot) -> dict[str, str]:
     """Return component -> why it stays; not for being on a robot's only computer."""
-    is_alone = len(robot.computers) == 1
-    free = {
-        component.name
-        for architecture in robot.architectures
-        for component in architecture.components
-        if is_alone and architecture.layer == "sequencing" and component.movable
-    }
+    moving = [a for a in robot.architectures if a.layer == "sequencing"]
+    free = {c.name for a in moving for c in a.components if c.movable}
+    free = free if len(robot.computers) == 1 else set()
     pinned = pinned_components(robot)
     return {name: why for name, why in pinned.items() if name not in free}

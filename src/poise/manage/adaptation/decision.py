@@ -102,19 +102,14 @@ def decide(
     is_old = any(chain.is_late for chain in situation.chains)
     if not short and not in_vain and not is_old:
         return Decision(acts=False, why=causes + nothing_helps(situation, gone))
-    costs = move_costs(situation)
+    costs, per_core = move_costs(situation), horizon / WORTH
+    prices = {name: doubt * cost / WORTH for name, cost in costs.items()}
     try:
-        proposal = propose(
-            situation,
-            costs={name: doubt * cost / WORTH for name, cost in costs.items()},
-            price=horizon / WORTH,
-            is_quick=True,
-        )
+        proposal = propose(situation, costs=prices, price=per_core, is_quick=True)
     except RobotError as error:
         why = f"no placement can help: {causes}{late(situation)}{error}"
-        undone = _undone(situation, horizon / WORTH) + in_vain
+        undone = _undone(situation, per_core) + in_vain
         return Decision(acts=False, why=why, undone=undone)
-    per_core = horizon / WORTH
     undone = (proposal.now.shortage + proposal.now.time) / per_core + in_vain
     in_vain -= wasted(situation, proposal.placement, bad)
     now, then = proposal.now, proposal.then

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping
+from functools import partial
 from itertools import pairwise
 from pathlib import PurePath
 from typing import Any
@@ -145,12 +146,8 @@ class DeploymentLayout:
             )
         codes = {self._robot.deployed, *(incarnation.code for incarnation in placed)}
         kept = tuple(sorted(codes - {""}))
-        return {
-            computer: Deployment(
-                generation=generation, containers=tuple(specs), code=kept
-            )
-            for computer, specs in containers.items()
-        }
+        deployment = partial(Deployment, generation=generation, code=kept)
+        return {at: deployment(containers=tuple(s)) for at, s in containers.items()}
 
     def connectors(self, placed: Iterable[str]) -> list[Connector]:
         """Return the connectors between placed components that Poise joins."""
@@ -295,7 +292,6 @@ class DeploymentLayout:
 
 
 def _ends(robot: Robot) -> dict[str, tuple[str, ...]]:
-    """Return the ports of each component that end actions."""
     ends: dict[str, tuple[str, ...]] = {}
     for task in robot.tasks:
         for _, step in walk(task):

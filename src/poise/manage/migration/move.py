@@ -329,7 +329,6 @@ def _check_layer(architecture: Architecture, what: str) -> None:
 
 
 def _check_stateless(run: RunningComponents, old: Architecture) -> None:
-    """Raise UsageError when a component's state would be lost."""
     placed = {run.placed[c.name].computer for c in old.components}
     names = {c.name for c in old.components}
     statuses = run.agents.statuses()

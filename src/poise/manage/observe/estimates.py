@@ -264,7 +264,6 @@ def traffic_between(
 
 
 def _bytes(end: ConnectorSample) -> int:
-    """Return the traffic in both directions [bytes]."""
     return end.bytes_out + end.bytes_in
 
 

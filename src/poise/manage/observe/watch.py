@@ -96,7 +96,6 @@ class Watch:
         }
 
     def _note_faults(self) -> None:
-        """Journal what broke on computers since the last time."""
         run = self._run
         statuses = run.agents.statuses()
         for sentence, fault in self._faults.new(statuses, time.monotonic()):

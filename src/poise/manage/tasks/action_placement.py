@@ -103,7 +103,6 @@ def _fits(problem: plan.Problem, placement: Mapping[str, str]) -> bool:
 
 
 def _with_chosen(robot: Robot, placement: Mapping[str, str]) -> Robot:
-    """Return the robot without the alternatives of architectures that run."""
     running = {
         a.function: a.name
         for a in robot.architectures

@@ -204,12 +204,10 @@ def deployment_diagram(
     boxes: list[Box] = []
     joins: list[Join] = []
     for number, (name, placement) in enumerate(placements.items()):
-        nodes = tuple(
-            _node(robot, computer, placement, first, f"{number}")
-            for computer in robot.computers
-        )
-        boxes.append(Box(f"{number}", name, "placement", (), nodes))
-        joins += _paths(robot, placement, f"{number}")
+        key = f"{number}"
+        nodes = [_node(robot, c, placement, first, key) for c in robot.computers]
+        boxes.append(Box(key, name, "placement", (), tuple(nodes)))
+        joins += _paths(robot, placement, key)
     return BoxDiagram(robot.name, tuple(boxes), tuple(joins))
 
 
@@ -231,11 +229,9 @@ def _node(
     devices = [d.name for d in robot.devices if d.computer == computer.name]
     lines += [f"devices: {', '.join(devices)}"] if devices else []
     key = f"{within}/{computer.name}"
-    parts = tuple(
-        Box(f"{key}/{name}", name, remark=_remark(name, computer.name, first))
-        for name in sorted(here)
-    )
-    return Box(key, computer.name, "device", tuple(lines), parts)
+    remarks = {name: _remark(name, computer.name, first) for name in sorted(here)}
+    parts = [Box(f"{key}/{name}", name, remark=said) for name, said in remarks.items()]
+    return Box(key, computer.name, "device", tuple(lines), tuple(parts))
 
 
 def _remark(name: str, computer: str, first: Mapping[str, str]) -> str:

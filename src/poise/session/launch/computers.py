@@ -331,12 +331,9 @@ def computers_of(
             yield computers
         return
     with emulated_agents(robot, folder, say, sample_every=sample_every) as agents:
-        yield Computers(
-            emulated_addresses(robot.name, agents.emulation.computers),
-            agents.emulation.without,
-            agents.processes,
-            agents.emulation.computers,
-        )
+        emulated, without = agents.emulation.computers, agents.emulation.without
+        addresses = emulated_addresses(robot.name, emulated)
+        yield Computers(addresses, without, agents.processes, emulated)
 
 
 @contextlib.contextmanager

@@ -124,7 +124,7 @@ def managed(
     check: Check,
     *,
     adapts: bool,
-    recorder: RecordingFile | None,
+    recorder: RecordingFile | None = None,
     begin: Callable[[RunningComponents], object] | None = None,
 ) -> Iterator[Managed]:
     """Start a robot with a manager, and stop it afterwards."""

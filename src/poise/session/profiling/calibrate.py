@@ -336,7 +336,6 @@ def _keep(robot: Robot, costs: Mapping[str, KindCosts]) -> None:
 def _speeds(
     robot: Robot, reference: str, seconds: float, check: Check
 ) -> tuple[dict[str, ComputerSpeed], list[str]]:
-    """Return the speeds, and why they are doubtful."""
     bare, placement = yardsticks(robot)
     journal = Journal(":memory:")
     with started(bare, placement, journal, nothing, check=check) as up:

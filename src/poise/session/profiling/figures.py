@@ -354,17 +354,9 @@ def _connectors(
         used = typical.measured.connectors.get(key)
         encoded = apart.measured.connectors.get(key)
         if used is not None and used.rate:
-            size = sizes.get(key, Summary())
-            yield (
-                str(connector),
-                msgspec.structs.replace(
-                    used,
-                    size=encoded.size if encoded else used.size,
-                    median=size.median,
-                    p99=size.p99,
-                    largest=size.maximum,
-                ),
-            )
+            size, mean = sizes.get(key, Summary()), (encoded or used).size
+            shares = {"median": size.median, "p99": size.p99, "largest": size.maximum}
+            yield str(connector), msgspec.structs.replace(used, size=mean, **shares)
 
 
 def _sizes(statuses: Statuses) -> dict[str, Summary]:

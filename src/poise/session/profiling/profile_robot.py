@@ -330,13 +330,12 @@ def _merged(new: Profile, old: Profile | None, robot: Robot) -> Profile:
         return new
     names = {c.name for c in robot.components()}
     components = {n: c for n, c in old.components.items() if n in names}
+    components |= new.components
     connectors = {str(c) for c in robot.all_connectors()}
     joined = {n: c for n, c in old.connectors.items() if n in connectors}
+    joined |= new.connectors
     return msgspec.structs.replace(
-        new,
-        components={**components, **new.components},
-        connectors={**joined, **new.connectors},
-        costs=old.costs,
+        new, components=components, connectors=joined, costs=old.costs
     )
 
 

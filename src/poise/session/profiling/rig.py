@@ -69,11 +69,9 @@ class Played(Struct, frozen=True):
             },
             **(msgspec.to_builtins(self.bag) if self.bag else {}),
         }
+        code = BAG_PLAYER if self.bag else REPLAY
         component = ComponentEntry(
-            name=PLAYER,
-            implementation=BAG_PLAYER if self.bag else REPLAY,
-            isolated=True,
-            parameters=parameters,
+            name=PLAYER, implementation=code, isolated=True, parameters=parameters
         )
         return Architecture(name=PLAYER, function=PLAYER, components=(component,))
 
@@ -244,12 +242,8 @@ def _held_by_devices(
     """Return the placement, with components of real devices at their devices."""
     if rig.is_emulated:
         return dict(placement)
-    held = {
-        component.name: rig.device(device).computer
-        for architecture in architectures
-        for component in architecture.components
-        for device in component.devices
-    }
+    components = [c for a in architectures for c in a.components]
+    held = {c.name: rig.device(d).computer for c in components for d in c.devices}
     return {**placement, **held}
 
 
@@ -300,7 +294,6 @@ def _needed(
 
 
 def _required(robot: Robot, name: str) -> set[str]:
-    """Return the names of a component's required ports."""
     component = robot.component(name)
     if not component.implementation:
         return {port.name for port in component.ports if port.kind == "requires"}

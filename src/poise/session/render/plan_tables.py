@@ -134,7 +134,6 @@ def _missing(result: plan.Result) -> str:
 
 
 def _short(result: plan.Result) -> list[str]:
-    """Return what computers are short of, where that is shared."""
     return [
         _line(
             f"short on {lack.computer}",
@@ -177,7 +176,6 @@ def _some(names: list[str]) -> str:
 def _used(
     problem: plan.Problem, result: plan.Result
 ) -> defaultdict[tuple[str, str], float]:
-    """Return what a placement uses of each computer's resources."""
     used: defaultdict[tuple[str, str], float] = defaultdict(float)
     for component in problem.components:
         there = result.placement.get(component.name)

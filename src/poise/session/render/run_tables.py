@@ -90,11 +90,8 @@ def _world(report: RunRecord) -> Iterator[RenderableType]:
     if rows.row_count:
         yield rows
     elif report.simulation:
-        plain = (
-            f"{key} {value}"
-            for key, value in report.simulation.items()
-            if not isinstance(value, list | dict)
-        )
+        facts = report.simulation.items()
+        plain = (f"{k} {v}" for k, v in facts if not isinstance(v, list | dict))
         yield f"the simulated world says: {escape(', '.join(plain))}"
 
 
@@ -121,11 +118,8 @@ def _failures(report: RunRecord) -> Iterator[RenderableType]:
     for name, count in report.lost.items():
         lost = f"{most}{counted(count, 'message')}"
         yield f"[red]{name}: {lost} sent and not processed[/]"
-    dropped = (
-        f"{each.name}: {counted(each.drops, 'message')} dropped"
-        for each in report.connectors
-        if each.drops
-    )
+    drops = [(each.name, each.drops) for each in report.connectors if each.drops]
+    dropped = (f"{name}: {counted(many, 'message')} dropped" for name, many in drops)
     for sentence in (*dropped, *failed_calls(report.connectors)):
         yield f"[yellow]{sentence}[/]"
     for port in report.silent:

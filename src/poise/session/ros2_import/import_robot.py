@@ -243,10 +243,8 @@ class RobotText:
         yield f"  {name}:"
         yield f"    function: {name}"
         yield "    components:"
-        demand = {
-            "cpu": f"{max(process.cpu, 0.001):.1%}",
-            "memory": f"{_ROOM * process.memory / 2**20:.0f} MiB",
-        }
+        cpu, memory = max(process.cpu, 0.001), _ROOM * process.memory / 2**20
+        demand = {"cpu": f"{cpu:.1%}", "memory": f"{memory:.0f} MiB"}
         devices = [_device(path) for path in process.devices]
         keys = {**start.keys, **demand, **({"devices": devices} if devices else {})}
         yield f"      {name}:"

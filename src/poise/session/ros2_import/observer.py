@@ -209,7 +209,6 @@ class _Observer:
         }
 
     def _measure(self, end: float) -> None:
-        """Look at all topics until `end`."""
         looked = -_POLL
         while (now := time.monotonic()) < end:
             if now >= looked + _POLL:

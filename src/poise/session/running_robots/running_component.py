@@ -240,8 +240,6 @@ _ALL = 1e6
 
 
 class _Interface:
-    """Calls a component as its interface has it."""
-
     def __init__(
         self, component: RunningComponent, port: str, type_: type, limit: float
     ) -> None:

@@ -123,7 +123,6 @@ def _robot(seen: LiveReading) -> dict[str, Any]:
 
 
 def _task(report: Any) -> dict[str, Any]:  # noqa: ANN401, `view` does not import the manager
-    """Return how a task is, what it does now, and what comes next."""
     return {
         "name": report.name,
         "state": report.state,
@@ -342,7 +341,6 @@ def _share(computer: dict[str, Any]) -> float | None:
 
 
 def _late(page: Page) -> float | None:
-    """Return the largest share of deadlines that a timer misses now."""
     shares = [timer["now"] for timer in page["timers"].values() if timer["deadline"]]
     known = [share for share in shares if share is not None]
     return max(known) if known else None
