@@ -263,11 +263,8 @@ def shortages_of(situation: Situation) -> dict[str, float]:
 
 def _suffering(situation: Situation) -> set[str]:
     """Return the components that are starved, or miss deadlines."""
-    starved = {
-        each.component
-        for each in situation.demand_estimates
-        if each.estimate.starved >= STARVED
-    }
+    needs = situation.demand_estimates
+    starved = {need.component for need in needs if need.estimate.starved >= STARVED}
     return starved | {timer.component for timer in situation.misses if timer.late}
 
 

@@ -116,11 +116,8 @@ def as_committed(
 
     `committed`: targets of which their containers said so.
     """
-    working = {
-        (computer, each.name, each.epoch)
-        for computer, each in located(statuses)
-        if each.state == "active"
-    }
+    active = ((at, each) for at, each in located(statuses) if each.state == "active")
+    working = {(at, component.name, component.epoch) for at, component in active}
     return [
         structs.replace(reported, spec=structs.replace(reported.spec, goal="active"))
         if reported.key in committed
@@ -304,10 +301,8 @@ def _half_done(
     found: Sequence[ReportedIncarnation], counts: Mapping[str, ReportedIncarnation]
 ) -> Iterator[str]:
     for name in sorted({reported.name for reported in found}):
-        incarnations = sorted(
-            (reported for reported in found if reported.name == name),
-            key=lambda f: f.spec.epoch,
-        )
+        own = (reported for reported in found if reported.name == name)
+        incarnations = sorted(own, key=lambda f: f.spec.epoch)
         if len(incarnations) > 1 and name in counts:
             source, target = incarnations[0], incarnations[-1]
             way = f"'{name}' from '{source.computer}' to '{target.computer}'"

@@ -193,11 +193,8 @@ class RunningComponents(DesiredState):
 
     def current(self) -> dict[str, AgentStatus]:
         """Return the statuses that speak of what the agents were told last."""
-        return {
-            computer: status
-            for computer, status in self.agents.statuses().items()
-            if self.reconciler.is_current(computer, status)
-        }
+        statuses, is_current = self.agents.statuses(), self.reconciler.is_current
+        return {at: status for at, status in statuses.items() if is_current(at, status)}
 
     def computers(self) -> set[str]:
         """Return the names of the robot's computers that are reached."""
@@ -241,10 +238,8 @@ class RunningComponents(DesiredState):
         known = unresponsive_containers(self.agents.statuses())
         if not known:
             return []
-        places = dict.fromkeys(
-            (incarnation.computer, self.layout.container_of(incarnation))
-            for incarnation in incarnations
-        )
+        of = self.layout.container_of
+        places = dict.fromkeys((each.computer, of(each)) for each in incarnations)
         return [
             f"container '{place[1]}' on '{place[0]}' does not respond: {known[place]}"
             for place in places

@@ -348,11 +348,9 @@ def _check_callers(
     layout = run.layout
     olds, news = ({c.name for c in each.components} for each in (old, new))
     others = run.placed.keys() - olds
-    offered = {
-        layout.slot_of(connector)
-        for connector in layout.connectors({*others, *news})
-        if connector.between[1].component in news
-    }
+    then = layout.connectors({*others, *news})
+    into = (connector for connector in then if connector.between[1].component in news)
+    offered = set(map(layout.slot_of, into))
     calls = calling_ports(run.agents.statuses())
     for connector in layout.connectors(run.placed):
         source, target = connector.between

@@ -84,11 +84,8 @@ def find_unjoined(
 ) -> Iterator[tuple[str, Deviation]]:
     """Yield the connectors whose source does not reach its target, by name."""
     computers = {incarnation.component: incarnation.computer for incarnation in settled}
-    unready = {
-        connector.name
-        for connector in connectors_of(statuses)
-        if connector.end == "source" and not connector.ready
-    }
+    sources = (end for end in connectors_of(statuses) if end.end == "source")
+    unready = {end.name for end in sources if not end.ready}
     if not unready:
         return
     for connector in layout.connectors(computers):
