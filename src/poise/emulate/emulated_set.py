@@ -106,7 +106,11 @@ class EmulatedSet:
                 shape = replace(shape, bandwidth=bandwidth)
             if latency is not None:
                 shape = replace(shape, latency=latency)
-                self._raise_if_no_delays()
+                if not emulated_network.can_delay(self._network().switch):
+                    raise UsageError(
+                        "slow: this kernel cannot delay packets (no sch_netem): give a "
+                        "bandwidth only"
+                    )
             self._reshape(on, shape)
             _add(faults, "slow", on, shape=shape)
 
@@ -246,13 +250,6 @@ class EmulatedSet:
         delays = shape.latency > 0 and emulated_network.can_delay(network.switch)
         emulated_network.reshape(network, one, two, shape, delays=delays)
 
-    def _raise_if_no_delays(self) -> None:
-        if not emulated_network.can_delay(self._network().switch):
-            raise UsageError(
-                "slow: this kernel cannot delay packets (no sch_netem): give a "
-                "bandwidth only"
-            )
-
     def _burn(self, computer: str, cpu: float) -> tuple[int, ...]:
         """Start what takes CPU, a process for each core; return their numbers."""
         count = math.ceil(cpu)
@@ -283,10 +280,7 @@ def _is_agent(pid: int, keeper: int) -> bool:
 def _find(
     faults: list[InjectedFault], kind: FaultKind, on: tuple[str, ...]
 ) -> InjectedFault | None:
-    for fault in faults:
-        if fault.kind == kind and set(fault.on) == set(on):
-            return fault
-    return None
+    return next((f for f in faults if f.kind == kind and set(f.on) == set(on)), None)
 
 
 def _drop(

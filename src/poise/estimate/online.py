@@ -17,7 +17,7 @@ from typing import Literal
 
 from msgspec import Struct
 
-from poise.estimate import _change_point
+from poise.estimate._change_point import OUTLIER, ChangePointDetector
 from poise.estimate.profiles import error_of_mean, quantile
 
 _SATURATED = 0.9
@@ -260,9 +260,9 @@ class RunningEstimate:
         self._has_jobs = False
         self._job = PresentJob()
         self._drift: Drift | None = None
-        self._load = _change_point.ChangePointDetector(expected)
-        self._cost = _change_point.ChangePointDetector()
-        self._asked = _change_point.ChangePointDetector()
+        self._load = ChangePointDetector(expected)
+        self._cost = ChangePointDetector()
+        self._asked = ChangePointDetector()
 
     def skip_to_next(self) -> None:
         """Ignore the time until the next reading; keep the estimate."""
@@ -295,10 +295,7 @@ class RunningEstimate:
             self._start_again(drift, since)
             return drift
         # jobs are costlier or more frequent, but the demand is as expected
-        self._cost, self._asked = (
-            _change_point.ChangePointDetector(),
-            _change_point.ChangePointDetector(),
-        )
+        self._cost, self._asked = ChangePointDetector(), ChangePointDetector()
         return None
 
     def estimate(self) -> Estimate | None:
@@ -398,8 +395,8 @@ class RunningEstimate:
             before = demand_in(windows[: max(1, len(windows) - since)]).cores
         least = max(LEAST_SHARE * before, LEAST_CORES, self._repeat)
         parts = (
-            recent[:first] + recent[first + _change_point.OUTLIER :]
-            for first in range(max(1, len(recent) - _change_point.OUTLIER + 1))
+            recent[:first] + recent[first + OUTLIER :]
+            for first in range(max(1, len(recent) - OUTLIER + 1))
         )
         if any(abs(demand_in(part).cores - before) <= least for part in parts if part):
             return None
@@ -412,8 +409,5 @@ class RunningEstimate:
         for window in kept:
             self._keep(window)
         self._drift = drift
-        self._load, self._cost, self._asked = (
-            _change_point.ChangePointDetector(),
-            _change_point.ChangePointDetector(),
-            _change_point.ChangePointDetector(),
-        )
+        self._load = ChangePointDetector()
+        self._cost, self._asked = ChangePointDetector(), ChangePointDetector()

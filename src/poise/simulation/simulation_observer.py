@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
 
 from poise.manage.deploy.desired import Desired
@@ -18,7 +19,7 @@ from poise.simulation.simulation_report import (
     SimulatedMove,
     TimerMisses,
 )
-from poise.wire.records.status_records import Summary
+from poise.wire.records.status_records import Summary, TimerStatus
 
 SAMPLE_EVERY = 0.05
 """What works is looked at so often [s]; outages are known to that."""
@@ -80,7 +81,7 @@ class SimulationObserver:
         loads = []
         for name, computer in self._robot.computers.items():
             cores, series = computer.cpu.cores, self._loads[name]
-            known = next(c for c in self._robot.robot.computers if c.name == name)
+            known = self._robot.robot.computer(name)
             loads.append(
                 SimulatedLoad(
                     computer=name,
@@ -96,27 +97,26 @@ class SimulationObserver:
 
     def timers(self) -> tuple[TimerMisses, ...]:
         """Return how all timers kept their rates, over all incarnations."""
-        sums_of: dict[tuple[str, str], list[float | None]] = {}
+        first: dict[tuple[str, str], TimerStatus] = {}
+        due, missed = Counter[tuple[str, str]](), Counter[tuple[str, str]]()
         for component in self._robot.components:
             before = self._before.get(id(component), {})
             for timer in component.status().timers:
-                due, missed = before.get(timer.name, (0, 0))
                 key = component.spec.name, timer.name
-                sums = sums_of.setdefault(key, [timer.period, timer.deadline, 0, 0])
-                sums[2] = (sums[2] or 0) + timer.releases - due
-                sums[3] = (sums[3] or 0) + timer.missed - missed
+                due_before, missed_before = before.get(timer.name, (0, 0))
+                first.setdefault(key, timer)
+                due[key] += timer.releases - due_before
+                missed[key] += timer.missed - missed_before
         return tuple(
             TimerMisses(
-                component=component,
-                timer=timer,
-                period=period or 0.0,
-                deadline=deadline,
-                due=int(due or 0),
-                missed=int(missed or 0),
+                component=key[0],
+                timer=key[1],
+                period=first[key].period,
+                deadline=first[key].deadline,
+                due=due[key],
+                missed=missed[key],
             )
-            for (component, timer), (period, deadline, due, missed) in sorted(
-                sums_of.items()
-            )
+            for key in sorted(first)
         )
 
     def chains(self) -> tuple[SimulatedChain, ...]:
