@@ -14,10 +14,15 @@ import msgspec
 from poise.clock import SystemClock
 from poise.errors import RobotError, did_you_mean, listed
 from poise.ros2 import ros_context
-from poise.ros2.action_bridges import AsksActions, ServesActions
 from poise.ros2.bridge_node import BridgeLine, BridgeNode, annotated
 from poise.ros2.interfaces import named
-from poise.ros2.service_bridges import AsksRos, ServesRos, answering
+from poise.ros2.service_bridges import (
+    AsksActions,
+    AsksRos,
+    ServesActions,
+    ServesRos,
+    answering,
+)
 from poise.ros2.topic_bridges import (
     FromTopics,
     ToTopics,
