@@ -136,19 +136,17 @@ class CheckpointFiles:
 
     def send_only(self, wanted: Deployment) -> None:
         """Send the checkpoints of what is wanted from now on."""
-        components = [
-            c for container in wanted.containers for c in container.components
-        ]
-        self._wanted = tuple((c.name, c.epoch) for c in components if c.checkpoint)
+        self._wanted = tuple(
+            (c.name, c.epoch) for c in wanted.components if c.checkpoint
+        )
         if self._wanted:
             self._has_work.set()
 
     def remove_all_but(self, wanted: Deployment) -> None:
         """Remove the checkpoints of what is not wanted; raises OSError."""
-        components = [
-            c for container in wanted.containers for c in container.components
-        ]
-        kept = {checkpoint_path(self._folder, c.name, c.epoch) for c in components}
+        kept = {
+            checkpoint_path(self._folder, c.name, c.epoch) for c in wanted.components
+        }
         for path in set(self._folder.glob("*.checkpoint")) - kept:
             path.unlink(missing_ok=True)
 

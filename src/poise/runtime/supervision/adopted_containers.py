@@ -8,7 +8,6 @@ import logging
 import os
 import signal
 import socket
-import struct
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -16,6 +15,7 @@ from poise.clock import Clock
 from poise.runtime.container.account import Account, rights_of
 from poise.runtime.container.agent_link import Orphan, take_over
 from poise.wire.address import agent_path, socket_path
+from poise.wire.robots_here import peer_of
 
 log = logging.getLogger(__name__)
 
@@ -148,5 +148,4 @@ def _listener(path: Path) -> int:
         asking.setblocking(False)
         if failure := asking.connect_ex(os.fspath(path)):
             return _BUSY if failure == errno.EAGAIN else 0
-        credentials = asking.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, 12)
-        return int(struct.unpack("3i", credentials)[0])
+        return peer_of(asking)

@@ -385,12 +385,11 @@ class SimulatedDisk:
 
     def keep_only(self, wanted: Deployment) -> None:
         """Remove the checkpoints of all that is not wanted, and send the others."""
-        components = [
-            c for container in wanted.containers for c in container.components
-        ]
-        kept = {(c.name, c.epoch) for c in components}
+        kept = {(c.name, c.epoch) for c in wanted.components}
         self._checkpoints = {k: v for k, v in self._checkpoints.items() if k in kept}
-        self._wanted = tuple((c.name, c.epoch) for c in components if c.checkpoint)
+        self._wanted = tuple(
+            (c.name, c.epoch) for c in wanted.components if c.checkpoint
+        )
         self._send_soon()
 
     def resend(self) -> None:

@@ -154,3 +154,8 @@ class Deployment(Struct, frozen=True, kw_only=True, tag=True):
     term: int = 0
     # Whether the robot is being stopped: no standby follows its leader
     is_last: bool = False
+
+    @property
+    def components(self) -> tuple[ComponentSpec, ...]:
+        """The components of all containers."""
+        return tuple(c for container in self.containers for c in container.components)
