@@ -105,13 +105,8 @@ def _like(value: Any) -> dict[str, Any]:  # noqa: ANN401, JSON's
     return {"type": kind} if kind else {}
 
 
-_TYPES = {
-    bool: "boolean",
-    int: "number",
-    float: "number",
-    str: "string",
-    dict: "object",
-}
+_NUMBER = "number"
+_TYPES = {bool: "boolean", int: _NUMBER, float: _NUMBER, str: "string", dict: "object"}
 
 
 _Row = ComputerRow | ComponentRow | ConnectorRow | TimerRow | ChainRow
@@ -197,11 +192,9 @@ def record(  # noqa: PLR0913 - each is a choice of the user
         say(f"{file.summary()} in {path}")
         for connector, count in sorted(recorder.missing.items()):
             say(f"{connector}: {counted(count, 'message')} left out")
+    counts, missing = file.counts, recorder.missing
     return RobotRecording(
-        file=str(path),
-        messages=file.counts,
-        left_out=recorder.missing,
-        interrupted=interrupted,
+        file=str(path), messages=counts, left_out=missing, interrupted=interrupted
     )
 
 

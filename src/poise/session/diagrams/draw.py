@@ -132,11 +132,8 @@ Ports = dict[str, dict[str, tuple[str, str]]]
 
 def component_diagram(robot: Robot, functions: Collection[str] | None) -> BoxDiagram:
     """Return the diagram of what provides `functions`; None: of all architectures."""
-    chosen = [
-        each
-        for each in robot.architectures
-        if functions is None or each.function in functions
-    ]
+    every = robot.architectures
+    chosen = [a for a in every if functions is None or a.function in functions]
     drawn = {c.name for each in chosen for c in each.components}
     boxes = tuple(_subsystem(each) for each in chosen)
     ports = _ports(robot, drawn)
@@ -172,10 +169,8 @@ def _ports(robot: Robot, drawn: Collection[str]) -> Ports:
     ports: Ports = {}
     for component in robot.components():
         if component.name in drawn:
-            declared = {
-                port.name: (port.kind, port.type.rpartition(":")[2])
-                for port in component.ports
-            }
+            own = component.ports
+            declared = {p.name: (p.kind, p.type.rpartition(":")[2]) for p in own}
             named = dict(_of_class(component.implementation, robot.folder))
             ports[component.name] = declared | named
     return ports

@@ -313,11 +313,9 @@ def _total(decided: DecidedByTime) -> float:
 
 def _summed(result: plan.TaskResult) -> float:
     """Return what the times that are summed add to F."""
-    return sum(
-        result.problem.weights[name] * each.objective.time
-        for name, each in result.results.items()
-        if each.objective is not None
-    )
+    terms = {name: each.objective for name, each in result.results.items()}
+    weights = result.problem.weights
+    return sum(weights[name] * each.time for name, each in terms.items() if each)
 
 
 def _excesses(decided: DecidedByTime) -> Iterator[float]:

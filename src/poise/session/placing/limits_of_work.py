@@ -83,11 +83,9 @@ class _Paths:
         if connector is not None:
             name, traffic = str(connector), self._work.traffic
             share = 2 if name in traffic.calling else 1  # a call goes both ways
-            yield Hop(
-                between=(source, target),
-                seconds=traffic.apart(name, self._kinds[name]),
-                size=traffic.size_of(name) / share,
-            )
+            size = traffic.size_of(name) / share
+            seconds = traffic.apart(name, self._kinds[name])
+            yield Hop(between=(source, target), seconds=seconds, size=size)
 
     def _at(self, component: str, source: str, target: str) -> Iterator[HandlerModel]:
         """Yield the handlers of a component that send data on, or that take it."""

@@ -234,11 +234,8 @@ class Placement(Printable, Struct, frozen=True, kw_only=True):
     @property
     def architectures(self) -> Mapping[str, str]:
         """Function -> the architecture that provides it."""
-        return {
-            bundle.function: bundle.name
-            for bundle in self.problem.architectures
-            if self.where.keys() >= {*bundle.components}
-        }
+        bundles, names = self.problem.architectures, self.where.keys()
+        return {b.function: b.name for b in bundles if names >= {*b.components}}
 
     @property
     def why_suspended(self) -> str:

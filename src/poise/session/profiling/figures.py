@@ -135,11 +135,9 @@ def _busier(one: ConnectorProfile | None, other: ConnectorProfile) -> ConnectorP
     """Combine the counts of both ends: each counts both directions."""
     if one is None:
         return other
-    return ConnectorProfile(
-        calls=max(one.calls, other.calls),
-        messages=max(one.messages, other.messages),
-        size=max(one.size, other.size),
-    )
+    calls, messages = max(one.calls, other.calls), max(one.messages, other.messages)
+    size = max(one.size, other.size)
+    return ConnectorProfile(calls=calls, messages=messages, size=size)
 
 
 AGREE_SHARE = 0.05
@@ -310,11 +308,8 @@ def _memory(
 
 def _by_component(measured: MeasuredUsage) -> dict[str, float]:
     """Return component -> memory of its container, for those that have their own."""
-    return {
-        members[0]: measured.memory[container]
-        for container, members in measured.members.items()
-        if len(members) == 1
-    }
+    alone = {c: members for c, members in measured.members.items() if len(members) == 1}
+    return {name: measured.memory[container] for container, (name,) in alone.items()}
 
 
 def _timers(status: ComponentStatus | None) -> dict[str, TimerProfile]:

@@ -87,11 +87,10 @@ class Played(Struct, frozen=True):
     def names(self, robot: Robot) -> dict[str, str]:
         """Return replaced connectors of the robot -> their replacements."""
         ports = self.ports()
-        return {
-            str(c): str(self._connector(str(c.between[1]), ports[str(c.between[1])]))
-            for c in robot.connectors
-            if self.replaces(c)
+        replaced = {
+            str(c): str(c.between[1]) for c in robot.connectors if self.replaces(c)
         }
+        return {n: str(self._connector(end, ports[end])) for n, end in replaced.items()}
 
     @staticmethod
     def _connector(input_: str, name: str) -> Connector:

@@ -237,10 +237,8 @@ def _deadlines(report: RunRecord) -> Iterator[_Deadline]:
 
 def _worst(report: RunRecord, entries: Mapping[int, JournalEntry]) -> Iterator[str]:
     """Yield the deadlines that were missed most, and what happened around them."""
-    missed = sorted(
-        (each for each in _deadlines(report) if each.missed),
-        key=lambda each: -each.share,
-    )
+    deadlines = sorted(_deadlines(report), key=lambda each: -each.share)
+    missed = [each for each in deadlines if each.missed]
     if never := ", ".join(d.name for d in _deadlines(report) if not d.times):
         yield f"<p>Nothing is known of {escape(never)}: never due, or never used.</p>"
     if not missed:

@@ -45,9 +45,7 @@ class PageState:
             chain.name: _chain(chain, view.chains[chain.name], status)
             for chain in status.chains
         }
-        page["connectors"] = {
-            connector.name: _connector(connector) for connector in view.connectors
-        }
+        page["connectors"] = {row.name: _connector(row) for row in view.connectors}
         page["components"] = components = dict(_components(status))
         for timer in timers.values():
             component = components.get(timer["component"])  # None: it is being ended
@@ -103,20 +101,15 @@ class Updates:
 
 def _robot(seen: LiveReading) -> dict[str, Any]:
     status = seen.status
-    shown: dict[str, Any] = {
-        "trouble": seen.trouble,
-        "since": seen.since,
-        "old": seen.is_old,
-    }
+    trouble, since = seen.trouble, seen.since
+    shown: dict[str, Any] = {"trouble": trouble, "since": since, "old": seen.is_old}
     if status is not None:
         shown |= {
             "name": status.robot,
             "task": status.task,
             "tasks": [_task(report) for report in status.tasks],
             "startable": list(status.robot_tasks),
-            "deviations": [
-                each.what for each in status.deviations if each.what != seen.trouble
-            ],
+            "deviations": [d.what for d in status.deviations if d.what != seen.trouble],
             "managed": not status.by_agents,
         }
     return shown
