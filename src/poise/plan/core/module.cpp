@@ -39,7 +39,7 @@ struct Asked {
   nb::handle ask;  // a callable, or None
   nb::object raised;
   bool operator()() {
-    nb::gil_scoped_acquire lock;
+    const Locked lock;
     if (PyErr_CheckSignals() != 0) return keep();
     if (ask.is_none()) return false;
     const nb::object answer = nb::steal(PyObject_CallNoArgs(ask.ptr()));

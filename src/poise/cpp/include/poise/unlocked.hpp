@@ -6,16 +6,17 @@
 
 namespace poise {
 
-// Take the lock again. While Python finalises the interpreter, it ends each thread that does so;
-// that thread stays here, for to unwind frames of C++ that may not throw aborts the process.
-[[gnu::noinline]] inline void take_lock(PyThreadState* state) {
+// Take the lock by `take`. While Python finalises the interpreter, it ends each thread that does
+// so; that thread stays here, for to unwind frames of C++ that may not throw aborts the process.
+template <typename Take>
+[[gnu::noinline]] void take_lock(Take&& take) {
   struct End {
     ~End() {
       while (is_near) pause();
     }
     bool is_near = true;
   } end;
-  PyEval_RestoreThread(state);
+  take();
   end.is_near = false;
 }
 
@@ -23,12 +24,28 @@ namespace poise {
 class Unlocked {
  public:
   Unlocked() : state_(PyEval_SaveThread()) {}
-  ~Unlocked() { take_lock(state_); }
+  ~Unlocked() {
+    take_lock([this] { PyEval_RestoreThread(state_); });
+  }
   Unlocked(const Unlocked&) = delete;
   Unlocked& operator=(const Unlocked&) = delete;
 
  private:
   PyThreadState* state_;
+};
+
+// With the lock for as long as this lives, on a thread that may be without.
+class Locked {
+ public:
+  Locked() {
+    take_lock([this] { state_ = PyGILState_Ensure(); });
+  }
+  ~Locked() { PyGILState_Release(state_); }
+  Locked(const Locked&) = delete;
+  Locked& operator=(const Locked&) = delete;
+
+ private:
+  PyGILState_STATE state_;
 };
 
 }  // namespace poise
