@@ -137,8 +137,10 @@ def _of_containers(wanted: AbstractSet[str], status: AgentStatus) -> Iterator[st
     for health in status.health:
         if health.name in wanted and health.restarts_lately >= _CRASH_LOOP:
             where = f"container '{health.name}' on '{status.computer}'"
-            often = f"restarted at least {_CRASH_LOOP} times within a minute"
-            yield f"{where} is in a crash loop: {often}"
+            yield (
+                f"{where} is in a crash loop: restarted at least {_CRASH_LOOP} times "
+                "within a minute"
+            )
 
 
 def explain(
