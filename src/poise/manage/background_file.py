@@ -86,8 +86,9 @@ class BackgroundWriter(Generic[T]):
         if not error and began and time.monotonic() - began > _SLOW_AFTER:
             error = f"its disk has not answered for {_SLOW_AFTER:g} s"
         if error:
-            lacks = self._lacks(", and so far")
-            return f"{self._what} cannot be written: {error}{lacks}"
+            return (
+                f"{self._what} cannot be written: {error}{self._lacks(', and so far')}"
+            )
         return self._what + lacks if (lacks := self._lacks("")) else ""
 
     def flush(self, limit: float = _CLOSE_LIMIT) -> bool:

@@ -298,6 +298,7 @@ class Manager:
         )
 
     def _has_news(self) -> bool:
+        """Return whether something is to be done at once."""
         return (
             self.is_stopping
             or not self._commands.empty()

@@ -45,12 +45,13 @@ def bag_traffic(robot: Robot, path: Path) -> Mapping[str, ConnectorProfile]:
     for message in bag.messages(topics):
         counts[message.topic] += 1
         sizes[message.topic] += len(message.data)
-    found: dict[str, ConnectorProfile] = {}
-    for topic, count in counts.items():
-        rate, size = count / (bag.seconds + PAUSE), sizes[topic] / count
-        profile = ConnectorProfile(messages=rate, size=size)
-        found |= dict.fromkeys(topics[topic], profile)
-    return found
+    return {
+        connector: ConnectorProfile(
+            messages=count / (bag.seconds + PAUSE), size=sizes[topic] / count
+        )
+        for topic, count in counts.items()
+        for connector in topics[topic]
+    }
 
 
 def _topics(robot: Robot, bag: Bag) -> dict[str, list[str]]:

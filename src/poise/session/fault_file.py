@@ -111,8 +111,11 @@ def faults_of(
         return _random(robot, seconds, seed)
     if isinstance(faults, str | PathLike):
         return read_faults(Path(faults), robot, seconds)
-    each = ((fault, fault_findings(fault, robot, seconds)) for fault in faults)
-    findings = [f"{fault}: {message}" for fault, found in each for _, message in found]
+    findings = [
+        f"{fault}: {message}"
+        for fault in faults
+        for _, message in fault_findings(fault, robot, seconds)
+    ]
     if findings:
         raise UsageError("; ".join(findings))
     return tuple(faults)

@@ -35,8 +35,9 @@ def find_journal(robot: str | None = None) -> Path:
     found = list(state_folder().glob(f"{robot or '*'}/{_JOURNAL}"))
     if not found:
         of = f" of robot '{robot}'" if robot else ""
-        every = state_folder().glob(f"*/{_JOURNAL}")
-        known = sorted(each.parent.name for each in every)
+        known = sorted(
+            each.parent.name for each in state_folder().glob(f"*/{_JOURNAL}")
+        )
         raise UsageError(
             f"there is no journal{of} in {state_folder()} (there: "
             f"{', '.join(known) or 'none'}): `poise up` writes one, or name a file"

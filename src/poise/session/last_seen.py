@@ -52,9 +52,12 @@ def together(one: Summary, other: Summary) -> Summary:
     if not count:
         return one
     larger = one if one.count > other.count else other
-    mean = (one.count * one.mean + other.count * other.mean) / count
-    most = max(each.maximum for each in (one, other) if each.count)
-    return replace(larger, count=count, mean=mean, maximum=most)
+    return replace(
+        larger,
+        count=count,
+        mean=(one.count * one.mean + other.count * other.mean) / count,
+        maximum=max(each.maximum for each in (one, other) if each.count),
+    )
 
 
 def _same(before: Iterable[T], now: T) -> T | None:

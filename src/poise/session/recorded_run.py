@@ -183,8 +183,9 @@ class RecordedRun:
             Another robot was recorded.
         """
         self._check_robot(robot)
-        is_here = robot.is_emulated
-        speeds = {c.name: 1.0 if is_here else c.speed for c in robot.computers}
+        speeds = {
+            c.name: 1.0 if robot.is_emulated else c.speed for c in robot.computers
+        }
         samples = sorted(self._samples(), key=lambda each: each.at)
         began = {each.computer: each.at for each in reversed(samples)}
         used: dict[str, dict[int, float]] = {}
@@ -194,8 +195,9 @@ class RecordedRun:
             for container in sample.containers:
                 for component in container.components:
                     key = component.name, component.epoch, container.pid
-                    cpu = component.cpu - before.get(key, component.cpu)
-                    cpu *= speeds.get(sample.computer, 1.0)
+                    cpu = (component.cpu - before.get(key, component.cpu)) * speeds.get(
+                        sample.computer, 1.0
+                    )
                     before[key] = component.cpu
                     seconds = used.setdefault(component.name, {})
                     seconds[second] = seconds.get(second, 0.0) + max(0.0, cpu)

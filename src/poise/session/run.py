@@ -94,8 +94,9 @@ def run(  # noqa: PLR0913 - each is a choice of the user
     placed, warnings = first.placed, Warnings(say)
     decided.insert(0, f"task '{chosen}', {placed.method} placement")
     with contextlib.ExitStack() as stack:
-        kept = journal_of(robot, first, journal, warnings.hear, decided)
-        book = stack.enter_context(kept)
+        book = stack.enter_context(
+            journal_of(robot, first, journal, warnings.hear, decided)
+        )
         server = _server(robot, stack, say)
         recorded = keeping(robot, placed.where, record, say)
         runs, recorder = stack.enter_context(recorded)

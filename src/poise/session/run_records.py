@@ -240,8 +240,14 @@ class RunRecord(Struct, frozen=True, kw_only=True):
     @property
     def failed(self) -> bool:
         """Whether code raised or hung, a message was refused, or not all ran."""
-        found = self.errors, self.hung, self.refused, self.faults, self.suspended
-        return any(found) or any(each.state == "failed" for each in self.tasks)
+        return bool(
+            self.errors
+            or self.hung
+            or self.refused
+            or self.faults
+            or self.suspended
+            or any(each.state == "failed" for each in self.tasks)
+        )
 
 
 def component_reports(begin: Statuses, end: Statuses) -> tuple[ComponentReport, ...]:
@@ -262,6 +268,7 @@ def component_reports(begin: Statuses, end: Statuses) -> tuple[ComponentReport, 
 
 
 def _seconds(first: AgentStatus | None, last: AgentStatus) -> float:
+    """Return the time between two statuses of a computer [s]."""
     return last.uptime - (first.uptime if first else 0.0) or math.inf
 
 

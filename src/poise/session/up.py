@@ -205,9 +205,17 @@ def up(  # noqa: PLR0913 - each is a choice of the user
         begin = partial(
             start_or_take_over, is_rule=placement is not None, by_force=take_over
         )
-        what = planned(robot, first, election_of(robot, adapts=adapt))
-        keep = partial(managed, what, book, say, check, adapts=adapt, begin=begin)
-        it, manager = stack.enter_context(keep(recorder=recorder))
+        it, manager = stack.enter_context(
+            managed(
+                planned(robot, first, election_of(robot, adapts=adapt)),
+                book,
+                say,
+                check,
+                adapts=adapt,
+                recorder=recorder,
+                begin=begin,
+            )
+        )
         if send is not None and otel is not None:
             sender = send(robot.name, manager.status, otel)
             stack.callback(sender.close)
@@ -281,11 +289,23 @@ def _lead(claim: Claim, say: Say) -> None:
         journal = Journal(make_journal(robot.name), lambda entry: say(str(entry)))
         stack.callback(journal.close)
         agents = AgentAddresses(robot.name, claim.agents, os.environ.get(KEYS, ""))
-        election, computers = claim.election, Computers(agents)
-        what = ToManage(robot, {}, Tasks(robot), election=election, computers=computers)
-        begin = partial(start_or_take_over, follows=True)
+        what = ToManage(
+            robot=robot,
+            where={},
+            tasks=Tasks(robot),
+            election=claim.election,
+            computers=Computers(agents),
+        )
         it, manager = stack.enter_context(
-            managed(what, journal, say, nothing, adapts=setup.adapts, begin=begin)
+            managed(
+                what,
+                journal,
+                say,
+                nothing,
+                adapts=setup.adapts,
+                recorder=None,
+                begin=lambda run: start_or_take_over(run, follows=True),
+            )
         )
         server = stack.enter_context(ControlServer(robot.name, takes_over=True))
         running = stack.enter_context(Up(it, manager))

@@ -135,6 +135,7 @@ def _drawing(
 
 
 def _placed(value: Parts, at: float, part: str, frame: str) -> Iterator[FoxglovePart]:
+    """Yield the pose or the transform that an object is."""
     child = value.get("child_frame_id")
     # ROS 2 has a `transform` within
     moved = value.get("transform", value)
@@ -170,6 +171,7 @@ def _pose(value: Parts) -> dict[str, Vector]:
 
 
 def _of_array(array: Any, at: float, part: str, frame: str) -> Iterator[FoxglovePart]:  # noqa: ANN401, of NumPy
+    """Yield the picture or the point cloud that an array is."""
     if fields := _cloud_fields(array, part):
         size = array.dtype.itemsize
         number = _CLOUD_TYPES[array.dtype.name]

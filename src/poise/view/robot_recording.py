@@ -105,8 +105,13 @@ def _like(value: Any) -> dict[str, Any]:  # noqa: ANN401, JSON's
     return {"type": kind} if kind else {}
 
 
-_NUMBER = "number"
-_TYPES = {bool: "boolean", int: _NUMBER, float: _NUMBER, str: "string", dict: "object"}
+_TYPES = {
+    bool: "boolean",
+    int: "number",
+    float: "number",
+    str: "string",
+    dict: "object",
+}
 
 
 _Row = ComputerRow | ComponentRow | ConnectorRow | TimerRow | ChainRow
@@ -192,9 +197,11 @@ def record(  # noqa: PLR0913 - each is a choice of the user
         say(f"{file.summary()} in {path}")
         for connector, count in sorted(recorder.missing.items()):
             say(f"{connector}: {counted(count, 'message')} left out")
-    counts, missing = file.counts, recorder.missing
     return RobotRecording(
-        file=str(path), messages=counts, left_out=missing, interrupted=interrupted
+        file=str(path),
+        messages=file.counts,
+        left_out=recorder.missing,
+        interrupted=interrupted,
     )
 
 
@@ -325,12 +332,12 @@ class Recorder:
             say(why or f"connector '{connector}' is recorded again")
 
     def _read_messages(self, connector: str) -> TapReading:
-        look_at, latest = (
-            self._live.running.look_at,
-            self._latest.get(connector, (0, 0)),
-        )
-        reading = look_at(
-            connector, self._viewer, rate=self._rate, is_whole=True, latest=latest
+        reading = self._live.running.look_at(
+            connector,
+            self._viewer,
+            rate=self._rate,
+            is_whole=True,
+            latest=self._latest.get(connector, (0, 0)),
         )
         self._latest[reading.connector] = reading.latest
         return reading

@@ -196,7 +196,9 @@ class Top(App[None]):
             table.add_column(f"{title} {arrow}" if number == column else title)
         by = [*_COLUMNS[name].values()][column]
         # numbers largest first, names in their order
-        ordered = sorted(rows, key=lambda row: _order(row, by), reverse=is_turned)
+        ordered = sorted(
+            rows, key=lambda row: _order(getattr(row, by)), reverse=is_turned
+        )
         titles = [*_COLUMNS[name]]
         for line in _fitting([cells(row) for row in ordered], titles, self.size.width):
             table.add_row(*line)
@@ -204,8 +206,7 @@ class Top(App[None]):
         table.scroll_to(y=scrolled, animate=False)
 
 
-def _order(row: object, by: str) -> Any:  # noqa: ANN401, of one type in a column
-    value = getattr(row, by)
+def _order(value: object) -> Any:  # noqa: ANN401, of one type in a column
     if value is None:  # what is not known comes first
         return float("-inf")
     return -value if isinstance(value, int | float) else value

@@ -165,8 +165,11 @@ def _lowest(situation: Situation, computer: str) -> Architecture:
         for a in situation.robot.architectures
         if any(situation.placement.get(c.name) == computer for c in a.components)
     ]
-    lower = (a for a in here if a.layer == "sequencing")
-    lowest = min(lower, key=lambda a: a.priority, default=None)
+    lowest = min(
+        (a for a in here if a.layer == "sequencing"),
+        key=lambda a: a.priority,
+        default=None,
+    )
     if lowest is None or lowest.priority == max(a.priority for a in here):
         raise RunError(f"no architecture on '{computer}' has a lower priority")
     return lowest
@@ -252,8 +255,11 @@ def _crashed_before(
     """Return where agents saw it crash as often, under an earlier manager, and when."""
     crashed = {}
     for computer, status in situation.statuses.items():
-        faults = [fault for fault in status.faults if fault.container == container]
-        ages = [status.uptime - fault.uptime for fault in faults if not fault.is_over]
+        ages = [
+            status.uptime - fault.uptime
+            for fault in status.faults
+            if fault.container == container and not fault.is_over
+        ]
         if sum(age < FORGET_AFTER for age in ages) >= CRASHES:
             crashed[computer] = now - max(0.0, ages[-1])
     return crashed
@@ -261,16 +267,22 @@ def _crashed_before(
 
 def components_in(run: RunningComponents, symptom: Symptom) -> list[str]:
     """Return the components of the container that a symptom is about."""
-    container_of = run.layout.container_of
-    here = [each for each in run.placed.values() if each.computer == symptom.computer]
-    inside = (each for each in here if container_of(each) == symptom.values.name)
-    return sorted(incarnation.component for incarnation in inside)
+    return sorted(
+        name
+        for name, incarnation in run.placed.items()
+        if incarnation.computer == symptom.computer
+        and run.layout.container_of(incarnation) == symptom.values.name
+    )
 
 
 def _pinned(robot: Robot) -> dict[str, str]:
     """Return component -> why it stays; not for being on a robot's only computer."""
-    moving = [a for a in robot.architectures if a.layer == "sequencing"]
-    free = {c.name for a in moving for c in a.components if c.movable}
-    free = free if len(robot.computers) == 1 else set()
+    is_alone = len(robot.computers) == 1
+    free = {
+        component.name
+        for architecture in robot.architectures
+        for component in architecture.components
+        if is_alone and architecture.layer == "sequencing" and component.movable
+    }
     pinned = pinned_components(robot)
     return {name: why for name, why in pinned.items() if name not in free}

@@ -102,18 +102,27 @@ def decide(
     is_old = any(chain.is_late for chain in situation.chains)
     if not short and not in_vain and not is_old:
         return Decision(acts=False, why=causes + nothing_helps(situation, gone))
-    costs, per_core = move_costs(situation), horizon / WORTH
-    prices = {name: doubt * cost / WORTH for name, cost in costs.items()}
+    costs = move_costs(situation)
     try:
-        proposal = propose(situation, costs=prices, price=per_core, is_quick=True)
+        proposal = propose(
+            situation,
+            costs={name: doubt * cost / WORTH for name, cost in costs.items()},
+            price=horizon / WORTH,
+            is_quick=True,
+        )
     except RobotError as error:
         why = f"no placement can help: {causes}{late(situation)}{error}"
-        undone = _undone(situation, per_core) + in_vain
+        undone = _undone(situation, horizon / WORTH) + in_vain
         return Decision(acts=False, why=why, undone=undone)
+    per_core = horizon / WORTH
     undone = (proposal.now.shortage + proposal.now.time) / per_core + in_vain
     in_vain -= wasted(situation, proposal.placement, bad)
-    now, then = proposal.now, proposal.then
-    mended = (now.shortage + now.time - then.shortage - then.time) / per_core
+    mended = (
+        proposal.now.shortage
+        + proposal.now.time
+        - proposal.then.shortage
+        - proposal.then.time
+    ) / per_core
     gain = mended + in_vain
     cost = sum(costs[step.component] for step in proposal.steps)
     acts = bool(proposal.steps) and gain > _LEAST and gain * horizon > doubt * cost
@@ -210,8 +219,11 @@ def _why_not(situation: Situation, causes: str, costs: Mapping[str, float]) -> s
 def _room(situation: Situation) -> str:
     """Return what the components need and what there is for them, for people."""
     robot = situation.left().robot_now
-    demands = robot.demands("cpu")
-    needed = sum(demands[name] for name in situation.placement)
+    needed = sum(
+        c.demand.get("cpu", 0.0)
+        for c in robot.components()
+        if c.name in situation.placement
+    )
     usable = ", ".join(
         f"'{c.name}' has {format_cores(c.usable('cpu'))}" for c in robot.computers
     )
@@ -263,8 +275,11 @@ def shortages_of(situation: Situation) -> dict[str, float]:
 
 def _suffering(situation: Situation) -> set[str]:
     """Return the components that are starved, or miss deadlines."""
-    needs = situation.demand_estimates
-    starved = {need.component for need in needs if need.estimate.starved >= STARVED}
+    starved = {
+        demand.component
+        for demand in situation.demand_estimates
+        if demand.estimate.starved >= STARVED
+    }
     return starved | {timer.component for timer in situation.misses if timer.late}
 
 

@@ -128,9 +128,13 @@ class Adaptation:
         if dry or not proposal.steps:
             return proposal, None
         what = f"asked to balance: {counted(len(proposal.steps), 'step')}"
-        others, loads = alternatives(situation), situation.loads
-        facts = {"proposal": proposal, "alternatives": others, "loads": loads}
-        self._run.journal.note("decided", what, **facts)
+        self._run.journal.note(
+            "decided",
+            what,
+            proposal=proposal,
+            alternatives=alternatives(situation),
+            loads=situation.loads,
+        )
         return proposal, self._transitions.carry_out(proposal.steps, situation.now)
 
     def what_if(self, component: str, computer: str) -> WhatIf:

@@ -242,7 +242,9 @@ class Policies:
 
 def saw(symptoms: Iterable[Symptom]) -> list[dict[str, object]]:
     """Return policies and the values that they saw, for the journal."""
-    return [{"policy": each.policy.name, "saw": each.values} for each in symptoms]
+    return [
+        {"policy": symptom.policy.name, "saw": symptom.values} for symptom in symptoms
+    ]
 
 
 def _resolved(

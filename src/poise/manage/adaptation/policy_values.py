@@ -63,8 +63,11 @@ def _components(situation: Situation) -> Iterator[Values]:
         for container in status.containers
         for component in container.components
     }
-    statuses = situation.statuses.items()
-    memory = {(at, each.name): each.memory for at, s in statuses for each in s.health}
+    memory = {
+        (computer, health.name): health.memory
+        for computer, status in situation.statuses.items()
+        for health in status.health
+    }
     demands = {each.component: each.estimate for each in situation.demand_estimates}
     for architecture in situation.robot.architectures:
         for entry in architecture.components:

@@ -233,7 +233,9 @@ def share_what_is_left(
     """
     late = {timer.computer for timer in situation.misses if timer.late}
     rooms = {c.name: _room(c, situation.loads.get(c.name)) for c in problem.computers}
-    limits = {n: room.usable if n in late else room.all for n, room in rooms.items()}
+    limits = {
+        name: room.usable if name in late else room.all for name, room in rooms.items()
+    }
     margins = (
         plan.Margin({h: r.beside_others for h, r in rooms.items()}, _BACKGROUND),
         plan.Margin({h: r.beside_growth for h, r in rooms.items()}, _HEADROOM),
@@ -272,7 +274,9 @@ def _room(computer: Computer, load: Load | None) -> _Room:
 
 def with_costs(problem: plan.Problem, costs: Mapping[str, float]) -> plan.Problem:
     """Return the problem with what F grows by when a component moves."""
-    components = (
-        replace(c, move_cost=costs.get(c.name, 0.0)) for c in problem.components
+    return replace(
+        problem,
+        components=tuple(
+            replace(c, move_cost=costs.get(c.name, 0.0)) for c in problem.components
+        ),
     )
-    return replace(problem, components=tuple(components))

@@ -143,15 +143,19 @@ class Reachability:
 
     def asks(self) -> list[str]:
         """Return whom to ask for a sign of life."""
-        quiet = {name: agent.direct.seconds for name, agent in self._agents.items()}
         return [
-            n for n, seconds in quiet.items() if ASK_AFTER <= seconds < UNHEARD_AFTER
+            name
+            for name, agent in self._agents.items()
+            if ASK_AFTER <= agent.direct.seconds < UNHEARD_AFTER
         ]
 
     def silent(self) -> set[str]:
         """Return whose heartbeats do not come, or who does not hear the manager."""
-        agents = self._agents.items()
-        return {name for name, a in agents if a.direct.seconds >= UNHEARD_AFTER}
+        return {
+            name
+            for name, agent in self._agents.items()
+            if agent.direct.seconds >= UNHEARD_AFTER
+        }
 
     def heard_by(self, computer: str, now: float) -> str:
         """Return another agent that hears this one; empty when none does."""
@@ -297,9 +301,11 @@ class AgentHeartbeats:
             silent, asks = self._reachability.silent(), self._reachability.asks()
             has_changed, self._silent = silent != self._silent, silent
             ago = now - self._reachability.confirmed_at(now)
-            managed, revoked = ago if ago < inf else None, dict(self._revoked)
             beat = self._contacts.next_beat(
-                now, managed=managed, asks=asks, revoked=revoked
+                now,
+                managed=ago if ago < inf else None,
+                asks=asks,
+                revoked=dict(self._revoked),
             )
         if has_changed:
             self._on_silent(sorted(silent))

@@ -48,9 +48,9 @@ def calling_ports(statuses: Statuses) -> set[tuple[str, str]]:
 def keeping_ports(statuses: Statuses) -> dict[tuple[str, str], int]:
     """Return component and port -> how many messages it keeps; it may lose others."""
     return {
-        (each.name, port): size
-        for each in components_of(statuses)
-        for port, size in each.keeps.items()
+        (component.name, port): size
+        for component in components_of(statuses)
+        for port, size in component.keeps.items()
     }
 
 
@@ -135,18 +135,23 @@ def unreached(
     sentences = {}
     for computer, since in sorted(out_of_reach.items()):
         began = time.strftime("%H:%M:%S", time.localtime(since))
-        said = f"computer '{computer}' has been out of reach since {began}"
+        sentences[computer] = (
+            f"computer '{computer}' has been out of reach since {began}"
+        )
         inside = sorted(name for name, at in placement.items() if at == computer)
         other = heard_by.get(computer)
         if inside and other:
             go_on = f"{_clause(inside, 'keep')} running"
-            sentences[computer] = f"{said}; '{other}' still reaches it: {go_on}"
+            sentences[computer] += f"; '{other}' still reaches it: {go_on}"
             continue
         stop = [name for name in inside if name in leased]
         stay = ", ".join(name for name in inside if name not in leased)
-        said += f"; {_clause(stop, 'stop')} there when its lease ends" if stop else ""
-        said += f"; {stay} may still be at work there" if stay else ""
-        sentences[computer] = said
+        if stop:
+            sentences[computer] += (
+                f"; {_clause(stop, 'stop')} there when its lease ends"
+            )
+        if stay:
+            sentences[computer] += f"; {stay} may still be at work there"
     return sentences
 
 

@@ -102,11 +102,16 @@ def set_parameters(run: RunningComponents, command: ParametersCommand) -> PortAn
             "parameters when it starts"
         )
     changes = unpack(command.changes, dict[str, Any])
-    name, limit, value = command.component, command.limit, pack(((), changes))
-    asked = PortCommand(
-        component=name, port=PARAMETERS, method="set", value=value, limit=limit
+    return ask_port(
+        run,
+        PortCommand(
+            component=command.component,
+            port=PARAMETERS,
+            method="set",
+            value=pack(((), changes)),
+            limit=command.limit,
+        ),
     )
-    return ask_port(run, asked)
 
 
 def _check(run: RunningComponents, command: PortCommand) -> None:

@@ -116,8 +116,11 @@ def as_committed(
 
     `committed`: targets of which their containers said so.
     """
-    active = ((at, each) for at, each in located(statuses) if each.state == "active")
-    working = {(at, component.name, component.epoch) for at, component in active}
+    working = {
+        (computer, component.name, component.epoch)
+        for computer, component in located(statuses)
+        if component.state == "active"
+    }
     return [
         structs.replace(reported, spec=structs.replace(reported.spec, goal="active"))
         if reported.key in committed
@@ -155,10 +158,13 @@ def adopt(
     if keeps:
         wanted = _with_providers(robot, wanted, counts)
     restarts = dict(_differences(counts, robot, layout, wanted))
-    goes_on = wanted.keys() - restarts.keys()
-    kept = {n: each.incarnation for n, each in counts.items() if n in goes_on}
+    kept = {
+        n: reported
+        for n, reported in counts.items()
+        if n in wanted and n not in restarts
+    }
     return Adoption(
-        kept=kept,
+        kept={name: reported.incarnation for name, reported in kept.items()},
         restarts=restarts,
         ends=tuple(sorted({reported.name for reported in found} - wanted.keys())),
         starts={name: at for name, at in wanted.items() if name not in kept},
@@ -270,8 +276,9 @@ def _spec_now(reported: ReportedIncarnation, layout: DeploymentLayout) -> Compon
     now = layout.component_spec(reported.incarnation)
     if now.instead_of == reported.spec.instead_of:
         return now
-    plain = structs.replace(reported.incarnation, implementation="")
-    return layout.component_spec(plain)
+    return layout.component_spec(
+        structs.replace(reported.incarnation, implementation="")
+    )
 
 
 def _has_other_code(
@@ -301,8 +308,10 @@ def _half_done(
     found: Sequence[ReportedIncarnation], counts: Mapping[str, ReportedIncarnation]
 ) -> Iterator[str]:
     for name in sorted({reported.name for reported in found}):
-        own = (reported for reported in found if reported.name == name)
-        incarnations = sorted(own, key=lambda f: f.spec.epoch)
+        incarnations = sorted(
+            (reported for reported in found if reported.name == name),
+            key=lambda f: f.spec.epoch,
+        )
         if len(incarnations) > 1 and name in counts:
             source, target = incarnations[0], incarnations[-1]
             way = f"'{name}' from '{source.computer}' to '{target.computer}'"

@@ -118,9 +118,12 @@ def maybe_active(
     `reached`: computers; what is on others is not waited for.
     """
     active = {c.name for c in components_of(current) if c.state == "active"}
-    here = (each for each in places if each.computer in reached)
-    unsure = (e for e in here if e.computer not in current or e.component in active)
-    return [incarnation.component for incarnation in unsure]
+    return [
+        incarnation.component
+        for incarnation in places
+        if incarnation.computer in reached
+        and (incarnation.computer not in current or incarnation.component in active)
+    ]
 
 
 def _is_processed(run: RunningComponents, targets: Collection[str]) -> bool:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping
-from functools import partial
 from itertools import pairwise
 from pathlib import PurePath
 from typing import Any
@@ -63,9 +62,16 @@ class DeploymentLayout:
         self._weigh = weigh
         self._folder = folder
         weights = cpu_weights(robot)
-        own = [(a, c) for a in robot.architectures for c in a.components]
-        self._weights = {_container(a, c): weights[a.name] for a, c in own}
-        self._containers = {c.name: _container(a, c) for a, c in own}
+        self._weights = {
+            _container(a, c): weights[a.name]
+            for a in robot.architectures
+            for c in a.components
+        }
+        self._containers = {
+            component.name: _container(architecture, component)
+            for architecture in robot.architectures
+            for component in architecture.components
+        }
         self._components = {c.name: c for c in robot.components()}
         self.leased = leased_components(robot)
         # command-line components speak by their own means: nothing is joined to them
@@ -146,16 +152,21 @@ class DeploymentLayout:
             )
         codes = {self._robot.deployed, *(incarnation.code for incarnation in placed)}
         kept = tuple(sorted(codes - {""}))
-        deployment = partial(Deployment, generation=generation, code=kept)
-        return {at: deployment(containers=tuple(s)) for at, s in containers.items()}
+        return {
+            computer: Deployment(
+                generation=generation, containers=tuple(specs), code=kept
+            )
+            for computer, specs in containers.items()
+        }
 
     def connectors(self, placed: Iterable[str]) -> list[Connector]:
         """Return the connectors between placed components that Poise joins."""
         there = set(placed)
         return [
-            each
-            for each in self._joinable
-            if there.issuperset(end.component for end in each.between)
+            connector
+            for connector in self._joinable
+            if connector.between[0].component in there
+            and connector.between[1].component in there
         ]
 
     def connectors_at(
@@ -163,9 +174,9 @@ class DeploymentLayout:
     ) -> list[Connector]:
         """Return those of `connectors` that begin or end at some components."""
         return [
-            each
-            for each in self.connectors(placed)
-            if any(end.component in components for end in each.between)
+            connector
+            for connector in self.connectors(placed)
+            if any(end.component in components for end in connector.between)
         ]
 
     def slot_of(self, connector: Connector) -> str:
@@ -292,6 +303,7 @@ class DeploymentLayout:
 
 
 def _ends(robot: Robot) -> dict[str, tuple[str, ...]]:
+    """Return the ports of each component that end actions."""
     ends: dict[str, tuple[str, ...]] = {}
     for task in robot.tasks:
         for _, step in walk(task):
@@ -307,8 +319,11 @@ def _chain_parts(robot: Robot) -> dict[str, tuple[ChainPart, ...]]:
     for chain in robot.chains:
         first, last = chain.through[0], chain.through[-1]
         for name in chain.through:
-            ends, begins = chain.deadline if name == last else None, name == first
-            part = ChainPart(name=chain.name, is_first=begins, deadline=ends)
+            part = ChainPart(
+                name=chain.name,
+                is_first=name == first,
+                deadline=chain.deadline if name == last else None,
+            )
             parts[name] = (*parts.get(name, ()), part)
     return parts
 

@@ -249,14 +249,21 @@ class DesiredState:
                 self._epochs.get(reported.name, self._last_epoch), reported.spec.epoch
             )
         names = ", ".join(f"'{name}'" for name in sorted(deployments))
-        known = self.claimed | deployments.keys()
-        missing = {c.name for c in self.robot.computers} - known
-        before, claimed, doubted = self.desired, self.claimed, self.doubted
+        missing = (
+            {c.name for c in self.robot.computers} - self.claimed - deployments.keys()
+        )
         desired = joined_by(
-            before, self.robot, at_work, claimed, missing, fenced, doubted
+            self.desired,
+            self.robot,
+            at_work,
+            self.claimed,
+            missing,
+            fenced,
+            self.doubted,
         )
         last = max(deployment.generation for deployment in deployments.values())
-        generation = max(last, self.desired.generation) + 1
-        desired = structs.replace(desired, generation=generation)
+        desired = structs.replace(
+            desired, generation=max(last, self.desired.generation) + 1
+        )
         self.claimed |= deployments.keys()
         self.commit(desired, f"components on {names} keep running")

@@ -52,8 +52,11 @@ class LostComputers:
         }
         for computer in sorted(self._obeying - obeying | restarted):
             self._note_lost(computer)
-        disobey = self._lost_at.keys() - obeying
-        self._was_cut_off |= set(filter(run.agents.heartbeats.is_cut_off, disobey))
+        self._was_cut_off |= {
+            c
+            for c in self._lost_at
+            if c not in obeying and run.agents.heartbeats.is_cut_off(c)
+        }
         for computer in sorted(self._lost_at.keys() & obeying):
             status = run.agents.statuses().get(computer)
             if status is not None and run.reconciler.is_current(computer, status):

@@ -114,8 +114,9 @@ class RunningComponents(DesiredState):
     def unreached(self) -> dict[str, str]:
         """Return what is known of each computer that is out of reach, in words."""
         out_of_reach = self.agents.out_of_reach()
-        heartbeats = self.agents.heartbeats
-        heard_by = {name: heartbeats.heard_by(name) for name in out_of_reach}
+        heard_by = {
+            name: self.agents.heartbeats.heard_by(name) for name in out_of_reach
+        }
         return unreached(out_of_reach, self.placement(), heard_by, self.layout.leased)
 
     def cancel(self) -> None:
@@ -259,7 +260,11 @@ class RunningComponents(DesiredState):
 
     def _joins(self, wanted: Iterable[Incarnation]) -> set[str]:
         """Return the keys of the connectors of incarnations that reach each other."""
-        new = {each.component: each for each in wanted if not each.unjoined}
+        new = {
+            incarnation.component: incarnation
+            for incarnation in wanted
+            if not incarnation.unjoined
+        }
         placed = {**self.placed, **new}
         unreached = self.unreached_connectors(placed)
         return {

@@ -129,12 +129,23 @@ def _take_over(
     if is_half_done(reported, run.robot) or (targets and not is_all):
         committed = _committed(run, reported, deployments)
     run.doubted = targets - committed
-    robot, layout, keeps = run.robot, run.layout, not is_rule
-    adoption = adopt(reported, robot, layout, wanted, committed=committed, keeps=keeps)
+    adoption = adopt(
+        reported,
+        run.robot,
+        run.layout,
+        wanted,
+        committed=committed,
+        keeps=not is_rule,
+    )
     _note(run, adoption)
     starts = where_held(run.robot, adoption.starts, held, run.claimed)
-    epochs, parameters = _last_epochs(reported), changed_parameters(reported)
-    run.adopt(adoption.kept, epochs, record.tasks, held, parameters)
+    run.adopt(
+        adoption.kept,
+        _last_epochs(reported),
+        record.tasks,
+        held,
+        changed_parameters(reported),
+    )
     for sentence in (*unclaimed.values(), *run.unreached().values()):
         run.journal.note("wrong", sentence)
     seconds = time.monotonic() - began
@@ -189,12 +200,18 @@ def _elected(
 
 def _with_only(known: Collection[tuple[str, int]], found: Deployment) -> Deployment:
     """Return a deployment without incarnations that the newest record does not know."""
-    containers = []
-    for container in found.containers:
-        kept = [c for c in container.components if (c.name, c.epoch) in known]
-        if kept:
-            containers.append(structs.replace(container, components=tuple(kept)))
-    return structs.replace(found, containers=tuple(containers))
+    containers = (
+        structs.replace(
+            container,
+            components=tuple(
+                c for c in container.components if (c.name, c.epoch) in known
+            ),
+        )
+        for container in found.containers
+    )
+    return structs.replace(
+        found, containers=tuple(c for c in containers if c.components)
+    )
 
 
 def _recorded(run: RunningComponents, record: Desired) -> list[ReportedIncarnation]:
@@ -362,8 +379,9 @@ def _note(run: RunningComponents, adoption: Adoption) -> None:
     for name, reason in adoption.restarts.items():
         run.journal.note("decided", f"component '{name}' restarts: {reason}")
     for name in adoption.ends:
-        what = f"stopping component '{name}': the task does not need it"
-        run.journal.note("decided", what)
+        run.journal.note(
+            "decided", f"stopping component '{name}': the task does not need it"
+        )
     what = f"going on with {counted(len(adoption.kept), 'component')}"
     run.journal.note("decided", what, kept=sorted(adoption.kept))
 

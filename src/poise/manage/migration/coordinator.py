@@ -68,7 +68,9 @@ class Migration:
         self._sources = sources
         self._targets = targets
         gone = {incarnation.component for incarnation in sources}
-        self._others = {n: each for n, each in run.placed.items() if n not in gone}
+        self._others = {
+            n: incarnation for n, incarnation in run.placed.items() if n not in gone
+        }
         self._away = run.agents.out_of_reach().keys()
         self._dropped: dict[str, str] = {}
         self._number = 0
@@ -173,8 +175,9 @@ class Migration:
         )
 
     def _prepare(self, plan: MigrationRounds) -> None:
-        desired = self._run.desired.aiming("stay", self._names)
-        desired = desired.with_coming(self._targets)
+        desired = self._run.desired.aiming("stay", self._names).with_coming(
+            self._targets
+        )
         self._run.commit(desired, f"prepare the {self._what}")
         # higher than that of any earlier migration, whatever the clock says
         self._number = self._run.desired.generation
@@ -209,8 +212,10 @@ class Migration:
         self._phases.enter("transfer", quiesced)
         self._phases.enter("commit")
         # nothing rolls back any more; sources redirect until agents are told
-        active = [target.with_goal("active") for target in self._targets]
-        desired = self._run.desired.without(self._names).placing(active)
+        desired = self._run.desired.without(self._names)
+        desired = desired.placing(
+            incarnation.with_goal("active") for incarnation in self._targets
+        )
         self._run.commit(desired, f"{self._what} is committed", tell_later=True)
         self._committed_generation = self._run.desired.generation
         self._phases.enter("resume")
@@ -305,7 +310,9 @@ class Migration:
             run.reconcile()
             away = run.agents.out_of_reach()
             is_told = not self._committed_generation or self._is_known()
-            is_told = is_told or all(each.computer in away for each in self._targets)
+            is_told = is_told or all(
+                target.computer in away for target in self._targets
+            )
             return is_told and all(map(run.has_ended, gone))
 
         run.agents.wait_news(have_ended, REMOVE_LIMIT)

@@ -50,8 +50,9 @@ class MigrationRounds:
         self._is_move = self._sources.keys() == self._targets.keys()
         self._before = layout.connectors({*others, *self._sources})
         into_sources = self._into(self._before, self._sources)
-        after = layout.connectors({*others, *self._targets})
-        into_targets = self._into(after, self._targets)
+        into_targets = self._into(
+            layout.connectors({*others, *self._targets}), self._targets
+        )
         # from others to the sources, and by the same ends of others to the targets
         slots = set(map(layout.slot_of, into_sources))
         slots &= set(map(layout.slot_of, into_targets))
@@ -127,11 +128,17 @@ class MigrationRounds:
         ]
 
     def _buffer(self) -> Round:
-        steps: Round = []
-        for sender, connectors in self._by_container(self._from):
-            timely, late = self._timely(connectors), self._keys(connectors)
-            steps.append((sender, Step("buffer", connectors=timely, late=late)))
-        return steps
+        return [
+            (
+                sender,
+                Step(
+                    "buffer",
+                    connectors=self._timely(connectors),
+                    late=self._keys(connectors),
+                ),
+            )
+            for sender, connectors in self._by_container(self._from)
+        ]
 
     def _pause(self, name: str) -> PlacedStep:
         begin = [c for c in self._before if c.between[0].component == name]
@@ -152,9 +159,11 @@ class MigrationRounds:
     ) -> Iterator[PlacedStep]:
         """Let all arrive from senders that send no more, and be worked on."""
         silent = {*self._others, *paused}
-        into = (each for each in self._before if each.between[1].component in names)
         yield from self._drain_channels(
-            each for each in into if each.between[0].component in silent
+            connector
+            for connector in self._before
+            if connector.between[1].component in names
+            and connector.between[0].component in silent
         )
         for name in names:
             yield _step("drain mailbox", self._sources[name])
@@ -172,8 +181,12 @@ class MigrationRounds:
         for name, theirs in by_receiver.items():
             receiving = self._sources.get(name) or self._others[name]
             if receiving.computer not in self._away:
-                timely, late = self._timely(theirs), self._keys(theirs)
-                yield _step("drain channels", receiving, connectors=timely, late=late)
+                yield _step(
+                    "drain channels",
+                    receiving,
+                    connectors=self._timely(theirs),
+                    late=self._keys(theirs),
+                )
 
     def _release(
         self,
@@ -198,7 +211,8 @@ class MigrationRounds:
             sender = self._others[connector.between[0].component]
             if sender.computer in self._away:
                 continue
-            key = sender.computer, self._layout.container_of(sender)
+            container = self._layout.container_of(sender)
+            key = (sender.computer, container)
             found.setdefault(key, (sender, []))[1].append(connector)
         return found.values()
 

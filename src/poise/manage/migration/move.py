@@ -212,8 +212,10 @@ def _move_cold(
         run.commit(desired, f"the cold move of {report.name} is rolled back: {error}")
         phases = {"prepare": time.monotonic() - started}
         return structs.replace(report, reason=str(error), phases=phases)
-    phases = {"prepare": time.monotonic() - started}
-    return structs.replace(_restart(run, report, old, new), phases=phases)
+    prepared = time.monotonic() - started
+    return structs.replace(
+        _restart(run, report, old, new), phases={"prepare": prepared}
+    )
 
 
 def _restart(
@@ -329,6 +331,7 @@ def _check_layer(architecture: Architecture, what: str) -> None:
 
 
 def _check_stateless(run: RunningComponents, old: Architecture) -> None:
+    """Raise UsageError when a component's state would be lost."""
     placed = {run.placed[c.name].computer for c in old.components}
     names = {c.name for c in old.components}
     statuses = run.agents.statuses()
@@ -346,7 +349,9 @@ def _check_callers(
 ) -> None:
     """Raise UsageError when a caller of `old` could not call `new`."""
     layout = run.layout
-    olds, news = ({c.name for c in each.components} for each in (old, new))
+    olds, news = (
+        {c.name for c in architecture.components} for architecture in (old, new)
+    )
     others = run.placed.keys() - olds
     then = layout.connectors({*others, *news})
     into = (connector for connector in then if connector.between[1].component in news)

@@ -52,6 +52,7 @@ class Stall:
             raise RunError(f"{text}: {'; '.join(missing)}")
 
     def _is_configuring(self, wanted: Collection[Incarnation]) -> bool:
+        """Return whether one is being started, imported or configured."""
         current, container_of = self._run.current(), self._run.layout.container_of
         places = {(w.computer, container_of(w)) for w in wanted}
         states = {(c.name, c.epoch): c.state for c in components_of(current)}

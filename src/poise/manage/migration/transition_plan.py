@@ -59,6 +59,7 @@ class _Planner:
         self._check(then)
 
     def _raise_cpu(self, loads: Mapping[str, float]) -> None:
+        """Let computers be this full."""
         for computer, load in loads.items():
             usable = self._usable[computer]
             usable["cpu"] = max(usable.get("cpu", 0.0), load)

@@ -76,7 +76,11 @@ class Loads:
             sample.busy,
             sample.cpu,
             {container.pid: _used(container) for container in sample.containers},
-            {c.name: c.cpu for each in sample.containers for c in each.components},
+            {
+                c.name: c.cpu
+                for container in sample.containers
+                for c in container.components
+            },
         )
         with self._lock:
             totals = self._totals.setdefault(sample.computer, deque())
@@ -223,9 +227,15 @@ class Estimates:
             return None
         known.epoch, known.computer = component.epoch, computer
         speed = self._speeds.get(computer, 1.0)
-        cpu, wait = component.cpu * speed, component.wait * speed
-        reading = Reading(at, cpu, wait, component.asked, component.done)
-        return known.running.update(reading)
+        return known.running.update(
+            Reading(
+                at,
+                component.cpu * speed,
+                component.wait * speed,
+                component.asked,
+                component.done,
+            )
+        )
 
     def _follow(self, component: ComponentSample, computer: str) -> _Followed:
         known = self._profile and self._profile.components.get(component.name)
@@ -263,6 +273,7 @@ def traffic_between(
 
 
 def _bytes(end: ConnectorSample) -> int:
+    """Return the traffic in both directions [bytes]."""
     return end.bytes_out + end.bytes_in
 
 

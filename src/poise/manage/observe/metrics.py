@@ -85,6 +85,7 @@ def samples(robot: RobotStatus) -> Iterator[Sample]:
 
 
 def _demand_samples(robot: RobotStatus) -> Iterator[Sample]:
+    """Yield what components need, where that is known now."""
     for demand in robot.demand_estimates:
         if demand.computer in robot.out_of_reach:
             continue
@@ -98,6 +99,7 @@ def _demand_samples(robot: RobotStatus) -> Iterator[Sample]:
 
 
 def _traffic_samples(robot: RobotStatus) -> Iterator[Sample]:
+    """Yield what goes over connectors, where that is known now."""
     lost = _sources(robot, is_lost=True) - _sources(robot, is_lost=False)
     for name, flow in robot.traffic.items():
         if name in lost:

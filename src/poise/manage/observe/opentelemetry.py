@@ -54,9 +54,11 @@ class Telemetry:
         meter = self._provider.get_meter("poise")
         for name, says in METRICS.items():
             # quantiles come from the connectors' ends: here they are gauges
-            create = meter.create_observable_gauge
-            if kind_of(name) == "counter":
-                create = meter.create_observable_counter
+            create = (
+                meter.create_observable_counter
+                if kind_of(name) == "counter"
+                else meter.create_observable_gauge
+            )
             create(name, [partial(self._observe, name)], _unit(name), says)
 
     def close(self) -> None:

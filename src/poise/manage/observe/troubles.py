@@ -244,7 +244,9 @@ class ThreadFailures:
 
     def _fresh(self) -> list[tuple[str, tuple[float, Deviation]]]:
         since = self._now() - SHOWN_FOR
-        return [(name, each) for name, each in self._shown.items() if each[0] >= since]
+        return [
+            (name, entry) for name, entry in self._shown.items() if entry[0] >= since
+        ]
 
 
 FIRST_PAUSE = 1.0

@@ -70,12 +70,14 @@ class Watch:
         wanted, settled = run.desired.incarnations(), run.desired.settled()
         moving = run.placed.keys() - settled.keys()
         current = {key: before[key] for key in sorted(before.keys() & moving)}
-        here = settled.values()
-        found = find_deviations(here, wanted, run.layout, statuses, now)
-        current |= {deviation.key: deviation for deviation in found}
-        well = (each for name, each in settled.items() if name not in current)
+        deviations = find_deviations(
+            settled.values(), wanted, run.layout, statuses, now
+        )
+        current |= {deviation.key: deviation for deviation in deviations}
         there = [
-            incarnation for incarnation in well if incarnation.computer in statuses
+            incarnation
+            for name, incarnation in settled.items()
+            if name not in current and incarnation.computer in statuses
         ]
         began = time.monotonic()
         joined = run.layout.connectors(run.placed) if self._unjoined else ()
@@ -96,6 +98,7 @@ class Watch:
         }
 
     def _note_faults(self) -> None:
+        """Journal what broke on computers since the last time."""
         run = self._run
         statuses = run.agents.statuses()
         for sentence, fault in self._faults.new(statuses, time.monotonic()):

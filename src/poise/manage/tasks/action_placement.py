@@ -49,10 +49,11 @@ def room_for_functions(
     here = situation.within_reach()
     robot = _with_chosen(here.left().robot_now, here.placement)
     try:
-        now = here.placement
-        problem = plan.problem_of(robot, functions=functions, present=now, move=MOVE)
+        problem = plan.problem_of(
+            robot, functions=functions, present=here.placement, move=MOVE
+        )
         names = {component.name for component in problem.components}
-        present = {n: at for n, at in now.items() if n in names}
+        present = {n: at for n, at in here.placement.items() if n in names}
         hinted = {**by_plan, **present}
         if _fits(problem, hinted):
             return Room(begins={n: at for n, at in hinted.items() if n not in present})
@@ -103,6 +104,7 @@ def _fits(problem: plan.Problem, placement: Mapping[str, str]) -> bool:
 
 
 def _with_chosen(robot: Robot, placement: Mapping[str, str]) -> Robot:
+    """Return the robot without the alternatives of architectures that run."""
     running = {
         a.function: a.name
         for a in robot.architectures

@@ -102,11 +102,11 @@ class Serving:
     def broken(self, lost: Collection[str]) -> set[str]:
         """Return the functions of which something is missing, or on a lost computer."""
         placed = self._run.placed
-        works = {name for name, each in placed.items() if each.computer not in lost}
         return {
             a.function
             for a in self.moving()
-            if not works.issuperset(c.name for c in a.components)
+            for c in a.components
+            if c.name not in placed or placed[c.name].computer in lost
         }
 
     def architectures(self, functions: Collection[str]) -> list[str]:

@@ -208,8 +208,11 @@ class Prefetcher:
             note("decided", f"{_list(drops)} no longer kept prepared")
             drop(run, drops)
         for likely_action in likely:
-            needs = likely_action.placement
-            mine = {n: at for n, at in begins.items() if needs.get(n) == at}
+            mine = {
+                n: at
+                for n, at in begins.items()
+                if likely_action.placement.get(n) == at
+            }
             if mine:
                 what = _named(likely_action.action, likely_action.task)
                 text = f"{what} is likely next: {_list(mine)} prepared"
@@ -243,8 +246,9 @@ class Prefetcher:
             else:
                 unready.append(name)
         if ready:
-            desired = run.desired.with_prefetched(ready)
-            run.commit(desired, "prepared components are idle")
+            run.commit(
+                run.desired.with_prefetched(ready), "prepared components are idle"
+            )
         return unready
 
     def _cpu_left(
@@ -289,8 +293,11 @@ class Prefetcher:
             self._container(incarnation)
             for incarnation in (*run.prefetched.values(), *run.placed.values())
         }
-        over = self._begun.keys() - here - at_work
-        gone = {self._container(self._begun[key]) for key in over}
+        gone = {
+            self._container(incarnation)
+            for key, incarnation in self._begun.items()
+            if key not in here | at_work
+        }
         self._wasted += sum(self._memory.get(key, 0) for key in gone - used)
         self._begun = {key: idle for key, idle in self._begun.items() if key in here}
         self._ready &= self._begun.keys()

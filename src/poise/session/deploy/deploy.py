@@ -170,9 +170,11 @@ def deploy(robot: Robot, *, say: Say = log.info, check: Check = nothing) -> Depl
         if not reports.wait_news(lambda: wanted <= reports.reached(), REACH_LIMIT):
             missing = sorted(wanted - reports.reached())
             why = {n: computers.why_silent(computers.endpoints[n]) for n in missing}
-            said = ", ".join(f"{n} ({w})" if w else n for n, w in why.items())
-            what = f"nothing was sent: out of reach within {REACH_LIMIT:g} s"
-            raise RunError(f"{what}: {said}")
+            raise RunError(
+                "nothing was sent: out of reach within "
+                f"{REACH_LIMIT:g} s: "
+                f"{', '.join(f'{n} ({w})' if w else n for n, w in why.items())}"
+            )
         statuses = reports.statuses()
         platforms = {statuses[name].platform for name in names}
         manifest = lock_wheels(robot.folder, platforms)
@@ -217,7 +219,10 @@ def as_deployed(robot: Robot) -> Robot:
     if not any(there.values()):
         return robot
     version = version_of(pack(robot, manifest_of(robot.folder)))
-    if lacking := sorted(name for name, has in there.items() if version not in has):
+    lacking = sorted(
+        name for name, versions in there.items() if version not in versions
+    )
+    if lacking:
         raise UsageError(
             f"version {version[:SHOWN]} of robot '{robot.name}', its code as it is "
             f"here, is not on {', '.join(lacking)}: run `poise deploy FILE`"
@@ -235,10 +240,12 @@ def _agents(robot: Robot) -> Iterator[tuple[AgentReports, AgentRequests, Compute
         )
     addresses = real_agents(robot)
     clock = SystemClock()
-    endpoints, keys = addresses.endpoints, addresses.credentials()
-    session = open_session(connect=tuple(endpoints.values()), keys=keys)
+    session = open_session(
+        connect=tuple(addresses.endpoints.values()),
+        keys=addresses.credentials(),
+    )
     try:
-        reports = AgentReports(robot.name, endpoints, clock)
+        reports = AgentReports(robot.name, addresses.endpoints, clock)
         kept = reports.subscribe(session)
         requests = AgentRequests(session, f"poise/{robot.name}", reports, clock, {})
         yield reports, requests, Computers(addresses)
@@ -276,8 +283,10 @@ class _Sending:
         before, at, sent = self._there, 0, 0
         while at < len(content):
             data = content[at : at + _PART]
-            part = CodePart(file=digest, size=len(content), offset=at, data=data)
-            answer = self._ask(part, _PART_LIMIT)
+            answer = self._ask(
+                CodePart(file=digest, size=len(content), offset=at, data=data),
+                _PART_LIMIT,
+            )
             assert isinstance(answer, CodeReceived)  # noqa: S101, else it was refused
             sent += len(data) if answer.size == at + len(data) else 0
             at = answer.size
@@ -402,8 +411,9 @@ def _target(platform: str) -> list[str]:
     names = [f"linux_{machine}", f"manylinux2014_{machine}"]
     if library:
         newest = int(library[0].split(".")[1])
-        minors = range(newest, _OLDEST - 1, -1)
-        names += [f"manylinux_2_{minor}_{machine}" for minor in minors]
+        names += [
+            f"manylinux_2_{minor}_{machine}" for minor in range(newest, _OLDEST - 1, -1)
+        ]
     options = ["--python-version", python, "--implementation", "cp"]
     return [*options, *(word for name in names for word in ("--platform", name))]
 

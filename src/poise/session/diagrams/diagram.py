@@ -145,7 +145,11 @@ def _plantuml_join(join: Join) -> Iterator[str]:
         return
     label = _label(join, r"\n")
     arrow = "--" if join.kind == "path" else "..>"
-    yield f"{source} {arrow} {target}{f' : {label}' if label else ''}"
+    yield (
+        f"{source} {arrow} {target} : {label}"
+        if label
+        else (f"{source} {arrow} {target}")
+    )
 
 
 def _label(join: Join, newline: str) -> str:

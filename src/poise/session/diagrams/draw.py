@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
-from itertools import chain
 from pathlib import Path
 from typing import Literal
 
@@ -132,8 +131,11 @@ Ports = dict[str, dict[str, tuple[str, str]]]
 
 def component_diagram(robot: Robot, functions: Collection[str] | None) -> BoxDiagram:
     """Return the diagram of what provides `functions`; None: of all architectures."""
-    every = robot.architectures
-    chosen = [a for a in every if functions is None or a.function in functions]
+    chosen = [
+        architecture
+        for architecture in robot.architectures
+        if functions is None or architecture.function in functions
+    ]
     drawn = {c.name for each in chosen for c in each.components}
     boxes = tuple(_subsystem(each) for each in chosen)
     ports = _ports(robot, drawn)
@@ -169,8 +171,10 @@ def _ports(robot: Robot, drawn: Collection[str]) -> Ports:
     ports: Ports = {}
     for component in robot.components():
         if component.name in drawn:
-            own = component.ports
-            declared = {p.name: (p.kind, p.type.rpartition(":")[2]) for p in own}
+            declared = {
+                port.name: (port.kind, port.type.rpartition(":")[2])
+                for port in component.ports
+            }
             named = dict(_of_class(component.implementation, robot.folder))
             ports[component.name] = declared | named
     return ports
@@ -199,10 +203,12 @@ def deployment_diagram(
     boxes: list[Box] = []
     joins: list[Join] = []
     for number, (name, placement) in enumerate(placements.items()):
-        key = f"{number}"
-        nodes = [_node(robot, c, placement, first, key) for c in robot.computers]
-        boxes.append(Box(key, name, "placement", (), tuple(nodes)))
-        joins += _paths(robot, placement, key)
+        nodes = tuple(
+            _node(robot, computer, placement, first, f"{number}")
+            for computer in robot.computers
+        )
+        boxes.append(Box(f"{number}", name, "placement", (), nodes))
+        joins += _paths(robot, placement, f"{number}")
     return BoxDiagram(robot.name, tuple(boxes), tuple(joins))
 
 
@@ -224,9 +230,11 @@ def _node(
     devices = [d.name for d in robot.devices if d.computer == computer.name]
     lines += [f"devices: {', '.join(devices)}"] if devices else []
     key = f"{within}/{computer.name}"
-    remarks = {name: _remark(name, computer.name, first) for name in sorted(here)}
-    parts = [Box(f"{key}/{name}", name, remark=said) for name, said in remarks.items()]
-    return Box(key, computer.name, "device", tuple(lines), tuple(parts))
+    parts = tuple(
+        Box(f"{key}/{name}", name, remark=_remark(name, computer.name, first))
+        for name in sorted(here)
+    )
+    return Box(key, computer.name, "device", tuple(lines), parts)
 
 
 def _remark(name: str, computer: str, first: Mapping[str, str]) -> str:
@@ -275,8 +283,11 @@ def sequence_diagram(
 ) -> SequenceDiagram:
     """Return the steps as messages between the manager and the agents of computers."""
     states = {each.name: each.state for each in robot.components()}
-    of_each = (_messages(step, states.get(step.component, 0.0)) for step in steps)
-    messages = tuple(chain.from_iterable(of_each))
+    messages = tuple(
+        message
+        for step in steps
+        for message in _messages(step, states.get(step.component, 0.0))
+    )
     used = {name for each in messages for name in (each.source, each.target)}
     computers = [c.name for c in robot.computers if c.name in used]
     return SequenceDiagram(f"{robot.name}: {title}", (MANAGER, *computers), messages)

@@ -132,8 +132,11 @@ class _Column:
                 pairs.append((abs(source.y - target.y), number, join, source, target))
         for _, number, join, source, target in sorted(pairs, key=lambda p: p[:2]):
             low, high = sorted((source.y, target.y))
-            free = (n for n, taken in enumerate(lanes) if _is_free(taken, low, high))
-            if (lane := next(free, len(lanes))) == len(lanes):
+            lane = next(
+                (n for n, taken in enumerate(lanes) if _is_free(taken, low, high)),
+                len(lanes),
+            )
+            if lane == len(lanes):
                 lanes.append([])
             lanes[lane].append((low, high))
             x = first + lane * _LANE
@@ -156,8 +159,9 @@ def _line(
     tip = 10.0 if join.kind == "call" else 0.0
     path = f"M{source.x:.1f} {source.y:.1f}H{lane:.1f}V{target.y:.1f}"
     dashes = ' stroke-dasharray="5 3"' if join.kind in {"call", "use"} else ""
-    path += f"H{target.x + tip:.1f}"
-    yield f'<path d="{path}" fill="none" stroke="{colour}"{dashes}/>'
+    yield (
+        f'<path d="{path}H{target.x + tip:.1f}" fill="none" stroke="{colour}"{dashes}/>'
+    )
     x, y, white = target.x, target.y, 'fill="white" stroke="#444"'
     if join.kind == "call":
         yield f'<circle cx="{x + 5:.1f}" cy="{y:.1f}" r="5" {white}/>'
@@ -229,8 +233,11 @@ def _sequence(diagram: SequenceDiagram) -> tuple[list[str], float, float]:
         parts.append(_rect(x - half, 34, 2 * half, 24, _PLAIN, "#444", 3))
         parts.append(_text(x, 51, name, bold=True, anchor="middle"))
     for row, arrow in enumerate(diagram.messages, 1):
-        one, other = xs[place[arrow.source]], xs[place[arrow.target]]
-        y = high + step * row
+        one, other, y = (
+            xs[place[arrow.source]],
+            xs[place[arrow.target]],
+            high + step * row,
+        )
         back = -9 if other > one else 9
         parts.append(f'<path d="M{one:.1f} {y:.1f}H{other:.1f}" stroke="#444"/>')
         parts.append(f'<path d="M{other:.1f} {y:.1f}l{back} -4v8z" fill="#444"/>')

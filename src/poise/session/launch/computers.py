@@ -331,9 +331,12 @@ def computers_of(
             yield computers
         return
     with emulated_agents(robot, folder, say, sample_every=sample_every) as agents:
-        emulated, without = agents.emulation.computers, agents.emulation.without
-        addresses = emulated_addresses(robot.name, emulated)
-        yield Computers(addresses, without, agents.processes, emulated)
+        yield Computers(
+            emulated_addresses(robot.name, agents.emulation.computers),
+            agents.emulation.without,
+            agents.processes,
+            agents.emulation.computers,
+        )
 
 
 @contextlib.contextmanager

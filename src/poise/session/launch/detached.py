@@ -62,8 +62,9 @@ def up_detached(
             keeper = _started(["emulate", str(file)], log)
             undo.callback(_end, keeper)
             _wait(keeper, log, size, lambda: set_for(robot) is not None, check)
-            until = "its emulated computers stay up until `poise emulate stop`"
-            say(f"{until}; log: {log}")
+            say(
+                f"its emulated computers stay up until `poise emulate stop`; log: {log}"
+            )
         log = _log(robot.name)
         size = log.stat().st_size
         process = _started(words, log)

@@ -45,8 +45,11 @@ def election_of(robot: Robot, *, adapts: bool) -> Election | None:
     is_real = any(computer.address for computer in robot.computers)
     if not robot.standbys or not (is_real or set_for(robot) is not None):
         return None
-    setup = msgspec.msgpack.encode(StandbySetup(robot=robot, adapts=adapts))
-    return Election(votes=robot.votes, managers=robot.standbys, setup=setup)
+    return Election(
+        votes=robot.votes,
+        managers=robot.standbys,
+        setup=msgspec.msgpack.encode(StandbySetup(robot=robot, adapts=adapts)),
+    )
 
 
 def without_standbys(robot: Robot) -> str:
@@ -124,7 +127,7 @@ def managed(
     check: Check,
     *,
     adapts: bool,
-    recorder: RecordingFile | None = None,
+    recorder: RecordingFile | None,
     begin: Callable[[RunningComponents], object] | None = None,
 ) -> Iterator[Managed]:
     """Start a robot with a manager, and stop it afterwards."""

@@ -96,6 +96,8 @@ def log_printer() -> Iterator[None]:
 
 
 class _LogPrinter(logging.Handler):
+    """Prints what is logged."""
+
     def __init__(self, printer: Printer) -> None:
         super().__init__(logging.WARNING)
         self._printer = printer

@@ -248,9 +248,10 @@ def started(  # noqa: PLR0913 - each is a choice of the caller
             if look.take is not None and at_work.is_set():
                 look.take(sample)
 
-        where, every = folder / "computers", look.every
         computers = found or stack.enter_context(
-            computers_of(robot, where, say, every, use_kept=use_kept)
+            computers_of(
+                robot, folder / "computers", say, look.every, use_kept=use_kept
+            )
         )
         world = stack.enter_context(world_of(robot, folder, check))
         agents = stack.enter_context(

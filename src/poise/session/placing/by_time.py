@@ -161,7 +161,7 @@ def _better(
     `seen`: the placements that were simulated; `most`: how many that may be.
     """
     total = _total(here)
-    near = sorted(_neighbours(here.task_result, late), key=_whole)
+    near = sorted(_neighbours(here.task_result, late), key=_promised)
     new = (result for result in near if _placed(result) not in seen)
     for result in islice(new, min(_NEAR, most - len(seen))):
         seen.append(_placed(result))
@@ -169,6 +169,10 @@ def _better(
         if _total(found) < total - _ROUNDING:
             return found
     return None
+
+
+def _promised(result: plan.TaskResult) -> float:
+    return inf if result.total is None else result.total
 
 
 def _neighbours(
@@ -229,12 +233,8 @@ def _settle(result: plan.TaskResult, free: plan.TaskResult) -> None:
         total = each.objective.total if each.objective else inf
         each.settle(bound, proven=is_same and by.proven and total <= bound + _ROUNDING)
     result.bound = least = free.bound
-    is_least = least is not None and _whole(result) <= least + _ROUNDING
-    result.proven = free.proven and is_least
-
-
-def _whole(result: plan.TaskResult) -> float:
-    return inf if result.total is None else result.total
+    whole = inf if result.total is None else result.total
+    result.proven = free.proven and least is not None and whole <= least + _ROUNDING
 
 
 def _as_predicted(
@@ -313,9 +313,11 @@ def _total(decided: DecidedByTime) -> float:
 
 def _summed(result: plan.TaskResult) -> float:
     """Return what the times that are summed add to F."""
-    terms = {name: each.objective for name, each in result.results.items()}
-    weights = result.problem.weights
-    return sum(weights[name] * each.time for name, each in terms.items() if each)
+    return sum(
+        result.problem.weights[name] * each.objective.time
+        for name, each in result.results.items()
+        if each.objective is not None
+    )
 
 
 def _excesses(decided: DecidedByTime) -> Iterator[float]:
@@ -370,8 +372,9 @@ def _with_predictions(
             )
         }
         limits = tuple(fitted.get(e.name, e) for e in earlier.problem.time_limits)
-        fitting = replace(earlier.problem, time_limits=limits)
-        phases.append(replace(earlier, problem=fitting))
+        phases.append(
+            replace(earlier, problem=replace(earlier.problem, time_limits=limits))
+        )
     return replace(before, phases=tuple(phases))
 
 
@@ -386,8 +389,9 @@ def _fitted_limits(
     What would be missing from a sum if nobody waited for CPU is missing on any
     placement; the rest grows with the waiting for CPU that the sum has.
     """
-    names = (each.name for each in result.problem.time_limits)
-    limits = [summed[name] for name in names if name in ages]
+    limits = [
+        summed[each.name] for each in result.problem.time_limits if each.name in ages
+    ]
     seconds = _seconds(result, limits)
     hops = _seconds(result, [_without_runs(each) for each in limits])
     for each in limits:

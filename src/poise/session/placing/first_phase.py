@@ -58,12 +58,14 @@ def first_phase(
         say(f"not all of task '{first.name}' fits: {chosen.task_result.reason}")
     name = "+".join(each.name for each in started.tries(first))
     if others and placement is None:
-        functions = started.functions_of(started.going())
-        problem = plan.problem_of(robot, functions=functions)
+        problem = plan.problem_of(
+            robot, functions=started.functions_of(started.going())
+        )
         whole = plan.TaskProblem.of_one(name, problem)
         found = decided(robot, whole, "auto", partial(plan.solve_phases, fewer=True))
-        result, predicted = found.task_result, found.predicted
-        chosen = replace(chosen, task_result=result, predicted=predicted)
+        chosen = replace(
+            chosen, task_result=found.task_result, predicted=found.predicted
+        )
     elif len(chosen.phases) > 1:
         phase = next(p for p in chosen.task_result.problem.phases if p.name == name)
         task_result = plan.TaskResult.of_one(name, phase.problem, chosen.phases[name])

@@ -72,8 +72,12 @@ class _Paths:
         The first component makes it when it sends it.
         """
         for component in chain.through[1:]:
-            pairs = (pair for pair in pairwise(chain.through) if component in pair)
-            handlers = [each for pair in pairs for each in self._at(component, *pair)]
+            handlers = [
+                handler
+                for pair in pairwise(chain.through)
+                if component in pair
+                for handler in self._at(component, *pair)
+            ]
             for handler in {id(each): each for each in handlers}.values():
                 yield component, handler
 
@@ -83,9 +87,11 @@ class _Paths:
         if connector is not None:
             name, traffic = str(connector), self._work.traffic
             share = 2 if name in traffic.calling else 1  # a call goes both ways
-            size = traffic.size_of(name) / share
-            seconds = traffic.apart(name, self._kinds[name])
-            yield Hop(between=(source, target), seconds=seconds, size=size)
+            yield Hop(
+                between=(source, target),
+                seconds=traffic.apart(name, self._kinds[name]),
+                size=traffic.size_of(name) / share,
+            )
 
     def _at(self, component: str, source: str, target: str) -> Iterator[HandlerModel]:
         """Yield the handlers of a component that send data on, or that take it."""

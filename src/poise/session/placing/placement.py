@@ -234,8 +234,11 @@ class Placement(Printable, Struct, frozen=True, kw_only=True):
     @property
     def architectures(self) -> Mapping[str, str]:
         """Function -> the architecture that provides it."""
-        bundles, names = self.problem.architectures, self.where.keys()
-        return {b.function: b.name for b in bundles if names >= {*b.components}}
+        return {
+            bundle.function: bundle.name
+            for bundle in self.problem.architectures
+            if self.where.keys() >= {*bundle.components}
+        }
 
     @property
     def why_suspended(self) -> str:
@@ -269,8 +272,9 @@ class Placement(Printable, Struct, frozen=True, kw_only=True):
         phase
             Its name; None: the first in which the component or architecture may run.
         """
-        phase = phase or self.task_result.first_with(name)
-        return self.task_result.explain(phase, name)
+        return self.task_result.explain(
+            phase or self.task_result.first_with(name), name
+        )
 
     def parts(self) -> tuple[RenderableType, ...]:
         """Return what is printed."""

@@ -103,15 +103,17 @@ def pairs(robot: Robot, here: str, there: str) -> tuple[Robot, dict[str, str]]:
     ):
         placement[name] = here
         silent = ComponentEntry(name=name, implementation=implementation)
-        alone = Architecture(name=name, function=name, components=(silent,))
-        architectures.append(alone)
+        architectures.append(
+            Architecture(name=name, function=name, components=(silent,))
+        )
     return _bare(robot, tuple(architectures)), placement
 
 
 def _architectures() -> Iterator[Architecture]:
     for pair in PAIRS:
-        is_call = pair.how == "call"
-        classes = ("Asker", "Echoer") if is_call else ("Talker", "Listener")
+        source, target = (
+            ("Asker", "Echoer") if pair.how == "call" else ("Talker", "Listener")
+        )
         ends = (f"{pair.name}-source", f"{pair.name}-target")
         yield Architecture(
             name=pair.name,
@@ -123,7 +125,7 @@ def _architectures() -> Iterator[Architecture]:
                     isolated=pair.kind != "direct",
                     parameters={"size": pair.size},
                 )
-                for name, class_ in zip(ends, classes, strict=True)
+                for name, class_ in zip(ends, (source, target), strict=True)
             ),
             connectors=(
                 Connector(
@@ -225,8 +227,11 @@ def _end(uses: Mapping[Pair, float], kind: str) -> Costs:
     messages = [uses[Pair(kind, "message", size)] for size in SIZES]
     slopes = [(b - a) / (large - small) for a, b in (calls, messages)]
     byte = max(0.0, sum(slopes) / len(slopes))
-    call, message = (max(0.0, each[0] - small * byte) for each in (calls, messages))
-    return Costs(call=call, message=message, byte=byte)
+    return Costs(
+        call=max(0.0, calls[0] - small * byte),
+        message=max(0.0, messages[0] - small * byte),
+        byte=byte,
+    )
 
 
 _WARM_UP = 1.0
@@ -336,6 +341,7 @@ def _keep(robot: Robot, costs: Mapping[str, KindCosts]) -> None:
 def _speeds(
     robot: Robot, reference: str, seconds: float, check: Check
 ) -> tuple[dict[str, ComputerSpeed], list[str]]:
+    """Return the speeds, and why they are doubtful."""
     bare, placement = yardsticks(robot)
     journal = Journal(":memory:")
     with started(bare, placement, journal, nothing, check=check) as up:
@@ -349,8 +355,9 @@ def _speeds(
     for computer in robot.hosts:
         scores = measured.get(computer.name, ())
         loops = max(scores, default=0.0)
-        speed = loops / unit if computer.address else None
-        speeds[computer.name] = ComputerSpeed(loops, speed)
+        speeds[computer.name] = ComputerSpeed(
+            loops, loops / unit if computer.address else None
+        )
         doubts.append(_doubt(computer.name, scores))
     return speeds, doubts
 

@@ -135,9 +135,11 @@ def _busier(one: ConnectorProfile | None, other: ConnectorProfile) -> ConnectorP
     """Combine the counts of both ends: each counts both directions."""
     if one is None:
         return other
-    calls, messages = max(one.calls, other.calls), max(one.messages, other.messages)
-    size = max(one.size, other.size)
-    return ConnectorProfile(calls=calls, messages=messages, size=size)
+    return ConnectorProfile(
+        calls=max(one.calls, other.calls),
+        messages=max(one.messages, other.messages),
+        size=max(one.size, other.size),
+    )
 
 
 AGREE_SHARE = 0.05
@@ -308,8 +310,11 @@ def _memory(
 
 def _by_component(measured: MeasuredUsage) -> dict[str, float]:
     """Return component -> memory of its container, for those that have their own."""
-    alone = {c: members for c, members in measured.members.items() if len(members) == 1}
-    return {name: measured.memory[container] for container, (name,) in alone.items()}
+    return {
+        members[0]: measured.memory[container]
+        for container, members in measured.members.items()
+        if len(members) == 1
+    }
 
 
 def _timers(status: ComponentStatus | None) -> dict[str, TimerProfile]:
@@ -349,9 +354,17 @@ def _connectors(
         used = typical.measured.connectors.get(key)
         encoded = apart.measured.connectors.get(key)
         if used is not None and used.rate:
-            size, mean = sizes.get(key, Summary()), (encoded or used).size
-            shares = {"median": size.median, "p99": size.p99, "largest": size.maximum}
-            yield str(connector), msgspec.structs.replace(used, size=mean, **shares)
+            size = sizes.get(key, Summary())
+            yield (
+                str(connector),
+                msgspec.structs.replace(
+                    used,
+                    size=encoded.size if encoded else used.size,
+                    median=size.median,
+                    p99=size.p99,
+                    largest=size.maximum,
+                ),
+            )
 
 
 def _sizes(statuses: Statuses) -> dict[str, Summary]:

@@ -216,9 +216,12 @@ class _Measuring(Struct, frozen=True, kw_only=True):
         doubtful = disagreeing(runs, rig.measured)
         if doubtful:
             self.say(_not_stable(len(runs), doubtful))
-        robot, speed = self.robot, self._speed()
-        versions = {c.name: version_of(c, *robot.folders) for c in robot.components()}
-        found = figures(robot, rig, runs, sizes, versions=versions, speed=speed)
+        versions = {
+            c.name: version_of(c, *self.robot.folders) for c in self.robot.components()
+        }
+        found = figures(
+            self.robot, rig, runs, sizes, versions=versions, speed=self._speed()
+        )
         silent = self._silent(rig, [*runs, sizes])
         failed = failures(rig.robot, runs[-1], rig.measured)
         for sentence in failed.sentences:
@@ -330,12 +333,13 @@ def _merged(new: Profile, old: Profile | None, robot: Robot) -> Profile:
         return new
     names = {c.name for c in robot.components()}
     components = {n: c for n, c in old.components.items() if n in names}
-    components |= new.components
     connectors = {str(c) for c in robot.all_connectors()}
     joined = {n: c for n, c in old.connectors.items() if n in connectors}
-    joined |= new.connectors
     return msgspec.structs.replace(
-        new, components=components, connectors=joined, costs=old.costs
+        new,
+        components={**components, **new.components},
+        connectors={**joined, **new.connectors},
+        costs=old.costs,
     )
 
 
@@ -368,9 +372,11 @@ def measure_alone(
             invalid = up.computers.end(rig.computer)
             working = up.run.agents.statuses()
             up.run.reach("inactive", ACTIVE_LIMIT)
-            measured, ended = measure(samples), up.run.agents.statuses()
             return Observed(
-                measured=measured, statuses=ended, working=working, invalid=invalid
+                measured=measure(samples),
+                statuses=up.run.agents.statuses(),
+                working=working,
+                invalid=invalid,
             )
     finally:
         journal.close()

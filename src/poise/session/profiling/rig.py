@@ -13,7 +13,7 @@ from collections.abc import Set as AbstractSet
 from pathlib import Path
 
 import msgspec
-from msgspec import Struct, structs
+from msgspec import Struct
 
 from poise.errors import UsageError
 from poise.model.robot import (
@@ -69,9 +69,11 @@ class Played(Struct, frozen=True):
             },
             **(msgspec.to_builtins(self.bag) if self.bag else {}),
         }
-        code = BAG_PLAYER if self.bag else REPLAY
         component = ComponentEntry(
-            name=PLAYER, implementation=code, isolated=True, parameters=parameters
+            name=PLAYER,
+            implementation=BAG_PLAYER if self.bag else REPLAY,
+            isolated=True,
+            parameters=parameters,
         )
         return Architecture(name=PLAYER, function=PLAYER, components=(component,))
 
@@ -87,16 +89,18 @@ class Played(Struct, frozen=True):
     def names(self, robot: Robot) -> dict[str, str]:
         """Return replaced connectors of the robot -> their replacements."""
         ports = self.ports()
-        replaced = {
-            str(c): str(c.between[1]) for c in robot.connectors if self.replaces(c)
+        return {
+            str(c): str(self._connector(str(c.between[1]), ports[str(c.between[1])]))
+            for c in robot.connectors
+            if self.replaces(c)
         }
-        return {n: str(self._connector(end, ports[end])) for n, end in replaced.items()}
 
     @staticmethod
     def _connector(input_: str, name: str) -> Connector:
         component, _, port = input_.partition(".")
-        ends = ConnectorEnd(PLAYER, name), ConnectorEnd(component, port)
-        return Connector(between=ends)
+        return Connector(
+            between=(ConnectorEnd(PLAYER, name), ConnectorEnd(component, port))
+        )
 
 
 def played(robot: Robot) -> Played:
@@ -188,7 +192,7 @@ def rig_of(
     there = {*here, *beside}
     placement = _held_by_devices(rig, {**here, **beside}, (chosen, *others))
     return ProfilingRig(
-        structs.replace(
+        msgspec.structs.replace(
             rig,
             architectures=(chosen, *others),
             connectors=tuple(
@@ -210,12 +214,15 @@ def _emulated(robot: Robot, computer: str) -> tuple[Robot, str]:
     total = sum(c.total("cpu") for c in robot.hosts)
     memory = sum(c.capacity["memory"] for c in robot.hosts)
     others = Computer(name=OTHERS, capacity={"cpu": total, "memory": memory})
-    rig = structs.replace(
+    rig = msgspec.structs.replace(
         robot,
         computers=(chosen, others),
         links=(),
         # one machine emulates both, so its simulator reaches both
-        devices=tuple(structs.replace(d, computer=computer) for d in robot.devices),
+        devices=tuple(
+            msgspec.structs.replace(device, computer=computer)
+            for device in robot.devices
+        ),
         simulator=_simulator(robot),
     )
     return rig, OTHERS
@@ -223,7 +230,7 @@ def _emulated(robot: Robot, computer: str) -> tuple[Robot, str]:
 
 def _real(robot: Robot, computer: str) -> tuple[Robot, str]:
     names = [c.name for c in robot.hosts if c.name != computer]
-    rig = structs.replace(robot, simulator=_simulator(robot))
+    rig = msgspec.structs.replace(robot, simulator=_simulator(robot))
     return rig, names[0] if names else computer
 
 
@@ -241,8 +248,12 @@ def _held_by_devices(
     """Return the placement, with components of real devices at their devices."""
     if rig.is_emulated:
         return dict(placement)
-    components = [c for a in architectures for c in a.components]
-    held = {c.name: rig.device(d).computer for c in components for d in c.devices}
+    held = {
+        component.name: rig.device(device).computer
+        for architecture in architectures
+        for component in architecture.components
+        for device in component.devices
+    }
     return {**placement, **held}
 
 
@@ -252,8 +263,11 @@ def _apart(architecture: Architecture) -> Architecture:
         implementation="poise.runtime.component.component:Component",
         isolated=True,
     )
-    alone = (structs.replace(each, isolated=True) for each in architecture.components)
-    return structs.replace(architecture, components=(*alone, empty))
+    alone = (
+        msgspec.structs.replace(component, isolated=True)
+        for component in architecture.components
+    )
+    return msgspec.structs.replace(architecture, components=(*alone, empty))
 
 
 def _feeding(
@@ -293,6 +307,7 @@ def _needed(
 
 
 def _required(robot: Robot, name: str) -> set[str]:
+    """Return the names of a component's required ports."""
     component = robot.component(name)
     if not component.implementation:
         return {port.name for port in component.ports if port.kind == "requires"}

@@ -66,8 +66,12 @@ def profiled(robot: Robot) -> Profiled:
     if profile.costs:
         costs = "overheads from measured costs of connectors"
     says = [f"demands from {source}, {profile.at}", costs]
-    measured = [c for c in robot.components() if c.name in profile.components]
-    own = [c.name for c in measured if {"cpu", "memory"} <= c.demand.keys()]
+    own = [
+        component.name
+        for component in robot.components()
+        if component.name in profile.components
+        and {"cpu", "memory"} <= component.demand.keys()
+    ]
     if own:
         says.append(f"demands from the robot file, which take precedence: {_some(own)}")
     if gaps := missing(robot, profile):
@@ -85,10 +89,13 @@ def _some(names: list[str]) -> str:
 
 def stale(robot: Robot, profile: Profile) -> list[str]:
     """Return the components whose code or parameters changed since the measurement."""
-    versions = {name: each.version for name, each in profile.components.items()}
-    measured = (each for each in robot.components() if each.name in versions)
-    current = ((each.name, version_of(each, *robot.folders)) for each in measured)
-    return [name for name, version in current if version != versions[name]]
+    return [
+        component.name
+        for component in robot.components()
+        if component.name in profile.components
+        and profile.components[component.name].version
+        != version_of(component, *robot.folders)
+    ]
 
 
 _MIB = 2**20

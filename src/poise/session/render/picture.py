@@ -48,9 +48,15 @@ def picture(shares: Mapping[str, float], hosted: Iterable[Hosted]) -> str:
 def planned_picture(result: plan.Result, title: str) -> str:
     """Return the picture of a planned placement; a title if there is one."""
     problem = result.problem
-    where = result.placement
-    placed = (component for component in problem.components if component.name in where)
-    hosted = [Hosted(c.name, where[c.name], c.demand.get("cpu", 0.0)) for c in placed]
+    hosted = [
+        Hosted(
+            component.name,
+            result.placement[component.name],
+            component.demand.get("cpu", 0.0),
+        )
+        for component in problem.components
+        if component.name in result.placement
+    ]
     if not hosted:
         return ""
     shares = {}

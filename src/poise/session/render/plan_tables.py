@@ -134,6 +134,7 @@ def _missing(result: plan.Result) -> str:
 
 
 def _short(result: plan.Result) -> list[str]:
+    """Return what computers are short of, where that is shared."""
     return [
         _line(
             f"short on {lack.computer}",
@@ -176,6 +177,7 @@ def _some(names: list[str]) -> str:
 def _used(
     problem: plan.Problem, result: plan.Result
 ) -> defaultdict[tuple[str, str], float]:
+    """Return what a placement uses of each computer's resources."""
     used: defaultdict[tuple[str, str], float] = defaultdict(float)
     for component in problem.components:
         there = result.placement.get(component.name)
@@ -221,8 +223,9 @@ def _phases(task_result: plan.TaskResult) -> tuple[RenderableType, ...]:
         )
     parts: list[RenderableType] = [rows]
     if task_result.reason:
-        is_whole = task_result.feasible
-        head = "suspended: not everything fits" if is_whole else "not feasible"
+        head = (
+            "suspended: not everything fits" if task_result.feasible else "not feasible"
+        )
         parts.append(_line(head, task_result.reason))
     for name, result in task_result.results.items():
         parts += [f"{name}: {f} by {by}" for f, by in result.architectures.items()]
@@ -311,8 +314,11 @@ def _show_options(explanation: plan.Explanation, console: Console) -> None:
         names = ", ".join(explanation.together)
         console.print(f"It moves together with {names}.", highlight=False)
     options = explanation.options
-    changes = [option.change for option in options]
-    terms = [n for n in TERMS if n in ALWAYS or any(getattr(c, n) for c in changes)]
+    terms = [
+        name
+        for name in TERMS
+        if name in ALWAYS or any(getattr(each.change, name) for each in options)
+    ]
     rows = table("computer", "F", "change", *terms, "", folds=3 + len(terms))
     for option in options:
         here = option.computer == explanation.computer

@@ -50,14 +50,20 @@ class Printable:
 
 
 _GREY, _BLUE, _PURPLE = (127, 127, 127), (46, 117, 207), (163, 94, 163)
-_RED, _GREEN, _YELLOW, _CYAN = (
-    (219, 70, 48),
-    (30, 138, 90),
-    (128, 128, 0),
-    (20, 133, 133),
+_COLOURS = TerminalTheme(
+    (255, 255, 255),
+    (0, 0, 0),
+    [
+        _GREY,
+        (219, 70, 48),
+        (30, 138, 90),
+        (128, 128, 0),
+        _BLUE,
+        _PURPLE,
+        (20, 133, 133),
+        _GREY,
+    ],
 )
-_ANSI = [_GREY, _RED, _GREEN, _YELLOW, _BLUE, _PURPLE, _CYAN, _GREY]
-_COLOURS = TerminalTheme((255, 255, 255), (0, 0, 0), _ANSI)
 """Can be read on a light page, and on a dark one."""
 _HTML = '<pre style="line-height:normal">{code}</pre>'
 

@@ -23,8 +23,11 @@ def show_profile(robot: Robot, profile: Profile, console: Console) -> None:
         f"robot '{profile.robot}' on '{profile.computer}' (speed {profile.speed:g}), "
         f"{profile.at}, Poise {profile.poise}, {profile.seconds:g} s each time"
     )
-    known = profile.components
-    found = {c.name: known[c.name] for c in robot.components() if c.name in known}
+    found = {
+        component.name: profile.components[component.name]
+        for component in robot.components()
+        if component.name in profile.components
+    }
     console.print(_cpu(found))
     console.print(_needs(found))
     console.print(_timers(found))

@@ -47,8 +47,11 @@ def time_line(
     strips[_MISSED] = [
         (m.at - began, max(m.missed.values(), default=0.0)) for m in moments
     ]
-    shown = {number: each for number, each in entries.items() if each.at >= began}
-    marks = {number: Mark(each.at - began, str(each)) for number, each in shown.items()}
+    marks = {
+        number: Mark(entry.at - began, str(entry))
+        for number, entry in entries.items()
+        if entry.at >= began
+    }
     return over_time(strips, marks, end, "CPU and missed deadlines over time")
 
 
@@ -193,7 +196,9 @@ def document(title: str, body: str) -> str:
 
 def _events(report: RunRecord) -> list[JournalEntry]:
     """Return what the manager saw and did, and the containers that ended, in turn."""
-    faults = [JournalEntry(f.at, "wrong", f.message, {}) for f in report.faults]
+    faults = [
+        JournalEntry(each.at, "wrong", each.message, {}) for each in report.faults
+    ]
     return sorted([*report.journal, *faults], key=lambda each: each.at)
 
 
@@ -227,8 +232,9 @@ def _deadlines(report: RunRecord) -> Iterator[_Deadline]:
             if timer.deadline is not None:
                 p99 = timer.lateness.p99 + timer.duration.p99
                 counts = timer.releases, timer.missed, p99, component.computer
-                name = f"{component.name}.{timer.name}"
-                yield _Deadline(name, timer.deadline, *counts)
+                yield _Deadline(
+                    f"{component.name}.{timer.name}", timer.deadline, *counts
+                )
     for chain in report.chains:
         where = " → ".join(hop.computer for hop in chain.hops)
         counts = chain.age.count, chain.missed, chain.age.p99, where
@@ -237,8 +243,10 @@ def _deadlines(report: RunRecord) -> Iterator[_Deadline]:
 
 def _worst(report: RunRecord, entries: Mapping[int, JournalEntry]) -> Iterator[str]:
     """Yield the deadlines that were missed most, and what happened around them."""
-    deadlines = sorted(_deadlines(report), key=lambda each: -each.share)
-    missed = [each for each in deadlines if each.missed]
+    missed = sorted(
+        (each for each in _deadlines(report) if each.missed),
+        key=lambda each: -each.share,
+    )
     if never := ", ".join(d.name for d in _deadlines(report) if not d.times):
         yield f"<p>Nothing is known of {escape(never)}: never due, or never used.</p>"
     if not missed:
@@ -249,10 +257,14 @@ def _worst(report: RunRecord, entries: Mapping[int, JournalEntry]) -> Iterator[s
         moments = [m for m in report.history if late.name in m.missed]
         worst = max(moments, key=lambda m: m.missed[late.name], default=None)
         around = _around(late.name, worst, entries, report.began) if worst else ""
-        name = escape(f"{late.name}, {late.where}")
-        share = f"{late.missed} of {late.times} ({late.share:.1%})"
-        age = f"{format_seconds(late.p99)} of {format_seconds(late.deadline)}"
-        rows.append((name, share, age, around))
+        rows.append(
+            (
+                escape(f"{late.name}, {late.where}"),
+                f"{late.missed} of {late.times} ({late.share:.1%})",
+                f"{format_seconds(late.p99)} of {format_seconds(late.deadline)}",
+                around,
+            )
+        )
     head = "timer or chain, computer", "missed", "p99, deadline", "at its worst"
     yield html_table(head, rows)
     if more := missed[_MOST_DEADLINES:]:

@@ -83,9 +83,12 @@ def _bar(
 
 
 def _sentence(run: RunningComponents, now: float, seconds: float) -> str:
-    components = components_of(run.agents.statuses())
-    every = (timer for component in components for timer in component.timers)
-    timers = [timer for timer in every if timer.deadline is not None]
+    timers = [
+        timer
+        for component in components_of(run.agents.statuses())
+        for timer in component.timers
+        if timer.deadline is not None
+    ]
     missed, releases = sum(t.missed for t in timers), sum(t.releases for t in timers)
     left = max(0.0, seconds - now)
     return f"{now:.0f} s, {left:.0f} s left: {missed} of {releases} deadlines missed"

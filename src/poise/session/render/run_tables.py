@@ -90,8 +90,11 @@ def _world(report: RunRecord) -> Iterator[RenderableType]:
     if rows.row_count:
         yield rows
     elif report.simulation:
-        facts = report.simulation.items()
-        plain = (f"{k} {v}" for k, v in facts if not isinstance(v, list | dict))
+        plain = (
+            f"{key} {value}"
+            for key, value in report.simulation.items()
+            if not isinstance(value, list | dict)
+        )
         yield f"the simulated world says: {escape(', '.join(plain))}"
 
 
@@ -118,8 +121,11 @@ def _failures(report: RunRecord) -> Iterator[RenderableType]:
     for name, count in report.lost.items():
         lost = f"{most}{counted(count, 'message')}"
         yield f"[red]{name}: {lost} sent and not processed[/]"
-    drops = [(each.name, each.drops) for each in report.connectors if each.drops]
-    dropped = (f"{name}: {counted(many, 'message')} dropped" for name, many in drops)
+    dropped = (
+        f"{each.name}: {counted(each.drops, 'message')} dropped"
+        for each in report.connectors
+        if each.drops
+    )
     for sentence in (*dropped, *failed_calls(report.connectors)):
         yield f"[yellow]{sentence}[/]"
     for port in report.silent:

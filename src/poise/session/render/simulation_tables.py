@@ -284,8 +284,12 @@ _ABOUT_TIME = (
 def simulation_page(simulation: SimulationReport, figures: str) -> str:
     """Return the page: the verdict, what happened when, what was late, all figures."""
     title = f"{simulation.robot}: {simulation.task}, simulated"
-    head, then = f"<h1>{html.escape(title)}</h1>", "<h2>All figures</h2>"
-    parts = [head, *_pictures(simulation), then, figures]
+    parts = [
+        f"<h1>{html.escape(title)}</h1>",
+        *_pictures(simulation),
+        "<h2>All figures</h2>",
+        figures,
+    ]
     return document(title, "\n".join(parts))
 
 

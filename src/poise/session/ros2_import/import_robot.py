@@ -112,8 +112,9 @@ def chains_of(topics: Sequence[Topic]) -> Iterator[StampedChain]:
             nodes = _back_from(flow, topics, ())
             for last in topic.subscribers:
                 if len(nodes) > 1 and last not in nodes:
-                    whole = (*nodes, last)
-                    yield StampedChain(topic=topic.name, nodes=whole, age=flow.age)
+                    yield StampedChain(
+                        topic=topic.name, nodes=(*nodes, last), age=flow.age
+                    )
 
 
 def _back_from(
@@ -243,8 +244,10 @@ class RobotText:
         yield f"  {name}:"
         yield f"    function: {name}"
         yield "    components:"
-        cpu, memory = max(process.cpu, 0.001), _ROOM * process.memory / 2**20
-        demand = {"cpu": f"{cpu:.1%}", "memory": f"{memory:.0f} MiB"}
+        demand = {
+            "cpu": f"{max(process.cpu, 0.001):.1%}",
+            "memory": f"{_ROOM * process.memory / 2**20:.0f} MiB",
+        }
         devices = [_device(path) for path in process.devices]
         keys = {**start.keys, **demand, **({"devices": devices} if devices else {})}
         yield f"      {name}:"

@@ -45,7 +45,7 @@ def relevant(environment: Mapping[str, str]) -> dict[str, str]:
     }
 
 
-def find_pid(low: int) -> int | None:
+def find_pid(low: int, proc: Path = Path("/proc")) -> int | None:
     """Return the process whose id ends so and that has ROS 2 loaded; None: unclear.
 
     Parameters
@@ -53,8 +53,11 @@ def find_pid(low: int) -> int | None:
     low
         The last 16 bits of its id, in its own namespace of processes.
     """
-    folders = (each for each in Path("/proc").iterdir() if each.name.isdigit())
-    found = [int(f.name) for f in folders if low in _low_ids(f) and _has_ros(f)]
+    found = [
+        int(folder.name)
+        for folder in proc.iterdir()
+        if folder.name.isdigit() and low in _low_ids(folder) and _has_ros(folder)
+    ]
     return found[0] if len(found) == 1 else None
 
 
@@ -357,8 +360,11 @@ def start_of(process: NodeProcess, here: WhereImported) -> Start:
     if not process.arguments:
         return Start(remarks=("its command line cannot be read",))
     found = split(process.arguments)
-    known = here.environment
-    differs = {n: v for n, v in process.environment.items() if known.get(n) != v}
+    differs = {
+        name: value
+        for name, value in process.environment.items()
+        if here.environment.get(name) != value
+    }
     ros2, remarks = _program(process, found, here), list[str]()
     params, files = _parameters(process, found, here, remarks)
     params |= found.params

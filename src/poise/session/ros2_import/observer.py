@@ -209,6 +209,7 @@ class _Observer:
         }
 
     def _measure(self, end: float) -> None:
+        """Look at all topics until `end`."""
         looked = -_POLL
         while (now := time.monotonic()) < end:
             if now >= looked + _POLL:
@@ -254,8 +255,11 @@ class _Observer:
             if _is_hidden(topic):
                 continue
             publishers = self._node.get_publishers_info_by_topic(topic)
-            every = self._node.get_subscriptions_info_by_topic(topic)
-            subscribers = [info for info in every if info.node_name != _NAME]
+            subscribers = [
+                info
+                for info in self._node.get_subscriptions_info_by_topic(topic)
+                if info.node_name != _NAME
+            ]
             if publishers or subscribers:
                 found[topic] = _Ends(types[0], publishers, subscribers)
         return found

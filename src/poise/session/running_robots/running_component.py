@@ -212,9 +212,12 @@ class RunningComponent:
         return dict(unpack(self._sent(command, PARAMETERS).value))
 
     def _ask(self, port: str, method: str, value: object, limit: float) -> PortAnswer:
-        packed = _packed(value)
         command = PortCommand(
-            component=self.name, port=port, method=method, value=packed, limit=limit
+            component=self.name,
+            port=port,
+            method=method,
+            value=_packed(value),
+            limit=limit,
         )
         return self._sent(command, port)
 
@@ -240,6 +243,8 @@ _ALL = 1e6
 
 
 class _Interface:
+    """Calls a component as its interface has it."""
+
     def __init__(
         self, component: RunningComponent, port: str, type_: type, limit: float
     ) -> None:

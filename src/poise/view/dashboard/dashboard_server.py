@@ -71,8 +71,10 @@ class Guard:
 
     def _known(self, shown: str) -> str:
         """Return the token that is shown; empty: it is none."""
-        same, given = secrets.compare_digest, shown.encode()
-        return next((t for t in self._tokens if same(given, t.encode())), "")
+        given = shown.encode()
+        return next(
+            (t for t in self._tokens if secrets.compare_digest(given, t.encode())), ""
+        )
 
 
 _CLOSED = "open the address with the token that `poise dashboard` printed"
@@ -267,8 +269,9 @@ def serve(
         tokens = {secrets.token_urlsafe(18): may_act for may_act in (True, False)}
     dashboard = Dashboard(robot)
     app.add_middleware(Guard, tokens=tokens)
-    create = background_tasks.create
-    app.on_startup(lambda: create(dashboard.keep_reading(), name="reader"))
+    app.on_startup(
+        lambda: background_tasks.create(dashboard.keep_reading(), name="reader")
+    )
     for name in ("routes.js", "charts.js"):
         app.add_static_file(local_file=_HERE / name, url_path=f"/poise/{name}")
     at = f"[{host}]" if ":" in host else host
@@ -282,7 +285,7 @@ def serve(
         for other in others:
             say(f"for viewers: {other}")
 
-    app.on_startup(lambda: create(say_where(), name="where"))
+    app.on_startup(lambda: background_tasks.create(say_where(), name="where"))
     ui.page("/", title=f"Poise: {robot}" if robot else "Poise")(dashboard.build)
     ui.run(
         host=host,

@@ -45,7 +45,9 @@ class PageState:
             chain.name: _chain(chain, view.chains[chain.name], status)
             for chain in status.chains
         }
-        page["connectors"] = {row.name: _connector(row) for row in view.connectors}
+        page["connectors"] = {
+            connector.name: _connector(connector) for connector in view.connectors
+        }
         page["components"] = components = dict(_components(status))
         for timer in timers.values():
             component = components.get(timer["component"])  # None: it is being ended
@@ -101,21 +103,27 @@ class Updates:
 
 def _robot(seen: LiveReading) -> dict[str, Any]:
     status = seen.status
-    trouble, since = seen.trouble, seen.since
-    shown: dict[str, Any] = {"trouble": trouble, "since": since, "old": seen.is_old}
+    shown: dict[str, Any] = {
+        "trouble": seen.trouble,
+        "since": seen.since,
+        "old": seen.is_old,
+    }
     if status is not None:
         shown |= {
             "name": status.robot,
             "task": status.task,
             "tasks": [_task(report) for report in status.tasks],
             "startable": list(status.robot_tasks),
-            "deviations": [d.what for d in status.deviations if d.what != seen.trouble],
+            "deviations": [
+                each.what for each in status.deviations if each.what != seen.trouble
+            ],
             "managed": not status.by_agents,
         }
     return shown
 
 
 def _task(report: Any) -> dict[str, Any]:  # noqa: ANN401, `view` does not import the manager
+    """Return how a task is, what it does now, and what comes next."""
     return {
         "name": report.name,
         "state": report.state,
@@ -334,6 +342,7 @@ def _share(computer: dict[str, Any]) -> float | None:
 
 
 def _late(page: Page) -> float | None:
+    """Return the largest share of deadlines that a timer misses now."""
     shares = [timer["now"] for timer in page["timers"].values() if timer["deadline"]]
     known = [share for share in shares if share is not None]
     return max(known) if known else None
