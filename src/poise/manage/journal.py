@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import contextlib
 import logging
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, BinaryIO, Literal, get_args
 
 import msgspec
 from msgspec import Struct
@@ -213,8 +212,7 @@ def read_journal(path: Path | str, after: int = 0) -> list[JournalEntry]:
     found: list[JournalEntry] = []
     num_others = 0
     try:
-        older = filter(Path.exists, numbered(path, FILES))
-        for line in _lines_backwards([path, *older]):
+        for line in _lines_backwards(path):
             entry = _parsed(line)
             if entry is None:
                 num_others += 1
@@ -240,9 +238,12 @@ def _unreadable(path: Path, why: str) -> UsageError:
     )
 
 
-def _lines_backwards(paths: Iterable[Path]) -> Iterator[bytes]:
-    for path in paths:
-        yield from filter(None, reversed(path.read_bytes().split(b"\n")))
+def _lines_backwards(path: Path) -> Iterator[bytes]:
+    """Yield the lines of a journal, the last one first."""
+    yield from filter(None, reversed(path.read_bytes().split(b"\n")))
+    for older in numbered(path, FILES):
+        if older.exists():
+            yield from filter(None, reversed(older.read_bytes().split(b"\n")))
 
 
 def _parsed(line: bytes) -> JournalEntry | None:
@@ -254,9 +255,24 @@ def _parsed(line: bytes) -> JournalEntry | None:
 
 def _last_number(path: Path) -> int:
     """Return the number of a journal's last entry; 0: it has none that can be read."""
-    paths = filter(Path.exists, (path, *numbered(path, FILES)))
-    with contextlib.suppress(OSError):
-        for line in _lines_backwards(paths):
-            if (entry := _parsed(line)) is not None:
-                return entry.number
+    for candidate in (path, *numbered(path, FILES)[:1]):
+        try:
+            with candidate.open("rb") as file:
+                entry = _last_entry(file, candidate.stat().st_size)
+        except OSError:
+            continue
+        if entry is not None:
+            return entry.number
     return 0
+
+
+def _last_entry(file: BinaryIO, size: int) -> JournalEntry | None:
+    """Return the last entry of a file of `size` bytes that can be read."""
+    tail = _TAIL
+    while True:
+        file.seek(max(0, size - tail))
+        lines = file.read().split(b"\n")
+        found = filter(None, map(_parsed, reversed(lines)))
+        if (entry := next(found, None)) is not None or tail >= size:
+            return entry
+        tail *= 4  # an entry may be as long

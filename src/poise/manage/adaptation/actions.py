@@ -206,8 +206,9 @@ class CrashLoops:
                 stays = f"component '{name}' stays on '{symptom.computer}'"
                 goes_on = "its agent keeps restarting it"
                 raise RunError(f"{stays}: {pinned[name]}; {goes_on}")
-        before = _crashed_before(container, situation, now)
-        before |= self._crashed.get(container, {})
+        before = _crashed_before(container, situation, now) | self._crashed.get(
+            container, {}
+        )
         crashed = {at: when for at, when in before.items() if now - when < FORGET_AFTER}
         crashed[symptom.computer] = now
         self._crashed[container] = crashed
@@ -244,8 +245,9 @@ class CrashLoops:
         self._suspensions.quarantine(architecture.name)
         is_there = any(c.name in self._run.placed for c in architecture.components)
         # else the last try to start it ended so
-        suspensions = self._suspensions
-        put = suspensions.suspend if is_there else suspensions.note_suspended
+        put = (
+            self._suspensions.suspend if is_there else self._suspensions.note_suspended
+        )
         put([architecture.name], f"{why}; {way_out}", now)
 
 

@@ -113,7 +113,13 @@ def alternatives(situation: Situation) -> tuple[Alternative, ...]:
     stays, *moves = _single_moves(situation.left().robot_now, now)
     moves.sort(key=lambda move: move[0])
     found = [work_out(*move) for move in moves[:_MOST_TRIED]]
-    found.sort(key=lambda each: (bool(each.breaks), each.short, each.total))
+    found.sort(
+        key=lambda alternative: (
+            bool(alternative.breaks),
+            alternative.short,
+            alternative.total,
+        )
+    )
     return (work_out(*stays), *found[:_MOST_KEPT])
 
 
@@ -122,7 +128,9 @@ def _single_moves(
 ) -> Iterator[tuple[float, tuple[TransitionStep, ...]]]:
     """Yield what CPU is missing [cores]: as it is, and after each move."""
     demands = robot.demands("cpu")
-    left = {name: has.get("cpu", 0.0) for name, has in residue(robot, now).items()}
+    left = {
+        name: amounts.get("cpu", 0.0) for name, amounts in residue(robot, now).items()
+    }
     yield _missing(left), ()
     allowed = allowed_computers(robot)
     movable = {c.name for c in robot.components() if c.movable}
@@ -187,6 +195,7 @@ def _new_breaks(
 
 
 def _broken(robot: Robot, placement: Mapping[str, str]) -> Sequence[str]:
+    """Return the limits that a placement breaks, in the planner's words."""
     if not placement:
         return []
     problem = plan.keep_components(plan.problem_of(robot), placement.keys())

@@ -70,8 +70,9 @@ class FailoverResponder:
             return None
         failover = plan_failover(situation, lost)
         before, self._missing = self._missing, set(failover.missing)
-        waits = failover.waits_for_room
-        self._tries_again = now + _ROOM_EVERY if waits else float("inf")
+        self._tries_again = (
+            now + _ROOM_EVERY if failover.waits_for_room else float("inf")
+        )
         for name, why in sorted(failover.missing.items()):
             if name not in before:
                 where = desired.placed[name].computer
@@ -135,10 +136,10 @@ def plan_failover(situation: Situation, lost: Collection[str]) -> FailoverPlan:
         where = {name: result.placement[name] for name in stranded}
         has_room = plan.evaluate(result.problem, {**works, **where}).feasible
         then = works if has_room else {name: result.placement[name] for name in works}
-        with contextlib.suppress(
-            RobotError
-        ):  # no way leads there, or over what is lost
-            robot = situation.of_running_components().robot
+        with contextlib.suppress(RobotError):  # no way leads there
+            robot = (
+                situation.of_running_components().robot
+            )  # no way leads over what is lost
             steps = plan_transition(robot, works, then, shares_cpu=True)
             return FailoverPlan(placement=where, missing=missing, steps=steps)
     kept = {name: (at,) for name, at in works.items()}
@@ -192,13 +193,16 @@ def _more_and_more(
     situation: Situation, priority: int, kept: Homes
 ) -> Iterator[tuple[Architecture, ...]]:
     """Yield which of the running architectures of less priority make room."""
-    lower = [
-        a
-        for a in sorted(situation.robot.architectures, key=lambda a: a.priority)
-        if a.layer == "sequencing"
-        and a.priority < priority
-        and any(c.name in kept for c in a.components)
-    ]
+    lower = sorted(
+        (
+            a
+            for a in situation.robot.architectures
+            if a.layer == "sequencing"
+            and a.priority < priority
+            and any(c.name in kept for c in a.components)
+        ),
+        key=lambda a: a.priority,
+    )
     for number in range(len(lower) + 1):
         yield tuple(lower[:number])
 
@@ -220,12 +224,16 @@ class Transitions:
         self.limits = MoveLimits()
         self.downtimes: dict[str, float] = {}
         self.loss = LossSuffered()
-        self.policies = policies
+        self._policies = policies
         self._suspensions = suspensions
+
+    def due(self, symptoms: tuple[Symptom, ...], now: float) -> tuple[Symptom, ...]:
+        """Return the symptoms about which something may be done now."""
+        return self._policies.due(symptoms, now)
 
     def began(self, symptoms: tuple[Symptom, ...], now: float) -> float:
         """Return when the first of the symptoms was seen first."""
-        return min(self.policies.since.get(symptom.key, now) for symptom in symptoms)
+        return min(self._policies.since.get(symptom.key, now) for symptom in symptoms)
 
     def carry_out(
         self, steps: tuple[TransitionStep, ...], now: float
@@ -253,7 +261,7 @@ class Transitions:
 
     def _act(self, decision: Decision, due: tuple[Symptom, ...], now: float) -> None:
         proposal = decision.proposal
-        self.policies.note_acted(due, now)
+        self._policies.note_acted(due, now)
         self.loss.note_change(decision.undone, decision.gain, now)
         report = self.carry_out(proposal.steps if proposal else (), now)
         if report.committed and proposal:
@@ -283,15 +291,17 @@ class ReplanResponder:
         """Return the transition to a better placement, if that is worth it."""
         limits, now = self._transitions.limits, situation.now
         bad = situation.about("replan")
-        keys = [symptom.key for symptom in situation.symptoms]
-        self._said = {key: self._said.get(key, "") for key in keys}
+        self._said = {
+            symptom.key: self._said.get(symptom.key, "")
+            for symptom in situation.symptoms
+        }
         if not bad:
             limits.reset_backoff()
             self._transitions.loss.end(now)
             return None
         links = (s.values.name for s in bad if s.policy.for_each == "link")
         situation = replace(situation, bad_links=frozenset(links))
-        due = self._transitions.policies.due(bad, now)
+        due = self._transitions.due(bad, now)
         if (
             not due
             or now < self._think_at
@@ -342,17 +352,23 @@ class UseAgainResponder:
         limits, now = self._transitions.limits, situation.now
         self._back |= dict.fromkeys(sorted(self._lost - situation.lost), now)
         self._lost = situation.lost
-        calm = [name for name, at in self._back.items() if now - at >= CALM]
-        back = [name for name in calm if name not in situation.lost]
+        back = [
+            name
+            for name, at in self._back.items()
+            if now - at >= CALM and name not in situation.lost
+        ]
         if not back or situation.about("replan") or limits.is_backing_off(now):
             return None
         for name in back:
             del self._back[name]
         decision = decide(situation)
         why_not = self._transitions.why_not(decision, now)
-        why = "every running component has the CPU that it needs"
-        if decision.acts or decision.proposal is not None:
-            why = decision.why
+        is_better = decision.acts or decision.proposal is not None
+        why = (
+            decision.why
+            if is_better
+            else "every running component has the CPU that it needs"
+        )
         names = " and ".join(f"'{name}'" for name in back)
         note = self._transitions.run.journal.note
         note("seen", f"{names} may be used again; {why}")

@@ -58,7 +58,7 @@ def _computers(situation: Situation) -> Iterator[Values]:
 
 def _components(situation: Situation) -> Iterator[Values]:
     states = {
-        (computer, component.name): (component, container.name)
+        (computer, component.name): (component, container)
         for computer, status in situation.statuses.items()
         for container in status.containers
         for component in container.components
@@ -68,13 +68,15 @@ def _components(situation: Situation) -> Iterator[Values]:
         for computer, status in situation.statuses.items()
         for health in status.health
     }
-    demands = {each.component: each.estimate for each in situation.demand_estimates}
+    demands = {
+        demand.component: demand.estimate for demand in situation.demand_estimates
+    }
     for architecture in situation.robot.architectures:
         for entry in architecture.components:
             if (computer := situation.placement.get(entry.name)) is None:
                 continue
             demand = demands.get(entry.name)
-            component, container = states.get((computer, entry.name), (None, ""))
+            component, container = states.get((computer, entry.name), (None, None))
             yield ComponentValues(
                 name=entry.name,
                 computer=computer,
@@ -87,14 +89,18 @@ def _components(situation: Situation) -> Iterator[Values]:
                 hung=component.hung if component else 0.0,
                 long_job=demand.long_job if demand else 0.0,
                 errors=component.errors if component else 0,
-                memory=memory.get((computer, container), 0.0),
+                memory=memory.get((computer, container.name), 0.0)
+                if container
+                else 0.0,
             )
 
 
 def _containers(situation: Situation) -> Iterator[Values]:
     demands = situation.robot.demands("memory")
     for computer, status in situation.statuses.items():
-        inside = {each.name: each.components for each in status.containers}
+        inside = {
+            container.name: container.components for container in status.containers
+        }
         for health in status.health:
             components = inside.get(health.name, ())
             # what a component allocates in `configure` is no leak
@@ -138,7 +144,9 @@ def _robots(situation: Situation) -> Iterator[Values]:
         lost=len(situation.lost),
         late=sum(timer.late for timer in situation.misses),
         used=sum(load.used for load in situation.loads.values()),
-        calls=sum(each.calls + each.messages for each in situation.traffic.values()),
+        calls=sum(
+            traffic.calls + traffic.messages for traffic in situation.traffic.values()
+        ),
     )
 
 

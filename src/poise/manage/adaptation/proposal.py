@@ -114,8 +114,9 @@ def nothing_helps(situation: Situation, gone: str = "") -> str:
     others = _others(situation)
     what = f"{late(situation)}{known}{others}: another placement would not help. "
     if gone:
-        lost = f"Lost with their computers: {gone}; components that need them wait"
-        return f"{what}{lost}"
+        return (
+            f"{what}Lost with their computers: {gone}; components that need them wait"
+        )
     return f"{what}Check whether a component is blocked, or a deadline too short"
 
 
@@ -202,8 +203,9 @@ def propose(
         if not is_quick:
             explain(result)
         needs = "".join(f"; {name} needs {demand}" for name, demand in shifted.items())
-        why = f"{result.reason}{needs}"
-        raise RobotError(f"task '{task}' has no placement any more: {why}")
+        raise RobotError(
+            f"task '{task}' has no placement any more: {result.reason}{needs}"
+        )
     present = plan.evaluate(problem, now)
     assert present.objective is not None  # noqa: S101, a given placement has terms
     return Proposal(

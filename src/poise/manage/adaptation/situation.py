@@ -114,8 +114,10 @@ class Situation(Struct, frozen=True, kw_only=True, dict=True):
     def computers_left(self, *, is_cautious: bool = False) -> tuple[Computer, ...]:
         """Return the computers with what other programs leave of their CPU."""
         return tuple(
-            _less_background(c, self.loads.get(c.name), is_cautious=is_cautious)
-            for c in self.robot.computers
+            _less_background(
+                computer, self.loads.get(computer.name), is_cautious=is_cautious
+            )
+            for computer in self.robot.computers
         )
 
     def amounts(self) -> dict[str, float]:

@@ -36,15 +36,19 @@ def nothing() -> None:
 
 
 class CheckpointCopies:
-    """The last checkpoint of each component that agents sent. Any thread may ask."""
+    """The last checkpoint of each component, as its agent sent it. Any thread may ask.
 
-    def __init__(self) -> None:
+    `clock`: returns the time [s].
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
         self._lock = threading.Lock()
         self._copies: dict[str, tuple[CheckpointCopy, float]] = {}
 
     def note(self, copy: CheckpointCopy) -> None:
         """Keep a copy; one without data says that the one before still holds."""
-        now = time.monotonic()
+        now = self._clock()
         with self._lock:
             before, _ = self._copies.get(copy.component, (copy, now))
             if before.epoch > copy.epoch:
@@ -61,7 +65,7 @@ class CheckpointCopies:
             copy, at = self._copies.get(component, (None, 0.0))
         if copy is None or copy.epoch != epoch:
             return None
-        return structs.replace(copy, age=copy.age + time.monotonic() - at)
+        return structs.replace(copy, age=copy.age + self._clock() - at)
 
 
 class AgentReports:

@@ -6,7 +6,7 @@ import secrets
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from typing import Any
 
-from msgspec.structs import asdict, replace
+from msgspec.structs import replace
 
 from poise.clock import wall_time
 from poise.errors import PoiseError, RunError, UsageError, did_you_mean, listed
@@ -40,7 +40,6 @@ from poise.wire.records.migration_records import StepsFailed
 from poise.wire.records.request_records import (
     MOST_PACKED,
     PARAMETERS,
-    Answer,
     OutputLines,
     PortAnswer,
     PortRequest,
@@ -139,8 +138,10 @@ def _place(run: RunningComponents, name: str) -> tuple[str, str]:
         return "", f"component '{name}' does not run: no task at work needs it"
     if placed.computer in run.agents.out_of_reach():
         return "", f"computer '{placed.computer}' is out of reach"
-    for component in components_of(run.agents.statuses()):
-        if (component.name, component.epoch) == placed.key:
+    statuses = run.agents.statuses()
+    here = {c: s for c, s in statuses.items() if c == placed.computer}
+    for component in components_of(here):
+        if (component.name, component.epoch) == (name, placed.epoch):
             is_active = component.state == "active"
             return placed.computer if is_active else "", f"it is {component.state}"
     return "", f"component '{name}' does not run on '{placed.computer}' yet"
@@ -151,12 +152,16 @@ def _ask(
 ) -> PortAnswer:
     limit = max(0.0, until - run.clock.now())
     request = PortRequest(
-        number=secrets.randbits(_BITS),
+        number=secrets.randbits(62),
         container=run.layout.container_of(
             run.placed.get(command.component)
             or Incarnation(component=command.component, computer=computer)
         ),
-        **{**asdict(command), "limit": limit},
+        component=command.component,
+        port=command.port,
+        method=command.method,
+        value=command.value,
+        limit=limit,
     )
     answer = run.agents.ask(computer, request, limit + _MARGIN)
     if isinstance(answer, PortAnswer):
@@ -165,14 +170,12 @@ def _ask(
     if run.clock.now() >= until:
         why = f"no answer within {command.limit:g} s; the {what} may have been taken"
         return PortAnswer(number=request.number, outcome="late", reason=why)
-    why = _reason(answer) or f"computer '{computer}' gave no answer"
+    why = f"computer '{computer}' gave no answer"
+    if isinstance(answer, Refused | StepsFailed):
+        why = answer.reason
     raise RunError(
         f"'{command.component}.{command.port}': {why}; the {what} may have been taken"
     )
-
-
-def _reason(answer: Answer | None) -> str:
-    return answer.reason if isinstance(answer, Refused | StepsFailed) else ""
 
 
 _ANSWER_LIMIT = 1.0
@@ -302,13 +305,20 @@ def _read_tap(run: RunningComponents, command: TapCommand) -> TapReading:
     asked = Tap(
         number=secrets.randbits(_BITS),
         container=container,
+        connector=connector,
+        viewer=command.viewer,
+        rate=command.rate,
+        items=command.items,
+        is_whole=command.is_whole,
+        latest=command.latest,
         limit=_ANSWER_LIMIT,
-        **{**asdict(command), "connector": connector},
     )
     reply = agents.ask(computer, asked, _ANSWER_LIMIT)
     if isinstance(reply, TapReading):
         return reply
-    why = _reason(reply) or f"no answer within {_ANSWER_LIMIT:g} s"
+    why = f"no answer within {_ANSWER_LIMIT:g} s"
+    if isinstance(reply, Refused | StepsFailed):
+        why = reply.reason
     raise RunError(f"connector '{connector}' on '{computer}': {why}")
 
 
@@ -322,11 +332,8 @@ def begin_of(statuses: Statuses, asked: str) -> tuple[str, str, str]:
     targets = [name for name in found if name.endswith(f"-{asked}")]
     names = [asked] if asked in found else sources or targets
     component = asked.rpartition(".")[0]
-    for computer, status in sorted(statuses.items()) if not names else ():
-        for container in status.containers:
-            states = {c.name: c.state for c in container.components}
-            if states.get(component) == "active":  # a port without a connector
-                return asked, computer, container.name
+    if not names and (at := _container_of(statuses, component)):
+        return (asked, *at)  # a port without a connector
     if not names:
         listed = "; ".join(sorted(found)) or "none"
         raise UsageError(f"no connector '{asked}' (there are: {listed})")
@@ -335,6 +342,16 @@ def begin_of(statuses: Statuses, asked: str) -> tuple[str, str, str]:
             f"several connectors end at '{asked}': {'; '.join(sorted(names))}"
         )
     return (names[0], *found[names[0]])
+
+
+def _container_of(statuses: Statuses, component: str) -> tuple[str, str] | None:
+    """Return the computer and container where a component is active."""
+    for computer, status in sorted(statuses.items()):
+        for container in status.containers:
+            names = [c.name for c in container.components if c.state == "active"]
+            if component in names:
+                return computer, container.name
+    return None
 
 
 def _begins(statuses: Statuses) -> Iterator[tuple[str, tuple[str, str]]]:

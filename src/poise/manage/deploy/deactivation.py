@@ -35,7 +35,9 @@ def levels(names: Collection[str], leads: Iterable[tuple[str, str]]) -> list[lis
         level = [
             name
             for name in left
-            if all(name not in reached[each] or each in reached[name] for each in left)
+            if all(
+                name not in reached[other] or other in reached[name] for other in left
+            )
         ]
         ordered.append(level)
         left = [name for name in left if name not in level]
@@ -106,7 +108,11 @@ def _deactivate(run: RunningComponents, leads: Leads) -> Iterator[set[str]]:
 def _are_inactive(run: RunningComponents, names: Collection[str]) -> bool:
     run.reconcile()
     run.raise_on_lost()
-    places = [run.placed[name] for name in run.placed.keys() & names]
+    places = [
+        incarnation
+        for incarnation in run.placed.values()
+        if incarnation.component in names
+    ]
     return not maybe_active(places, run.computers(), run.current())
 
 

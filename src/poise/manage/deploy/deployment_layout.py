@@ -125,10 +125,7 @@ class DeploymentLayout:
         containers: dict[str, list[ContainerSpec]] = {
             computer.name: [] for computer in self._robot.computers
         }
-        groups: dict[tuple[str, str], list[Incarnation]] = {}
-        for incarnation in placed:
-            groups.setdefault(self._home(incarnation), []).append(incarnation)
-        for at, inside in groups.items():
+        for at, inside in self._by_container(placed).items():
             computer, container = at
             code = inside[0].code or self._robot.deployed
             weight = self._weights[self._containers[inside[0].component]]
@@ -139,7 +136,10 @@ class DeploymentLayout:
                     weight=weight.weight,
                     nice=weight.nice,
                     preparation_cpu=preparation_cpu.get(computer, 0.0)
-                    if all(each.unjoined and each.gently for each in inside)
+                    if all(
+                        incarnation.unjoined and incarnation.gently
+                        for incarnation in inside
+                    )
                     else 0.0,
                     repository=() if code else self._robot.repository,
                     code=code,
@@ -205,7 +205,7 @@ class DeploymentLayout:
             kind = "remote"
         elif self.container_of(source) != self.container_of(target):
             kind = "local"
-        address = self.address(target, source.computer, gateways)
+        is_direct = kind == "direct"
         first, second = connector.between
         slot = self.slot_of(connector)
         return ConnectorSpec(
@@ -220,7 +220,9 @@ class DeploymentLayout:
             target_epoch=target.epoch,
             target_port=second.port,
             target_computer=target.computer,
-            address="" if kind == "direct" else address,
+            address=""
+            if is_direct
+            else self.address(target, source.computer, gateways),
             limit=connector.limit,
             record=connector.record,
             # what is recorded is replayed without stamps
@@ -228,7 +230,16 @@ class DeploymentLayout:
             answers=() if connector.record else self._answers.get(slot, ()),
         )
 
+    def _by_container(
+        self, placed: tuple[Incarnation, ...]
+    ) -> dict[tuple[str, str], list[Incarnation]]:
+        groups: dict[tuple[str, str], list[Incarnation]] = {}
+        for incarnation in placed:
+            groups.setdefault(self._home(incarnation), []).append(incarnation)
+        return groups
+
     def _home(self, incarnation: Incarnation) -> tuple[str, str]:
+        """Return its computer and its container."""
         return incarnation.computer, self.container_of(incarnation)
 
     def component_spec(
@@ -241,7 +252,7 @@ class DeploymentLayout:
         component = self._components[incarnation.component]
         implementation = incarnation.implementation or component.implementation
         is_other = implementation != component.implementation
-        key = incarnation.key
+        key = incarnation.component, incarnation.epoch
         if key not in self._code:  # later it may be edited
             # parameters are compared by themselves
             code = structs.replace(
@@ -264,7 +275,8 @@ class DeploymentLayout:
             parameters=component.parameters,
             changed_parameters=parameters,
             devices={
-                n: self._path(self._robot.device(n).path) for n in component.devices
+                name: self._path(self._robot.device(name).path)
+                for name in component.devices
             },
             weigh=self._weigh,
             checkpoint=component.checkpoint,
@@ -315,6 +327,7 @@ def _ends(robot: Robot) -> dict[str, tuple[str, ...]]:
 
 
 def _chain_parts(robot: Robot) -> dict[str, tuple[ChainPart, ...]]:
+    """Return the chains that each component is part of."""
     parts: dict[str, tuple[ChainPart, ...]] = {}
     for chain in robot.chains:
         first, last = chain.through[0], chain.through[-1]
@@ -350,6 +363,7 @@ def _chains_over(
 
 
 def _slots(robot: Robot) -> dict[str, str]:
+    """Return the slots of all connectors, by name."""
     homes = {c.name: a for a in robot.architectures for c in a.components}
     counts: Counter[tuple[ConnectorEnd, str]] = Counter()
     first: dict[tuple[ConnectorEnd, str, int], str] = {}

@@ -77,8 +77,14 @@ class Desired(Struct, frozen=True, kw_only=True):
         """Return all that should be in some container."""
         if self.is_stopped:
             return ()
-        busy = self.placed.keys() | {each.component for each in self.coming}
-        idle = (each for name, each in self.prefetched.items() if name not in busy)
+        busy = self.placed.keys() | {
+            incarnation.component for incarnation in self.coming
+        }
+        idle = (
+            incarnation
+            for name, incarnation in self.prefetched.items()
+            if name not in busy
+        )
         wanted = (*self.placed.values(), *self.coming, *self.configured_ahead, *idle)
         return tuple(
             replace(incarnation, goal="inactive", held=incarnation.goal == "active")

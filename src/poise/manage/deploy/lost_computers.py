@@ -43,7 +43,9 @@ class LostComputers:
         """Journal which computers were lost, which are back, and which refuse."""
         run = self._run
         pids = _pids(run)
-        obeying = set(filter(run.agents.obey, run.computers()))
+        obeying = {
+            computer for computer in run.computers() if run.agents.obey(computer)
+        }
         restarted = {
             computer
             for computer in self._obeying & obeying
@@ -132,7 +134,11 @@ class LostComputers:
 
         run.agents.wait_news(are_back, _MOMENT)
         back = lost - self._lost_at.keys()
-        here = [each for each in run.placed.values() if each.computer in back]
+        here = [
+            incarnation
+            for incarnation in run.placed.values()
+            if incarnation.computer in back
+        ]
         with contextlib.suppress(RunError):  # the command itself says so
             run.wait(here, _MOMENT)
 
@@ -181,4 +187,5 @@ class LostComputers:
 
 
 def _pids(run: RunningComponents) -> dict[str, int]:
+    """Return the processes of the agents, by computer."""
     return {name: status.pid for name, status in run.agents.statuses().items()}

@@ -150,8 +150,10 @@ def _report(
 
 
 def _own(component: ComponentStatus, chain: str) -> ChainStatus:
-    found = (status for status in component.chains if status.name == chain)
-    return next(found, ChainStatus(name=chain))
+    for status in component.chains:
+        if status.name == chain:
+            return status
+    return ChainStatus(name=chain)
 
 
 def _ends(robot: Robot, chain: Chain) -> list[tuple[str, tuple[str, Side]]]:

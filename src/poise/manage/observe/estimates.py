@@ -147,6 +147,8 @@ class DemandEstimate(Struct, frozen=True, kw_only=True):
 
 
 class _Followed(Struct):
+    """A component's running estimate, and its incarnation."""
+
     running: RunningEstimate
     expected: float | None
     epoch: int

@@ -122,9 +122,13 @@ def _sources(robot: RobotStatus, *, is_lost: bool) -> set[str]:
 
 
 def _timer_samples(component: ComponentStatus, computer: str) -> Iterator[Sample]:
+    """Yield how a component's timers kept their rates."""
     for timer in component.timers:
-        names = {"component": component.name, "timer": timer.name}
-        labels = {**names, "computer": computer}
+        labels = {
+            "component": component.name,
+            "timer": timer.name,
+            "computer": computer,
+        }
         yield "poise_timer_releases_total", labels, timer.releases
         yield "poise_timer_missed_total", labels, timer.missed
 
@@ -143,9 +147,13 @@ def _end_samples(labels: dict[str, str], end: ConnectorStatus) -> Iterator[Sampl
 
 
 def _chain_samples(component: ComponentStatus, computer: str) -> Iterator[Sample]:
+    """Yield how old the data of chains was when a component used it."""
     for chain in component.chains:
-        names = {"chain": chain.name, "component": component.name}
-        labels = {**names, "computer": computer}
+        labels = {
+            "chain": chain.name,
+            "component": component.name,
+            "computer": computer,
+        }
         yield from _summary_samples(_AGE, labels, chain.age)
         if chain.deadline is not None:
             yield "poise_chain_missed_total", labels, chain.missed

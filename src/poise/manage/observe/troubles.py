@@ -11,7 +11,7 @@ import re
 import time
 import traceback
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
-from typing import NamedTuple, Protocol
+from typing import Protocol
 
 from msgspec.structs import replace
 
@@ -254,11 +254,14 @@ FIRST_PAUSE = 1.0
 LONGEST_PAUSE = 60.0
 
 
-class _Failure(NamedTuple):
-    what: str
-    pause: float
-    again_at: float
-    since: float
+class _Failure:
+    """A part that raised when it was run last."""
+
+    def __init__(self, what: str, pause: float, again_at: float, since: float) -> None:
+        self.what = what
+        self.pause = pause
+        self.again_at = again_at
+        self.since = since
 
 
 class SupervisedTick:

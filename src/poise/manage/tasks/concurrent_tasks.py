@@ -40,7 +40,11 @@ MOST_OVER = 20
 
 
 class Tasks:
-    """The tasks of a robot that were started; `now` is a time [s] that never steps."""
+    """The tasks of a robot that were started.
+
+    `wall`: returns the time of day [s since 1970] of a `now` of the methods, for
+    people. `now` itself is a time [s] that never steps.
+    """
 
     def __init__(
         self,
@@ -48,10 +52,12 @@ class Tasks:
         say: Callable[[str], object] = lambda _: None,
         choose: Choose = lambda *_: 0,
         saved: Saved | None = None,
+        wall: Callable[[float], float] = wall_time_at,
     ) -> None:
         self._robot = robot
         self._tasks = {task.name: task for task in robot.tasks}
         self._say = say
+        self._wall = wall
         self._steps = {
             name: Steps(self._tasks, name, choose, self._next, say)
             for name in self._tasks
@@ -81,7 +87,7 @@ class Tasks:
             raise UsageError(
                 f"task '{name}' runs already; `poise task cancel {name}` ends it"
             )
-        at = wall_time_at(now)
+        at = self._wall(now)
         record = TaskRecord(
             name=name,
             priority=self._tasks[name].priority if priority is None else priority,
@@ -319,7 +325,7 @@ class Tasks:
         is_new = record.state != state
         record.state, record.why = state, why
         if is_new:
-            record.since = wall_time_at(now)
+            record.since = self._wall(now)
         if state not in {"going", "waiting"}:  # `announce` says these
             self._say_of(record, _SAYINGS[state])
 
