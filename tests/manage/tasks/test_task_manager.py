@@ -19,7 +19,8 @@ from poise.manage.deploy.desired import Desired
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.journal import Journal
 from poise.manage.tasks.concurrent_tasks import Tasks
-from poise.manage.tasks.task_manager import TaskManager, goes_on_with
+from poise.manage.tasks.saved_tasks import goes_on_with
+from poise.manage.tasks.task_manager import TaskManager
 from poise.manage.tasks.task_progress import Saved
 from poise.model.robot import (
     Action,

@@ -213,8 +213,10 @@ class CrashLoops:
         crashed[symptom.computer] = now
         self._crashed[container] = crashed
         while where := room_for_components(situation, names, crashed):
-            placed = situation.placement
-            steps = [TransitionStep(n, placed[n], at) for n, at in where.items()]
+            steps = [
+                TransitionStep(name, situation.placement[name], at)
+                for name, at in where.items()
+            ]
             self._limits.note(steps, now)
             if start_together(run, where, situation.lost):
                 return

@@ -136,8 +136,11 @@ def _single_moves(
     movable = {c.name for c in robot.components() if c.movable}
     for group in _groups(robot, now):
         for target in sorted(set.intersection(*({*allowed[name]} for name in group))):
-            away = [name for name in group if now[name] != target]
-            steps = tuple(TransitionStep(name, now[name], target) for name in away)
+            steps = tuple(
+                TransitionStep(name, now[name], target)
+                for name in group
+                if now[name] != target
+            )
             if not steps or not movable.issuperset(s.component for s in steps):
                 continue
             after = dict(left)

@@ -182,8 +182,12 @@ class Agents(AgentReports):
         """Return whether an agent is reached and obeys this manager."""
         with self._changed:
             status = self._statuses.get(computer)
-            is_away = computer in self._lost or computer in self._silent
-            return status is not None and not is_away and self._claims.is_obeyed(status)
+            return (
+                status is not None
+                and computer not in self._lost
+                and computer not in self._silent
+                and self._claims.is_obeyed(status)
+            )
 
     def successor(self) -> ManagerId | None:
         """Return the manager to which this one gives way; None: there is none."""
@@ -273,8 +277,10 @@ class Agents(AgentReports):
             self._claims.accept(name, answer)
         self.heartbeats.start()
         for name in votes.keys() - answers.keys():
-            silences = [answer.silent for answer in answers.values()]
-            heard = [min(s.get(n, 0.0) for n in (name, MANAGER)) for s in silences]
+            heard = [
+                min(a.silent.get(n, 0.0) for n in (name, MANAGER))
+                for a in answers.values()
+            ]
             self.heartbeats.forget(name)
             self.heartbeats.note_ended(name, min(heard))
         until = self._clock.now() + _VOTE_LIMIT

@@ -149,14 +149,19 @@ def unprocessed(
     ends: dict[str, list[ConnectorStatus]] = {}
     for end in connectors_of(run.agents.statuses()):
         ends.setdefault(end.name, []).append(end)
-    joined = run.layout.connectors(run.placed)
-    wanted = {str(connector): connector.between[1].component for connector in joined}
+    wanted = {
+        str(connector): connector.between[1].component
+        for connector in run.layout.connectors(run.placed)
+    }
     left = {name: _left(same) for name, same in ends.items()}
     for end in ended:
         if end.name in left:
             left[end.name] += _sent(end) - _taken(end)
-    asked = {name: count for name, count in left.items() if wanted.get(name) in targets}
-    return {name: count for name, count in asked.items() if count > 0}
+    return {
+        name: count
+        for name, count in left.items()
+        if count > 0 and wanted.get(name) in targets
+    }
 
 
 def _left(ends: Sequence[ConnectorStatus]) -> int:

@@ -171,8 +171,10 @@ def difference(before: Desired, after: Desired) -> list[str]:
     """Return what a commit changes, one entry for each incarnation."""
     if before.is_stopped != after.is_stopped:
         return ["nothing is to run" if after.is_stopped else "all is to run"]
-    old = {incarnation.key: incarnation for incarnation in before.incarnations()}
-    new = {incarnation.key: incarnation for incarnation in after.incarnations()}
+    old, new = (
+        {incarnation.key: incarnation for incarnation in record.incarnations()}
+        for record in (before, after)
+    )
     gone = (f"- {incarnation}" for key, incarnation in old.items() if key not in new)
     come = (f"+ {incarnation}" for key, incarnation in new.items() if key not in old)
     aims = (

@@ -194,8 +194,11 @@ class RunningComponents(DesiredState):
 
     def current(self) -> dict[str, AgentStatus]:
         """Return the statuses that speak of what the agents were told last."""
-        statuses, is_current = self.agents.statuses(), self.reconciler.is_current
-        return {at: status for at, status in statuses.items() if is_current(at, status)}
+        return {
+            computer: status
+            for computer, status in self.agents.statuses().items()
+            if self.reconciler.is_current(computer, status)
+        }
 
     def computers(self) -> set[str]:
         """Return the names of the robot's computers that are reached."""
@@ -239,8 +242,10 @@ class RunningComponents(DesiredState):
         known = unresponsive_containers(self.agents.statuses())
         if not known:
             return []
-        of = self.layout.container_of
-        places = dict.fromkeys((each.computer, of(each)) for each in incarnations)
+        places = dict.fromkeys(
+            (incarnation.computer, self.layout.container_of(incarnation))
+            for incarnation in incarnations
+        )
         return [
             f"container '{place[1]}' on '{place[0]}' does not respond: {known[place]}"
             for place in places

@@ -282,8 +282,11 @@ def _committed(
     "no": a target on a computer that is gone counts as committed, with all others of
     its migration.
     """
-    found = ((at, each.containers) for at, each in deployments.items())
-    asked = {(at, container.name) for at, inside in found for container in inside}
+    asked = {
+        (computer, container.name)
+        for computer, deployment in deployments.items()
+        for container in deployment.containers
+    }
     targets = [each for each in reported if each.goal == "inactive"]
     committed = {each.key for each in targets if each.computer not in deployments}
     until = run.clock.now() + WITNESS_LIMIT

@@ -150,9 +150,11 @@ class MigrationRounds:
     def _keys(self, connectors: Iterable[Connector]) -> dict[str, int]:
         """Return the keys of lossy connectors, and what their subscribers keep."""
         before = {**self._others, **self._sources}
-        lossy = [each for each in connectors if str(each) in self._lossy]
-        key_of = self._layout.key_of
-        return {key_of(each, before): self._lossy[str(each)] for each in lossy}
+        return {
+            self._layout.key_of(c, before): self._lossy[str(c)]
+            for c in connectors
+            if str(c) in self._lossy
+        }
 
     def _drain_mailboxes(
         self, names: Collection[str], paused: Collection[str]

@@ -353,9 +353,11 @@ def _check_callers(
         {c.name for c in architecture.components} for architecture in (old, new)
     )
     others = run.placed.keys() - olds
-    then = layout.connectors({*others, *news})
-    into = (connector for connector in then if connector.between[1].component in news)
-    offered = set(map(layout.slot_of, into))
+    offered = {
+        layout.slot_of(connector)
+        for connector in layout.connectors({*others, *news})
+        if connector.between[1].component in news
+    }
     calls = calling_ports(run.agents.statuses())
     for connector in layout.connectors(run.placed):
         source, target = connector.between

@@ -72,8 +72,10 @@ def start_together(
         # computers may have been joined meanwhile: what is desired then stays
         mine = (None, *inactive)
         back = [each for each in old if run.placed.get(each.component) in mine]
-        desired = run.desired.with_coming(()).placing(back)
-        run.commit(desired, "components did not start: all is as it was")
+        run.commit(
+            run.desired.with_coming(()).placing(back),
+            "components did not start: all is as it was",
+        )
         return False
     # where they were, they have no lease any more
     run.commit(run.desired.placing(new), "components start together")

@@ -84,8 +84,11 @@ def find_unjoined(
 ) -> Iterator[tuple[str, Deviation]]:
     """Yield the connectors whose source does not reach its target, by name."""
     computers = {incarnation.component: incarnation.computer for incarnation in settled}
-    sources = (end for end in connectors_of(statuses) if end.end == "source")
-    unready = {end.name for end in sources if not end.ready}
+    unready = {
+        connector.name
+        for connector in connectors_of(statuses)
+        if connector.end == "source" and not connector.ready
+    }
     if not unready:
         return
     for connector in layout.connectors(computers):

@@ -268,9 +268,10 @@ def traffic_between(
     calls, messages = after.calls - before.calls, after.messages - before.messages
     if seconds <= 0 or min(calls, messages) < 0 or not calls + messages:
         return ConnectorProfile()
-    size = (_bytes(after) - _bytes(before)) / (calls + messages)
     return ConnectorProfile(
-        calls=calls / seconds, messages=messages / seconds, size=size
+        calls=calls / seconds,
+        messages=messages / seconds,
+        size=(_bytes(after) - _bytes(before)) / (calls + messages),
     )
 
 
@@ -293,8 +294,11 @@ def culprit_on(
     if load is None:
         return ""
     usual = {demand.component: demand.usual for demand in demand_estimates}
-    others = {name: used for name, used in load.components.items() if name != victim}
-    excesses = {name: used - usual.get(name, 0.0) for name, used in others.items()}
+    excesses = {
+        name: used - usual.get(name, 0.0)
+        for name, used in load.components.items()
+        if name != victim
+    }
     worst = max(excesses, key=excesses.__getitem__, default="")
     excess = excesses.get(worst, 0.0)
     if max(excess, load.background) < _LEAST:

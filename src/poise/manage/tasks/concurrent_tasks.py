@@ -202,8 +202,9 @@ class Tasks:
             for attempt in self.tries(record):
                 limit, worked = attempt.action.limit, self.worked(attempt, now)
                 if limit is not None and worked >= limit:
-                    why = f"its limit of {limit:g} s is over"
-                    self._end(record, attempt, why, done=False)
+                    self._end(
+                        record, attempt, f"its limit of {limit:g} s is over", done=False
+                    )
             self._settle(record, now)
 
     def due(self, now: float) -> float | None:
@@ -223,8 +224,12 @@ class Tasks:
 
     def functions_of(self, records: Iterable[TaskRecord]) -> set[str]:
         """Return the functions that tasks use while the actions work that are next."""
-        attempts = (attempt for record in records for attempt in self.tries(record))
-        return {function for each in attempts for function in each.action.functions}
+        return {
+            function
+            for record in records
+            for attempt in self.tries(record)
+            for function in attempt.action.functions
+        }
 
     def next_actions(self) -> list[tuple[TaskRecord, Attempt, float]]:
         """Return the actions that may come next, with their probabilities."""
@@ -270,9 +275,14 @@ class Tasks:
         mine: list[tuple[TaskRecord, Attempt]],
     ) -> str:
         """Return what a task cannot share with those before it; empty: nothing."""
-        both = [(f"{r.name}.{each.name}", r, each) for r, each in granted + mine]
-        actions = {name: record.name for name, record, _ in both}
-        renamed = [replace(attempt.action, name=name) for name, _, attempt in both]
+        actions = {
+            f"{record.name}.{attempt.name}": record.name
+            for record, attempt in granted + mine
+        }
+        renamed = [
+            replace(attempt.action, name=f"{record.name}.{attempt.name}")
+            for record, attempt in granted + mine
+        ]
         for clash in clashes(self._robot, renamed):
             # that of a task with itself is for `poise check`
             users = [n for n in actions if any(f"'{n}'" in u for u in clash.users)]

@@ -6,7 +6,6 @@ journal; agents keep the state that the next manager needs to go on.
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Callable, Iterable, Mapping
 from collections.abc import Set as AbstractSet
 
@@ -20,7 +19,6 @@ from poise.manage.adaptation.policy_values import values_of
 from poise.manage.adaptation.situation import Situation
 from poise.manage.deploy.desired import Desired
 from poise.manage.deploy.running_components import RunningComponents
-from poise.manage.journal import Journal
 from poise.manage.migration.transition_run import transit
 from poise.manage.tasks.action_placement import (
     Admission,
@@ -50,7 +48,6 @@ from poise.model.condition import parse_condition
 from poise.model.policy import SUBJECTS
 from poise.model.robot import Architecture
 from poise.model.steps import Action, Choice, Task, Until
-from poise.wire.codec import MALFORMED
 
 _ROOM_AGAIN, _ROOM_AT_MOST = 2.0, 60.0
 """A task that waits for room is looked at again after this time [s], then after twice
@@ -402,48 +399,3 @@ class TaskManager:
 
     def _say(self, text: str) -> None:
         self._run.journal.note("decided", text)
-
-
-def goes_on_with(run: RunningComponents, asked: Tasks, journal: Journal) -> Saved:
-    """Return the tasks that go on: those of the manager before, and those asked for.
-
-    `asked`: what this manager was to start; what runs already goes on where it was.
-    """
-    if not run.has_taken_over or not run.desired.tasks:
-        return asked.saved
-    note = journal.note
-    try:
-        saved = msgspec.msgpack.decode(run.desired.tasks, type=Saved)
-    except MALFORMED as error:
-        what = "the previous manager's tasks cannot be read, and are dropped"
-        note("failed", f"{what}: {error}")
-        return asked.saved
-    tasks = Tasks(run.robot, lambda text: note("decided", text), saved=saved)
-    for record in list(tasks.records):
-        if record.state not in OVER:
-            names = ", ".join(f"'{attempt.name}'" for attempt in tasks.tries(record))
-            note("decided", f"task '{record.name}' goes on with {names}")
-    if saved.boot != boot_id():
-        _begin_clocks(tasks, journal)
-    for record in asked.records:
-        with contextlib.suppress(UsageError):  # it goes on already
-            tasks.start(record.name, boot_time(), record.priority)
-    return tasks.saved
-
-
-def _begin_clocks(tasks: Tasks, journal: Journal) -> None:
-    """Let actions at work begin now, for another computer's clock says nothing here."""
-    now = boot_time()
-    for record in tasks.records:
-        for attempt in tasks.tries(record):
-            if attempt.progress.since is None:
-                continue
-            attempt.progress.since = now
-            if attempt.action.limit is not None:
-                what = (
-                    f"the limit of {attempt.action.limit:g} s of action "
-                    f"'{attempt.name}' of task '{record.name}' counts from now on, "
-                    f"less {attempt.progress.spent:g} s: its manager ran on another "
-                    "computer, or before this computer was restarted"
-                )
-                journal.note("decided", what)

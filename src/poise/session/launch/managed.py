@@ -19,7 +19,7 @@ from poise.manage.manager import Manager
 from poise.manage.observe.estimates import Estimates
 from poise.manage.observe.sample_recording import Recording, RecordingFile
 from poise.manage.tasks.concurrent_tasks import Tasks
-from poise.manage.tasks.task_manager import goes_on_with
+from poise.manage.tasks.saved_tasks import goes_on_with
 from poise.model.robot import Robot
 from poise.session import Check, Say
 from poise.session.folders import make_journal

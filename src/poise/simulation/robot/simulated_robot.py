@@ -21,7 +21,7 @@ from poise.manage.manager import TICK, Manager
 from poise.manage.observe.estimates import Estimates
 from poise.manage.observe.sample_recording import Recording
 from poise.manage.tasks.concurrent_tasks import Tasks
-from poise.manage.tasks.task_manager import goes_on_with
+from poise.manage.tasks.saved_tasks import goes_on_with
 from poise.model.robot import Robot
 from poise.simulation._engine import Connector, Model
 from poise.simulation.choices import Choices
