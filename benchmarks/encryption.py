@@ -31,7 +31,7 @@ from poise.clock import SystemClock
 from poise.endpoint import Endpoint
 from poise.manage.agent_connections.agents import Agents
 from poise.manage.agent_connections.statuses import components_of
-from poise.manage.migration.move import prepare_move
+from poise.manage.migration.move import plan_move
 from poise.session.keys import init_keys
 from poise.session.launch.computers import ENCRYPT
 from poise.wire.address import KEYS
@@ -83,9 +83,7 @@ def large(seconds: float, *, is_encrypted: bool) -> tuple[float, float]:
             for component in components_of(robot.agents.statuses())
             if component.name == "viewer"
         ]
-        reports = [
-            prepare_move(robot, "archive", target).run() for target in ("b", "a")
-        ]
+        reports = [plan_move(robot, "archive", target).run() for target in ("b", "a")]
         assert all(report.committed for report in reports), reports
     (trip,) = trips
     return trip, median(report.prepared + report.downtime for report in reports)

@@ -29,7 +29,7 @@ from poise.manage.deploy.deactivation import stop
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.journal import Journal
 from poise.manage.migration.migration_report import MigrationReport
-from poise.manage.migration.move import prepare_move
+from poise.manage.migration.move import plan_move
 from poise.model import load
 from poise.session.launch.computers import computers_of
 
@@ -93,7 +93,7 @@ def storm(
         here = run.placement()[component]
         if killing and len(reports) % killing == killing - 1:
             kill_soon(run, chance)
-        reports.append(prepare_move(run, component, "b" if here == "a" else "a").run())
+        reports.append(plan_move(run, component, "b" if here == "a" else "a").run())
         if sys.stderr.isatty():
             sys.stderr.write(f"\r{len(reports)} moves")
     return reports
@@ -161,7 +161,7 @@ def big_state(moves: int) -> dict[str, float]:
         run.watch(1.0)
         targets = ["b", "a"] * moves
         reports = [
-            prepare_move(run, "archive", target).run() for target in targets[:moves]
+            plan_move(run, "archive", target).run() for target in targets[:moves]
         ]
         run.watch(1.0)
         reader = totals(run, "reader")

@@ -38,7 +38,7 @@ from poise.manage.deploy.deactivation import stop
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.deploy.takeover import start_or_take_over
 from poise.manage.journal import Journal
-from poise.manage.migration.move import prepare_move
+from poise.manage.migration.move import plan_move
 from poise.model import load
 from poise.session.launch.computers import computers_of
 from poise.wire.records.deployment_records import Deployment
@@ -186,7 +186,7 @@ def live(
         while True:
             component = chance.choice(COMPONENTS)
             here = run.placement()[component]
-            prepare_move(run, component, "b" if here == "a" else "a").run()
+            plan_move(run, component, "b" if here == "a" else "a").run()
 
 
 def storm(

@@ -20,7 +20,7 @@ from poise import Placement, Robot, RunError, RunReport, load, place, run
 from poise.manage.agent_connections.statuses import components_of
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.migration.migration_report import MigrationReport
-from poise.manage.migration.move import prepare_move
+from poise.manage.migration.move import plan_move
 from poise.session import Check, nothing
 from poise.session.profiling.stored_profiles import as_when_profiled
 from poise.session.render.run_progress import progress
@@ -225,7 +225,7 @@ class _Mover:
         """Move when it is time; `now` is since the start of the drive [s]."""
         if self._report is None and now > MOVE_AT:
             self._counts.append(_deadlines(run))
-            self._report = prepare_move(run, _MOVED, self._target).run()
+            self._report = plan_move(run, _MOVED, self._target).run()
             self._ended = now + self._report.prepared + self._report.downtime
         elif len(self._counts) == _COUNTS_BEFORE_END and now > self._ended + 1:
             self._counts.append(_deadlines(run))

@@ -184,7 +184,7 @@ def test_a_bug_in_a_command_is_refused_and_the_robot_goes_on(
         run.commit(run.desired.aiming("stay", ["thinker"]), "odd")
         raise KeyError("odd")
 
-    monkeypatch.setattr("poise.manage.manager.prepare_move", break_down)
+    monkeypatch.setattr("poise.manage.manager.plan_move", break_down)
     future = managed.manager.submit(COMMAND)
     managed.manager.work(0.0)
     refusal = future.result(0.0)

@@ -51,11 +51,11 @@ from poise.manage.migration.canary import Canaries
 from poise.manage.migration.migration_report import MigrationReport
 from poise.manage.migration.move import (
     check_target,
-    prepare_alternative,
-    prepare_move,
-    prepare_replacement,
+    plan_alternative,
+    plan_move,
+    plan_replacement,
 )
-from poise.manage.migration.preparation import MigrationPreparation
+from poise.manage.migration.pending_migration import PendingMigration
 from poise.manage.observe.deviations import Deviation
 from poise.manage.observe.estimates import Estimates
 from poise.manage.observe.sample_recording import Recording, RecordingFile
@@ -105,7 +105,7 @@ class Manager:
         self._commands: queue.Queue[tuple[Command, Results]] = queue.Queue(
             MOST_COMMANDS
         )
-        self._preparations: list[tuple[Command, MigrationPreparation, Results]] = []
+        self._pending: list[tuple[Command, PendingMigration, Results]] = []
         self._unstored: list[tuple[int, float, Results, Result | Refusal]] = []
         self._stops: list[Results] = []
         self._ended: StopReport | Refusal | None = None
@@ -193,7 +193,7 @@ class Manager:
             known,
             deviations=(*self._superseded(), *known.deviations, *self._deviations()),
             under_way=(
-                *(p.under_way() for _, p, _ in self._preparations.copy()),
+                *(p.under_way() for _, p, _ in self._pending.copy()),
                 *self._canaries.under_way(),
             ),
             faults=self._watch.num_faults + len(lost_states),
@@ -247,9 +247,9 @@ class Manager:
         self._ended = refusal or StopReport((remaining,) if remaining else ())
         for future in self._stops:
             _answer(future, self._ended)
-        for _, _, future in self._preparations:
+        for _, _, future in self._pending:
             future.set_result(Refusal(text, "RunError"))
-        self._preparations.clear()
+        self._pending.clear()
         while not self._commands.empty():
             _answer(self._commands.get_nowait()[1], Refusal(text, "RunError"))
         for _, _, future, _ in self._unstored:
@@ -303,7 +303,7 @@ class Manager:
             self.is_stopping
             or not self._commands.empty()
             or (not self._tick.backs_off("look after tasks") and self.tasks.has_news())
-            or any(preparation.is_over() for _, preparation, _ in self._preparations)
+            or any(pending.is_over() for _, pending, _ in self._pending)
             or any(self._run.agents.has_stored(each[0]) for each in self._unstored)
         )
 
@@ -313,8 +313,8 @@ class Manager:
         Meanwhile other commands are carried out, and the robot is looked after.
         """
         result = self._carry_out(command, partial(self._do, command))
-        if isinstance(result, MigrationPreparation):
-            self._preparations.append((command, result, future))
+        if isinstance(result, PendingMigration):
+            self._pending.append((command, result, future))
         else:
             self._answer_when_stored(future, result)
 
@@ -337,11 +337,11 @@ class Manager:
 
     def _migrate(self) -> None:
         """Make the migrations whose targets are configured, or will not be."""
-        for waiting in list(self._preparations):
-            command, preparation, future = waiting
-            if not self.is_stopping and preparation.is_over():
-                self._preparations.remove(waiting)
-                migrate: Callable[[], MigrationReport] = preparation.run
+        for waiting in list(self._pending):
+            command, pending, future = waiting
+            if not self.is_stopping and pending.is_over():
+                self._pending.remove(waiting)
+                migrate: Callable[[], MigrationReport] = pending.run
                 if isinstance(command, ReplaceCommand) and command.watch:
                     begin = self._canaries.begin
                     migrate = partial(begin, command.what, command.watch, migrate)
@@ -364,8 +364,8 @@ class Manager:
             self._run.release(what)  # what was placed goes on
             return Refusal(f"{what}. The robot keeps its placement", "RunError")
 
-    def _do(self, command: Command) -> Result | MigrationPreparation:
-        """Do what a command asks for; return a migration that is prepared first."""
+    def _do(self, command: Command) -> Result | PendingMigration:
+        """Do what a command asks for; return a migration that is still to be made."""
         run = self._run
         self._lost.settle()
         match command:
@@ -382,7 +382,7 @@ class Manager:
                 check_target(run, component, computer, force=force)
                 return self._adaptation.what_if(component, computer)
             case MoveCommand(component, computer, force):
-                preparation = prepare_move(run, component, computer, force=force)
+                pending = plan_move(run, component, computer, force=force)
                 self._adaptation.check_asked(component, computer, force=force)
             case ReplaceCommand(by=by, adapt=adapt, watch=watch) if watch and (
                 adapt or ":" not in by
@@ -392,14 +392,12 @@ class Manager:
                     "state that was mapped cannot be mapped back"
                 )
             case ReplaceCommand(component, by, adapt, fresh) if ":" in by:
-                preparation = prepare_replacement(
-                    run, component, by, adapt, fresh=fresh
-                )
+                pending = plan_replacement(run, component, by, adapt, fresh=fresh)
             case ReplaceCommand(what, by, adapt, fresh):
-                preparation = prepare_alternative(run, what, by, adapt, fresh=fresh)
+                pending = plan_alternative(run, what, by, adapt, fresh=fresh)
             case _:
                 raise AssertionError(command)
-        return preparation.begin()
+        return pending.configure_ahead()
 
     def _situation(self) -> Situation:
         return self._reader.read(self.tasks.now())

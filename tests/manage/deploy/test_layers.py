@@ -14,11 +14,7 @@ from poise.errors import UsageError
 from poise.manage.adaptation.decision import decide
 from poise.manage.adaptation.placement_responders import plan_failover
 from poise.manage.adaptation.situation import Situation
-from poise.manage.migration.move import (
-    prepare_alternative,
-    prepare_move,
-    prepare_replacement,
-)
+from poise.manage.migration.move import plan_alternative, plan_move, plan_replacement
 from poise.model.policy import Policy
 from poise.model.robot import Computer, Robot
 from tests.manage.adaptation.shortages.test_suspension import BOTH, Robbed, robot_with
@@ -44,14 +40,14 @@ def commands(robot: Robot) -> Robot:
 def test_a_move_is_refused(layer: str) -> None:
     robbed = Robbed(robot_of_two(layer))
     with pytest.raises(UsageError, match=f"{layer} layer, which does not move"):
-        prepare_move(robbed.run, "low", "right").run()
+        plan_move(robbed.run, "low", "right").run()
     assert robbed.run.placement() == BOTH
 
 
 def test_a_person_may_force_a_move_and_it_stays_there(layer: str) -> None:
     robbed = Robbed(commands(robot_of_two(layer)))
     robbed.agents._statuses |= type(robbed.agents)("right")._statuses
-    assert prepare_move(robbed.run, "low", "right", force=True).run().committed
+    assert plan_move(robbed.run, "low", "right", force=True).run().committed
     now = robbed.run.placement()
     assert now == {"high": "left", "low": "right"}
     problem = plan.problem_of(robbed.run.robot, "work", present=now)
@@ -61,7 +57,7 @@ def test_a_person_may_force_a_move_and_it_stays_there(layer: str) -> None:
 def test_an_implementation_is_not_replaced(layer: str) -> None:
     robbed = Robbed(robot_of_two(layer))
     with pytest.raises(UsageError, match=f"{layer} layer, which stays as it is"):
-        prepare_replacement(robbed.run, "low", "other:Class").run()
+        plan_replacement(robbed.run, "low", "other:Class").run()
 
 
 def test_an_architecture_is_not_replaced(layer: str) -> None:
@@ -72,7 +68,7 @@ def test_an_architecture_is_not_replaced(layer: str) -> None:
     )
     robbed = Robbed(replace(robot, architectures=(high, low, other)))
     with pytest.raises(UsageError, match=f"{layer} layer, which stays as it is"):
-        prepare_alternative(robbed.run, "low-task", "spare").run()
+        plan_alternative(robbed.run, "low-task", "spare").run()
 
 
 def test_an_overload_moves_none(layer: str) -> None:

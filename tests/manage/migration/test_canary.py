@@ -50,7 +50,7 @@ class Robot:
         run: Any = self
         self.clock = SimpleNamespace(now=lambda: self.now)
         self.journal = SimpleNamespace(note=lambda _, what: self.notes.append(what))
-        monkeypatch.setattr(canary, "prepare_return", self._returned)
+        monkeypatch.setattr(canary, "plan_return", self._returned)
         monkeypatch.setattr(canary, "start_together", self._restarted)
         self.canaries = Canaries(run)
 

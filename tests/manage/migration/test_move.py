@@ -24,8 +24,8 @@ from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.journal import Journal
 from poise.manage.migration.coordinator import DOWNTIME_LIMIT, RESUME_LIMIT
 from poise.manage.migration.migration_report import MigrationReport
-from poise.manage.migration.move import prepare_move, prepare_replacement
-from poise.manage.migration.preparation import PREPARE_LIMIT
+from poise.manage.migration.move import plan_move, plan_replacement
+from poise.manage.migration.pending_migration import PREPARE_LIMIT
 from poise.model.robot import (
     Architecture,
     ComponentEntry,
@@ -441,7 +441,7 @@ def move_counter(run: RunningComponents, computer: str) -> None:
     """Move the counter, with time for that on a machine that is busy otherwise."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("poise.manage.migration.coordinator.DOWNTIME_LIMIT", LIMIT)
-        report = prepare_move(run, "counter", computer).run()
+        report = plan_move(run, "counter", computer).run()
     assert report.committed, report.reason
     assert replay(report, "counter") == ""
 
@@ -504,7 +504,7 @@ def test_rolls_back_when_the_component_cannot_move(
     world: MovingRobot, implementation: str, words: str
 ) -> None:
     run = world.start(implementation)
-    report = prepare_move(run, "counter", "right").run()
+    report = plan_move(run, "counter", "right").run()
     assert not report.committed
     assert re.search(words, report.reason)
     assert replay(report, "counter") == ""
@@ -523,7 +523,7 @@ def test_rolls_back_and_says_so_when_the_component_does_not_come_to_rest(
     busy = world.folder / world.name / "busy"
     busy.touch()
     wait_until(lambda: busy.with_name("busy-now").exists())
-    report = prepare_move(run, "counter", "right").run()
+    report = plan_move(run, "counter", "right").run()
     busy.unlink()
     assert not report.committed
     assert "component 'counter' did not pause" in report.reason
@@ -538,8 +538,8 @@ def test_goes_on_in_its_container_when_a_snapshot_that_took_too_long_ends(
     run = world.start("Lingering")
     lingers = world.folder / world.name / "lingers"
     lingers.touch()
-    first = prepare_move(run, "counter", "right").run()
-    second = prepare_move(run, "counter", "right").run()  # while that snapshot is taken
+    first = plan_move(run, "counter", "right").run()
+    second = plan_move(run, "counter", "right").run()  # while that snapshot is taken
     assert (first.committed, second.committed) == (False, False)
     lingers.unlink()
     world.works()
@@ -555,8 +555,8 @@ def test_a_move_after_one_that_rolled_back_succeeds(world: MovingRobot) -> None:
     run = world.start("Counter")
     world.striking.before["pause"] = lambda: world.kill("right", "counter")
     first, second = (
-        prepare_move(run, "counter", "right").run(),
-        prepare_move(run, "counter", "right").run(),
+        plan_move(run, "counter", "right").run(),
+        plan_move(run, "counter", "right").run(),
     )
     assert (first.committed, second.committed) == (False, True), second.reason
     world.works()
@@ -571,7 +571,7 @@ def test_a_stop_ends_a_move_amid_the_pre_copy_of_its_state(
     lingers.touch()
     world.striking.before["pre-copy"] = run.cancel
     try:
-        report = prepare_move(run, "counter", "right").run()
+        report = plan_move(run, "counter", "right").run()
     finally:
         lingers.unlink()
     assert report.reason == "the robot is being stopped"
@@ -587,7 +587,7 @@ def test_a_move_into_a_frozen_container_is_not_begun(world: MovingRobot) -> None
     os.kill(container.pid, signal.SIGSTOP)
     try:
         world.wait_for(lambda: bool(run.unresponsive([run.placed["source"]])))
-        report = prepare_move(run, "counter", "right").run()
+        report = plan_move(run, "counter", "right").run()
     finally:
         os.kill(container.pid, signal.SIGCONT)
     assert not report.committed
@@ -608,7 +608,7 @@ def test_a_move_away_from_a_frozen_container_fails_soon(world: MovingRobot) -> N
     )
     world.striking.before["offer state"] = lambda: os.kill(pid, signal.SIGSTOP)
     started = time.monotonic()
-    report = prepare_move(run, "counter", "right").run()
+    report = plan_move(run, "counter", "right").run()
     took = time.monotonic() - started
     os.kill(pid, signal.SIGCONT)
     assert not report.committed
@@ -620,7 +620,7 @@ def test_a_move_away_from_a_frozen_container_fails_soon(world: MovingRobot) -> N
 
 def test_a_missing_implementation_is_not_put_in(world: MovingRobot) -> None:
     run = world.start("Counter")
-    report = prepare_replacement(run, "counter", "moved:Nowhere").run()
+    report = plan_replacement(run, "counter", "moved:Nowhere").run()
     assert not report.committed
     assert "has no class 'Nowhere'" in report.reason
     assert report.downtime == 0.0
@@ -644,9 +644,7 @@ def test_a_slow_import_of_a_target_holds_up_nothing(world: MovingRobot) -> None:
         return any((c.name, c.state) == ("counter", "unconfigured") for c in components)
 
     with ThreadPoolExecutor(1) as pool:
-        replacing = pool.submit(
-            prepare_replacement(run, "counter", "slowly:Counter").run
-        )
+        replacing = pool.submit(plan_replacement(run, "counter", "slowly:Counter").run)
         try:
             world.wait_for(is_importing)
             world.works()
@@ -662,7 +660,7 @@ def test_an_implementation_is_replaced_and_its_state_adapted(
     world: MovingRobot,
 ) -> None:
     run = world.start("Counter")
-    report = prepare_replacement(run, "counter", "moved:Adapted", "moved:adapt").run()
+    report = plan_replacement(run, "counter", "moved:Adapted", "moved:adapt").run()
     assert (report.committed, report.reason) == (True, "")
     world.works()
     assert world.told("sink")[1] == 0
@@ -676,7 +674,7 @@ def test_a_container_that_is_killed_between_two_rounds(
     run = world.start("Counter", isolated=True)
     world.striking.before[before] = lambda: world.kill(*victim)
     started = time.monotonic()
-    report = prepare_move(run, "counter", "right").run()
+    report = plan_move(run, "counter", "right").run()
     assert time.monotonic() - started < LIMIT
     assert replay(report, "counter", kills=1) == ""
     assert_bounded(report)
@@ -692,7 +690,7 @@ def test_a_source_that_is_killed_between_two_rounds(
 ) -> None:
     run = world.start("Counter", "right", isolated=True)
     world.striking.before[before] = lambda: world.kill("right", "source")
-    report = prepare_move(run, "counter", "right").run()
+    report = plan_move(run, "counter", "right").run()
     assert_bounded(report)
     world.works()
     world.wait_for(lambda: world.active() == [run.placement()["counter"]])
@@ -704,7 +702,7 @@ def test_a_sink_that_is_killed_between_two_rounds(
 ) -> None:
     run = world.start("Counter", isolated=True)
     world.striking.before[before] = lambda: world.kill("left", "sink")
-    report = prepare_move(run, "counter", "right").run()
+    report = plan_move(run, "counter", "right").run()
     assert_bounded(report)
     world.works()
     world.wait_for(lambda: world.active() == [run.placement()["counter"]])
@@ -725,7 +723,7 @@ def test_nothing_is_lost_when_containers_stand_still_amid_moves(
             # it may move again before what stood still has heard that it rolled back
             for _ in range(2):
                 if run.placement()["counter"] != other:
-                    prepare_move(run, "counter", other).run()
+                    plan_move(run, "counter", other).run()
     world.wait_for(lambda: world.active() == [run.placement()["counter"]])
     world.works()
     # a call may have been refused: its caller stood still when it had chosen its way
@@ -743,7 +741,7 @@ def test_goes_on_when_the_targets_agent_dies(
         mortals.processes["right"].wait(LIMIT)
 
     mortal.striking.before[before] = strike
-    report = prepare_move(run, "counter", "right").run()
+    report = plan_move(run, "counter", "right").run()
     assert_bounded(report)
     # what had answered before it could be told that all have done so stays gone
     assert report.committed == (before == "resume")
@@ -773,7 +771,7 @@ def test_the_sources_resume_without_waiting_for_why_an_agent_is_silent(
     right = mortals.processes["right"]
     mortal.striking.before["pause"] = lambda: right.send_signal(signal.SIGSTOP)
     mortal.striking.before["roll back"] = lambda: right.send_signal(signal.SIGCONT)
-    report = prepare_move(run, "counter", "right").run()
+    report = plan_move(run, "counter", "right").run()
     assert "the agent of 'right'" in report.reason
     assert waited
     assert min(waited) > 0  # no longer than for its answer, in all
@@ -841,7 +839,7 @@ def test_a_command_line_component_moves_by_a_cold_move(
     pid = world.folder / "pid"
     wait_until(lambda: pid.exists() and bool(pid.read_text()))
     before = pid.read_text()
-    report = prepare_move(run, "ticker", "right").run()
+    report = plan_move(run, "ticker", "right").run()
     assert (report.committed, report.reason) == (True, "")
     assert report.cold
     assert run.placement()["ticker"] == "right"
@@ -874,7 +872,7 @@ def test_a_command_line_component_goes_on_when_it_cannot_start_elsewhere(
         return reply
 
     world.striking.begin_deploy = refuse
-    report = prepare_move(run, "ticker", "right").run()
+    report = plan_move(run, "ticker", "right").run()
     assert not report.committed
     assert "not today" in report.reason
     assert run.placement()["ticker"] == "left"
@@ -887,8 +885,8 @@ def test_a_command_line_component_goes_on_when_it_cannot_start_elsewhere(
 def test_refuses_what_cannot_be_moved(world: MovingRobot) -> None:
     run = world.start("Counter")
     with pytest.raises(UsageError, match="component 'nobody' is not running"):
-        prepare_move(run, "nobody", "right").run()
+        plan_move(run, "nobody", "right").run()
     with pytest.raises(UsageError, match="no computer 'nowhere'"):
-        prepare_move(run, "counter", "nowhere").run()
+        plan_move(run, "counter", "nowhere").run()
     with pytest.raises(UsageError, match="runs on 'left' already"):
-        prepare_move(run, "counter", "left").run()
+        plan_move(run, "counter", "left").run()

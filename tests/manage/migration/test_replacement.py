@@ -14,7 +14,7 @@ from poise.manage.agent_connections.statuses import components_of
 from poise.manage.deploy.deactivation import stop
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.journal import Journal
-from poise.manage.migration.move import prepare_alternative, prepare_replacement
+from poise.manage.migration.move import plan_alternative, plan_replacement
 from poise.model.robot import (
     Architecture,
     ComponentEntry,
@@ -247,7 +247,7 @@ def world(pair: TwoAgents, tmp_path: Path) -> Iterator[RobotWithAlternatives]:
 def test_the_alternative_goes_on_where_the_architecture_stopped(
     world: RobotWithAlternatives,
 ) -> None:
-    report = prepare_alternative(world.run, "halves", "one", "replaced:adapt").run()
+    report = plan_alternative(world.run, "halves", "one", "replaced:adapt").run()
     assert (report.committed, report.reason) == (True, "")
     assert set(world.run.placement()) == {"source", "sink", "whole"}
     world.works()
@@ -261,7 +261,7 @@ def test_the_alternative_goes_on_where_the_architecture_stopped(
 def test_all_goes_on_as_before_when_one_component_cannot_restore(
     world: RobotWithAlternatives,
 ) -> None:
-    report = prepare_alternative(world.run, "halves", "bad", "replaced:misadapt").run()
+    report = plan_alternative(world.run, "halves", "bad", "replaced:misadapt").run()
     assert not report.committed
     assert "LookupError: no such sum" in report.reason
     assert set(world.run.placement()) == {"source", "sink", "counter", "adder"}
@@ -280,9 +280,7 @@ def test_a_state_is_matched_by_the_names_of_its_fields(
         ("Renamed", "", "is (count: int), but Renamed.restore takes"),
         ("Renamed", "replaced:adapt", "but Renamed.restore takes (total: int)"),
     ):
-        report = prepare_replacement(
-            world.run, "counter", f"replaced:{by}", adapt
-        ).run()
+        report = plan_replacement(world.run, "counter", f"replaced:{by}", adapt).run()
         assert not report.committed
         assert words in report.reason
         world.works()
@@ -291,7 +289,7 @@ def test_a_state_is_matched_by_the_names_of_its_fields(
         ("Renamed", "replaced:renamed", False),
         ("Counter", "", True),
     ):
-        report = prepare_replacement(
+        report = plan_replacement(
             world.run, "counter", f"replaced:{by}", adapt, fresh=fresh
         ).run()
         assert report.committed, report.reason
@@ -304,13 +302,13 @@ def test_no_state_of_an_architecture_is_lost_unsaid(
 ) -> None:
     words = r"'adder' and 'counter' would be lost: .*--fresh"
     with pytest.raises(UsageError, match=words):
-        prepare_alternative(world.run, "halves", "one").run()
-    report = prepare_alternative(world.run, "halves", "one", "replaced:misadapt").run()
+        plan_alternative(world.run, "halves", "one").run()
+    report = plan_alternative(world.run, "halves", "one", "replaced:misadapt").run()
     assert "--adapt makes no state for 'whole', only for broken" in report.reason
-    report = prepare_alternative(world.run, "halves", "one", "replaced:elsewhere").run()
+    report = plan_alternative(world.run, "halves", "one", "replaced:elsewhere").run()
     assert "--adapt takes the state of 'stranger', which is not" in report.reason
     assert world.run.placement().keys() >= {"counter", "adder"}
-    assert prepare_alternative(world.run, "halves", "bad", fresh=True).run().committed
+    assert plan_alternative(world.run, "halves", "bad", fresh=True).run().committed
 
 
 def test_refuses_before_anything_is_touched(world: RobotWithAlternatives) -> None:
@@ -323,8 +321,8 @@ def test_refuses_before_anything_is_touched(world: RobotWithAlternatives) -> Non
         ("halves", "deaf", "'source.doubles' calls 'counter.doubles', and is joined"),
     ):
         with pytest.raises(UsageError, match=words):
-            prepare_alternative(world.run, name, by).run()
-    report = prepare_alternative(world.run, "halves", "one", "replaced:nothing").run()
+            plan_alternative(world.run, name, by).run()
+    report = plan_alternative(world.run, "halves", "one", "replaced:nothing").run()
     assert "has no" in report.reason
     assert report.downtime == 0.0
     world.works()

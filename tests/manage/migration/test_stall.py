@@ -10,7 +10,7 @@ import pytest
 from poise.errors import RunError
 from poise.manage.deploy.desired import Incarnation
 from poise.manage.deploy.running_components import RunningComponents
-from poise.manage.migration.preparation import STALL_LIMIT, Stall
+from poise.manage.migration.pending_migration import STALL_LIMIT, Stall
 from poise.wire.records.status_records import (
     AgentStatus,
     ComponentStatus,

@@ -24,7 +24,7 @@ from poise.manage.migration.migration_report import (
     TransitionReport,
     TransitionStep,
 )
-from poise.manage.migration.move import prepare_alternative, prepare_move
+from poise.manage.migration.move import plan_alternative, plan_move
 from poise.manage.migration.transition_run import start_together, transit
 from poise.manage.shortages.free_room import room_for_components
 from poise.manage.shortages.suspension import Suspensions
@@ -102,7 +102,7 @@ class Actions:
                 raise RunError(f"'{component}' left '{target}' only recently")
             check_move(situation, component, target)
         self._limits.note([TransitionStep(component, source, target)], now)
-        _raise_on_failure(prepare_move(run, component, target).run())
+        _raise_on_failure(plan_move(run, component, target).run())
 
     def _replace(self, symptom: Symptom, _situation: Situation, _now: float) -> None:
         policy, run = symptom.policy, self._run
@@ -114,7 +114,7 @@ class Actions:
         ]
         if not (by := policy.by or next(iter(others), "")):
             raise UsageError(f"architecture '{old.name}' has no alternative")
-        replacement = prepare_alternative(run, old.name, by, fresh=policy.force)
+        replacement = plan_alternative(run, old.name, by, fresh=policy.force)
         _raise_on_failure(replacement.run())
 
     def _restart(self, symptom: Symptom, situation: Situation, _now: float) -> None:

@@ -10,7 +10,7 @@ from poise.clock import wall_time
 from poise.manage.deploy.desired import Incarnation
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.migration.migration_report import MigrationReport
-from poise.manage.migration.move import prepare_return
+from poise.manage.migration.move import plan_return
 from poise.manage.migration.transition_run import start_together
 from poise.manage.observe.chains import is_late
 from poise.manage.observe.deviations import Deviation
@@ -130,7 +130,7 @@ class Canaries:
         self._returned[name] = shown, until
         found = run.reported(placed)
         is_there = found is not None and found.state == "active"
-        if not (is_there and prepare_return(run, trial.before).run().committed):
+        if not (is_there and plan_return(run, trial.before).run().committed):
             start_together(run, {name: placed.computer}, instead={name: trial.before})
 
 

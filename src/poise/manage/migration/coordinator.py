@@ -25,7 +25,7 @@ from poise.manage.deploy.desired import Incarnation
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.migration.migration_report import MigrationReport
 from poise.manage.migration.migration_rounds import MigrationRounds, PlacedStep
-from poise.manage.migration.preparation import PREPARE_LIMIT, STALL_LIMIT, Stall
+from poise.manage.migration.pending_migration import PREPARE_LIMIT, STALL_LIMIT, Stall
 from poise.manage.observe.deviations import explain
 from poise.priority import going_first
 from poise.units import named

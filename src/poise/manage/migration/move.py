@@ -1,6 +1,6 @@
 """Plans the move of a component, its replacement, or that of an architecture.
 
-Each is checked, and returned as a `MigrationPreparation` to be run.
+Each is checked, and returned as a `PendingMigration` to be run.
 
 A component in Python takes its state along, and loses no call or message. A
 command-line component makes a cold move: it is stopped, and started at the target. The
@@ -25,16 +25,16 @@ from poise.manage.deploy.running_components import (
 )
 from poise.manage.migration.coordinator import Migration
 from poise.manage.migration.migration_report import MigrationReport
-from poise.manage.migration.preparation import MigrationPreparation
+from poise.manage.migration.pending_migration import PendingMigration
 from poise.model.check.allowed_computers import allowed_computers
 from poise.model.robot import Architecture, Robot
 from poise.units import named
 from poise.wire.records.code_records import SHOWN
 
 
-def prepare_move(
+def plan_move(
     run: RunningComponents, component: str, computer: str, *, force: bool = False
-) -> MigrationPreparation:
+) -> PendingMigration:
     """Return the move of a running component to a computer, to be run.
 
     `force`: as of `check_target`.
@@ -49,7 +49,7 @@ def prepare_move(
         code=old.code,
         gently=True,
     )
-    return _preparation(run, old, new)
+    return _pending(run, old, new)
 
 
 def _placed(run: RunningComponents, component: str) -> Incarnation:
@@ -93,14 +93,14 @@ def check_target(
     return old
 
 
-def prepare_replacement(
+def plan_replacement(
     run: RunningComponents,
     component: str,
     by: str,
     adapt: str = "",
     *,
     fresh: bool = False,
-) -> MigrationPreparation:
+) -> PendingMigration:
     """Return the swap of an implementation for another, to be run.
 
     `by`: ``package.module:Class``, or with ``@VERSION`` of deployed code.
@@ -124,10 +124,10 @@ def prepare_replacement(
         fresh=fresh,
         gently=True,
     )
-    return _preparation(run, old, new, by)
+    return _pending(run, old, new, by)
 
 
-def prepare_return(run: RunningComponents, before: Incarnation) -> MigrationPreparation:
+def plan_return(run: RunningComponents, before: Incarnation) -> PendingMigration:
     """Return the swap of a component's code for that of an earlier incarnation."""
     old = _placed(run, before.component)
     new = structs.replace(
@@ -143,7 +143,7 @@ def prepare_return(run: RunningComponents, before: Incarnation) -> MigrationPrep
     entry = run.robot.component(before.component)
     code = (before.code or run.robot.deployed)[:SHOWN]
     by = before.implementation or entry.implementation
-    return _preparation(run, old, new, f"{by}@{code}" if code else by)
+    return _pending(run, old, new, f"{by}@{code}" if code else by)
 
 
 def _code(run: RunningComponents, computer: str, version: str) -> str:
@@ -161,9 +161,9 @@ def _code(run: RunningComponents, computer: str, version: str) -> str:
     return "" if found[0] == run.robot.deployed else found[0]
 
 
-def _preparation(
+def _pending(
     run: RunningComponents, old: Incarnation, new: Incarnation, by: str = ""
-) -> MigrationPreparation:
+) -> PendingMigration:
     entry = run.robot.component(old.component)
     found = [c for c in components_of(run.agents.statuses()) if c.name == entry.name]
     has_state = any(c.has_state for c in found)
@@ -179,14 +179,14 @@ def _preparation(
     )
     if has_failed:
         fresh = structs.replace(new, fresh=True)
-        return MigrationPreparation(
+        return PendingMigration(
             run, report, (), (), lambda: _restart(run, report, old, fresh)
         )
     if report.cold:
-        return MigrationPreparation(
+        return PendingMigration(
             run, report, (), (), lambda: _move_cold(run, report, old, new)
         )
-    return MigrationPreparation(
+    return PendingMigration(
         run,
         report,
         (old,),
@@ -246,14 +246,14 @@ def _swap(run: RunningComponents, old: Incarnation, new: Incarnation) -> str:
     return ""
 
 
-def prepare_alternative(
+def plan_alternative(
     run: RunningComponents,
     architecture: str,
     by: str,
     adapt: str = "",
     *,
     fresh: bool = False,
-) -> MigrationPreparation:
+) -> PendingMigration:
     """Return the replacement of an architecture by another, to be run.
 
     What waits at its ports goes to the alternative where the same source is joined to
@@ -285,7 +285,7 @@ def prepare_alternative(
         before={incarnation.component: incarnation.computer for incarnation in sources},
         after=where,
     )
-    return MigrationPreparation(
+    return PendingMigration(
         run,
         report,
         sources,

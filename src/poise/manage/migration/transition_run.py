@@ -21,7 +21,7 @@ from poise.manage.migration.migration_report import (
     TransitionReport,
     TransitionStep,
 )
-from poise.manage.migration.move import prepare_move
+from poise.manage.migration.move import plan_move
 from poise.manage.observe.deviations import Deviation
 from poise.units import counted
 from poise.wire.heartbeats import LEASES_END_WITHIN
@@ -187,7 +187,7 @@ class _Transition:
             elif not step.target:
                 self._stop(step.component)
             else:
-                report = prepare_move(self._run, step.component, step.target).run()
+                report = plan_move(self._run, step.component, step.target).run()
                 self.moves.append(report)
                 return report.reason
         except (RunError, UsageError) as error:

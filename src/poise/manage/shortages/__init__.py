@@ -1,1 +1,1 @@
-"""What cannot run where it was: lost computers, crashes, too little room."""
+"""Too little room: what is suspended, and what fits beside the rest."""

@@ -98,7 +98,7 @@ class AgentCore:
         if left.wanted is not None:
             self.supervisor.deploy(left.wanted, is_left=True)
             self._keep_only(left.wanted)
-        self._relay = PendingRequests(self.supervisor.processes)
+        self._pending = PendingRequests(self.supervisor.processes)
         self.fence = Fence(
             setup.robot,
             setup.computer,
@@ -151,7 +151,7 @@ class AgentCore:
         note = self.supervisor.note
         outcome = self.supervised.attempt(part_of(container), note, container, record)
         if outcome is not None:
-            self.supervised.attempt("steps", self._relay.end, outcome)
+            self.supervised.attempt("steps", self._pending.end, outcome)
 
     def on_deaf(self, container: str, why: str) -> None:
         """Kill a container that cannot be understood, or that closed its connection."""
@@ -236,14 +236,14 @@ class AgentCore:
             self._about(process.name, process.kill)
 
     def _table(self) -> tuple[_Part, ...]:
-        adoption, standby, relay = self._world.adoption, self.standby, self._relay
+        adoption, standby, pending = self._world.adoption, self.standby, self._pending
         return (
             _Part("state", self._keep_state),
             _Part("lease", self._note_lease),
             _Part(
                 "leader", lambda: standby.look(is_over=self._is_over()), standby.moment
             ),
-            _Part("steps", lambda: relay.give_up(self._clock.now()), relay.moment),
+            _Part("steps", lambda: pending.give_up(self._clock.now()), pending.moment),
             _Part("adoption", adoption.give_up, adoption.moment),
             _Part("containers", self.supervisor.reconcile, self.supervisor.moment),
             _Part("clocks", self._tell_clocks),
@@ -270,8 +270,8 @@ class AgentCore:
             if refusal:
                 reply(StepsFailed(request.number, refusal))
             else:
-                self._relay.pass_on(request, reply, self._clock.now())
-                self._due = min(self._due, self._relay.moment())
+                self._pending.pass_on(request, reply, self._clock.now())
+                self._due = min(self._due, self._pending.moment())
         elif refusal:
             reply(Refused(refusal))
         elif isinstance(request, ReadOutput | CheckpointCopy):

@@ -63,8 +63,8 @@ class Stall:
         )
 
 
-class MigrationPreparation:
-    """A migration to be run, and before that prepared. Use it once.
+class PendingMigration:
+    """A migration to be run when its targets are configured. Use it once.
 
     All but `under_way` is for the manager's thread.
 
@@ -91,7 +91,7 @@ class MigrationPreparation:
         self._reason = ""
         self._missing: list[str] = []
 
-    def begin(self) -> Self:
+    def configure_ahead(self) -> Self:
         """Let the targets be configured; waits for nothing."""
         self._began = time.monotonic()
         self._stall = Stall(self._run)
