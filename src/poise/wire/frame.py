@@ -55,6 +55,8 @@ LENGTH = struct.Struct("<II")
 RECORD_LIMIT = 1.0
 """A record is sent within this time, and received within it once it begins [s]."""
 _PIECE = 1 << 20
+_MOST_WAITING = 1 << 26
+"""What waits for a receiver that takes nothing [bytes]."""
 
 
 class Kind(IntEnum):
@@ -219,7 +221,12 @@ class RecordWriter:
         self._flush(deadline)
 
     def push(self, record: Struct) -> None:
-        """Send what there is room for of a record; `flush` sends the rest."""
+        """Send what there is room for of a record; `flush` sends the rest.
+
+        Timeout: over `_MOST_WAITING` of earlier records have not been taken.
+        """
+        if (waiting := len(self._rest)) > _MOST_WAITING:
+            raise Timeout(f"the other end has left {waiting} B unread")
         self._rest = memoryview(bytes(self._rest) + _packet(record))
         self.flush(0.0)
 

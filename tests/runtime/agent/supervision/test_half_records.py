@@ -7,6 +7,7 @@ from collections.abc import Iterator
 
 import pytest
 
+from poise.errors import Timeout
 from poise.runtime.execution.counters import new_memory
 from poise.runtime.supervision.process_host import ControlLink
 from poise.runtime.waker import wait_readable
@@ -44,6 +45,19 @@ def test_what_a_container_has_no_room_for_goes_when_it_has(
         link.flush()
     assert came == [large, Clocks({})]
     assert not link.is_waiting
+    link.close()
+
+
+def test_what_waits_for_a_container_that_takes_nothing_is_bounded(
+    ends: tuple[socket.socket, socket.socket], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(frame, "_MOST_WAITING", 1_000_000)
+    link = ControlLink("see", ends[0], new_memory())
+    large = ContainerFailure(reason="x" * 900_000)
+    link.send(large)  # type: ignore[arg-type]  # any record will do
+    link.send(large)  # type: ignore[arg-type]
+    with pytest.raises(Timeout, match="unread"):
+        link.send(large)  # type: ignore[arg-type]
     link.close()
 
 
