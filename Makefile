@@ -20,14 +20,15 @@ demo: setup
 	@$(BIN)/poise demo
 
 # what takes long comes first (tests/order.py), so that both workers end together
+PYTEST := $(BIN)/python -m pytest -q --dist loadgroup --no-loadscope-reorder
 # five at a time on two CPUs, for most tests wait for processes
-PYTEST := $(BIN)/python -m pytest -q -n 5 --dist loadgroup --no-loadscope-reorder
 test: setup
-	@$(PYTEST) -m "not exhaustive and not wheels"
+	@$(PYTEST) -n 5 -m "not exhaustive and not wheels"
 
-# what explores or measures for long, builds or deploys code; whole demos and benchmarks
+# what explores or measures for long, builds or deploys code; whole demos and benchmarks:
+# two at a time, for they need the CPU
 exhaustive: setup
-	@$(PYTEST) -m exhaustive
+	@$(PYTEST) -n 2 -m exhaustive
 
 # no process, no socket, no sleep
 quick: setup
