@@ -32,7 +32,7 @@ exhaustive: setup
 
 # no process, no socket, no sleep
 quick: setup
-	@$(PYTEST) -m "not slow"
+	@$(PYTEST) -n 2 -m "not slow"
 
 # a robot that is broken at random, then the tests again and again in random order, beside
 # other work: make soak CHAOS=2h FOR=2h
