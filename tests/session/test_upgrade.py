@@ -15,6 +15,7 @@ import pytest
 import poise
 from poise.manage.control_socket.commands import RobotStatus
 from poise.wire.records.request_records import LEAST_PROTOCOL, PROTOCOL
+from poise.wire.robots_here import forget
 from tests.release import environment, make_release
 from tests.runtime.conftest import free_port
 from tests.session.emulated_robot import written
@@ -107,6 +108,8 @@ class Site:
             text = text.replace(name.upper(), str(port))
         self.file = written(folder, "upgrade", "numbers_of_test", CODE, text)
         self.robot = poise.load(self.file).name
+        # a manager that does not reach all agents at its end leaves their addresses
+        closing.callback(forget, self.robot)
         self.agents: dict[str, subprocess.Popen[bytes]] = {}
 
     def popen(self, python: Path, *words: str) -> subprocess.Popen[bytes]:
