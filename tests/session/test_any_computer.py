@@ -13,12 +13,11 @@ import pytest
 
 from poise.emulate import Emulation
 from poise.session.keys import init_keys
-from tests.busy import CpuOfOthers, skip_as_starved
 from tests.command import POISE
 from tests.session.conftest import bare_computers
 from tests.waiting import LONG, wait_long
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(LONG)]
+pytestmark = [pytest.mark.exhaustive, pytest.mark.slow, pytest.mark.timeout(LONG)]
 
 NAMES = ("left", "right", "third")
 CODE = """
@@ -110,19 +109,11 @@ def field(tmp_path: Path) -> Iterator[Field]:
 def test_commands_find_the_leader_from_each_computer(field: Field) -> None:
     keys = str(field.folder / "owner")
     words = ["up", str(field.file), "--task", "work"]
-    others = CpuOfOthers()
-    with field.popen("left", *words, keys=keys) as up, contextlib.ExitStack() as ends:
+    with field.popen("left", *words, keys=keys), contextlib.ExitStack() as ends:
         ends.callback(field.crash, "left")
         # each `status` takes a computer of half a core most of a second
         wait_long(field.has_socket)
-        wait_long(
-            lambda: (
-                up.poll() is not None
-                or all(field.poise(name, "status")[0] == 0 for name in NAMES)
-            )
-        )
-        if up.poll() is not None:
-            skip_as_starved("a computer was out of reach as the robot started", others)
+        wait_long(lambda: all(field.poise(name, "status")[0] == 0 for name in NAMES))
         assert field.poise("third", "move", "ticker", "third")[0] == 0
         code, said = field.poise("third", "move", "tickler", "left")
         assert code == 2

@@ -352,7 +352,7 @@ def test_an_error_in_what_concerns_one_container_stops_no_other() -> None:
     ("where", "owner", "name"),
     [
         ("lease", "fence", "update"),
-        ("steps", "_relay", "give_up"),
+        ("steps", "_pending", "give_up"),
         ("containers", "supervisor", "reconcile"),
         ("clocks", "supervisor", "send_clocks"),
     ],
