@@ -444,7 +444,8 @@ def test_a_server_of_another_version_is_unavailable(
     wire.server().open("echo", Receiver())
     channel = wire.channel()
     monkeypatch.setattr(frame, "segments", newer)
-    with pytest.raises(Unavailable, match="protocol version 7"):
+    # a plain refusal that comes amid a TLS handshake is not read any more
+    with pytest.raises(Unavailable, match=r"protocol version 7|the answer is plain"):
         channel.request(call("?"), LIMIT)
 
 
