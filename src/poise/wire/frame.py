@@ -56,7 +56,7 @@ RECORD_LIMIT = 1.0
 """A record is sent within this time, and received within it once it begins [s]."""
 _PIECE = 1 << 20
 _MOST_WAITING = 1 << 26
-"""What waits for a receiver that takes nothing [bytes]."""
+"""No more is added to what waits for a receiver once it is over this [bytes]."""
 
 
 class Kind(IntEnum):

@@ -136,10 +136,9 @@ def plan_failover(situation: Situation, lost: Collection[str]) -> FailoverPlan:
         where = {name: result.placement[name] for name in stranded}
         has_room = plan.evaluate(result.problem, {**works, **where}).feasible
         then = works if has_room else {name: result.placement[name] for name in works}
-        with contextlib.suppress(RobotError):  # no way leads there
-            robot = (
-                situation.of_running_components().robot
-            )  # no way leads over what is lost
+        # no way leads over what is lost, or there is none
+        with contextlib.suppress(RobotError):
+            robot = situation.of_running_components().robot
             steps = plan_transition(robot, works, then, shares_cpu=True)
             return FailoverPlan(placement=where, missing=missing, steps=steps)
     kept = {name: (at,) for name, at in works.items()}

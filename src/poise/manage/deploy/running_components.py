@@ -344,12 +344,13 @@ class RunningComponents(DesiredState):
         """Raise RunError when one failed, or its container does not respond."""
         if stuck := self.unresponsive(incarnations):
             raise RunError("; ".join(stuck))
-        for incarnation in incarnations:
-            found = self.reported(incarnation)
-            if found is not None and found.state == "failed":
+        where = {incarnation.key: incarnation.computer for incarnation in incarnations}
+        for component in components_of(self.current()):
+            computer = where.get((component.name, component.epoch))
+            if computer is not None and component.state == "failed":
                 raise RunError(
-                    f"component '{found.name}' cannot be configured on "
-                    f"'{incarnation.computer}':\n{found.error}"
+                    f"component '{component.name}' cannot be configured on "
+                    f"'{computer}':\n{component.error}"
                 )
 
     def raise_on_unreached(self, incarnations: Iterable[Incarnation]) -> None:
