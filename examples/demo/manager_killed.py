@@ -25,9 +25,9 @@ from examples.demo.waiting import (
 from poise import PoiseError, Robot, Running, emulated
 
 _MOVED, _HOME, _TARGET = "passer", "left", "right"
-_AMID = 0.4
+_AMID = 0.2
 """The manager is killed this long after the target of the move is there [s]: the state
-takes 0.7 s to cross the link."""
+takes 0.3 s to cross the link."""
 _END_LIMIT = 20.0
 
 Places = dict[str, tuple[str, int, int]]
