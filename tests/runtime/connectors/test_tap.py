@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,6 +23,7 @@ from poise.runtime.connectors.tap import (
     Plain,
     Taps,
 )
+from poise.wire import frame
 from poise.wire.records.migration_records import StepsFailed
 from poise.wire.records.request_records import Tap, TapReading
 from tests.runtime.connectors.test_sender import FakeRoute, Note, Sums
@@ -112,6 +114,52 @@ def test_a_call_that_raises_is_noted_and_raises() -> None:
     with pytest.raises(ValueError, match="no"):
         proxy.add(4)
     assert observer.read(1).passed[0].value["raised"] == "ValueError('no')"
+
+
+class Unsaid(Exception):
+    def __str__(self) -> str:
+        raise RuntimeError("it says nothing")
+
+    __repr__ = __str__
+
+
+def test_what_cannot_be_shown_goes_out_as_ever() -> None:
+    sender, route = publisher()
+    observer = Observer("a-b", Note, rate=1e6)
+    sender.observe((observer,))
+    sender.sending()(Unsaid())
+    assert len(route.went) == 1
+    (passed,) = observer.read(1).passed
+    assert (passed.value, passed.is_whole) == ("it says nothing", False)
+
+
+def test_a_caller_gets_an_error_that_cannot_be_shown() -> None:
+    proxy: Any = Proxy("a.sums")
+    sender = Sender("a-b", SUMS, proxy, 1.0)
+
+    class Raises(FakeRoute):
+        def function(self, *_: object) -> Any:
+            def call(_: int) -> int:
+                raise Unsaid
+
+            return call
+
+    sender.add("here", Raises())
+    observer = Observer("a-b", Sums, rate=1e6)
+    sender.observe((observer,))
+    with pytest.raises(Unsaid):
+        proxy.add(4)
+    assert observer.read(1).passed[0].value == "it says nothing"
+
+
+def test_a_text_that_cannot_be_sent_is_shown_escaped() -> None:
+    observer = Observer("a-b", Note, rate=1e6)
+    name = os.fsdecode(b"map-\xff.png")
+    observer.note(lambda: {name: [name, 100 * name]})
+    reading = frame.unpack_record(frame.pack_record(observer.read(1)), TapReading)
+    (shown,) = reading.passed
+    assert list(shown.value) == ["map-\\udcff.png"]
+    assert shown.value["map-\\udcff.png"][0] == "map-\\udcff.png"
 
 
 def test_what_finds_no_room_is_counted() -> None:

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 
 from poise.clock import steady_wall_time
-from poise.errors import RunError, UsageError
+from poise.errors import RunError, UsageError, encodable, said
 from poise.runtime.connectors.latest import (
     NONE,
     Number,
@@ -31,7 +31,7 @@ from poise.runtime.connectors.latest import (
     numbered_tag,
     without_number,
 )
-from poise.wire.codec import Packed, WireError, pack
+from poise.wire.codec import Packed, pack
 from poise.wire.connections.connection_server import Handler
 from poise.wire.frame import Frame, Kind, Pieces
 from poise.wire.recording_file import Input, McapFile
@@ -113,9 +113,7 @@ class Observer:
             # and so is a burst, where fewer came before
             early = max(self._every / 2, _BURST)
             self._due = max(self._due, now - early) + self._every
-        passed = (
-            self._packed(at, value()) if self._is_whole else self._plain(at, value())
-        )
+        passed = self._shown(at, value)
         size = passed.value.size if isinstance(passed.value, Packed) else 0
         with self._lock:  # a reading has both, or neither
             self._times.append(at)
@@ -123,21 +121,21 @@ class Observer:
                 self._size += size
                 self._passed.append(passed)
 
-    def _plain(self, at: float, value: object) -> Passed:
-        plain = Plain(self._items)
-        return Passed(at, plain.of(value), plain.is_whole)
+    def _shown(self, at: float, value: Callable[[], object]) -> Passed:
+        """Return a value as the viewer gets it, or why it gets none."""
+        try:
+            if self._is_whole:
+                return Passed(at, pack(value()))
+            plain = Plain(self._items)
+            return Passed(at, plain.of(value()), plain.is_whole)
+        # a user's class may raise anything when its texts and parts are asked for
+        except Exception as error:  # noqa: BLE001
+            return Passed(at, said(error), is_whole=False)
 
     def note_last(self, last: Numbered) -> None:
         """Note a message that had gone out before, if contents are wanted."""
         if self._every < inf and last.number > self._latest:
             self.note(lambda: last.value, last.number)
-
-    def _packed(self, at: float, value: object) -> Passed:
-        """Return a value as it is, or why it cannot be packed."""
-        try:
-            return Passed(at, pack(value))
-        except WireError as error:
-            return Passed(at, str(error), is_whole=False)
 
     def read(self, number: int) -> TapReading:
         """Return what was noted since the last time."""
@@ -186,22 +184,33 @@ def observed_call(
 
     def run(*args: Any, **kwargs: Any) -> Any:  # noqa: ANN401, the call's own
         began = time.monotonic()
-        outcome: dict[str, object] = {}
+        outcome: Callable[[], dict[str, object]] = dict
         try:
             result = call(*args, **kwargs)
         except Exception as error:
-            outcome = {"raised": repr(error)}
+            outcome = partial(_raised, error)
             raise
         else:
-            outcome = {"returned": result}
+            outcome = partial(dict, returned=result)
             return result
         finally:
             took = time.monotonic() - began
-            summary = {name: [*args, *kwargs.values()], **outcome, "seconds": took}
+
+            def summary() -> dict[str, object]:
+                return {
+                    name: [*args, *kwargs.values()],
+                    **outcome(),
+                    "seconds": took,
+                }
+
             for observer in observers:
-                observer.note(lambda: summary)
+                observer.note(summary)
 
     return run
+
+
+def _raised(error: Exception) -> dict[str, object]:
+    return {"raised": repr(error)}
 
 
 class Plain:
@@ -258,9 +267,10 @@ class Plain:
         return [mark] if self._items <= SHOWN_ITEMS else []
 
     def _cut(self, text: str) -> str:
+        """Return a text that can be sent, and is not too long."""
         if len(text) <= _MOST_LETTERS:
-            return text
-        return self._instead(f"{text[:_MOST_LETTERS]}...")
+            return encodable(text)
+        return self._instead(f"{encodable(text[:_MOST_LETTERS])}...")
 
     def _instead(self, text: str) -> str:
         self.is_whole = False
