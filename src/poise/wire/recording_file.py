@@ -134,12 +134,14 @@ class McapFile:
         else:
             encoding, data = "json", msgspec.json.encode(value)
         with self._lock:
+            if self._file.closed:
+                raise RunError(f"{self.path} is closed")
             self._check_room()
-            if topic not in self._channels:
-                self._channels[topic] = self._writer.register_channel(
-                    topic, encoding, self._schema(schema), {"name": name}
-                )
             try:
+                if topic not in self._channels:
+                    self._channels[topic] = self._writer.register_channel(
+                        topic, encoding, self._schema(schema), {"name": name}
+                    )
                 self._writer.add_message(self._channels[topic], moment, data, moment)
                 if self._at_once:
                     self._writer.flush()

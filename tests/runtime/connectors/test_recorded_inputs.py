@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import resource
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -115,3 +116,33 @@ def test_a_recording_is_bounded_and_says_so(
     assert len(inputs_so_far(tmp_path)) == 1
     said = caplog.messages[0]
     assert "nothing more is recorded: the limit of 100 B is reached" in said
+
+
+def test_what_comes_while_a_recording_is_closed_is_handled_as_ever(
+    file: InputFile, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    handler, frames = received(file)
+    come(handler, Kind.MESSAGE, "one")
+    file.close()
+    come(handler, Kind.MESSAGE, "two")
+    assert len(frames) == 2
+    assert len(inputs_so_far(tmp_path)) == 1
+    assert caplog.messages[0].endswith(" is closed")
+
+
+def test_a_full_disk_ends_a_recording_and_nothing_else(
+    file: InputFile, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    handler, frames = received(file)
+    come(handler, Kind.MESSAGE, "one")
+    (path,) = (tmp_path / "it.inputs").iterdir()
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (path.stat().st_size, before[1]))
+    try:
+        come(handler, Kind.MESSAGE, "two")
+        file.close()
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert len(frames) == 2
+    assert len(inputs_so_far(tmp_path)) == 1
+    assert "could not be ended" in caplog.text

@@ -389,8 +389,11 @@ class InputFile:
         log.warning("%s: nothing more is recorded: %s", self._file.path, why)
 
     def close(self) -> None:
-        """Close the file; harmless when repeated."""
-        self._file.close()
+        """Close the file, as far as its disk has room; harmless when repeated."""
+        try:
+            self._file.close()
+        except RunError as error:  # it is read as far as it goes
+            log.warning("%s", error)
 
 
 def _result(answer: Pieces | None) -> bytes:
