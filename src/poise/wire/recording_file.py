@@ -221,7 +221,7 @@ def robot_of(path: Path) -> str:
     """Return the name of the recorded robot; UsageError: it is no recording."""
     for record in _records(path):
         if type(record).__name__ == "Metadata" and record.name == _LIBRARY:
-            return str(record.metadata["robot"])
+            return str(record.metadata.get("robot", ""))
     raise UsageError(f"{path} is no recording of Poise")
 
 
@@ -288,7 +288,7 @@ def messages_of(path: Path, kind: str, type_: type[_Record]) -> Iterator[_Record
     wanted: set[int] = set()
     for record in _records(path):
         match type(record).__name__:
-            case "Channel" if record.topic.split("/")[1] == kind:
+            case "Channel" if record.topic.split("/")[1:2] == [kind]:
                 wanted.add(record.id)
             case "Message" if record.channel_id in wanted:
                 try:
@@ -316,6 +316,8 @@ def _records(path: Path) -> Iterator[McapRecord]:
         log.warning(
             "the recording %s was not closed: up to its last second is missing", path
         )
+    except Exception as error:  # the library says what its libraries raise
+        raise UsageError(f"{path} is damaged: {error!r}") from error
 
 
 class _Whole:
