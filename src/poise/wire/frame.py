@@ -228,12 +228,12 @@ class RecordWriter:
         if (waiting := len(self._rest)) > _MOST_WAITING:
             raise Timeout(f"the other end has left {waiting} B unread")
         self._rest = memoryview(bytes(self._rest) + _packet(record))
-        self.flush(0.0)
+        self.flush()
 
-    def flush(self, limit: float) -> None:
-        """Send what there is room for within `limit` [s]."""
+    def flush(self) -> None:
+        """Send more of what waits, as far as there is room."""
         with contextlib.suppress(Timeout):
-            self._flush(time.monotonic() + limit)
+            self._flush(time.monotonic())
 
     @property
     def is_waiting(self) -> bool:

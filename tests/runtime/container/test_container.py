@@ -99,9 +99,7 @@ Container("see", "a", Path(sys.argv[2]), agent, new_memory()).run()
 """
 
 
-def test_says_that_it_ends_because_the_rest_of_a_record_did_not_come(
-    tmp_path: Path,
-) -> None:
+def test_says_that_it_ends_because_a_record_is_damaged(tmp_path: Path) -> None:
     agent, its = socket.socketpair()
     with agent, its:
         argv = [sys.executable, "-c", RUN, str(its.fileno()), str(tmp_path)]
@@ -109,12 +107,7 @@ def test_says_that_it_ends_because_the_rest_of_a_record_did_not_come(
             argv, pass_fds=[its.fileno()], stderr=subprocess.PIPE, text=True
         )
         its.close()
-        spec = ContainerSpec(name="see", folder="", components=(), connectors=())
-        reading, writing = socket.socketpair()
-        with reading, writing:
-            frame.send_record(writing, spec)
-            record = reading.recv(1 << 16)
-        os.write(agent.fileno(), record[:-1])
+        frame.send_record(agent, ContainerFailure("not for containers"))
         assert wait_readable([agent.fileno()], LIMIT)
         told = frame.receive_record(agent, FromContainer)
         _, said = process.communicate(timeout=LIMIT)

@@ -53,6 +53,7 @@ class AgentLink:
     ) -> None:
         self._container = container
         self._connection: socket.socket | None = connection
+        self._reader = frame.RecordReader(connection)
         self._writer = frame.RecordWriter(connection)
         keep_private(connection)
         self._stats_page = stats_page
@@ -82,11 +83,14 @@ class AgentLink:
         self._ask()
 
     def receive(self) -> ToContainer | None:
-        """Return what the agent tells; None: it is gone."""
+        """Return what the agent tells; None: the rest is still to come, or it is gone.
+
+        Never waits: an agent may stand still amid a record.
+        """
         if self._connection is None:
             return None
         try:
-            record: ToContainer = frame.receive_record(self._connection, ToContainer)
+            record: ToContainer | None = self._reader.next(ToContainer)
         except Unavailable:
             self._lose()
             return None
@@ -121,6 +125,7 @@ class AgentLink:
             except OSError:  # no agent is there yet
                 return
         keep_private(ours)
+        self._reader = frame.RecordReader(ours)
         with self._telling:
             self._connection, self._writer = ours, frame.RecordWriter(ours)
 

@@ -212,7 +212,7 @@ class Container:
             record = self._link.receive()
             if record is not None:
                 self._hear(record)
-            elif self._wanted is None:
+            elif self._wanted is None and not self._link.files():
                 raise Unavailable("the agent ended while it started")
             return isinstance(record, ContainerSpec) or waker in ready
         return bool(ready)

@@ -42,9 +42,6 @@ _SHARES = 10.24
 """Shares of version 1 for a weight of 1 of version 2."""
 _LEAST_QUOTA = 0.001
 """The kernel counts quotas from this on [s]."""
-_FLUSH = 0.05
-"""A container that has begun to take a record gets so much time for it at once [s]: it
-waits for the rest."""
 _PERIOD = 0.02
 """What a quota is counted over, or longer where it would be too small [s]."""
 
@@ -83,7 +80,7 @@ class ControlLink:
 
     def flush(self) -> None:
         """Send more of what it had no room for; Unavailable: it is gone."""
-        self._writer.flush(_FLUSH)
+        self._writer.flush()
 
     @property
     def is_waiting(self) -> bool:
