@@ -16,7 +16,7 @@ from poise.cli.running_robot_command import Robot
 from poise.errors import PoiseError, RunError, UsageError, did_you_mean, listed
 from poise.runtime.connectors.tap import Plain
 from poise.session.running_robots.running import NoManager, connect
-from poise.session.running_robots.running_component import RunningComponent
+from poise.session.running_robots.running_component import RunningComponent, value_of
 from poise.units import counted
 
 _MOST_FAILURES = 10
@@ -125,14 +125,6 @@ def _component(port: str, robot: str | None) -> tuple[RunningComponent, str]:
     return connect(robot).component(component), name
 
 
-def value_of(text: str) -> Any:  # noqa: ANN401, YAML's
-    """Return the value that a text in JSON or YAML has."""
-    try:
-        return yaml.safe_load(text)
-    except yaml.YAMLError as error:
-        raise UsageError(f"'{text}' is neither JSON nor YAML: {error}") from error
-
-
 def _text(value: object) -> str:
     text = yaml.safe_dump(value, sort_keys=False, allow_unicode=True)
     return text.removesuffix("...\n")
@@ -156,6 +148,8 @@ def list_command(robot: Robot = None, as_json: AsJson = False) -> None:
     for name in sorted(up.status().placement):
         try:
             parameters[name] = RunningComponent(up.name, name).parameters()
+        except NoManager:
+            raise
         except PoiseError as error:
             silent.append(f"{name}: {error}")
     _show(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import secrets
 import time
@@ -9,6 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, TypeVar, cast, get_type_hints
 
 import msgspec
+import yaml
 from msgspec import structs
 
 from poise.errors import CalleeError, PoiseError, RunError, Timeout, UsageError
@@ -19,6 +21,7 @@ from poise.manage.control_socket.commands import (
 )
 from poise.manage.control_socket.control_client import ask
 from poise.runtime._calls import time_left
+from poise.units import quoted
 from poise.wire.codec import Packed, WireError, pack, unpack
 from poise.wire.records.request_records import PARAMETERS, PortAnswer, TapReading
 
@@ -27,6 +30,21 @@ _PATIENCE = 10.0
 """A source that was killed, and its connector, are there again within this time [s]."""
 I = TypeVar("I")  # noqa: E741, an interface
 T = TypeVar("T")
+
+
+def value_of(text: str) -> Any:  # noqa: ANN401, YAML's
+    """Return the value that a text in JSON or YAML has.
+
+    JSON comes first: for YAML, ``1e-3`` and a pair of surrogates are something else.
+    """
+    with contextlib.suppress(ValueError, RecursionError):
+        return msgspec.json.decode(text)
+    try:
+        return yaml.safe_load(text)
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        # PyYAML raises ValueError for some dates and numbers, such as 2026-02-30
+        what = f"{quoted(text)} is neither JSON nor YAML: {error}"
+        raise UsageError(what) from error
 
 
 class RunningComponent:

@@ -20,7 +20,7 @@ from poise.errors import PoiseError, UsageError
 from poise.session.render.report_page import html_table
 from poise.session.render.tables import outcome_sentence, what_if_lines
 from poise.session.running_robots.running import JournalEntry, Running, WhatIf
-from poise.session.running_robots.running_component import RunningComponent
+from poise.session.running_robots.running_component import RunningComponent, value_of
 from poise.view.dashboard.state import Page, proposal_in, why
 from poise.wire.records.request_records import OutputLine
 
@@ -341,11 +341,14 @@ class ParameterFields:
 
     async def _set(self) -> None:
         try:
-            values = {n: yaml.safe_load(f.value) for n, f in self._fields.items()}
-        except yaml.YAMLError as error:
-            _complain(f"not a valid value: {error}")
+            changes = {
+                name: value_of(field.value)
+                for name, field in self._fields.items()
+                if field.value != _text(self._known[name])
+            }
+        except UsageError as error:
+            _complain(error)
             return
-        changes = {n: v for n, v in values.items() if v != self._known[n]}
         if not changes:
             ui.notify("Nothing was changed")
             return
