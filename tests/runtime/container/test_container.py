@@ -5,6 +5,7 @@ import os
 import socket
 import subprocess
 import sys
+from concurrent.futures import Future
 from pathlib import Path
 from unittest.mock import Mock
 
@@ -13,9 +14,10 @@ import pytest
 from poise.errors import RunError
 from poise.runtime.container.container import Container
 from poise.runtime.execution.counters import new_memory
+from poise.runtime.hosting.runner import Runner
 from poise.runtime.waker import wait_readable
 from poise.wire import frame
-from poise.wire.records.deployment_records import ContainerSpec
+from poise.wire.records.deployment_records import ComponentSpec, ContainerSpec
 from poise.wire.records.status_records import (
     ComponentStatus,
     ContainerFailure,
@@ -87,6 +89,35 @@ def test_a_text_that_cannot_be_sent_costs_no_other_component_its_status(
     assert "cannot be sent" in told.components[0].error
     assert told.trouble == failure.reason == "map-\\udcff.png"
     assert len(caplog.messages) == 1
+
+
+def test_what_takes_part_in_a_move_is_told_its_goal_once(tmp_path: Path) -> None:
+    """A component that is prepared beside it ends no pause, and no step of a move."""
+    specs = (
+        ComponentSpec(name="source", epoch=1, goal="stay"),
+        ComponentSpec(name="target", epoch=2, goal="inactive"),
+        ComponentSpec(name="third", epoch=3, goal="active"),
+    )
+    keys = [(each.name, each.epoch) for each in specs]
+    spec = ContainerSpec(name="see", folder="", components=specs, connectors=())
+    agent, ours = socket.socketpair()
+    with agent, ours:
+        container = Container("see", "a", tmp_path, ours, new_memory())
+        container._stats_page = container._wiring = Mock()
+        container._wiring.apply.return_value = {}
+        moving = [Mock(), Mock()]
+        container._runners.update(zip(keys, moving, strict=False))
+        prepared: Future[Runner] = Future()
+        container._preparing[keys[2]] = specs[2], prepared
+        container._hear(spec)
+        moving[0].gate.begin_migration.assert_called_once_with()
+        moving[1].aim.assert_called_once_with("inactive")
+        prepared.set_result(new := Mock())
+        assert container._settle()
+        container._server.close()
+    moving[0].gate.begin_migration.assert_called_once_with()
+    moving[1].aim.assert_called_once_with("inactive")
+    new.aim.assert_called_once_with("active")
 
 
 RUN = """

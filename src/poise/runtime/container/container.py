@@ -15,6 +15,7 @@ import signal
 import socket
 import sys
 import time
+from collections.abc import Collection
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from types import FrameType
@@ -301,7 +302,13 @@ class Container:
         with contextlib.suppress(Timeout):  # the agent gave up on us
             self._link.send(answer)
 
-    def _apply(self, spec: ContainerSpec) -> None:
+    def _apply(
+        self, spec: ContainerSpec, new: Collection[ComponentKey] | None = None
+    ) -> None:
+        """Let run what should; of what runs already tell `new` its goal, or all.
+
+        A goal that is told again would undo what steps of a migration did meanwhile.
+        """
         folder = folder_of(spec)
         search_also(spec.repository)
         wanted = {(c.name, c.epoch): c for c in spec.components}
@@ -320,6 +327,8 @@ class Container:
         for key, runner in list(self._runners.items()):
             if key not in wanted:
                 self._remove(key)
+            elif new is not None and key not in new:
+                continue
             elif (goal := wanted[key].goal) == "stay":
                 runner.gate.begin_migration()
             else:
@@ -349,13 +358,14 @@ class Container:
         if not self._preparing and not self._ending:
             return False
         with as_usual():
-            has_changed = self._take_prepared() | self._end_removed()
+            prepared = self._take_prepared()
+            has_changed = self._end_removed() or bool(prepared)
             if has_changed and self._wanted is not None:
-                self._apply(self._wanted)
+                self._apply(self._wanted, new=prepared)
         return has_changed
 
-    def _take_prepared(self) -> bool:
-        """Start the components whose preparation is done; whether there were any."""
+    def _take_prepared(self) -> list[ComponentKey]:
+        """Start the components whose preparation is done; return which these are."""
         done = [key for key, (_, future) in self._preparing.items() if future.done()]
         for key in done:
             spec, prepared = self._preparing.pop(key)
@@ -374,7 +384,7 @@ class Container:
                         lease,
                     )
                 runner.start()
-        return bool(done)
+        return done
 
     def _connect(self, spec: ContainerSpec, staying: list[ComponentKey]) -> None:
         """Join what is to be joined; what could not be is tried again every time."""
