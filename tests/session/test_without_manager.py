@@ -36,6 +36,7 @@ COMMANDS = (
     ("task", "start", "greet"),
     ("log",),
     ("echo", "counter.count"),
+    ("param", "list"),
 )
 SENTENCE = rf"robot '{NAME}' runs without a manager \(since \d\d:\d\d:\d\d\); `poise up"
 
