@@ -7,12 +7,18 @@ from typing import TYPE_CHECKING, cast
 import pytest
 from msgspec.structs import replace
 
+from poise.manage.deploy.desired import Incarnation
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.journal import Journal
 from poise.manage.observe import watch
 from poise.manage.observe.watch import Watch
 from poise.model.robot import Robot
-from poise.wire.records.status_records import ConnectorStatus
+from poise.wire.records.status_records import (
+    ComponentStatus,
+    ConnectorStatus,
+    ContainerHealth,
+    Fault,
+)
 from tests.manage.conftest import FakeAgents
 
 if TYPE_CHECKING:
@@ -47,3 +53,29 @@ def test_a_connector_is_not_said_to_be_joined_because_its_end_is_moved(
     assert not seen.deviations
     said = [(e.kind, e.what) for e in journal.entries() if "reach" in e.what]
     assert said == [("wrong", what), ("right", f"no more: {what}")]
+
+
+def test_what_crashes_before_it_is_configured_is_not_said_to_be_healthy(
+    robot: Robot,
+) -> None:
+    agents, journal = FakeAgents("left", "right"), Journal(":memory:")
+    run = RunningComponents(robot, {}, cast("Agents", agents), journal, "/run")
+    run.start()
+    seen = Watch(run)
+    agents.states["thinker"] = ComponentStatus(
+        name="thinker", epoch=1, state="unconfigured"
+    )
+    thinker = Incarnation(component="thinker", computer="left", epoch=1)
+    run.commit(run.desired.with_coming([thinker]), "it starts")
+    health = ContainerHealth(name="mind", state="running", since=0.0)
+    fault = Fault(container="mind", message="was killed by SIGSEGV", number=1)
+    left = replace(agents.statuses()["left"], health=(health,), faults=(fault,))
+    agents.report(left)
+    seen.record()
+    said = ["container 'mind' on 'left' was killed by SIGSEGV"]
+    assert [e.what for e in journal.entries() if "'mind'" in e.what] == said
+    component = ComponentStatus(name="thinker", epoch=1, state="inactive")
+    agents.report_component("left", component)
+    seen.record()
+    said.append("container 'mind' on 'left' is healthy again")
+    assert [e.what for e in journal.entries() if "'mind'" in e.what] == said

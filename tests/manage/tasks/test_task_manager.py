@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import cast
 
@@ -36,6 +37,8 @@ from poise.wire.records.status_records import (
     ActionEnd,
     AgentStatus,
     ComponentStatus,
+    ContainerStatus,
+    Fault,
     TaskRequest,
 )
 from tests.manage.conftest import FakeAgents
@@ -89,21 +92,37 @@ class Speaking(FakeAgents):
         super().__init__(*computers)
         self.ends: dict[str, ActionEnd] = {}
         self.requests: dict[str, tuple[TaskRequest, ...]] = {}
+        self.crashing = ""
+        self.crashes = 0
 
     def say(self, component: str, *, done: bool = True) -> None:
         before = self.ends.get(component)
         count = before.count + 1 if before else 1
         self.ends[component] = ActionEnd(port="done", count=count, done=done)
 
+    def wait_news(self, is_enough: Callable[[], bool], limit: float) -> bool:
+        return any(super(Speaking, self).wait_news(is_enough, limit) for _ in range(5))
+
     def statuses(self) -> dict[str, AgentStatus]:
         return {name: self._said(each) for name, each in super().statuses().items()}
 
     def _said(self, status: AgentStatus) -> AgentStatus:
+        for container in status.containers:
+            if self.crashing in [each.name for each in container.components]:
+                self.crashes += 1
+                return self._crashed(status, container)
         containers = tuple(
             replace(c, components=tuple(map(self._with_ends, c.components)))
             for c in status.containers
         )
         return replace(status, containers=containers)
+
+    def _crashed(self, status: AgentStatus, gone: ContainerStatus) -> AgentStatus:
+        """Return what is known once a container has crashed again as it started."""
+        fault = Fault(container=gone.name, message="was killed by SIGSEGV")
+        faults = [replace(fault, number=n + 1) for n in range(self.crashes)]
+        containers = tuple(each for each in status.containers if each is not gone)
+        return replace(status, containers=containers, faults=tuple(faults))
 
     def _with_ends(self, component: ComponentStatus) -> ComponentStatus:
         end = self.ends.get(component.name)
@@ -286,6 +305,16 @@ def test_an_action_whose_component_does_not_start_fails_and_says_why() -> None:
     assert any("has failed: it cannot begin: component 'goer'" in e for e in rig.said())
 
 
+def test_what_is_done_on_failure_is_not_needed_before() -> None:
+    robot = robot_with(task("t", act("a", "see", on_failure=act("b", "go"))))
+    rig = Rig(robot, "t")
+    now = rig.manager.now()
+    assert replace(robot, tasks=(now,)).functions_of(now.name) == ("see",)
+    rig.end("seeer", done=False)
+    now = rig.manager.now()
+    assert replace(robot, tasks=(now,)).functions_of(now.name) == ("go",)
+
+
 def test_what_rests_gives_way_when_its_memory_is_needed() -> None:
     steps = act("a", "see"), act("b", "go"), act("c", "say")
     rig = Rig(robot_with(task("t", *steps), memory=7e8), "t")
@@ -459,6 +488,21 @@ def test_what_does_not_start_is_a_failure_of_its_architecture(tmp_path: Path) ->
     (belief,) = beliefs_about(robot, "go-arch")
     assert (belief.action, belief.failed) == ("a", 1)
     assert beliefs_about(robot, "see-arch") == []
+
+
+def test_what_crashes_as_it_starts_is_a_failure_of_its_architecture(
+    tmp_path: Path,
+) -> None:
+    failing = act("a", "go", on_failure=act("b", "say"))
+    robot = replace(robot_with(task("t", failing)), folder=str(tmp_path))
+    rig = Rig(robot)
+    rig.agents.crashing = "goer"
+    rig.manager.command("start", "t")
+    said = "container 'go-arch' on 'main' was killed by SIGSEGV ("
+    assert any(said in each for each in rig.said())
+    assert rig.active() == {"sayer"}
+    (belief,) = beliefs_about(robot, "go-arch")
+    assert (belief.action, belief.failed) == ("a", 1)
 
 
 @pytest.mark.parametrize(

@@ -40,12 +40,23 @@ from poise.wire.records.status_records import (
     AgentStatus,
     ComponentStatus,
     ContainerHealth,
+    Fault,
 )
 
 READY_LIMIT = 20.0
 """All components are configured and all connectors joined within this time [s]."""
 ACTIVE_LIMIT = 10.0
 STOP_LIMIT = 5.0
+_CRASHES = 5
+"""A component does not start whose container has ended so often since it was to run."""
+
+
+class DoesNotStart(RunError):
+    """A component that was to run has failed by its own doing."""
+
+    def __init__(self, component: str, error: str) -> None:
+        super().__init__(f"component '{component}' failed:\n{error}")
+        self.component = component
 
 
 class RunningComponents(DesiredState):
@@ -171,6 +182,7 @@ class RunningComponents(DesiredState):
             check()
             self.raise_on_unreached(wanted)
             self._raise_on_refusal(wanted)
+            self._raise_on_crashes(wanted)
             return not self.missing(wanted)
 
         if not self.agents.wait_news(is_reached, limit):
@@ -370,6 +382,20 @@ class RunningComponents(DesiredState):
         for computer in sorted({incarnation.computer for incarnation in incarnations}):
             if refusal := self.reconciler.refusal(computer):
                 raise RunError(refusal)
+
+    def _raise_on_crashes(self, incarnations: Iterable[Incarnation]) -> None:
+        """Raise DoesNotStart when a container has ended `_CRASHES` times meanwhile."""
+        faults: dict[tuple[str, str], list[tuple[str, Fault]]] = {}
+        for computer, fault in faults_after(self._faults_before_commit, self.current()):
+            if not fault.is_over:
+                place = computer, fault.container
+                faults.setdefault(place, []).append((computer, fault))
+        for incarnation in incarnations if faults else ():
+            place = incarnation.computer, self.layout.container_of(incarnation)
+            found = self.reported(incarnation)
+            is_there = found is not None and found.state != "unconfigured"
+            if not is_there and len(same := faults.get(place, ())) >= _CRASHES:
+                raise DoesNotStart(incarnation.component, "; ".join(combined(same)))
 
     def raise_on_lost(self) -> bool:
         """Raise RunError when a computer is out of reach, unless it goes on without."""

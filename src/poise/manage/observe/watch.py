@@ -6,7 +6,7 @@ import time
 from collections.abc import Mapping
 
 from poise.clock import wall_time
-from poise.manage.agent_connections.statuses import Statuses
+from poise.manage.agent_connections.statuses import Statuses, components_of
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.journal import Kind
 from poise.manage.observe.deviations import (
@@ -113,9 +113,16 @@ class Watch:
             for deviation in self.deviations
             if deviation.component in run.placed
         }
+        states = {(c.name, c.epoch): c.state for c in components_of(statuses)}
+        starting = {
+            (each.computer, run.layout.container_of(each))
+            for each in run.desired.incarnations()
+            if states.get(each.key, "unconfigured") == "unconfigured"
+        }
         for computer, status in statuses.items():
             for health in status.health:
                 is_well = health.state == "running" and health.name not in deviating
+                is_well = is_well and (computer, health.name) not in starting
                 if is_well and self._faults.close(computer, health.name):
                     what = f"container '{health.name}' on '{computer}'"
                     run.journal.note("right", f"{what} is healthy again")

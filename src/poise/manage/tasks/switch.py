@@ -21,6 +21,7 @@ from poise.manage.deploy.desired import Incarnation
 from poise.manage.deploy.running_components import (
     ACTIVE_LIMIT,
     READY_LIMIT,
+    DoesNotStart,
     RunningComponents,
 )
 from poise.model.robot import Architecture
@@ -52,14 +53,6 @@ def drop(run: RunningComponents, components: Iterable[str]) -> None:
     gone = [name for name in components if name in run.prefetched]
     if gone:
         run.commit(run.desired.without(gone), "idle components end")
-
-
-class DoesNotStart(RunError):
-    """A component that was to begin has failed by its own doing."""
-
-    def __init__(self, component: str, error: str) -> None:
-        super().__init__(f"component '{component}' failed:\n{error}")
-        self.component = component
 
 
 def switch(

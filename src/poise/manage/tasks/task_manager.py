@@ -18,7 +18,7 @@ from poise.estimate.outcomes import Ending, note_outcome
 from poise.manage.adaptation.policy_values import values_of
 from poise.manage.adaptation.situation import Situation
 from poise.manage.deploy.desired import Desired
-from poise.manage.deploy.running_components import RunningComponents
+from poise.manage.deploy.running_components import DoesNotStart, RunningComponents
 from poise.manage.migration.transition_run import transit
 from poise.manage.tasks.action_placement import (
     Admission,
@@ -36,7 +36,7 @@ from poise.manage.tasks.component_reports import (
     conditions_of,
 )
 from poise.manage.tasks.concurrent_tasks import TaskReport, Tasks, task_reports
-from poise.manage.tasks.switch import DoesNotStart, IdleComponents, switch
+from poise.manage.tasks.switch import IdleComponents, switch
 from poise.manage.tasks.task_progress import (
     OVER,
     ActionEnded,
@@ -92,7 +92,10 @@ class TaskManager:
     def now(self) -> Task:
         """Return what runs now, as a task of one phase."""
         going = self.tasks.going()
-        actions = [attempt.action for _, attempt in self._due_actions()]
+        actions = [  # nothing needs what is done on failure, until one has failed
+            replace(attempt.action, on_failure="give up")
+            for _, attempt in self._due_actions()
+        ]
         used = {function for action in actions for function in action.functions}
         if fixed := self._serving.fixed():
             actions.append(Action(name="always", functions=tuple(sorted(fixed))))
