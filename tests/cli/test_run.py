@@ -170,6 +170,17 @@ def test_a_run_ends_with_a_report_and_prints_nothing_else(tmp_path: Path) -> Non
         assert "printer has 10" in result.stderr
 
 
+def test_a_report_that_cannot_be_written_is_printed_all_the_same(
+    robot: Write, tmp_path: Path
+) -> None:
+    (tmp_path / "report" / "report.html").mkdir(parents=True)
+    options = ["--task", "work", "--for", "1s", "--report", str(tmp_path / "report")]
+    code, said = run(robot(implementation("Quiet")), *options)
+    assert code == 1
+    assert "report.html cannot be written: Is a directory" in said.replace("\n", "")
+    assert "ran for 1" in said
+
+
 def test_a_component_that_raises_on_start_ends_the_run(robot: Write) -> None:
     code, said = run(robot(implementation("Angry")), "--task", "work")
     kept = [each.what for each in read_journal(find_journal("tiny"))]

@@ -53,6 +53,15 @@ def test_placements_are_compared(
     assert "<h1>static</h1>" in (tmp_path / "page.html").read_text()
 
 
+def test_an_outcome_is_printed_though_its_page_cannot_be_written(
+    poise: Poise, rehearsal: type[FakeRehearsal]
+) -> None:
+    done = poise("simulate", HELLO, "--html", "/dev/full", "--json")
+    assert json.loads(done.stdout)["seconds"] == 60.0
+    assert done.returncode == 1
+    assert "/dev/full cannot be written: No space left on device" in done.stderr
+
+
 def test_faults_come_from_a_file(
     poise: Poise, rehearsal: type[FakeRehearsal], tmp_path: Path
 ) -> None:

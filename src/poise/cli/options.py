@@ -123,6 +123,17 @@ def show(outcome: object, parts: Iterable[RenderableType], *, as_json: bool) -> 
         console.print(part)
 
 
+def try_write(path: Path, text: str, say: Callable[[str], object]) -> bool:
+    """Write a file, and say so, or why not: its outcome is printed all the same."""
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        say(f"{path} cannot be written: {error.strerror}")
+        return False
+    say(f"wrote {path}")
+    return True
+
+
 def busy(what: str) -> AbstractContextManager[object]:
     """Show in a terminal, on standard error, what a command does for so long."""
     from rich.console import Console

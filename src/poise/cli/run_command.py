@@ -26,6 +26,7 @@ from poise.cli.options import (
     arguments_of,
     parse_option,
     show,
+    try_write,
 )
 from poise.cli.watch_command import check_dashboard, dashboard_beside
 from poise.errors import UsageError
@@ -112,15 +113,15 @@ def run_command(
                 check=interrupts.check,
             )
         text = msgspec.json.format(msgspec.json.encode(result))
-        if report is not None:
-            (report / "report.json").write_bytes(text + b"\n")
-            (report / "report.html").write_text(result.page(), encoding="utf-8")
-            console.print(escape(f"wrote {report / 'report.html'}"))
+        is_kept = report is None or (
+            try_write(report / "report.json", text.decode() + "\n", say)
+            and try_write(report / "report.html", result.page(), say)
+        )
         if as_json:
             sys.stdout.write(text.decode() + "\n")
         else:
             console.print(result)
-    if result.invalid or (result.failed and not allow_errors):
+    if result.invalid or not is_kept or (result.failed and not allow_errors):
         raise typer.Exit(1)
 
 

@@ -21,6 +21,7 @@ from poise.cli.options import (
     arguments_of,
     parse_option,
     print_json,
+    try_write,
 )
 from poise.errors import UsageError
 from poise.model.load import load
@@ -130,12 +131,10 @@ def simulate_command(
                 meanwhile=show,
                 check=interrupts.check,
             )
-        if html is not None:
-            html.write_text(result.page(), encoding="utf-8")
-            say(f"wrote {html}")
+        is_kept = html is None or try_write(html, result.page(), say)
         if as_json:
             print_json(result)
         else:
             console_to().print(result)
-    if result.failed:
+    if result.failed or not is_kept:
         raise typer.Exit(1)
