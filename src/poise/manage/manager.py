@@ -217,7 +217,7 @@ class Manager:
         else:
             if not self.is_stopping and future.set_running_or_notify_cancel():
                 self._begin(command, future)
-        self._tick.run("migrate", self._migrate)
+        self._tick.run("migrate", self._make_configured)
         self._tick.run("answer what is stored", self._answer_stored)
         self._tick.run("take samples", self._take_samples)
         self._observe()
@@ -303,7 +303,7 @@ class Manager:
             self.is_stopping
             or not self._commands.empty()
             or (not self._tick.backs_off("look after tasks") and self.tasks.has_news())
-            or any(pending.is_over() for _, pending, _ in self._pending)
+            or any(pending.is_decided() for _, pending, _ in self._pending)
             or any(self._run.agents.has_stored(each[0]) for each in self._unstored)
         )
 
@@ -312,7 +312,7 @@ class Manager:
 
         Meanwhile other commands are carried out, and the robot is looked after.
         """
-        result = self._carry_out(command, partial(self._do, command))
+        result = self._carry_out(command, partial(self._do_or_plan, command))
         if isinstance(result, PendingMigration):
             self._pending.append((command, result, future))
         else:
@@ -335,11 +335,11 @@ class Manager:
             self._unstored.remove(waiting)
             future.set_result(result)
 
-    def _migrate(self) -> None:
+    def _make_configured(self) -> None:
         """Make the migrations whose targets are configured, or will not be."""
         for waiting in list(self._pending):
             command, pending, future = waiting
-            if not self.is_stopping and pending.is_over():
+            if not self.is_stopping and pending.is_decided():
                 self._pending.remove(waiting)
                 migrate: Callable[[], MigrationReport] = pending.run
                 if isinstance(command, ReplaceCommand) and command.watch:
@@ -364,8 +364,8 @@ class Manager:
             self._run.release(what)  # what was placed goes on
             return Refusal(f"{what}. The robot keeps its placement", "RunError")
 
-    def _do(self, command: Command) -> Result | PendingMigration:
-        """Do what a command asks for; return a migration that is still to be made."""
+    def _do_or_plan(self, command: Command) -> Result | PendingMigration:
+        """Do what a command asks for, but for a migration: that is returned."""
         run = self._run
         self._lost.settle()
         match command:

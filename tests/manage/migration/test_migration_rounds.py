@@ -59,7 +59,7 @@ def test_a_move_takes_one_round_in_stages(robot: Robot) -> None:
         heavy="left",
         thinker="right",
     )
-    (only,) = rounds.transfer()
+    (only,) = rounds.pause_and_transfer()
     assert steps(only) == [
         ("grabber", Step("buffer", connectors=("grabber.raw-filter.raw",))),
         ("filter", Step("pause", "filter", 0)),
@@ -85,7 +85,7 @@ def test_no_marker_goes_over_a_cut_link(robot: Robot) -> None:
         heavy="left",
         thinker="right",
     )
-    (only,) = rounds.transfer()
+    (only,) = rounds.pause_and_transfer()
     late = {"filter.clean-thinker.seen/0.0": 1}
     heavy = ("filter.clean-heavy.clean",)
     assert steps(only)[:3] == [
@@ -103,7 +103,7 @@ def test_a_sender_that_is_cut_off_buffers_what_would_be_kept(robot: Robot) -> No
         {"grabber.raw-filter.raw": 4},
         grabber="left",
     )
-    (only,) = rounds.transfer()
+    (only,) = rounds.pause_and_transfer()
     late = {"grabber.raw-filter.raw/0.0": 4}
     assert steps(only)[:3] == [
         ("grabber", Step("buffer", late=late)),
@@ -123,7 +123,7 @@ def test_a_computer_that_is_out_of_reach_takes_no_step(robot: Robot) -> None:
         grabber="left",
         thinker="left",
     )
-    taking = [*rounds.transfer()[0], *rounds.resume(), *rounds.roll_back()]
+    taking = [*rounds.pause_and_transfer()[0], *rounds.resume(), *rounds.roll_back()]
     assert {where.component for where, _ in taking} == {"filter"}
 
 
@@ -181,7 +181,7 @@ def test_an_architecture_is_drained_on_the_way_of_its_messages() -> None:
     rounds = rounds_of(
         _alternatives(), {"b": "left", "a": "left"}, {"c": "left"}, **where
     )
-    first, last = (steps(each) for each in rounds.transfer())
+    first, last = (steps(each) for each in rounds.pause_and_transfer())
     assert first == [
         ("source", Step("buffer", connectors=("source.calls-a.port",))),
         ("a", Step("drain channels", "a", 0, ("source.calls-a.port",))),

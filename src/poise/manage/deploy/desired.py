@@ -107,7 +107,10 @@ class Desired(Struct, frozen=True, kw_only=True):
         }
 
     def with_coming(self, coming: Iterable[Incarnation]) -> Desired:
-        """Return this with another change under way; none: nothing is under way."""
+        """Return this with another change under way; none: nothing is under way.
+
+        What was configured ahead for it is part of the change from now on.
+        """
         coming = tuple(coming)
         return replace(self.without_configured_ahead(coming), coming=coming)
 

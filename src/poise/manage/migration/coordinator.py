@@ -73,7 +73,7 @@ class Migration:
         }
         self._away = run.agents.out_of_reach().keys()
         self._dropped: dict[str, str] = {}
-        self._number = 0
+        self._migration_number = 0
         self._names = [source.component for source in sources]
         self._what = f"migration of {report.name}"
         self._phases = MigrationPhases("manager", self._what)
@@ -91,15 +91,15 @@ class Migration:
         downtime, reason = 0.0, ""
         self._phases.enter("prepare")
         try:
-            plan = self._plan()
-            self._prepare(plan)
+            rounds = self._rounds()
+            self._prepare(rounds)
         except RunError as error:
             reason = str(error)
             self._phases.enter("roll back")
         else:
             with going_first():
                 paused = time.monotonic()
-                reason = self._switch(plan, paused + DOWNTIME_LIMIT)
+                reason = self._switch(rounds, paused + DOWNTIME_LIMIT)
                 downtime = time.monotonic() - paused
         phases = self._phases.seconds()
         if reason:
@@ -152,7 +152,7 @@ class Migration:
                 "`poise status` says where it runs now"
             )
 
-    def _plan(self) -> MigrationRounds:
+    def _rounds(self) -> MigrationRounds:
         """Return the steps; raise RunError when they could not all be taken."""
         self._raise_on_failed()
         run = self._run
@@ -174,13 +174,13 @@ class Migration:
             away=self._away,
         )
 
-    def _prepare(self, plan: MigrationRounds) -> None:
+    def _prepare(self, rounds: MigrationRounds) -> None:
         desired = self._run.desired.aiming("stay", self._names).with_coming(
             self._targets
         )
         self._run.commit(desired, f"prepare the {self._what}")
         # higher than that of any earlier migration, whatever the clock says
-        self._number = self._run.desired.generation
+        self._migration_number = self._run.desired.generation
         stall = Stall(self._run)
 
         def trouble() -> bool:
@@ -189,7 +189,7 @@ class Migration:
 
         self._run.wait(self._targets, PREPARE_LIMIT, trouble)
         limit = PREPARE_LIMIT if self._copies_ahead() else STALL_LIMIT
-        self._take(plan.prepare(), limit, self._raise_on_failed)
+        self._send_round(rounds.prepare(), limit, self._raise_on_failed)
 
     def _copies_ahead(self) -> bool:
         """Return whether a large state, or the import of `adapt`, may take its time."""
@@ -198,16 +198,17 @@ class Migration:
             component.copies_ahead for component in found if component is not None
         )
 
-    def _switch(self, plan: MigrationRounds, deadline: float) -> str:
+    def _switch(self, rounds: MigrationRounds, deadline: float) -> str:
         """Pause, and let the targets go on, or the sources again; return why those."""
         self._phases.enter("quiesce")
         try:
-            for steps in plan.transfer():
+            for steps in rounds.pause_and_transfer():
                 began = time.monotonic()
-                quiesced = began + self._take(steps, _left(deadline))
+                answers = self._send_round(steps, _left(deadline))
+                quiesced = began + _quiescing(answers)
         except RunError as error:
             self._phases.enter("roll back")
-            self._resume(plan.roll_back())
+            self._send_last_round(rounds.roll_back())
             return str(error)
         self._phases.enter("transfer", quiesced)
         self._phases.enter("commit")
@@ -219,7 +220,7 @@ class Migration:
         self._run.commit(desired, f"{self._what} is committed", tell_later=True)
         self._committed_generation = self._run.desired.generation
         self._phases.enter("resume")
-        self._resume(plan.resume())
+        self._send_last_round(rounds.resume())
         return ""
 
     def _linger(self) -> None:
@@ -233,25 +234,24 @@ class Migration:
         if unanswered:
             self._note_failure(f"{_names(unanswered)} may still call its earlier place")
 
-    def _take(
+    def _send_round(
         self,
         steps: Sequence[PlacedStep],
         limit: float,
         check: Callable[[], object] = lambda: None,
-    ) -> float:
-        """Let containers take steps, all at once; return how long they quiesced [s].
+    ) -> list[StepsDone]:
+        """Let containers take steps, all at once; return what they answer.
 
         `check`: called now and then while containers have not answered; may raise.
         """
-        quiesce = 0.0
+        answers = []
         for _, outcome in self._outcomes(steps, limit, check):
             if not isinstance(outcome, StepsDone):
                 raise RunError(outcome.reason)
-            quiescing = [t for t in outcome.taken if t.phase == "quiesce"]
-            quiesce = max(quiesce, sum(t.ended - t.began for t in quiescing))
-        return quiesce
+            answers.append(outcome)
+        return answers
 
-    def _resume(self, steps: Sequence[PlacedStep]) -> None:
+    def _send_last_round(self, steps: Sequence[PlacedStep]) -> None:
         """Let the targets, or the sources again, go to work.
 
         A container that is not reached follows the next deployment: it then has one
@@ -288,12 +288,12 @@ class Migration:
             (
                 computer,
                 MigrationSteps(
-                    number,
-                    self._number,
-                    container,
-                    tuple(step for _, step in batches[computer, container]),
-                    limit,
-                    tuple(each.key for each in self._targets),
+                    number=number,
+                    migration=self._migration_number,
+                    container=container,
+                    steps=tuple(step for _, step in batches[computer, container]),
+                    limit=limit,
+                    targets=tuple(each.key for each in self._targets),
                 ),
             )
             for number, (computer, container) in by_number.items()
@@ -346,6 +346,15 @@ class Migration:
 
 def _names(steps: Sequence[PlacedStep]) -> str:
     return ", ".join(sorted(f"'{sender.component}'" for sender, _ in steps))
+
+
+def _quiescing(answers: Iterable[StepsDone]) -> float:
+    """Return how long the slowest container of a round quiesced [s]."""
+    quiescing = (
+        sum(t.ended - t.began for t in answer.taken if t.phase == "quiesce")
+        for answer in answers
+    )
+    return max(quiescing, default=0.0)
 
 
 def _left(deadline: float) -> float:

@@ -71,7 +71,7 @@ class MigrationRounds:
             steps += [_step("await idle", s, limit=IDLE_LIMIT) for s in sources]
         return steps
 
-    def transfer(self) -> list[Round]:
+    def pause_and_transfer(self) -> list[Round]:
         """Return the rounds from the pause until the targets are ready.
 
         A move takes one round; more when callers must pause before their callees. An

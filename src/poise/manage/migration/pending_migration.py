@@ -99,8 +99,8 @@ class PendingMigration:
         self._run.commit(desired, f"configure for the migration of {self._report.name}")
         return self
 
-    def is_over(self) -> bool:
-        """Return whether they are configured, or will not be."""
+    def is_decided(self) -> bool:
+        """Look; return whether they are configured, or will not be."""
         if self._reason:
             return True
         try:

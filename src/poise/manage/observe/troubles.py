@@ -42,8 +42,8 @@ class Troubled(Protocol):
 class ManagerTroubles:
     """Looks at the manager itself. The robot goes on, and nothing moves for it.
 
-    `wall`: the time [s], by the clock that people set, and by one that never jumps;
-    `now`: the time [s], by the clock that people set, and by one that never jumps.
+    `wall`: the time [s], by the clock that people set;
+    `now`: the time [s], by one that never jumps.
     """
 
     def __init__(
