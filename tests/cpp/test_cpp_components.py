@@ -401,6 +401,20 @@ def test_an_error_whose_text_cannot_be_sent_reaches_its_caller(
     assert r"low \xff" in caplog.text
 
 
+def test_so_many_fields_may_be_listed_as_is_said(tmp_path: Path) -> None:
+    most = 342
+    header = Path(cmake.folder(), "include/poise/for_each.hpp")
+    text = header.read_text()
+    assert f"up to {most} names" in text
+    names = ", ".join(f"field{number}" for number in range(most))
+    file = tmp_path / "many.cpp"
+    file.write_text(f"{text}\nPOISE_FOR_EACH(<>, {names})\n")
+    argv = ["c++", "-std=c++20", "-E", "-P", str(file)]
+    run = subprocess.run(argv, capture_output=True, text=True, check=True)
+    assert run.stdout.count("<>(field") == most
+    assert "POISE" not in run.stdout
+
+
 ENDING = """
 import gc, time, mixed
 from poise.testing import Bench

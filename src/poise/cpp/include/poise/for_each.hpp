@@ -1,8 +1,10 @@
-// POISE_FOR_EACH(macro, a, b, ...) is macro(a) macro(b) ...; for up to 256 names.
+// POISE_FOR_EACH(macro, a, b, ...) is macro(a) macro(b) ...; for up to 342 names.
 #pragma once
 
 #define POISE_PARENS ()
 #define POISE_EXPAND(...) \
+  POISE_EXPAND4(POISE_EXPAND4(POISE_EXPAND4(POISE_EXPAND4(__VA_ARGS__))))
+#define POISE_EXPAND4(...) \
   POISE_EXPAND3(POISE_EXPAND3(POISE_EXPAND3(POISE_EXPAND3(__VA_ARGS__))))
 #define POISE_EXPAND3(...) \
   POISE_EXPAND2(POISE_EXPAND2(POISE_EXPAND2(POISE_EXPAND2(__VA_ARGS__))))

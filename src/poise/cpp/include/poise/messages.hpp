@@ -331,7 +331,7 @@ struct type_caster<T, enable_if_t<poise::Message<T>>> {
   }
 
   static handle from_cpp(const T& message, rv_policy, cleanup_list* cleanup) noexcept {
-    constexpr std::size_t most = 256;
+    constexpr std::size_t most = 342;  // that for_each.hpp takes
     PyObject* fields[most];
     std::size_t count = 0;
     bool fits = true;
