@@ -48,6 +48,9 @@ namespace trouble {
 struct Empty : std::runtime_error {
   using std::runtime_error::runtime_error;
 };
+struct Late : poise::Timeout {
+  using poise::Timeout::Timeout;
+};
 }  // namespace trouble
 
 static void spin_or_sleep(double seconds) {
@@ -65,7 +68,10 @@ class Target : public poise::Component {
     ++more.number;
     return more;
   }
-  void fail(const std::string& why) { throw trouble::Empty(why); }
+  void fail(const std::string& why) {
+    if (why == "late") throw trouble::Late(why);
+    throw trouble::Empty(why);
+  }
   void wait(double seconds) { spin_or_sleep(seconds); }
   int back(int depth) { return depth > 0 ? 1 + backs.further(depth - 1) : 0; }
   void note(const std::string& text) { heard.publish({static_cast<int>(text.size())}); }

@@ -401,6 +401,14 @@ def test_an_error_whose_text_cannot_be_sent_reaches_its_caller(
     assert r"low \xff" in caplog.text
 
 
+@every_kind
+def test_a_components_own_kind_of_timeout_keeps_its_name(
+    pair: Pair, mixed: ModuleType
+) -> None:
+    source = start(pair, (Source, mixed.Target))
+    assert source.fail("late") == ["trouble::Late", "late"]
+
+
 def test_so_many_fields_may_be_listed_as_is_said(tmp_path: Path) -> None:
     most = 342
     header = Path(cmake.folder(), "include/poise/for_each.hpp")

@@ -92,6 +92,17 @@ inline Thrown thrown() {
   }
 }
 
+inline nb::object cpp_error(const Thrown& what) {
+  return from_python("poise.runtime.hosting.cpp_component", "error")(what.type_name,
+                                                                     text_from(what.message));
+}
+
+// Whether an error is of one of these classes, and not of one that inherits from it.
+template <typename... Classes>
+bool is_exactly(const CallError& error) {
+  return ((typeid(error) == typeid(Classes)) || ...);
+}
+
 // Let what is being handled go on as an error of Python's.
 [[noreturn]] inline void raise_in_python() {
   nb::object error;
@@ -105,11 +116,12 @@ inline Thrown thrown() {
     error = from_python("poise.errors", "CalleeError")(
         text_from(e.type_name), text_from(e.message), text_from(e.traceback));
   } catch (const CallError& e) {
-    error = from_python("poise.errors", thrown().type_name.c_str())(text_from(e.what()));
-  } catch (...) {
     const Thrown what = thrown();
-    error = from_python("poise.runtime.hosting.cpp_component", "error")(
-        what.type_name, text_from(what.message));
+    error = is_exactly<CallError, Unavailable, Timeout, CannotCross>(e)
+                ? from_python("poise.errors", what.type_name.c_str())(text_from(what.message))
+                : cpp_error(what);
+  } catch (...) {
+    error = cpp_error(thrown());
   }
   PyErr_SetObject(error.type().ptr(), error.ptr());
   throw nb::python_error();
