@@ -199,7 +199,7 @@ class Mutterer : public poise::Component {
   void mutter() { throw trouble::Empty("no \xff"); }
   void complain() { warning("low \xff"); }
   void pass_on() {
-    const nanobind::gil_scoped_acquire gil;
+    const poise::Locked lock;
     python().attr("fail")();
   }
   // What is caught of an error in Python that passed through another one.
@@ -243,6 +243,17 @@ class Busy : public poise::Component {
   std::thread thread_;
 };
 POISE_COMPONENT(Busy) { component.published("number", &Busy::number); }
+
+// Its thread asks for the interpreter's lock for as long as the process lives.
+class Endless : public poise::Component {
+ public:
+  void activate() override {
+    std::thread([this] {
+      while (true) now();
+    }).detach();
+  }
+};
+POISE_COMPONENT(Endless) { (void)component; }
 
 // Two of these meet only when their handlers run at the same time.
 static std::atomic<int> num_inside{0};

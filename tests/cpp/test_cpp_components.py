@@ -447,6 +447,36 @@ def test_a_component_may_join_its_thread_when_it_is_destroyed(built: Path) -> No
     assert (ended.stdout, ended.returncode) == ("ended\n", 0), ended.stderr
 
 
+GOES_ON = """
+import time, mixed
+from poise.testing import Bench
+
+class Slow:
+    def __del__(self):
+        time.sleep(0.3)
+
+slow = Slow()
+bench = Bench(mixed.Endless)
+bench.__enter__()
+time.sleep(0.1)
+"""
+
+
+@pytest.mark.usefixtures("mixed")
+def test_a_thread_that_goes_on_while_the_interpreter_ends_does_not_abort_it(
+    built: Path,
+) -> None:
+    ended = subprocess.run(
+        [sys.executable, "-c", GOES_ON],
+        cwd=built,
+        capture_output=True,
+        text=True,
+        timeout=LIMIT,
+        check=False,
+    )
+    assert (ended.returncode, ended.stderr) == (0, "")
+
+
 def test_handlers_of_one_container_run_at_the_same_time(mixed: ModuleType) -> None:
     with Bench(mixed.Meeting) as one, Bench(mixed.Meeting) as other:
         threads = [

@@ -67,32 +67,32 @@ class Component {
   template <typename Result, typename... Args>
   StartedCall<Result> start_call(const Method<Result(Args...)>& method,
                                  const std::type_identity_t<Args>&... args) const {
-    const nb::gil_scoped_acquire gil;
+    const Locked lock;
     return {python_.attr("start_call")(method.place().function(), args...), method.place().method};
   }
 
-  // The component in Python; use it under `nanobind::gil_scoped_acquire`.
+  // The component in Python; use it under `poise::Locked`.
   nb::handle python() const { return python_; }
   void attach(nb::handle python) { python_ = python; }
 
  private:
   template <typename Result>
   Result get(const char* name) const {
-    const nb::gil_scoped_acquire gil;
+    const Locked lock;
     return nb::cast<Result>(python_.attr(name));
   }
   template <typename Result, typename... Args>
   Result call(const char* name, const Args&... args) const {
-    const nb::gil_scoped_acquire gil;
+    const Locked lock;
     return nb::cast<Result>(python_.attr(name)(args...));
   }
   template <typename Result, typename... Args>
   Result with_clock(const char* name, const Args&... args) const {
-    const nb::gil_scoped_acquire gil;
+    const Locked lock;
     return nb::cast<Result>(python_.attr("clock").attr(name)(args...));
   }
   void log(const char* level, const std::string& text) const {
-    const nb::gil_scoped_acquire gil;
+    const Locked lock;
     python_.attr("log").attr(level)("%s", detail::text_from(text));
   }
 
@@ -101,7 +101,7 @@ class Component {
 
 // How much time the caller of the call on this thread still waits [s].
 inline double time_left() {
-  const nb::gil_scoped_acquire gil;
+  const Locked lock;
   return nb::cast<double>(detail::from_python("poise", "time_left")());
 }
 

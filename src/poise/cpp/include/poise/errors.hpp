@@ -80,7 +80,7 @@ inline Thrown thrown() {
   try {
     throw;
   } catch (nb::python_error& error) {
-    const nb::gil_scoped_acquire gil;
+    const Locked lock;
     return {nb::cast<std::string>(error.type().attr("__qualname__")), said(error.value())};
   } catch (const std::exception& error) {
     std::string name = demangled(typeid(error).name());

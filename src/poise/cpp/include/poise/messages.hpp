@@ -92,7 +92,7 @@ class Array {
 
   // A new one of any content in shared memory, as `poise.loan`.
   static Array loan(const Shape& shape) {
-    const nb::gil_scoped_acquire gil;
+    const Locked lock;
     nb::list sides;
     for (const std::size_t side : shape) sides.append(side);
     const nb::object array = detail::from_python("poise", "loan")(nb::tuple(sides), name());
@@ -142,7 +142,7 @@ class Array {
   struct Source {
     Source(nb::object object, View shown) : array(std::move(object)), view(std::move(shown)) {}
     ~Source() {
-      const nb::gil_scoped_acquire gil;
+      const Locked lock;
       array.reset();
       view = View();
     }

@@ -21,7 +21,7 @@ namespace detail {
 
 inline const CallsApi& calls_api() {
   static const auto* api = [] {
-    const nb::gil_scoped_acquire gil;
+    const Locked lock;
     const nb::object capsule = from_python("poise.runtime._calls", "native_api")();
     return static_cast<const CallsApi*>(PyCapsule_GetPointer(capsule.ptr(), calls_api_name));
   }();
@@ -50,7 +50,7 @@ struct Link {
   void* call;
   const Target* target;
   ~Link() {
-    const nb::gil_scoped_acquire gil;
+    const Locked lock;
     function.reset();
   }
 };
@@ -148,7 +148,7 @@ class Method<Result(Args...)> : public detail::MethodBase {
       if (begun == Begin::entered) return finish(*link, run, std::tie(args...));
       if (begun == Begin::refused) throw Timeout(run.refusal);
     }
-    const nb::gil_scoped_acquire gil;
+    const Locked lock;
     return detail::result_from<Result>(call_in_python(args...), place_.method);
   }
 
@@ -200,7 +200,7 @@ class OneWay : public detail::MethodBase {
   }
 
   void operator()(const Args&... args) const {
-    const nb::gil_scoped_acquire gil;
+    const Locked lock;
     call_in_python(args...);
   }
 };
@@ -260,7 +260,7 @@ class Published {
  public:
   // Hand a message to every subscriber, in order.
   void publish(const M& message) const {
-    const nb::gil_scoped_acquire gil;
+    const Locked lock;
     place_.function()(message);
   }
   void attach(const detail::Place& place) { place_ = place; }

@@ -23,7 +23,7 @@ class StartedCall {
   bool cancel() const { return ask("cancel"); }
   // Wait for the result, within the connector's limit; throws CallError, or Cancelled.
   Result result() const {
-    const nb::gil_scoped_acquire gil;
+    const Locked lock;
     try {
       return detail::result_from<Result>(call_->attr("result")(), method_);
     } catch (nb::python_error& error) {
@@ -35,7 +35,7 @@ class StartedCall {
   // Let the component take the answer, as a message: `take` gets this call.
   template <typename Take>
   void then(Take take) const {
-    const nb::gil_scoped_acquire gil;
+    const Locked lock;
     const auto method = method_;
     call_->attr("then")(nb::cpp_function([take, method](nb::object call) {
       const StartedCall started(std::move(call), method);
@@ -45,11 +45,11 @@ class StartedCall {
 
  private:
   static void release(nb::object* call) {
-    const nb::gil_scoped_acquire gil;
+    const Locked lock;
     delete call;
   }
   bool ask(const char* what) const {
-    const nb::gil_scoped_acquire gil;
+    const Locked lock;
     return nb::cast<bool>(call_->attr(what)());
   }
 
@@ -61,12 +61,12 @@ class StartedCall {
 class Within {
  public:
   explicit Within(double seconds) {
-    const nb::gil_scoped_acquire gil;
+    const Locked lock;
     block_ = detail::from_python("poise", "within")(seconds);
     block_.attr("__enter__")();
   }
   ~Within() {
-    const nb::gil_scoped_acquire gil;
+    const Locked lock;
     block_.attr("__exit__")(nb::none(), nb::none(), nb::none());
     block_.reset();
   }

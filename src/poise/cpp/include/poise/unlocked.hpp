@@ -4,6 +4,11 @@
 #include <Python.h>
 #include <unistd.h>
 
+#ifdef Py_LIMITED_API
+// Each Python from 3.4 on exports it, though the stable ABI does not list it.
+extern "C" int PyGILState_Check(void);
+#endif
+
 namespace poise {
 
 // Take the lock by `take`. While Python finalises the interpreter, it ends each thread that does
@@ -34,13 +39,17 @@ class Unlocked {
   PyThreadState* state_;
 };
 
-// With the lock for as long as this lives, on a thread that may be without.
+// With the lock for as long as this lives, on a thread that may be without. One that lost it for
+// good meanwhile, in code of Python's, stays here, too.
 class Locked {
  public:
   Locked() {
     take_lock([this] { state_ = PyGILState_Ensure(); });
   }
-  ~Locked() { PyGILState_Release(state_); }
+  ~Locked() {
+    while (!PyGILState_Check()) pause();
+    PyGILState_Release(state_);
+  }
   Locked(const Locked&) = delete;
   Locked& operator=(const Locked&) = delete;
 

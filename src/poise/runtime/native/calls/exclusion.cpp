@@ -12,11 +12,6 @@
 
 #include <poise/unlocked.hpp>
 
-#ifdef Py_LIMITED_API
-// Each Python from 3.4 on exports it, though the stable ABI does not list it.
-extern "C" int PyGILState_Check(void);
-#endif
-
 namespace poise {
 
 struct Exclusion::Waiter {
