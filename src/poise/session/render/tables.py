@@ -28,10 +28,15 @@ from poise.wire.records.status_records import ConnectorStatus, Summary
 
 
 def table(*columns: str, folds: int = 0) -> Table:
-    """Return an empty table; names, and the column number `folds`, break over lines."""
+    """Return an empty table; names, and the column number `folds`, break over lines.
+
+    In a narrow terminal, a figure that is cut ends in an ellipsis.
+    """
     made = Table(box=box.SIMPLE_HEAD, show_edge=False, padding=(0, 1, 0, 0))
     for place, title in enumerate(columns):
-        made.add_column(title, overflow="fold", no_wrap=place not in {0, folds})
+        breaks = place in {0, folds}
+        how = "fold" if breaks else "ellipsis"
+        made.add_column(title, overflow=how, no_wrap=not breaks)
     return made
 
 
@@ -40,6 +45,7 @@ class NamedRows:
 
     def __init__(self, title: str, *columns: str) -> None:
         self._rows = table(title, *columns)
+        self._rows.columns[0].no_wrap = True  # so that each row is one line
         self._names: list[str] = []
 
     @property

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from io import StringIO
 
+import pytest
 from msgspec.structs import replace
 from rich.console import Console
 
@@ -13,12 +14,12 @@ from poise.wire.records.status_records import ConnectorStatus, Side, Summary
 NAME = "laser-of-the-robot.distances-navigator.distances"
 
 
-def lines(*ends: ConnectorStatus) -> list[list[str]]:
-    """Return the lines of each table, 80 columns wide."""
+def lines(*ends: ConnectorStatus, width: int = 80) -> list[list[str]]:
+    """Return the lines of each table, so many columns wide."""
     found = []
     for rows in connector_tables(ends):
         out = StringIO()
-        Console(file=out, width=80).print(rows)
+        Console(file=out, width=width).print(rows)
         found.append(out.getvalue().splitlines())
     return found
 
@@ -115,3 +116,14 @@ def test_says_over_which_connectors_calls_failed() -> None:
     assert [*failed_calls([served, fine, calls])] == [
         "ask: 1,500 of 2,000 calls failed"
     ]
+
+
+@pytest.mark.parametrize("width", [1, 8, 12, 60])
+def test_no_terminal_is_too_narrow(width: int) -> None:
+    for rows in lines(end("target", 123_456, (0, 10**9), 12, 345), width=width):
+        assert max(map(len, rows)) <= width
+
+
+def test_a_figure_that_is_cut_ends_in_an_ellipsis() -> None:
+    counts, *_ = lines(end("target", 123_456, (0, 10**9)), width=40)
+    assert "…" in counts[-1]
