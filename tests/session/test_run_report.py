@@ -20,6 +20,7 @@ from poise.wire.records.status_records import (
     ConnectorStatus,
     ContainerStatus,
     Fault,
+    Summary,
 )
 
 
@@ -65,6 +66,16 @@ def test_a_components_cpu_is_of_the_run_alone() -> None:
     (report,) = component_reports(BEGIN, END)
     assert (report.name, report.computer) == ("grabber", "left")
     assert report.cpu == pytest.approx(0.1)
+
+
+def test_names_of_measures_are_no_markup() -> None:
+    measures = {"age [ms]": Summary(count=1), "path [/x]": Summary(count=2)}
+    (grabber,) = component_reports(BEGIN, END)
+    grabber = replace(grabber, measures=measures)
+    report = replace(GOOD, components=(grabber,))
+    for shown in str(report), report.page():
+        assert "grabber age [ms]" in shown
+        assert "grabber path [/x]" in shown
 
 
 def test_every_end_of_a_connector_is_reported() -> None:

@@ -168,6 +168,7 @@ def _measure_tables(report: RunRecord) -> Iterator[Table]:
         for name, summary in component.measures.items():
             values = summary.mean, summary.median, summary.p99, summary.maximum
             numbers = (f"{value:.4g}" for value in values)
-            rows.add_row(f"{component.name} {name}", str(summary.count), *numbers)
+            measured = escape(f"{component.name} {name}")
+            rows.add_row(measured, str(summary.count), *numbers)
     if rows.row_count:
         yield rows
