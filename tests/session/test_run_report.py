@@ -63,14 +63,20 @@ def test_a_computer_that_was_not_watched_has_no_share() -> None:
 
 
 def test_a_components_cpu_is_of_the_run_alone() -> None:
-    (report,) = component_reports(BEGIN, END)
+    (report,) = component_reports(BEGIN, END, 4.0)
     assert (report.name, report.computer) == ("grabber", "left")
+    assert report.cpu == pytest.approx(0.1)
+
+
+def test_an_agent_that_was_started_again_changes_no_component_s_cpu() -> None:
+    end = {"left": replace(END["left"], pid=7, uptime=0.5)}
+    (report,) = component_reports(BEGIN, end, 4.0)
     assert report.cpu == pytest.approx(0.1)
 
 
 def test_names_of_measures_are_no_markup() -> None:
     measures = {"age [ms]": Summary(count=1), "path [/x]": Summary(count=2)}
-    (grabber,) = component_reports(BEGIN, END)
+    (grabber,) = component_reports(BEGIN, END, 4.0)
     grabber = replace(grabber, measures=measures)
     report = replace(GOOD, components=(grabber,))
     for shown in str(report), report.page():

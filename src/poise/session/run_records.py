@@ -250,15 +250,17 @@ class RunRecord(Struct, frozen=True, kw_only=True):
         )
 
 
-def component_reports(begin: Statuses, end: Statuses) -> tuple[ComponentReport, ...]:
-    """Return a report for every component in the last statuses."""
+def component_reports(
+    begin: Statuses, end: Statuses, seconds: float
+) -> tuple[ComponentReport, ...]:
+    """Return a report for every component in the last statuses, `seconds` later."""
     before = {each.name: each.cpu for each in components_of(begin)}
     return tuple(
         ComponentReport(
             name=component.name,
             computer=computer,
             cpu=max(0.0, component.cpu - before.get(component.name, 0.0))
-            / _seconds(begin.get(computer), end[computer]),
+            / _seconds(begin.get(computer), end[computer], seconds),
             errors=component.errors,
             timers=component.timers,
             measures=component.measures,
@@ -267,8 +269,10 @@ def component_reports(begin: Statuses, end: Statuses) -> tuple[ComponentReport, 
     )
 
 
-def _seconds(first: AgentStatus | None, last: AgentStatus) -> float:
-    """Return the time between two statuses of a computer [s]."""
+def _seconds(first: AgentStatus | None, last: AgentStatus, about: float) -> float:
+    """Return the time between two statuses of a computer [s], `about` so long."""
+    if first is not None and first.pid != last.pid:
+        return about  # its agent was started again, and counts anew
     return last.uptime - (first.uptime if first else 0.0) or math.inf
 
 

@@ -177,7 +177,7 @@ def reported(
         decision_seconds=placed.result.seconds,
         seconds=seen.seconds,
         cpu_share=cpu_shares(robot, seen.begin, seen.end, up.computers.faster),
-        components=component_reports(seen.begin, final),
+        components=component_reports(seen.begin, final, seen.seconds),
         connectors=tuple(seen.last_seen.connectors()),
         began=seen.began,
         history=seen.history,
