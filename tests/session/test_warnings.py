@@ -20,3 +20,13 @@ def test_says_the_same_warning_once_and_counts_it() -> None:
     assert [each.partition(" ")[2] for each in said] == [first, other]
     warnings.end()
     assert said[2:] == [f"2 times: {first}"]
+
+
+def test_names_that_differ_in_a_figure_are_not_the_same() -> None:
+    said: list[str] = []
+    warnings = Warnings(said.append)
+    names = "arm1", "arm2", "arm-1", "arm-2", "arm_1"
+    texts = [f"timer 'look' of '{name}' missed 2 of 9 deadlines" for name in names]
+    for text in texts:
+        warnings.hear(JournalEntry(0.0, "wrong", text, {}))
+    assert [each.partition(" ")[2] for each in said] == texts

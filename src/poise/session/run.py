@@ -147,7 +147,8 @@ class Warnings:
                 self._say(f"{times} times: {self._first[key]}")
 
 
-_FIGURES = re.compile(r"[\d.]+")
+_FIGURES = re.compile(r"(?<![\w-])[\d.]+")
+"""Figures, but not those of names such as `arm-2`."""
 
 
 def _server(
