@@ -7,6 +7,7 @@ move waits until all have been answered and taken, since no answer could follow.
 from __future__ import annotations
 
 import logging
+import os
 import threading
 import time
 from collections.abc import Callable, Mapping
@@ -177,3 +178,7 @@ def _answer(
 @cache
 def _threads() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(_THREADS, "started")
+
+
+# a process that a component forks has none of these threads, and would wait for them
+os.register_at_fork(after_in_child=_threads.cache_clear)

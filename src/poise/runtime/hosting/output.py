@@ -81,6 +81,10 @@ class OutputFile:
         ]
         return "; ".join(parts)
 
+    def unlock(self) -> None:
+        """Let a process that was forked write: who held the lock is not there."""
+        self._lock = threading.Lock()
+
     def _tell(self, error: OSError) -> None:
         if str(error) != self._trouble:
             self._trouble = str(error)
@@ -157,6 +161,7 @@ class KeptStream(KeptLines):
 def keep_output(folder: Path, container: str) -> None:
     """Keep what this process writes from now on, also what it logs."""
     file = OutputFile(folder, container)
+    os.register_at_fork(after_in_child=file.unlock)
     sys.stdout = KeptStream(sys.stdout, file)
     sys.stderr = KeptStream(sys.stderr, file)
     root = logging.getLogger()
