@@ -6,6 +6,7 @@ import pytest
 from msgspec.structs import replace
 
 from poise.manage.journal import JournalEntry
+from poise.manage.observe.chains import ChainHop, ChainReport
 from poise.manage.observe.deviations import Deviation
 from poise.session.running_robots.running import Status
 from poise.view.dashboard.state import (
@@ -198,6 +199,24 @@ def test_nothing_is_known_now_of_a_timer_whose_container_is_silent() -> None:
         page = state.of(seen(at=2.0), second)
     assert page["timers"]["arm.tick"]["now"] is None
     assert not page["timers"]["arm.tick"]["known"]
+
+
+def test_what_was_never_measured_is_no_zero() -> None:
+    known = seen()
+    assert known.status is not None
+    hops = (ChainHop(component="arm", computer="left"),)
+    report = ChainReport(
+        name="reach", deadline=0.2, missed=0, age=Summary(), error=0.0, hops=hops
+    )
+    status = replace(known.status, chains=(report,))
+    page = PageState().of(replace(known, status=status), 0.0)
+    chain = page["chains"]["reach"]
+    assert (chain["median"], chain["p99"], chain["hops"]) == (
+        None,
+        None,
+        [["arm", None]],
+    )
+    assert page["timers"]["arm.tick"]["p99"] is None
 
 
 def test_the_history_has_a_moment_a_second_for_ten_minutes() -> None:

@@ -18,7 +18,7 @@ const PATIENCE = 5; // without news for more seconds the page says so
 
 const CLOCK = new Intl.DateTimeFormat([], { timeStyle: "medium", hour12: false });
 const percent = (x) => (x === undefined || x === null ? "?" : `${(100 * x).toFixed(x < 0.0995 ? 1 : 0)} %`);
-const seconds = (x) => (x >= 1 ? `${+x.toPrecision(3)} s` : `${+(1000 * x).toPrecision(3)} ms`);
+const seconds = (x) => (x === null ? "" : x >= 1 ? `${+x.toPrecision(3)} s` : `${+(1000 * x).toPrecision(3)} ms`);
 const bytes = (x) => {
   const units = ["B", "KiB", "MiB", "GiB"];
   let unit = 0;
@@ -210,7 +210,7 @@ export default {
         { name: "chains", title: "Chains", heads: ["chain", "deadline", "age (median)", "age (p99)", "late", "age at each component"],
           rows: rows("chains").map((c) => ({ bad: c.now > 0 || c.p99 > c.deadline, cells: [
             c.name, seconds(c.deadline), seconds(c.median), (c.p99 > c.deadline ? "▲ " : "") + seconds(c.p99), `${c.missed} of ${c.uses}${c.now !== null ? "" : c.known ? ", not used now" : ", not known now"}`,
-            c.hops.map(([name, age]) => `${name} ${seconds(age)}`).join(" → ")] })) },
+            c.hops.map(([name, age]) => `${name} ${seconds(age)}`.trim()).join(" → ")] })) },
         { name: "connectors", title: "Connectors", heads: ["connector", "kind", "a second", "traffic", "dropped", "errors"],
           rows: rows("connectors").sort((a, b) => b.rate - a.rate).map((c) => ({ bad: c.drops || c.errors || !c.ready, cells: [
             c.name, c.kind === "unknown" ? "not known" : c.kind + (c.ready ? "" : " ⚠ not joined"), c.rate ?? "?",

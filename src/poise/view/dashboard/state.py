@@ -15,6 +15,7 @@ from poise.view.robot_view import (
     TimerRow,
     containers,
 )
+from poise.wire.records.status_records import Summary
 
 Records = dict[str, dict[str, Any]]
 Page = dict[str, Records]
@@ -198,7 +199,7 @@ def _timers(
                 "deadline": timer.deadline,
                 "releases": timer.releases,
                 "missed": timer.missed,
-                "p99": _round(timer.duration.p99),
+                "p99": _measured(timer.duration, timer.duration.p99),
                 "now": _round(late.get(name, 0.0)) if name in known else None,
                 "known": name in known,
             }
@@ -213,10 +214,12 @@ def _chain(chain: ChainReport, late: float | None, status: Status) -> dict[str, 
         "missed": chain.missed,
         "uses": chain.age.count,
         "mean": chain.age.mean,
-        "median": _round(chain.age.median),
-        "p99": _round(chain.age.p99),
+        "median": _measured(chain.age, chain.age.median),
+        "p99": _measured(chain.age, chain.age.p99),
         "now": None if late is None else _round(late),
-        "hops": [[hop.component, _round(hop.age.median)] for hop in chain.hops],
+        "hops": [
+            [hop.component, _measured(hop.age, hop.age.median)] for hop in chain.hops
+        ],
         "known": not at & status.not_known(),
     }
 
@@ -291,6 +294,11 @@ def _computers(
                 row["used"] = _round(load.used)
                 row["background"] = _round(load.background)
         yield name, row
+
+
+def _measured(summary: Summary, value: float) -> float | None:
+    """Return a value of a summary; None: nothing was measured yet."""
+    return _round(value) if summary.count else None
 
 
 def _round(value: float) -> float:
