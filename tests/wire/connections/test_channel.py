@@ -50,6 +50,15 @@ def test_a_call_brings_back_its_answer(wire: Wire) -> None:
 
 
 @both
+def test_a_limit_may_be_years(wire: Wire) -> None:
+    wire.server().open("echo", receiver := Receiver())
+    channel = wire.channel()
+    assert channel.request(call("stressed"), 1e8).value(TEXT) == "desserts"
+    channel.push(message("late"), 1e8)
+    assert receiver.wait_for(1) == ["late"]
+
+
+@both
 def test_each_of_many_callers_gets_its_own_answer(wire: Wire) -> None:
     together = threading.Barrier(8)
 

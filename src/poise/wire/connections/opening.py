@@ -34,6 +34,8 @@ _RETRY, _REMOTE_RETRY = 0.005, 0.2
 """It connects again after this time, and then after twice the time [s]: to a container
 whose queue is full, and to a computer that is silent. The kernel repeats a lost SYN
 only after 1, 3 and 7 s: too late after a short cut."""
+_LONGEST_WAIT = 1e6
+"""`poll` takes no number of milliseconds over 2^31 [s]."""
 
 
 @cache
@@ -158,8 +160,8 @@ class Opening:
         poll = select.poll()
         if event:
             poll.register(self._socket, event)
-        left = deadline - time.monotonic()
-        return bool(poll.poll(max(0.0, 1000 * left)))
+        left = min(max(0.0, deadline - time.monotonic()), _LONGEST_WAIT)
+        return bool(poll.poll(1000 * left))
 
     def _failed(self, error: BaseException) -> BaseException:
         """Close it, and return the error for its user."""
