@@ -31,7 +31,7 @@ from poise.manage.deploy.reconciler import Reconciler
 from poise.manage.migration import transition_run
 from poise.manage.migration.coordinator import Migration
 from poise.manage.migration.migration_rounds import MigrationRounds
-from poise.manage.observe.troubles import SupervisedTick
+from poise.manage.observe.troubles import ManagerParts
 from poise.manage.tasks.prefetch import Prefetcher
 from poise.runtime.agent import fence
 from poise.runtime.agent.fence import Fence, Lease
@@ -125,7 +125,7 @@ def _bug_ends_the_robot() -> None:
         update(self, *args)
 
     update = Prefetcher.update
-    setattr(SupervisedTick, "run", run)
+    setattr(ManagerParts, "run", run)
     setattr(Prefetcher, "update", fails_once_lost)
 
 

@@ -97,7 +97,7 @@ class Manager:
     ) -> None:
         self._run = run
         run.goes_on_without_lost = True
-        self._tick = run.tick
+        self._parts = run.parts
         self._estimates = estimates
         self._samples = samples
         self._recording = recording
@@ -208,7 +208,7 @@ class Manager:
     def work(self, limit: float) -> None:
         """Carry out a command if one comes within `limit` [s]; look at the robot."""
         wait = partial(self._run.agents.wait_news, self._has_news, limit)
-        if self._tick.run("wait for news", wait) is None:
+        if self._parts.run("wait for news", wait) is None:
             self._run.clock.sleep(limit)
         try:
             command, future = self._commands.get_nowait()
@@ -217,15 +217,17 @@ class Manager:
         else:
             if not self.is_stopping and future.set_running_or_notify_cancel():
                 self._begin(command, future)
-        self._tick.run("migrate", self._make_configured)
-        self._tick.run("answer what is stored", self._answer_stored)
-        self._tick.run("take samples", self._take_samples)
+        self._parts.run("migrate", self._make_configured)
+        self._parts.run("answer what is stored", self._answer_stored)
+        self._parts.run("take samples", self._take_samples)
         self._observe()
         if not self.is_stopping:
-            self._tick.run("look after tasks", self._look_after_tasks, changes=True)
-            self._tick.run("prepare the next action", self._prepare_next, changes=True)
-            if not self._tick.run("watch new code", self._canaries.check, changes=True):
-                self._tick.run("adapt the placement", self._adaptation.adapt)
+            self._parts.run("look after tasks", self._look_after_tasks, changes=True)
+            self._parts.run("prepare the next action", self._prepare_next, changes=True)
+            if not self._parts.run(
+                "watch new code", self._canaries.check, changes=True
+            ):
+                self._parts.run("adapt the placement", self._adaptation.adapt)
 
     def stop(self) -> None:
         """Stop the robot, and answer the clients that still wait."""
@@ -286,7 +288,7 @@ class Manager:
 
     def _deviations(self) -> tuple[Deviation, ...]:
         return (
-            *self._tick.deviations(),
+            *self._parts.deviations(),
             *self._troubles.deviations(),
             *self.failures.deviations(),
             *self._lost.deviations(),
@@ -302,7 +304,7 @@ class Manager:
         return (
             self.is_stopping
             or not self._commands.empty()
-            or (not self._tick.backs_off("look after tasks") and self.tasks.has_news())
+            or (not self._parts.backs_off("look after tasks") and self.tasks.has_news())
             or any(pending.is_decided() for _, pending, _ in self._pending)
             or any(self._run.agents.has_stored(each[0]) for each in self._unstored)
         )
@@ -419,7 +421,7 @@ class Manager:
     def _superseded(self) -> Iterator[Deviation]:
         """Yield what to know of a status while this manager ends what it had begun."""
         text, since = "", 0.0
-        with contextlib.suppress(Exception):  # the tick reports a bug in it
+        with contextlib.suppress(Exception):  # a bug in it is reported there
             text, since = self._end_of_lead()
         if text:
             what = f"{text}; what this manager says may be out of date"
@@ -436,11 +438,11 @@ class Manager:
             raise TakenOver(self._why_over)
 
     def _observe(self) -> None:
-        self._tick.run("see who manages the robot", self._raise_on_successor)
-        self._tick.run("look at itself", self._troubles.check)
+        self._parts.run("see who manages the robot", self._raise_on_successor)
+        self._parts.run("look at itself", self._troubles.check)
         self._run.reconcile()
-        self._tick.run("see which computers are lost", self._lost.note)
-        self._tick.run("watch components", self._watch.record)
+        self._parts.run("see which computers are lost", self._lost.note)
+        self._parts.run("watch components", self._watch.record)
 
 
 def _answer(future: Results, result: Result | Refusal) -> None:

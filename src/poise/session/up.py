@@ -110,7 +110,7 @@ class Up(Running):
         run = self.started.run
         try:
             while not self._manager.is_stopping:
-                if not run.tick.run("carry on", self._work):
+                if not run.parts.run("carry on", self._work):
                     run.clock.sleep(TICK)
         finally:  # it was asked for, or another manager has the robot
             self._manager.stop()

@@ -42,8 +42,8 @@ class Rig:
 
     def __init__(self) -> None:
         self.robbed, self.clock = Robbed(robot_with()), VirtualClock()
-        self.tick = self.robbed.run.tick
-        self.tick._clock = self.clock
+        self.parts = self.robbed.run.parts
+        self.parts._clock = self.clock
         self.loop = Adaptation(
             self.robbed.run,
             self.robbed.situation,
@@ -68,12 +68,12 @@ def test_one_that_raises_is_said_and_the_others_are_asked(number: int) -> None:
         rig.loop.adapt()
     times = [each.times for each in rig.asked]
     assert times == [1 if each == number else 2 for each in range(len(PURPOSES))]
-    (deviation,) = rig.tick.deviations()
+    (deviation,) = rig.parts.deviations()
     assert f"the manager cannot {PURPOSES[number]} (KeyError" in deviation.what
     rig.asked[number].error = None
     rig.clock.sleep(2.0)
     rig.loop.adapt()
-    assert rig.tick.deviations() == []
+    assert rig.parts.deviations() == []
 
 
 def test_the_first_that_wants_a_change_is_the_last_that_is_asked() -> None:

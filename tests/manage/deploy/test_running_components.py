@@ -236,7 +236,7 @@ def test_what_cannot_be_computed_now_is_told_later(
     robot: Robot, agents: FakeAgents, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     run, _ = run_of(robot, agents)
-    run.clock = run.tick._clock = clock = VirtualClock()
+    run.clock = run.parts._clock = clock = VirtualClock()
     run.start()
     specs = run.layout.specs
 
@@ -245,7 +245,7 @@ def test_what_cannot_be_computed_now_is_told_later(
 
     monkeypatch.setattr(run.layout, "specs", unreadable)
     run.commit(run.desired.aiming("inactive", ["thinker"]), "a test")
-    assert "a file of the code" in run.tick.deviations()[0].what
+    assert "a file of the code" in run.parts.deviations()[0].what
     monkeypatch.setattr(run.layout, "specs", specs)
     clock.sleep(2.0)
     run.reconcile()

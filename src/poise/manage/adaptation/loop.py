@@ -85,13 +85,13 @@ class Adaptation:
     def adapt(self) -> None:
         """Look at the robot once, and let the first responder act that wants to."""
         situation = self._analysed(self._situation())
-        tick = self._run.tick
-        tick.run("report symptoms", partial(self._report, situation.symptoms))
-        tick.run("see which architectures are suspended", self._suspensions.record)
+        parts = self._run.parts
+        parts.run("report symptoms", partial(self._report, situation.symptoms))
+        parts.run("see which architectures are suspended", self._suspensions.record)
         if self._acts:
             for responder in self.responders:
                 respond = partial(self._respond, responder, situation)
-                if tick.run(responder.purpose, respond, changes=True):
+                if parts.run(responder.purpose, respond, changes=True):
                     return
 
     def _situation(self) -> Situation:

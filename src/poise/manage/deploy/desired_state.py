@@ -25,7 +25,7 @@ from poise.manage.deploy.deployment_layout import DeploymentLayout
 from poise.manage.deploy.desired import Desired, Incarnation, difference
 from poise.manage.deploy.reconciler import JoiningComputer, Reconciler
 from poise.manage.journal import Journal
-from poise.manage.observe.troubles import SupervisedTick
+from poise.manage.observe.troubles import ManagerParts
 from poise.model.check.allowed_computers import allowed_computers
 from poise.model.robot import Robot
 from poise.wire.records.deployment_records import Deployment
@@ -65,7 +65,7 @@ class DesiredState:
             },
         )
         """What should run; any thread may read it, and only `commit` replaces it."""
-        self.tick = SupervisedTick(
+        self.parts = ManagerParts(
             journal, self.clock, self.release, self.is_over.is_set
         )
         """What runs the parts of the manager's loop."""
@@ -132,7 +132,7 @@ class DesiredState:
     def reconcile(self) -> None:
         """Bring the agents a step nearer to what should run; never raises."""
         if not self.is_left:
-            self.tick.run("bring agents to what should run", self._reconcile)
+            self.parts.run("bring agents to what should run", self._reconcile)
 
     def release(self, why: str) -> None:
         """Let what is placed go on, without any change under way: that broke."""
@@ -216,7 +216,7 @@ class DesiredState:
         for computer, deployment in self._deployments.items():
             wanted = None if computer in self._joining else deployment
             tell = partial(self.reconciler.step, computer, wanted)
-            self.tick.run(f"tell the agent of '{computer}' what should run", tell)
+            self.parts.run(f"tell the agent of '{computer}' what should run", tell)
         known = [name for name, joining in self._joining.items() if joining.is_known()]
         if known:
             self._join_found({name: self._joining.pop(name) for name in known})

@@ -264,8 +264,8 @@ class _Failure:
         self.since = since
 
 
-class SupervisedTick:
-    """Runs the parts of one loop; for the thread of that loop."""
+class ManagerParts:
+    """Runs the parts of the manager's loop, on its thread; no bug in one ends it."""
 
     def __init__(
         self,
