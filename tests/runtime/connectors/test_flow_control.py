@@ -10,7 +10,7 @@ from poise.runtime.connectors.flow_control import Credit, CreditIssuer
 from poise.runtime.execution.counters import Counts
 from poise.runtime.execution.mailbox import Mailbox
 from poise.wire import frame
-from poise.wire.codec import Codec
+from poise.wire.codec import Codec, WireError
 from poise.wire.frame import Frame, Kind, Pieces
 
 NOTHING: Codec[None] = Codec(type(None))
@@ -215,6 +215,18 @@ def test_credit_for_another_route_changes_nothing(joined: Joined) -> None:
     joined.push()
     assert joined.credit.note_credit(credit(9, joined.credit.route ^ 2))
     assert not joined.credit.has_room()
+
+
+def test_a_number_of_messages_that_nobody_sends_is_refused(joined: Joined) -> None:
+    joined.push()
+    number, route = (1 << 64) - 1, joined.credit.route
+    pieces = frame.segments(NOTHING, None, Kind.MESSAGE, number=number, chain=route)
+    received = frame.parse(b"".join(pieces))
+    with pytest.raises(WireError, match="are said to have gone"):
+        joined.issuer.came(received)
+    with pytest.raises(WireError, match="are said to have gone"):
+        joined.issuer.requested(received, joined.way)
+    assert joined.counts.drops == 0
 
 
 def credit(total: int, route: int) -> Frame:

@@ -23,12 +23,14 @@ from poise.runtime.connectors.latest import HEARD, NONE, Number
 from poise.runtime.execution.counters import Counts
 from poise.runtime.execution.mailbox import Feed
 from poise.wire import frame
-from poise.wire.codec import Codec
+from poise.wire.codec import Codec, WireError
 from poise.wire.frame import Frame, Kind, Pieces
 
 log = logging.getLogger(__name__)
 
 _UNBOUNDED = 1 << 62
+_MOST_SENT = 1 << 48
+"""More messages go over no route: one a microsecond would take nine years."""
 _AT_FIRST = 1
 """Every queue has room for one: the first message need not wait for credit."""
 _UNHEARD, _HEARD = 0, 1
@@ -135,7 +137,12 @@ class CreditIssuer:
             self._back = None
 
     def _count(self, route: int, came: int) -> None:
-        """Note how many messages came, and count those that got lost."""
+        """Note how many messages came, and count those that got lost.
+
+        WireError: nobody sends so many.
+        """
+        if came > _MOST_SENT:
+            raise WireError(f"{came} messages are said to have gone over one route")
         if route != self._route:
             self._route = route
             self._issued = 0
