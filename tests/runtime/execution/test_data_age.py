@@ -6,8 +6,9 @@ from math import isnan, nan
 
 import pytest
 
-from poise.runtime.execution.data_age import DataAges, Stamped
+from poise.runtime.execution.data_age import DataAges, Stamped, with_stamps
 from poise.testing import VirtualClock
+from poise.wire.codec import WireError, codec
 from poise.wire.records.deployment_records import ChainPart
 
 FIRST = ChainPart(name="c", is_first=True)
@@ -113,3 +114,15 @@ def test_a_successor_goes_on_with_what_came_last(clock: VirtualClock) -> None:
     new.restore(old.held())
     new.run(clock.sleep, [0.0], is_timer=True)
     assert new.status()[0].age.maximum == pytest.approx(1.0)
+
+
+def test_other_stamps_than_those_of_the_chains_are_refused() -> None:
+    def sent(*stamps: float) -> bytes:
+        chains = [str(stamp) for stamp in stamps]
+        return with_stamps(codec(int), chains).encode((stamps, 7))[0]
+
+    taken = with_stamps(codec(int), ["c"])
+    assert taken.decode(sent(1.0), memoryview(b"")) == ((1.0,), 7)
+    for stamps in ((), (1.0, 2.0)):
+        with pytest.raises(WireError, match="length 1"):
+            taken.decode(sent(*stamps), memoryview(b""))

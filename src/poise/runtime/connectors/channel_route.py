@@ -98,7 +98,8 @@ class ChannelRoute:
         else:
             kind, tag, coder = Kind.ONEWAY, method.tag, method.arguments
         if type(value) is Stamped:
-            coder, value = with_stamps(coder), (value.stamps, value.value)
+            coder = with_stamps(coder, value.chains)
+            value = value.stamps, value.value
         credit = self._credit
         pieces = segments(
             coder, value, kind, tag=tag, number=credit.sent + 1, chain=credit.route
@@ -127,8 +128,13 @@ class ChannelRoute:
         bind, arguments, tag = method.bind, method.arguments, method.tag
         decode = method.result.decode
         if sender.chains is not None:
-            bind, arguments = sender.chains.binding(bind), with_stamps(arguments)
-            decode = sender.chains.taking(with_stamps(method.result).decode, clock)
+            chains = sender.chains
+            bind, arguments = (
+                chains.binding(bind),
+                with_stamps(arguments, chains.carries),
+            )
+            result = with_stamps(method.result, chains.answers)
+            decode = chains.taking(result.decode, clock)
 
         def call(*args: Any, **kwargs: Any) -> Any:  # noqa: ANN401, the method's own
             check_lease(lease, source)
@@ -263,7 +269,8 @@ class ReceivingEnd(Struct, frozen=True, kw_only=True):
         arguments, result, tag = method.arguments, method.result, method.tag
         run = getattr(target.component, method.name)
         if spec.carries or spec.answers:
-            arguments, result = with_stamps(arguments), with_stamps(result)
+            arguments = with_stamps(arguments, spec.carries)
+            result = with_stamps(result, spec.answers)
             run = served(run, target.ages, spec, self.remote_clock)
         return ServedCall(
             decode=arguments.decode,

@@ -207,9 +207,10 @@ class DataAges:
         return chain.held
 
 
-def with_stamps(coder: Codec[Any]) -> Codec[tuple[Stamps, Any]]:
-    """Return the codec of values behind their stamps."""
-    return codec(tuple[Stamps, coder.type], coder.name)  # type: ignore[name-defined]
+def with_stamps(coder: Codec[Any], chains: Sequence[str]) -> Codec[tuple[Stamps, Any]]:
+    """Return the codec of values behind the stamps of these chains, one of each."""
+    stamps: Any = tuple[(float,) * len(chains)]  # type: ignore[misc]
+    return codec(tuple[stamps, coder.type], coder.name)  # type: ignore[name-defined]
 
 
 class SentChains:
@@ -220,7 +221,7 @@ class SentChains:
     ) -> None:
         self._ages = ages
         self.carries = carries
-        self._answers = answers
+        self.answers = answers
 
     def stamping(self, send: Callable[..., None]) -> Callable[..., None]:
         """Return `send` for messages and arguments of calls, with their stamps."""
@@ -252,7 +253,7 @@ class SentChains:
 
         def take(*answer: object) -> Any:  # noqa: ANN401, the call's own
             stamps, result = decode(*answer)
-            self._ages.note(self._answers, local(stamps, remote_clock))
+            self._ages.note(self.answers, local(stamps, remote_clock))
             return result
 
         return take
@@ -267,7 +268,7 @@ class SentChains:
             result = target.run(
                 lambda *_: method(*args, **kwargs), (), taken=self.stamped(None)
             )
-            self._ages.note(self._answers, target.stamps(self._answers))
+            self._ages.note(self.answers, target.stamps(self.answers))
             return result
 
         return run
@@ -293,7 +294,7 @@ def stamped_value(
     spec: ConnectorSpec, remote_clock: RemoteClock, received: Frame, coder: Codec[Any]
 ) -> Stamped:
     """Return what a message or one-way call holds, with its stamps."""
-    stamps, value = received.value(with_stamps(coder))
+    stamps, value = received.value(with_stamps(coder, spec.carries))
     return Stamped(spec.carries, local(stamps, remote_clock), value)
 
 
