@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import resource
 import select
 import sys
 from collections.abc import Callable
@@ -25,6 +26,8 @@ pytestmark = pytest.mark.slow
 
 SHORT = 5.0
 """For what hangs [s]; far longer than anything else takes."""
+MANY = 1100
+"""More files than `select` takes."""
 GOOD = "from poise import Component\nclass Good(Component): pass\n"
 
 Check = Callable[..., list[str]]
@@ -72,6 +75,7 @@ def has_ended(pid: int) -> bool:
         ("import os; os._exit(7)", "ended the process with exit code 7"),
         ("import os; os.abort()", "crashed by signal 6 (SIGABRT)"),
         ("import ctypes; ctypes.string_at(0)", "crashed by signal 11 (SIGSEGV)"),
+        ("import os; os.kill(os.getpid(), 35)", "crashed by signal 35 (signal 35)"),
         ("import time; time.sleep(600)", "did not end within 5 s"),
     ],
 )
@@ -86,6 +90,21 @@ def test_names_the_module_and_checks_the_others(
 def test_a_module_of_two_components_is_one_problem(check: Check) -> None:
     fatal, other = check("import os; os._exit(1)", "a", "b")
     assert "component 'a'" in fatal
+    assert "Absent" in other
+
+
+def test_a_program_with_many_open_files_may_check(check: Check) -> None:
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if hard < MANY + 100:
+        pytest.skip("this user may not open so many files")
+    resource.setrlimit(resource.RLIMIT_NOFILE, (max(soft, MANY + 100), hard))
+    files = [os.open(os.devnull, os.O_RDONLY) for _ in range(MANY)]
+    try:
+        (other,) = check("")
+    finally:
+        for file in files:
+            os.close(file)
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
     assert "Absent" in other
 
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 import inspect
 import operator
 import os
-import select
 import signal
 import subprocess
 import sys
@@ -23,7 +22,7 @@ from typing import Any
 
 import msgspec
 
-from poise.errors import PoiseError, RobotError, RunError
+from poise.errors import PoiseError, RobotError, RunError, signal_name
 from poise.model.check.connectors import (
     KnownPort,
     check_cycles,
@@ -55,6 +54,7 @@ from poise.runtime.component.ports import (
 from poise.runtime.connectors.interface import methods
 from poise.runtime.hosting.command_line import die_with_parent
 from poise.runtime.migration.state_check import check_state
+from poise.runtime.waker import wait_readable
 from poise.wire.codec import codec
 
 _Known = dict[str, dict[str, KnownPort]]
@@ -362,7 +362,7 @@ def _result(
     child: subprocess.Popen[bytes], reader: int, limit: float
 ) -> CheckedCode | _Death:
     component, text = "", b""
-    while select.select([reader], [], [], limit)[0]:
+    while wait_readable([reader], limit):
         chunk = os.read(reader, _CHUNK)
         if not chunk:
             break
@@ -380,7 +380,7 @@ def _ending(child: subprocess.Popen[bytes], limit: float) -> str:
     except subprocess.TimeoutExpired:
         return f"did not end within {limit:g} s"
     if code < 0:
-        return f"crashed by signal {-code} ({signal.Signals(-code).name})"
+        return f"crashed by signal {-code} ({signal_name(-code)})"
     return f"ended the process with exit code {code}"
 
 
