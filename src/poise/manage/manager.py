@@ -421,7 +421,7 @@ class Manager:
     def _superseded(self) -> Iterator[Deviation]:
         """Yield what to know of a status while this manager ends what it had begun."""
         text, since = "", 0.0
-        with contextlib.suppress(Exception):  # a bug in it is reported there
+        with contextlib.suppress(Exception):  # the loop reports a bug in it
             text, since = self._end_of_lead()
         if text:
             what = f"{text}; what this manager says may be out of date"
