@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from rich.markup import escape
 
 from poise.cli.options import (
     RobotFile,
@@ -90,7 +91,7 @@ def draw_command(
     console = console_to(stderr=True)
     measured = profiled(load(file, arguments_of(set_)))
     for sentence in measured.says:
-        console.print(sentence)
+        console.print(escape(sentence))
     robot = measured.robot
     drawing = draw(robot, chosen, _placements(robot, task, names), task=task)
     if output == _ON_STDOUT:
@@ -99,7 +100,7 @@ def draw_command(
     path = Path(output or f"{robot.name}-{chosen}.svg")
     with busy("drawing"):
         drawing.save(path)
-    console.print(f"wrote {path}")
+    console.print(escape(f"wrote {path}"))
 
 
 def _placements(

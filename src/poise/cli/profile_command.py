@@ -11,6 +11,7 @@ from typing import Annotated
 
 import typer
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
@@ -86,13 +87,13 @@ def profile_command(
             seconds=parse_option("--for", for_, SECONDS),
             warm_up=parse_option("--warm-up", warm_up, SECONDS),
             repeat=repeat,
-            say=lambda sentence: console.print(f"[yellow]{sentence}[/]"),
+            say=lambda sentence: console.print(f"[yellow]{escape(sentence)}[/]"),
             progress=partial(_progress, console),
             check=interrupts.check,
         )
     _print(robot, measured.profile, console, as_json=as_json)
     if measured.file:
-        console.print(f"written to {measured.file}")
+        console.print(escape(f"written to {measured.file}"))
     else:
         console.print(
             "kept in the store; add `profile: profile.yaml` to the robot file for the "
@@ -137,7 +138,7 @@ def show_command(
         from poise.view.profile_plot import plot_profile
 
         plot_profile(last, overheads(robot, last), plot)
-        console.print(f"drawn to {plot}")
+        console.print(escape(f"drawn to {plot}"))
     if write:
         _write(file, last, console)
 
@@ -154,7 +155,8 @@ def _print(robot: Robot, shown: Profile, console: Console, *, as_json: bool) -> 
 
 def _write(file: Path, shown: Profile, console: Console) -> None:
     changed = write_demands(file, shown)
-    console.print(f"demands written to {', '.join(map(str, changed)) or 'no file'}")
+    files = ", ".join(map(str, changed)) or "no file"
+    console.print(escape(f"demands written to {files}"))
 
 
 def _report_silence(measured: Profiling, console: Console) -> None:

@@ -73,7 +73,8 @@ def recording_command(
         raise UsageError("give the robot file: --robot robot.yaml")
     console = console_to(stderr=as_json)
     demand_estimates = recorded.replay(
-        load_bare(robot), say=lambda sentence: console.print(f"[yellow]{sentence}[/]")
+        load_bare(robot),
+        say=lambda sentence: console.print(f"[yellow]{escape(sentence)}[/]"),
     )
     show(demand_estimates, [_estimate_table(demand_estimates)], as_json=as_json)
 

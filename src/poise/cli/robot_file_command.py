@@ -116,7 +116,7 @@ def policy_command(
     if recording is None:
         raise UsageError("give a recording: --recording FILE, of `poise up --record`")
     events = test_policies(
-        robot, recording, say=lambda text: console.print(text, style="yellow")
+        robot, recording, say=lambda text: console.print(escape(text), style="yellow")
     )
     show(events, _event_parts(events), as_json=as_json)
 

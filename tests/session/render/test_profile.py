@@ -82,12 +82,22 @@ def test_shows_draws_and_compares(tmp_path: Path, poise: Poise) -> None:
     (tmp_path / "profile.yaml").write_text(profile_file.to_text(NOW))
     with Store(tmp_path / ".poise" / "profiles.sqlite") as store:
         store.add(BEFORE)
-    done = poise("profile", "show", "robot.yaml", "--history", "--plot", "profile.svg")
+    plot = "profile[b].svg"  # no markup
+    done = poise("profile", "show", "robot.yaml", "--history", "--plot", plot)
     assert done.returncode == 0, done.stderr
     assert "Poise 0.1.0" in done.stdout
     assert "changed since it was measured: eye" in done.stdout
-    assert "drawn to profile.svg" in done.stdout
-    assert (tmp_path / "profile.svg").read_text().startswith("<?xml")
+    assert f"drawn to {plot}" in done.stdout
+    assert (tmp_path / plot).read_text().startswith("<?xml")
+
+
+@pytest.mark.slow
+def test_a_path_is_no_markup(tmp_path: Path, poise: Poise) -> None:
+    (tmp_path / "robot.yaml").write_text(ROBOT)
+    (tmp_path / "eye[").mkdir()
+    done = poise("draw", "robot.yaml", "-o", "eye[/b].svg")
+    assert done.returncode == 0, done.stderr
+    assert "wrote eye[/b].svg" in done.stderr
 
 
 @pytest.mark.slow
