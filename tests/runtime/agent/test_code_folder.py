@@ -146,6 +146,7 @@ HOSTILE = {
     "device": ("code/device", tarfile.CHRTYPE),
     "fifo": ("code/fifo", tarfile.FIFOTYPE),
     "folder": ("code/folder", tarfile.DIRTYPE),
+    "no name": ("code/a\0b", tarfile.REGTYPE),
 }
 
 
@@ -157,6 +158,7 @@ def test_a_hostile_archive_is_refused_and_writes_nothing(
     with tarfile.open(fileobj=packed, mode="w") as tar:
         member = tarfile.TarInfo(HOSTILE[what][0])
         member.type, member.linkname = HOSTILE[what][1], "/etc/passwd"
+        member.pax_headers = {"path": HOSTILE[what][0]}
         tar.addfile(member, io.BytesIO())
     folder = CodeFolder(tmp_path / "code")
     why = refusal(install(folder, packed.getvalue()))

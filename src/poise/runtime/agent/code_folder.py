@@ -257,7 +257,8 @@ def _name_in_wheel(name: str) -> str:
 
 def _place(into: Path, name: str) -> Path:
     path = PurePosixPath(name)
-    if path.is_absolute() or ".." in path.parts or "\\" in name or not path.parts:
+    is_odd = "\\" in name or "\0" in name
+    if path.is_absolute() or ".." in path.parts or is_odd or not path.parts:
         raise RunError(f"{name!r} in the archive leads out of its folder")
     return into / path
 
