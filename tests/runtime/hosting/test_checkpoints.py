@@ -1,13 +1,18 @@
-"""A checkpoint is as old as it is, whatever the time of day."""
+"""A checkpoint is as old as it is, whatever the time of day, and there or not."""
 
 from __future__ import annotations
 
+import resource
 import time
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 
-from poise.clock import boot_time
+from poise import Component, Message
+from poise.clock import SystemClock, boot_time
+from poise.runtime.connectors.latest import LatestMessages
+from poise.runtime.hosting.checkpoints import Checkpoints
 from poise.wire.records.request_records import age_of, set_age
 
 TEN_YEARS = 10 * 365 * 86400.0
@@ -38,3 +43,42 @@ def test_one_from_before_the_computer_started_is_as_old_as_that_at_least(
     path.touch()
     set_age(path, -TEN_YEARS)  # the computer had run longer then
     assert age_of(path.stat().st_mtime) == pytest.approx(boot_time(), abs=5.0)
+
+
+class State(Message):
+    text: str
+
+
+@pytest.fixture(name="component")
+def _component() -> Mock:
+    component = Mock(spec=Component)
+    component.snapshot.return_value = State("a" * 1000)
+    return component
+
+
+@pytest.fixture(name="checkpoints")
+def _checkpoints(tmp_path: Path) -> Checkpoints:
+    return Checkpoints(tmp_path, "map", 1, 60.0, SystemClock())
+
+
+def test_one_that_has_no_room_leaves_no_part(
+    checkpoints: Checkpoints, component: Mock, tmp_path: Path
+) -> None:
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100, before[1]))
+    try:
+        with pytest.raises(OSError, match="File too large"):
+            checkpoints.write(component, LatestMessages())
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert not [*tmp_path.iterdir()]
+
+
+def test_one_that_was_removed_is_written_again_though_the_state_is_the_same(
+    checkpoints: Checkpoints, component: Mock, tmp_path: Path
+) -> None:
+    checkpoints.write(component, LatestMessages())
+    (path,) = tmp_path.iterdir()
+    path.unlink()
+    checkpoints.write(component, LatestMessages())
+    assert path.exists()

@@ -7,7 +7,6 @@ messages of ports that keep them are part of the state.
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -85,14 +84,8 @@ class Checkpoints:
                 f"checkpoint: {MOST_KEPT >> 20} MiB are the limit"
             )
         check_lease(self._lease, self._component)
-        if data == self._before:
-            with contextlib.suppress(OSError):  # it is as old as this moment
-                set_age(self._path)
-        else:
-            new = self._path.with_suffix(".new")
-            new.write_bytes(data)
-            set_age(new)
-            new.replace(self._path)
+        if data != self._before or not self._is_renewed():
+            self._replace(data)
             self._before = data
         self.cost = self._clock.now() - began
         if self.cost > self._every:
@@ -100,6 +93,23 @@ class Checkpoints:
                 f"the checkpoint took {self.cost:.2f} s, longer than its interval of "
                 f"{self._every:g} s: make the state smaller, or the interval longer"
             )
+
+    def _is_renewed(self) -> bool:
+        """Let the one before be as old as this moment; return whether it is there."""
+        try:
+            set_age(self._path)
+        except FileNotFoundError:
+            return False
+        return True
+
+    def _replace(self, data: bytes) -> None:
+        new = self._path.with_suffix(".new")
+        try:
+            new.write_bytes(data)
+            set_age(new)
+            new.replace(self._path)
+        finally:
+            new.unlink(missing_ok=True)
 
     def restore(self, component: Component, latest: LatestMessages) -> float | None:
         """Restore the state that was kept; return its age [s], None: there is none."""
