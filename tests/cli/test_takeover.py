@@ -75,6 +75,14 @@ def test_a_killed_manager_is_succeeded_by_one_that_touches_nothing(
     assert "runs already" in refused.stderr
 
 
+def test_arguments_hold_for_the_emulated_computers_too(file: Path) -> None:
+    text = file.read_text().replace("left: {cpu: 0.5", "left: {cpu: $(cores)")
+    file.write_text(f"arguments: {{cores: 0.5}}\n{text}")
+    done = run_poise("up", "--detach", file, "--set", "cores=0.4")
+    assert done.returncode == 0, done.stderr
+    assert status()["capacities"]["left"]["cpu"] == pytest.approx(0.4)
+
+
 def test_a_component_that_was_edited_restarts_alone(file: Path) -> None:
     assert run_poise("up", "--detach", file).returncode == 0
     before = status()

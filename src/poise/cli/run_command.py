@@ -206,7 +206,9 @@ def up_command(
         if detach:
             with Interrupts() as interrupts:
                 words = [word for word in sys.argv[1:] if word != "--detach"]
-                say(str(up_detached(robot, file, words, say, interrupts.check)))
+                values, check = set_ or (), interrupts.check
+                begun = up_detached(robot, file, words, say, check, arguments=values)
+                say(str(begun))
             if dashboard:
                 say("its log says where the dashboard is")
             return

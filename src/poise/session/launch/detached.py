@@ -51,15 +51,25 @@ class DetachedFailure(RunError):
 
 
 def up_detached(
-    robot: Robot, file: Path, words: Sequence[str], say: Say, check: Check
+    robot: Robot,
+    file: Path,
+    words: Sequence[str],
+    say: Say,
+    check: Check,
+    *,
+    arguments: Sequence[str] = (),
 ) -> Detached:
-    """Run `poise WORDS` in the background, on computers that outlive it."""
+    """Run `poise WORDS` in the background, on computers that outlive it.
+
+    `arguments`: those of the robot file, as NAME=VALUE; its computers may need them.
+    """
     with contextlib.ExitStack() as undo:
         is_emulated = not any(computer.address for computer in robot.computers)
         if is_emulated and set_for(robot) is None:
             log = _log(f"{robot.name}.computers")
             size = log.stat().st_size
-            keeper = _started(["emulate", str(file)], log)
+            values = [f"--set={argument}" for argument in arguments]
+            keeper = _started(["emulate", str(file), *values], log)
             undo.callback(_end, keeper)
             _wait(keeper, log, size, lambda: set_for(robot) is not None, check)
             say(
