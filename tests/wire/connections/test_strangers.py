@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import socket
 import ssl
+import struct
+import time
 from pathlib import Path
 
 import pytest
 
+from poise.errors import Unavailable
 from poise.session.keys import init_keys
 from poise.wire import frame
+from poise.wire.connections.connection import Connection
 from poise.wire.connections.opening import NAME
 from poise.wire.credentials import CERTIFICATE, PRIVATE_KEY, Credentials
 from poise.wire.frame import LENGTH, Kind
@@ -88,3 +92,20 @@ def test_who_has_no_keys_of_the_robot_is_refused(wire: Wire, tmp_path: Path) -> 
     older.maximum_version = ssl.TLSVersion.TLSv1_2
     assert not is_answered(wire, older)
     assert wire.channel().request(call("ab"), LIMIT).value(NAME) == "ba"
+
+
+@pytest.mark.parametrize("sent", [b"", b"said before"])
+def test_who_is_gone_before_the_handshake_is_unavailable(
+    sent: bytes, tmp_path: Path
+) -> None:
+    keys = init_keys("r", tmp_path / "owner").issue("b", "agent", tmp_path / "b")
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        stranger = socket.create_connection(listening.getsockname(), LIMIT)
+        connection = Connection(listening.accept()[0])
+        stranger.sendall(sent)
+        linger = struct.pack("ii", 1, 0)  # to close it resets it
+        stranger.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, linger)
+        stranger.close()
+        with pytest.raises(Unavailable, match="no TLS session"):
+            connection.accept_tls(keys, time.monotonic() + LIMIT)
+        connection.close()

@@ -129,13 +129,13 @@ class Opening:
         return True
 
     def _is_secured(self, keys: Credentials, deadline: float) -> bool:
-        if self._handshake is None:
-            from poise.wire.connections.tls_channel import Handshake  # noqa: PLC0415
+        from poise.wire.connections.tls_channel import Handshake  # noqa: PLC0415
 
-            self._handshake = Handshake(self._socket, keys, accepts=False)
-            self._socket = self._handshake.socket
-            self._closing.callback(self._socket.close)
         try:
+            if self._handshake is None:
+                self._handshake = Handshake(self._socket, keys, accepts=False)
+                self._socket = self._handshake.socket
+                self._closing.callback(self._socket.close)
             while not self._handshake.go_on():
                 if not self._is_ready(self._handshake.event, deadline):
                     return False

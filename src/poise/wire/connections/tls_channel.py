@@ -40,16 +40,23 @@ _NO_TLS = "WRONG_VERSION_NUMBER"
 
 
 class Handshake:
-    """The beginning of a TLS session over a connected socket, which it takes over."""
+    """The beginning of a TLS session over a connected socket, which it takes over.
+
+    Unavailable: the other end has gone already.
+    """
 
     def __init__(
         self, plain: socket.socket, keys: Credentials, *, accepts: bool
     ) -> None:
         plain.setblocking(False)
         context = keys.server if accepts else keys.client
-        self.socket = context.wrap_socket(
-            plain, server_side=accepts, do_handshake_on_connect=False
-        )
+        try:
+            plain.getpeername()  # of one that is gone `ssl` would leave its own open
+            self.socket = context.wrap_socket(
+                plain, server_side=accepts, do_handshake_on_connect=False
+            )
+        except OSError as error:
+            raise Unavailable(f"no TLS session: {_reason(error)}") from error
         self._accepts = accepts
         self.event = select.POLLIN
 
