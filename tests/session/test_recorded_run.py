@@ -55,6 +55,22 @@ def test_it_is_of_one_robot(recorded: RecordedRun, robot: Robot) -> None:
         recorded.cores(replace(robot, name="other"))
 
 
+def test_a_recording_without_samples_is_no_run_that_used_nothing(
+    robot: Robot, tmp_path: Path
+) -> None:
+    path = tmp_path / "foxglove.mcap"
+    write_recording(path, "small", [])
+    recorded, table = RecordedRun(path), tmp_path / "table.csv"
+    for ask in (
+        lambda: recorded.cores(robot),
+        lambda: recorded.replay(robot),
+        lambda: recorded.export(table),
+    ):
+        with pytest.raises(UsageError, match=f"is recorded in {path}: `poise run"):
+            ask()
+    assert not table.exists()
+
+
 def test_handlers_are_as_dear_in_each_second_as_they_were_then(
     recorded: RecordedRun, robot: Robot
 ) -> None:

@@ -145,7 +145,8 @@ class RecordedRun:
     Raises
     ------
     UsageError
-        The file cannot be read, or is no recording.
+        The file cannot be read, or is no recording. Every method: it has no samples,
+        since `poise.record` wrote it.
     """
 
     def __init__(self, file: str | PathLike[str]) -> None:
@@ -239,7 +240,14 @@ class RecordedRun:
             )
 
     def _samples(self) -> Iterator[AgentSample]:
-        return samples_of(self.file)
+        samples = samples_of(self.file)
+        first = next(samples, None)
+        if first is None:
+            raise UsageError(
+                f"nothing that components use is recorded in {self.file}: `poise run "
+                "--record` and `poise up --record` record it"
+            )
+        return itertools.chain([first], samples)
 
 
 def _each_second(used: Mapping[int, float]) -> tuple[float, ...]:
