@@ -56,6 +56,13 @@ def test_knows_the_robots_computers(tmp_path: Path) -> None:
     assert "--reference middle: the computers are left, right" in done.stderr
 
 
+@pytest.mark.slow
+def test_a_measurement_takes_time(tmp_path: Path) -> None:
+    done = called(["calibrate", "robot.yaml", "--for", "0 s"], tmp_path)
+    assert done.returncode == 2
+    assert "must last longer than 0 s" in done.stderr
+
+
 def costs(folder: Path) -> dict[str, KindCosts]:
     with Store(folder / STORE) as store:
         return store.latest_costs("hello")

@@ -306,6 +306,8 @@ def calibrate(
     RunError
         The computers could not be measured.
     """
+    if not seconds > 0:
+        raise UsageError("a measurement must last longer than 0 s")
     names = [c.name for c in robot.hosts]
     chosen = reference or names[0]
     if chosen not in names:
