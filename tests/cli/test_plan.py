@@ -335,6 +335,16 @@ def test_lines_are_not_broken_where_no_terminal_is(problem_file: Path) -> None:
     assert "; by " in total
 
 
+def test_a_file_s_name_is_no_markup(tmp_path: Path) -> None:
+    path = tmp_path / "robot.yaml"
+    computers = "{a: {cpu: 1, memory: 1 GiB}}"
+    text = f"robot: r\ncomputers: {computers}\nprofile: 'new[/a].yaml'\n"
+    path.write_text(text)
+    result = call(path)
+    assert result.exit_code == 0, result.exception
+    assert "new[/a].yaml does not exist: `poise profile` measures it" in result.stderr
+
+
 def test_a_plain_problem_has_no_arguments(problem_file: Path) -> None:
     result = call(problem_file, "--set", "side=left")
     assert isinstance(result.exception, UsageError)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
+from rich.markup import escape
 
 from poise import plan, units
 from poise.cli.main import Interrupts
@@ -126,7 +126,11 @@ def plan_command(
     tasks = task or []
     _check_together(tasks, explain, phase, compare, smallest=smallest, at_once=at_once)
     _check_share(share=share, fewer=fewer, smallest=smallest)
-    say = Console(stderr=True, highlight=False).print
+    console = console_to(stderr=True)
+
+    def say(sentence: str) -> None:
+        console.print(escape(sentence))
+
     robot = _robot(file, arguments_of(set_), tasks, say, explore=explore)
 
     def known(task: str | None) -> Robot | None:
