@@ -99,3 +99,10 @@ def test_an_unknown_architecture_is_named(tmp_path: Path) -> None:
     robot = load_bare(tmp_path / "robot.yaml")
     with pytest.raises(UsageError, match="hearing: the robot has seeing"):
         profile(robot, architectures=["hearing"])
+
+
+def test_a_robot_without_architectures_has_nothing_to_measure(tmp_path: Path) -> None:
+    path = tmp_path / "robot.yaml"
+    path.write_text("robot: bare\ncomputers: {main: {cpu: 1, memory: 1 GiB}}\n")
+    with pytest.raises(UsageError, match="'bare' has no architectures to measure"):
+        profile(load_bare(path))

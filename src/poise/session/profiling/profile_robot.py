@@ -152,11 +152,12 @@ def profile(  # noqa: PLR0913 - each is a choice of the user
 
 def _chosen(robot: Robot, names: Sequence[str]) -> list[str]:
     known = [a.name for a in robot.architectures]
+    if not known:
+        raise UsageError(f"robot '{robot.name}' has no architectures to measure")
     unknown = [name for name in names if name not in known]
-    if unknown or not known:
+    if unknown:
         raise UsageError(
-            f"--architecture {', '.join(unknown)}: the robot has "
-            f"{', '.join(known) or 'none'}"
+            f"--architecture {', '.join(unknown)}: the robot has {', '.join(known)}"
         )
     return list(names) or known
 
