@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import random
 
 import pytest
+from msgspec.structs import replace
 
 from poise.wire.heartbeats import EVERY, Contacts
+from poise.wire.records.heartbeat_records import Echo
 
 
 def loss(came: list[bool]) -> float:
@@ -34,3 +37,16 @@ def test_what_gets_lost_again_and_again_is(share: float) -> None:
 
 def test_what_comes_is_none() -> None:
     assert loss([True] * 60) == 0.0
+
+
+@pytest.mark.parametrize("sent", [math.nan, math.inf, 8.0])
+def test_what_was_never_sent_was_not_heard(sent: float) -> None:
+    """Also by a peer that tells of the time before a restart of this computer."""
+    here, there = Contacts("robot", "here", "a"), Contacts("robot", "there", "b")
+    here.next_beat(1.0)
+    beat = replace(there.next_beat(5.0), heard={"here": Echo(sent, 0.1)})
+    here.note(beat, 2.0)
+    contact = here.get("there")
+    assert contact is not None
+    assert (contact.acked, contact.granted) == (None, None)
+    assert here.unanswered_since("there") == 1.0

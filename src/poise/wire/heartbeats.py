@@ -76,6 +76,8 @@ class Contact:
 
     def note(self, beat: Heartbeat, echo: Echo | None, now: float) -> None:
         """Take in a heartbeat, which says what the other has heard of this side."""
+        if echo is not None and not echo.sent <= now:
+            echo = None  # no heartbeat went out then: it would extend leases for ever
         gap = beat.number - self.last.number - 1
         self._lost.append(min(gap, _IN_A_ROW) if gap > 0 else 0)
         self.last, self.heard_at = beat, now
