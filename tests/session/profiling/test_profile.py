@@ -8,6 +8,7 @@ import pytest
 
 from poise.errors import UsageError
 from poise.estimate import profiles as profile_file
+from poise.model.robot import Robot
 from poise.session.profiling.profile_robot import profile
 from poise.session.robot_file import load_bare
 
@@ -101,8 +102,6 @@ def test_an_unknown_architecture_is_named(tmp_path: Path) -> None:
         profile(robot, architectures=["hearing"])
 
 
-def test_a_robot_without_architectures_has_nothing_to_measure(tmp_path: Path) -> None:
-    path = tmp_path / "robot.yaml"
-    path.write_text("robot: bare\ncomputers: {main: {cpu: 1, memory: 1 GiB}}\n")
+def test_a_robot_without_architectures_has_nothing_to_measure() -> None:
     with pytest.raises(UsageError, match="'bare' has no architectures to measure"):
-        profile(load_bare(path))
+        profile(Robot(name="bare"))
