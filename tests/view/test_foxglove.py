@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import pi
+from math import inf, pi
 from typing import Any
 
 import numpy as np
@@ -42,6 +42,7 @@ def test_what_foxglove_does_not_draw_is_left_alone() -> None:
         np.zeros((20, 3), np.float32),  # called neither points nor cloud
         {"points": np.zeros((20, 2), np.float32)},
         {"x": 1.0, "y": 2.0},
+        {"x": 1.0, "y": 2.0, "heading": inf},
         {"position": {"x": 1.0}, "orientation": {"x": 0.0, "y": 0.0}},
         {"child_frame_id": "arm", "translation": None, "rotation": None},
         "text",

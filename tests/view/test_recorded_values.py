@@ -26,3 +26,13 @@ def test_all_of_a_message_is_written() -> None:
     assert written["scan"]["shape"] == [MOST_LISTED + 1]
     data = base64.b64decode(written["scan"]["data"])
     assert np.frombuffer(data, written["scan"]["dtype"]).tolist() == scan.tolist()
+
+
+def test_complex_numbers_are_written_as_bytes() -> None:
+    spectrum = np.array([1 + 2j, 3 - 4j])
+    written = json.loads(msgspec.json.encode(as_json({"spectrum": spectrum})))
+    data = base64.b64decode(written["spectrum"]["data"])
+    assert np.frombuffer(data, written["spectrum"]["dtype"]).tolist() == [
+        1 + 2j,
+        3 - 4j,
+    ]

@@ -164,7 +164,7 @@ def _pose(value: Parts) -> dict[str, Vector]:
         return {"position": position, "orientation": orientation}
     angle = next((value[name] for name in _ANGLES if name in value), None)
     position = _vector(value)
-    if not position or not isinstance(angle, int | float):
+    if not position or not isinstance(angle, int | float) or math.isinf(angle):
         return {}
     turn = {"x": 0.0, "y": 0.0, "z": math.sin(angle / 2), "w": math.cos(angle / 2)}
     return {"position": position, "orientation": turn}

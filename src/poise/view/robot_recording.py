@@ -34,6 +34,8 @@ from poise.wire.records.request_records import TapReading
 
 MOST_LISTED = 1_000
 """Arrays of more values are written as bytes, with their type and shape."""
+_COMPLEX = "c"
+"""So are numbers of this kind of NumPy's, which JSON does not have."""
 
 
 def as_json(value: Any) -> Any:  # noqa: ANN401, any message
@@ -46,7 +48,7 @@ def as_json(value: Any) -> Any:  # noqa: ANN401, any message
         return base64_of(value)
     if not is_array(value):
         return value
-    if value.size <= MOST_LISTED:
+    if value.size <= MOST_LISTED and value.dtype.kind != _COMPLEX:
         return value.tolist()
     shape, data = list(value.shape), base64_of(value.tobytes())
     return {"dtype": value.dtype.str, "shape": shape, "data": data}
