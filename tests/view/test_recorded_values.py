@@ -8,7 +8,15 @@ import json
 import msgspec
 import numpy as np
 
-from poise.view.robot_recording import MOST_LISTED, as_json
+from poise.manage.observe.chains import ChainReport
+from poise.view.robot_recording import (
+    MOST_LISTED,
+    ChainRow,
+    as_json,
+    chain_row,
+    schema_of,
+)
+from poise.wire.records.status_records import Summary
 
 
 def test_all_of_a_message_is_written() -> None:
@@ -36,3 +44,12 @@ def test_complex_numbers_are_written_as_bytes() -> None:
         1 + 2j,
         3 - 4j,
     ]
+
+
+def test_a_chain_that_was_not_used_has_no_age() -> None:
+    chain = ChainReport(
+        name="sight", deadline=0.2, missed=0, age=Summary(), error=0.0, hops=()
+    )
+    assert chain_row(chain) == ChainRow("sight", None, None, 0.2, 0)
+    # Foxglove refuses parts that may be null
+    assert schema_of(ChainRow)["properties"]["p99"] == {"type": "number"}

@@ -17,7 +17,12 @@ from msgspec.structs import asdict
 from poise.clock import steady_wall_time, wall_time
 from poise.errors import PoiseError, RunError
 from poise.session import Check, Say, log, nothing
-from poise.session.running_robots.running import JournalEntry, Status, connect
+from poise.session.running_robots.running import (
+    ChainReport,
+    JournalEntry,
+    Status,
+    connect,
+)
 from poise.units import counted
 from poise.view.foxglove import LOG, base64_of, drawings, is_array, stamp
 from poise.view.robot_view import (
@@ -64,13 +69,23 @@ _INFO = 2
 
 
 class ChainRow(Struct, frozen=True):
-    """How old the data of a chain was when it was used [s], and how often too old."""
+    """How old the data of a chain was when it was used [s], and how often too old.
+
+    Both ages are None while it was not used.
+    """
 
     name: str
-    median: float
-    p99: float
+    median: float | None
+    p99: float | None
     deadline: float
     missed: int
+
+
+def chain_row(chain: ChainReport) -> ChainRow:
+    """Return the row of a chain."""
+    age = chain.age
+    ages = (age.median, age.p99) if age.count else (None, None)
+    return ChainRow(chain.name, *ages, chain.deadline, chain.missed)
 
 
 def schema_of(type_: type[Struct]) -> Schema:
@@ -276,10 +291,7 @@ class Recorder:
 
     def _write_rows(self, file: McapFile, status: Status, now: float) -> None:
         view, at = self._reader.update(status, now), self._time()
-        ages = tuple(
-            ChainRow(c.name, c.age.median, c.age.p99, c.deadline, c.missed)
-            for c in status.chains
-        )
+        ages = tuple(map(chain_row, status.chains))
         parts: dict[str, tuple[_Row, ...]] = {
             "computers": view.computers,
             "components": view.components,
