@@ -5,12 +5,14 @@ import os
 import socket
 import subprocess
 import sys
+import threading
 from concurrent.futures import Future
 from pathlib import Path
 from unittest.mock import Mock
 
 import pytest
 
+from poise import Component
 from poise.errors import RunError
 from poise.runtime.container.container import Container
 from poise.runtime.execution.counters import new_memory
@@ -25,7 +27,7 @@ from poise.wire.records.status_records import (
     FromContainer,
     Summary,
 )
-from tests.waiting import LIMIT
+from tests.waiting import LIMIT, wait_until
 
 pytestmark = pytest.mark.slow
 
@@ -118,6 +120,40 @@ def test_what_takes_part_in_a_move_is_told_its_goal_once(tmp_path: Path) -> None
     moving[0].gate.begin_migration.assert_called_once_with()
     moving[1].aim.assert_called_once_with("inactive")
     new.aim.assert_called_once_with("active")
+
+
+class Idle(Component):
+    """Does nothing."""
+
+
+@pytest.mark.parametrize("threads_left", [0, 1])
+def test_a_component_without_a_thread_fails_and_the_others_go_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, threads_left: int
+) -> None:
+    agent, ours = socket.socketpair()
+    with agent, ours:
+        container = Container("see", "a", tmp_path, ours, new_memory())
+        eye = ComponentSpec(
+            name="eye", goal="active", implementation=f"{__name__}:Idle"
+        )
+        container._wanted = ContainerSpec(
+            name="see", folder="", components=(eye,), connectors=()
+        )
+        start, left = threading.Thread.start, [None] * threads_left
+
+        def limited(thread: threading.Thread) -> None:
+            if not left:
+                raise RuntimeError("can't start new thread")
+            left.pop()
+            start(thread)
+
+        monkeypatch.setattr(threading.Thread, "start", limited)
+        container._apply(container._wanted)
+        wait_until(container._settle)
+        (status,) = container._status().components
+        container._server.close()
+    assert status.state == "failed"
+    assert "can't start new thread" in status.error
 
 
 RUN = """

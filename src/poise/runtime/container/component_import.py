@@ -73,5 +73,8 @@ def prepare(
             prepared.set_result(runner)
 
     name = f"import {spec.name}"[:15]
-    threads.daemon(main, name).start()
+    try:
+        threads.daemon(main, name).start()
+    except RuntimeError as error:  # no thread is free: the other components go on
+        prepared.set_exception(error)
     return prepared

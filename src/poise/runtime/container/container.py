@@ -369,22 +369,24 @@ class Container:
         done = [key for key, (_, future) in self._preparing.items() if future.done()]
         for key in done:
             spec, prepared = self._preparing.pop(key)
-            if error := prepared.exception():
+            try:
+                self._start(spec, prepared.result())
+            # it is the user's: it may have raised anything
+            except (Exception, SystemExit) as error:  # noqa: BLE001
                 why = traceback_of(error) or repr(error)
                 self._broken[key] = spec, _failed(key, "start", why)
-            else:
-                self._runners[key] = runner = prepared.result()
-                runner.lease = lease = self._lease if spec.leased else None
-                if spec.checkpoint:
-                    runner.checkpoints = Checkpoints(
-                        self._folder,
-                        *key,
-                        spec.checkpoint,
-                        self._clock,
-                        lease,
-                    )
-                runner.start()
         return done
+
+    def _start(self, spec: ComponentSpec, runner: Runner) -> None:
+        """Start a component; RuntimeError: no thread is free."""
+        key = spec.name, spec.epoch
+        runner.lease = self._lease if spec.leased else None
+        if spec.checkpoint:
+            runner.checkpoints = Checkpoints(
+                self._folder, *key, spec.checkpoint, self._clock, runner.lease
+            )
+        runner.start()
+        self._runners[key] = runner
 
     def _connect(self, spec: ContainerSpec, staying: list[ComponentKey]) -> None:
         """Join what is to be joined; what could not be is tried again every time."""
