@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from unittest.mock import Mock
 
@@ -10,6 +11,7 @@ from msgspec import structs
 
 from poise import Component
 from poise.clock import SystemClock
+from poise.errors import RunError
 from poise.runtime.hosting.runner import Runner
 from poise.runtime.migration.executor import MigrationExecutor
 from poise.wire.records.deployment_records import ComponentSpec, ContainerSpec
@@ -138,6 +140,19 @@ def test_the_answer_says_which_steps_were_taken(executor: MigrationExecutor) -> 
         ("one/0", "roll back", "roll back"),
     ]
     assert all(t.began <= t.ended for t in outcome.taken)
+
+
+@pytest.mark.parametrize("raised", [SystemExit, RunError])
+def test_the_answer_says_what_a_hook_raised(
+    executor: MigrationExecutor,
+    raised: type[BaseException],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    error = raised(os.fsdecode(b"no map-\xff.png"))
+    monkeypatch.setattr(executor, "_act", Mock(side_effect=error))
+    outcome = executor.receive(batch(OFFER))()
+    assert isinstance(outcome, StepsFailed)
+    assert r"no map-\udcff.png" in outcome.reason
 
 
 @pytest.mark.slow

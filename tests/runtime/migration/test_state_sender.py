@@ -97,6 +97,18 @@ class Counting(Book):
         self.texts = ("?",) * state.count
 
 
+class Unsaid(Exception):
+    def __str__(self) -> str:
+        raise RuntimeError("it says nothing")
+
+
+class Quitting(Book):
+    raises: type[BaseException]
+
+    def snapshot(self) -> Notes:
+        raise self.raises
+
+
 def adapt(old: Notes) -> Counted:
     return Counted(len(old.texts))
 
@@ -251,6 +263,16 @@ def test_restore_must_say_the_type_of_the_state(incarnations: Incarnations) -> N
     given = fetch(rest(old), Request.ALL, LIMIT)
     with pytest.raises(UsageError, match="'state' must say the state's type"):
         restore(new, given)
+
+
+@pytest.mark.parametrize("raised", [SystemExit, Unsaid])
+def test_whoever_asks_hears_what_a_snapshot_raises(
+    incarnations: Incarnations, raised: type[BaseException]
+) -> None:
+    code = type("Quitting", (Quitting,), {"raises": raised})
+    old = incarnations.start(code, active=True)
+    with pytest.raises(UsageError, match=f"the snapshot failed: {raised.__name__}"):
+        fetch(rest(old), Request.ALL, LIMIT)
 
 
 def test_a_request_is_not_answered_for_ever(incarnations: Incarnations) -> None:

@@ -152,7 +152,7 @@ class MigrationExecutor(StepTaker):
             self._act(step, migration, deadline)
         except PoiseError:
             raise
-        except Exception as error:  # a user's restore may raise anything
+        except (Exception, SystemExit) as error:  # a user's restore may raise anything
             raise RunError(brief_traceback(error)) from error
 
     def _act(self, step: Step, migration: int, deadline: float) -> None:

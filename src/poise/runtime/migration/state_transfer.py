@@ -26,7 +26,7 @@ from msgspec import Struct
 
 from poise import threads
 from poise.clock import Stamp
-from poise.errors import RunError, Timeout, UsageError
+from poise.errors import RunError, Timeout, UsageError, said
 from poise.priority import before_components, going_first
 from poise.runtime.component.implementation import find_function
 from poise.runtime.connectors.channel_route import entry_codec
@@ -150,8 +150,9 @@ class StateSender:
                 # a snapshot may take long
                 check_lease(self._runner.lease, self._runner.spec.name)
                 return frame.segments(TRANSFER, transfer, Kind.RESULT)
-        except Exception as error:  # noqa: BLE001, a user's snapshot may raise anything
-            return frame.failure(type(error).__qualname__, str(error))
+        # a user's snapshot may raise anything
+        except (Exception, SystemExit) as error:  # noqa: BLE001
+            return frame.failure(type(error).__qualname__, said(error))
 
     def _state(self) -> StateTransfer:
         self._runner.exclusion.enter(new_chain(), SERVE_LIMIT)

@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from functools import partial
 
-from poise.errors import PoiseError, RunError
+from poise.errors import PoiseError, RunError, said
 from poise.wire.records.deployment_records import ContainerSpec
 from poise.wire.records.migration_records import (
     MigrationSteps,
@@ -72,7 +72,7 @@ class StepTaker(ABC):
                 who = batch.container if is_sender else f"{step.component}/{step.epoch}"
                 taken.append(StepTaken(who, step.name, step.phase, began, ended))
         except PoiseError as error:
-            return StepsFailed(batch.number, str(error), tuple(taken))
+            return StepsFailed(batch.number, said(error), tuple(taken))
         return StepsDone(batch.number, tuple(taken))
 
     def _begin(self, step: Step, deployment: int, targets: Targets) -> None:
