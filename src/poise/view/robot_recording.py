@@ -15,6 +15,7 @@ from msgspec import Struct
 from msgspec.structs import asdict
 
 from poise.clock import steady_wall_time, wall_time
+from poise.decoding import convert
 from poise.errors import PoiseError, RunError
 from poise.session import Check, Say, log, nothing
 from poise.session.running_robots.running import (
@@ -84,8 +85,8 @@ class ChainRow(Struct, frozen=True):
 def chain_row(chain: ChainReport) -> ChainRow:
     """Return the row of a chain."""
     age = chain.age
-    ages = (age.median, age.p99) if age.count else (None, None)
-    return ChainRow(chain.name, *ages, chain.deadline, chain.missed)
+    median, p99 = (age.median, age.p99) if age.count else (None, None)
+    return ChainRow(chain.name, median, p99, chain.deadline, chain.missed)
 
 
 def schema_of(type_: type[Struct]) -> Schema:
@@ -359,7 +360,7 @@ class Recorder:
     def _write_messages(self, file: McapFile, reading: TapReading) -> None:
         whole = [passed for passed in reading.passed if passed.is_whole]
         for passed in whole:
-            value = unpack(msgspec.convert(passed.value, Packed))
+            value = unpack(convert(passed.value, Packed))
             self._write_message(file, reading, passed.at, value)
         more = len(reading.times) + reading.missing - len(whole)
         if more:
