@@ -18,7 +18,7 @@ def data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path / "data/poise/keys"
 
 
-@pytest.mark.parametrize("name", ["../right", "..", ""])
+@pytest.mark.parametrize("name", ["../right", "..", "", " "])
 def test_keys_are_issued_below_the_folder_that_is_named(
     name: str, tmp_path: Path
 ) -> None:
@@ -27,6 +27,25 @@ def test_keys_are_issued_below_the_folder_that_is_named(
     assert done.returncode == 2
     assert f"'{name}' is no name" in done.stderr
     assert not out.parent.exists()
+
+
+def test_a_computer_has_a_name_that_a_robot_file_may_have(tmp_path: Path) -> None:
+    asked = ("keys", "issue", "hello", "left", "arm.2", "--out", tmp_path / "out")
+    done = run_poise(*asked)
+    assert done.returncode == 2
+    assert "'arm.2' is not a computer's name: a letter, then" in done.stderr
+    assert not (tmp_path / "out").exists()
+    assert run_poise(*asked, "--role", "viewer").returncode == 0  # they are people
+    asked = ("keys", "issue", "hello", "\udcff", "--out", tmp_path / "out")
+    done = run_poise(*asked, "--role", "viewer")  # on the command line, no UTF-8
+    assert done.returncode == 2
+    assert "is no name" in done.stderr
+
+
+def test_a_folder_that_is_not_there_has_no_keys(tmp_path: Path) -> None:
+    done = run_poise("keys", "list", "--folder", tmp_path / "nowhere")
+    assert done.returncode == 2
+    assert "there is no such folder" in done.stderr
 
 
 @pytest.mark.parametrize("days", ["nan", "inf", "1e9"])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from datetime import UTC, datetime
 from pathlib import Path
@@ -12,8 +13,10 @@ from msgspec import Struct
 
 from poise.cli.options import AsJson, show
 from poise.errors import PoiseError, UsageError, did_you_mean
+from poise.model.file_keys import NAME, NAME_SAYS
 from poise.session.keys import DAYS, MOST_DAYS, authority_of, init_keys
 from poise.session.render.tables import table
+from poise.units import quoted
 from poise.wire.credentials import Credentials, Role, folders
 
 RobotName = Annotated[str, typer.Argument(help="The robot's name.", show_default=False)]
@@ -89,8 +92,11 @@ def issue_command(
     if not days <= MOST_DAYS:
         raise UsageError(f"--days {days:g}: it is {MOST_DAYS} at most")
     for name in names:
-        if not name.strip(".") or "/" in name:
-            raise UsageError(f"'{name}' is no name: a folder in {out} is called so")
+        if not name.strip(". ") or "/" in name or not name.isprintable():
+            what = f"{quoted(name)} is no name: a folder in {out} is called so"
+            raise UsageError(what)
+        if of_role == "agent" and not re.fullmatch(NAME, name):
+            raise UsageError(f"{quoted(name)} is not a computer's name: {NAME_SAYS}")
     authority = authority_of(robot, folder)
     for name in names:
         issued = authority.issue(name, of_role, out / name, days=days)
@@ -142,6 +148,8 @@ def list_command(
     --------
     poise keys list hello
     """
+    if folder is not None and not folder.is_dir():
+        raise UsageError(f"--folder {folder}: there is no such folder")
     places = [folder] if folder else _folders(robot)
     found = [_keys_in(place) for place in places if place.is_dir()]
     credentials = [keys for keys in found if isinstance(keys, Credentials)]
