@@ -74,6 +74,31 @@ def test_packs_what_components_import_and_run(tmp_path: Path) -> None:
     assert members["code/lens.py"].mode == 0o644
 
 
+def test_packs_modules_and_packages_that_are_links(tmp_path: Path) -> None:
+    robot = write(tmp_path / "robot")
+    whole = pack(robot, NONE)
+    for name in ("eyes", "shared/glass.py"):
+        kept = tmp_path / "elsewhere" / name
+        kept.parent.mkdir(parents=True, exist_ok=True)
+        shutil.move(tmp_path / "robot" / name, kept)
+        (tmp_path / "robot" / name).symlink_to(kept)
+    assert pack(robot, NONE) == whole
+
+
+def test_packs_no_installed_program_nor_what_lies_elsewhere(tmp_path: Path) -> None:
+    robot = write(tmp_path / "robot")
+    (tmp_path / "robot/bin/shell").symlink_to("/bin/sh")
+    (tmp_path / "beside.py").touch()
+    (architecture,) = robot.architectures
+    eye, script = architecture.components
+    for word in ("bin/shell", "/bin/sh", "../beside.py"):
+        other = replace(script, command=("bin/run.sh", word))
+        changed = replace(architecture, components=(eye, other))
+        members = names_in(pack(replace(robot, architectures=(changed,)), NONE))
+        assert "code/bin/run.sh" in members
+        assert not {"code/bin/shell", "code/beside.py"} & members.keys()
+
+
 def test_packs_the_same_bytes_at_another_time_and_place(tmp_path: Path) -> None:
     first = pack(write(tmp_path / "one"), NONE)
     umask = os.umask(0o077)

@@ -23,6 +23,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from poise.clock import SystemClock
+from poise.decoding import from_json
 from poise.errors import RunError, UsageError
 from poise.estimate.code_version import files_of, files_of_modules
 from poise.manage.agent_connections.reports import AgentReports
@@ -85,11 +86,21 @@ def _files(robot: Robot) -> Mapping[str, Path]:
     files: dict[str, Path] = {}
     for number, path in sorted(reached):
         folder = folders[number]
-        if not path.resolve().is_relative_to(folder.resolve()):
-            continue  # an installed program, say
-        for file in _with_package(path, folder):
-            files.setdefault(str(file.relative_to(folder)), file)
+        if _is_own(path, folder):
+            for file in _with_package(path, folder):
+                files.setdefault(str(file.relative_to(folder)), file)
     return files
+
+
+def _is_own(path: Path, folder: Path) -> bool:
+    """Return whether a file is the robot's: an installed program is not.
+
+    A module is, also where its folder has a link to it.
+    """
+    if not path.is_relative_to(folder) or ".." in path.relative_to(folder).parts:
+        return False
+    is_module = path.suffix in {".py", ".so"}
+    return is_module or path.resolve().is_relative_to(folder.resolve())
 
 
 def _with_package(file: Path, folder: Path) -> Iterator[Path]:
@@ -373,7 +384,7 @@ def _locked(requirements: Path) -> Mapping[str, Mapping[str, str]]:
     if not path.exists():
         return {}
     try:
-        lock = msgspec.json.decode(path.read_bytes(), type=_Lock)
+        lock = from_json(path.read_bytes(), _Lock)
     except MALFORMED as error:
         raise UsageError(f"{path} is damaged ({error}): remove it") from error
     return lock.wheels if lock.requirements == _digest(requirements) else {}
