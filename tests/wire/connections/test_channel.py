@@ -11,6 +11,8 @@ import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -330,6 +332,29 @@ def test_what_nobody_uses_is_closed_in_time(
     assert len(left) == 2  # one of each: to open it takes time
     assert {*left} <= {*before}
     assert channel.request(call("ab"), LIMIT).value(TEXT) == "ba"
+
+
+class TakenFrom(list[Any]):
+    """Another thread has taken the last one just after it was looked for."""
+
+    def __bool__(self) -> bool:
+        return True
+
+
+class PoppedFrom(dict[int, Any]):
+    """The same."""
+
+    def __bool__(self) -> bool:
+        return True
+
+
+def test_what_another_thread_has_just_taken_is_not_closed(tmp_path: Path) -> None:
+    channel = Channel("echo", Address("there"), tmp_path)
+    channel._openings = PoppedFrom()
+    for connections in channel._connections:
+        connections._older = TakenFrom()
+        connections.close_older()
+    channel.close()
 
 
 @both

@@ -14,6 +14,7 @@ It is run for every component in `After`, and asks for the states in `Before` al
 
 from __future__ import annotations
 
+import contextlib
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -289,8 +290,9 @@ class StateReceiver:
     def close(self) -> None:
         """End the transfer; harmless when repeated."""
         self._requested.clear()
-        while self._channels:
-            self._channels.popitem()[1].close()
+        with contextlib.suppress(KeyError):  # two threads may end it at once
+            while True:
+                self._channels.popitem()[1].close()
 
     def _restore_adapted(
         self, adapt: Callable[[Any], Any], transfers: Mapping[str, StateTransfer]

@@ -91,8 +91,9 @@ class _Connections:
 
     def close_older(self) -> None:
         """Close those that were idle since the last time, except one without memory."""
-        if not self._recent and self._older and not self._older[-1].has_blocks:
-            self._recent.append(self._older.pop())
+        with contextlib.suppress(IndexError):  # others may take some meanwhile
+            if not self._recent and not self._older[-1].has_blocks:
+                self._recent.append(self._older.pop())
         self._drop_all(self._older)
         self._older, self._recent = self._recent, []
 
@@ -203,8 +204,9 @@ class Channel:
         self._is_closed = True
         self._messages.close()
         self._calls.close()
-        while self._openings:
-            self._openings.popitem()[1].close()
+        with contextlib.suppress(KeyError):  # others may take some meanwhile
+            while True:
+                self._openings.popitem()[1].close()
 
     def _send(self, pieces: Pieces, deadline: float) -> Connection:
         """Send a message over the open connection or a new one; return that."""
