@@ -100,7 +100,8 @@ class ControlLink:
 
     def is_lease_past(self) -> bool:
         """Return whether its leased components may not act; raises as `note_born`."""
-        return LeaseEnd(self._stats_page).is_past()
+        lease = self._lease or LeaseEnd(self._stats_page)
+        return lease.is_past()
 
     def heartbeat(self) -> int | None:
         """Return how often its control thread has run; None before it is born."""

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import socket
 from collections.abc import Iterator
+from math import inf
 
 import pytest
 
@@ -59,6 +61,17 @@ def test_what_waits_for_a_container_that_takes_nothing_is_bounded(
     with pytest.raises(Timeout, match="unread"):
         link.send(large)  # type: ignore[arg-type]
     link.close()
+
+
+def test_the_lease_of_what_has_just_ended_may_be_asked_for(
+    ends: tuple[socket.socket, socket.socket],
+) -> None:
+    """The thread of the heartbeats does not know yet."""
+    link = ControlLink("see", ends[0], new_memory())
+    link.note_born(os.getpid())
+    link.extend_lease(inf)
+    link.close()
+    assert not link.is_lease_past()
 
 
 def record() -> bytes:
