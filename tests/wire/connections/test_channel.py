@@ -13,6 +13,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -387,6 +388,16 @@ def test_nobody_there_is_unavailable(wire: Wire) -> None:
         channel.request(call("?"), LIMIT)
     with pytest.raises(Unavailable):
         channel.push(message("?"), LIMIT)
+
+
+def test_it_does_not_take_its_own_lack_of_files_for_an_absence(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    error = OSError(errno.EMFILE, os.strerror(errno.EMFILE))
+    monkeypatch.setattr("socket.socket.connect_ex", Mock(side_effect=error))
+    channel = Channel("echo", Address("there"), tmp_path)
+    with pytest.raises(Unavailable, match="no connection to there: .*Too many open"):
+        channel.request(call("?"), LIMIT)
 
 
 @both

@@ -167,9 +167,9 @@ class Opening:
         """Close it, and return the error for its user."""
         self.close()
         if isinstance(error, OSError):
-            return Unavailable(
-                f"{self._connector}: nothing listens at {self._address}: {error}"
-            )
+            is_alone = isinstance(error, FileNotFoundError | ConnectionRefusedError)
+            what = "nothing listens at" if is_alone else "no connection to"
+            return Unavailable(f"{self._connector}: {what} {self._address}: {error}")
         if isinstance(error, WireError):
             return Unavailable(f"{self._connector}: {error}")
         return error
