@@ -396,7 +396,7 @@ def test_it_does_not_take_its_own_lack_of_files_for_an_absence(
     error = OSError(errno.EMFILE, os.strerror(errno.EMFILE))
     monkeypatch.setattr("socket.socket.connect_ex", Mock(side_effect=error))
     channel = Channel("echo", Address("there"), tmp_path)
-    with pytest.raises(Unavailable, match="no connection to there: .*Too many open"):
+    with pytest.raises(Unavailable, match=r"no connection to there: .*Too many open"):
         channel.request(call("?"), LIMIT)
 
 
