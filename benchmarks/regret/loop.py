@@ -74,7 +74,7 @@ class Loop:
         self.acts: list[Act] = []
         self.robot = _robot(trace)
         self.journal = _Nothing()
-        self.tick = _Tick()
+        self.parts = _Tick()
         self._trace = trace
         self._random = random.Random(trace.seed)
         self._left = trace.left

@@ -19,6 +19,7 @@ from typing import Literal
 import msgspec
 from msgspec import Struct
 
+from poise.decoding import from_json
 from poise.emulate import cgroups as cgroup_files
 from poise.emulate import emulated_network
 from poise.emulate.cgroups import Probe
@@ -61,7 +62,7 @@ def registered() -> Iterator[EmulationLayout]:
     """Yield all emulations, of living owners and of dead ones."""
     for file in sorted(registry().glob("*.emulation")):
         try:
-            yield msgspec.json.decode(file.read_bytes(), type=EmulationLayout)
+            yield from_json(file.read_bytes(), EmulationLayout)
         except FileNotFoundError:  # another process removed it
             continue
         except (msgspec.MsgspecError, UnicodeDecodeError) as error:

@@ -10,6 +10,7 @@ import msgspec
 from msgspec import Struct
 
 from poise.clock import wall_time
+from poise.decoding import from_json
 from poise.errors import UsageError, unknown
 from poise.estimate.code_version import hash_of
 from poise.estimate.profiles import SqliteFile
@@ -131,7 +132,7 @@ def outcomes_of(
                 *(robot.name, function),
             )
             for last, action, situation, name, hash_, ending in rows:  # noqa: B007
-                conditions = msgspec.json.decode(situation, type=Conditions)
+                conditions = from_json(situation, Conditions)
                 of = outcomes.setdefault((action, conditions), [])
                 of.append(((name, hash_), ending == "done"))
     return outcomes, last

@@ -17,6 +17,7 @@ import msgspec
 import yaml
 from msgspec import Struct
 
+from poise.decoding import convert, from_json
 from poise.errors import RobotError, UsageError, why_too_old
 
 
@@ -317,7 +318,7 @@ def from_text(text: str, file: str) -> Profile:
         plain = yaml.load(text, _LOADER)  # noqa: S506 - both are safe
         if why := _too_old(plain):
             raise RobotError(f"{file}: {why}")
-        return msgspec.convert(plain, Profile)
+        return convert(plain, Profile)
     except yaml.YAMLError as error:
         raise RobotError(f"{file}: not YAML: {error}") from error
     except msgspec.ValidationError as error:
@@ -376,7 +377,7 @@ class Store(SqliteFile):
     def all(self, robot: str) -> list[Profile]:
         """Return every profile of a robot, newest first."""
         profiles = self._newest_first(robot, "profile")
-        return [msgspec.json.decode(text, type=Profile) for text in profiles]
+        return [from_json(text, Profile) for text in profiles]
 
     def latest(self, robot: str) -> Profile | None:
         """Return the newest profile of a robot."""
@@ -389,7 +390,7 @@ class Store(SqliteFile):
     def latest_costs(self, robot: str) -> dict[str, KindCosts]:
         """Return the costs of connectors by the last calibration; empty without one."""
         text = next(self._newest_first(robot, "costs"), "{}")
-        return msgspec.json.decode(text, type=dict[str, KindCosts])
+        return from_json(text, dict[str, KindCosts])
 
     def _add(self, robot: str, kind: str, measured: object) -> None:
         self.execute(

@@ -14,6 +14,7 @@ import msgspec
 from msgspec import Struct
 
 from poise.clock import wall_time
+from poise.decoding import json_decoder
 from poise.errors import UsageError
 from poise.manage.background_file import BackgroundFile, numbered
 from poise.units import counted
@@ -67,7 +68,7 @@ class JournalEntry(Struct, frozen=True):
         return f"{at} {self.what}"
 
 
-_decode = msgspec.json.Decoder(JournalEntry).decode
+_decode = json_decoder(JournalEntry).decode
 
 
 class Journal:

@@ -9,6 +9,7 @@ from pathlib import Path
 import msgspec
 from msgspec import Struct
 
+from poise.decoding import convert
 from poise.errors import FileProblem, RobotError, UsageError, why_too_old
 from poise.model.check.allowed_computers import (
     check_allowed_computers,
@@ -93,7 +94,7 @@ def load_source(
         folder.encode()
     except UnicodeEncodeError:  # all processes of the robot get it, as text
         raise RobotError(f"{quoted(path)}: its folder's name is not UTF-8") from None
-    own = msgspec.convert(values, Robot)
+    own = convert(values, Robot)
     robot, repository = with_repository(own, root, problems)
     positions = Positions(root)
     wrong = [positions.problem(finding) for finding in check_ros2(robot)]
@@ -218,7 +219,7 @@ class _Reader:
             return
         entry = validate(item, _INCLUDE, self._problems, name="include")
         if isinstance(entry, dict):
-            self._include_as(item, msgspec.convert(entry, Include), values, above)
+            self._include_as(item, convert(entry, Include), values, above)
         elif entry is not None:
             self.read(above[-1].parent / entry, item.place, above)
 

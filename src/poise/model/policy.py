@@ -13,6 +13,7 @@ from typing import Annotated, Any, Literal, TypeAlias
 import msgspec
 from msgspec import Struct
 
+from poise.decoding import convert
 from poise.errors import FileProblem, RobotError
 from poise.model.file_keys import (
     Bandwidth,
@@ -364,7 +365,7 @@ def shipped() -> tuple[Policy, ...]:
         top = Node(root.place, {"policies": root})
         valid = validate(top, msgspec.inspect.type_info(_Shipped), problems)
         if not problems:
-            return msgspec.convert(valid, _Shipped).policies
+            return convert(valid, _Shipped).policies
     raise RobotError(problems=problems)
 
 

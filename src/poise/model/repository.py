@@ -18,6 +18,7 @@ import msgspec
 from msgspec import Struct
 from msgspec.structs import replace
 
+from poise.decoding import convert
 from poise.errors import FileProblem
 from poise.model.file_keys import by_name, says
 from poise.model.robot import Architecture, Robot
@@ -208,7 +209,7 @@ def _offers(place: Place, problems: list[FileProblem]) -> Iterator[Offer]:
         if values is None:
             continue
         nodes = _entries(root, "architectures")
-        for a in msgspec.convert(values, FileKeys).architectures:
+        for a in convert(values, FileKeys).architectures:
             here = nodes[a.name].place
             if a.name in first:
                 twice = f"is defined twice, first at {first[a.name]}"

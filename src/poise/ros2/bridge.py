@@ -12,6 +12,7 @@ from typing import Any
 import msgspec
 
 from poise.clock import SystemClock
+from poise.decoding import convert
 from poise.errors import RobotError, did_you_mean, listed
 from poise.ros2 import ros_context
 from poise.ros2.bridge_node import BridgeLine, BridgeNode, annotated
@@ -52,7 +53,7 @@ class Bridge(BridgeNode):
                 f"{did_you_mean(name, ports)}; ports: {listed(ports)}"
             )
         port = ports[name]
-        entries = msgspec.convert(parameters["bridges"], list[BridgeLine])
+        entries = convert(parameters["bridges"], list[BridgeLine])
         kind = _kind(port, entries)
         base, declaring = _SIDES[port.kind, kind]
         entries = [_full(port, kind, entry) for entry in entries]

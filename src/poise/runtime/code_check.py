@@ -22,6 +22,7 @@ from typing import Any
 
 import msgspec
 
+from poise.decoding import from_json, from_msgpack
 from poise.errors import PoiseError, RobotError, RunError, signal_name
 from poise.model.check.connectors import (
     KnownPort,
@@ -309,7 +310,7 @@ def serve() -> None:
     """Be the child whose arguments are ``PIPE SKIPPED...``; never returns."""
     pipe, *skipped = sys.argv[1:]
     os.set_inheritable(int(pipe), False)
-    robot = msgspec.msgpack.decode(sys.stdin.buffer.read(), type=Robot)
+    robot = from_msgpack(sys.stdin.buffer.read(), Robot)
     with os.fdopen(int(pipe), "wb", buffering=0) as answers:
 
         def answer(item: str | CheckedCode) -> None:
@@ -369,8 +370,8 @@ def _result(
         *lines, text = (text + chunk).split(b"\n")
         for line in lines:
             if line.startswith(b"{"):
-                return msgspec.json.decode(line, type=CheckedCode)
-            component = msgspec.json.decode(line, type=str)
+                return from_json(line, CheckedCode)
+            component = from_json(line, str)
     return _Death(component, _ending(child, limit))
 
 

@@ -16,6 +16,7 @@ from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 import msgspec
 from msgspec import Struct
 
+from poise.decoding import convert
 from poise.errors import CallError, RobotError, UsageError
 from poise.model.robot import Generated
 from poise.runtime.component.component import Component
@@ -261,4 +262,4 @@ class Replay(Component):
 
 def parts_of(parameters: Mapping[str, Any]) -> dict[str, PlayedPort]:
     """Return what a player's parameters say of its ports."""
-    return msgspec.convert(parameters["ports"], dict[str, PlayedPort])
+    return convert(parameters["ports"], dict[str, PlayedPort])

@@ -11,6 +11,7 @@ from typing import Annotated, TypeAlias
 import msgspec
 from msgspec import Struct
 
+from poise.decoding import convert
 from poise.errors import FileProblem, RobotError, UsageError, unknown
 from poise.model.file_keys import Name, Seconds, Share, says
 from poise.model.robot import Robot
@@ -130,7 +131,7 @@ def read_faults(path: Path, robot: Robot, seconds: float) -> tuple[SimulatedFaul
         raise RobotError(problems=sorted(problems))
     positions = Positions(root)
     faults = []
-    for number, keys in enumerate(msgspec.convert(found, DocumentKeys).faults):
+    for number, keys in enumerate(convert(found, DocumentKeys).faults):
         findings = list(_shape(keys)) or list(_findings(keys, robot, seconds))
         problems += [
             positions.problem(Finding(("faults", number, *path), message))

@@ -10,10 +10,10 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
-import msgspec
 from msgspec.structs import replace
 
 from poise import threads
+from poise.decoding import from_msgpack
 from poise.emulate import EmulatedComputer, set_for
 from poise.errors import RunError, TakenOver, UsageError
 from poise.estimate.success_rates import learned
@@ -267,7 +267,7 @@ def stand_by(path: Path, words: Iterable[str], say: Say) -> None:
         if word.strip() == "end":
             return
         if word.strip() == "lead":
-            claim = msgspec.msgpack.decode(path.read_bytes(), type=Claim)
+            claim = from_msgpack(path.read_bytes(), Claim)
             try:
                 _lead(claim, say)
             except RunError as error:
@@ -281,7 +281,7 @@ def stand_by(path: Path, words: Iterable[str], say: Say) -> None:
 def _lead(claim: Claim, say: Say) -> None:
     """Become the leader of a robot that runs, and lead it to its end."""
     assert claim.election is not None  # noqa: S101, or there would be no standby
-    setup = msgspec.msgpack.decode(claim.election.setup, type=StandbySetup)
+    setup = from_msgpack(claim.election.setup, StandbySetup)
     robot = replace(setup.robot, simulator=None)  # it ended with who started it
     if robot.deployed:  # what its policies call
         robot = replace(robot, folder=folder_of_version(robot.deployed))

@@ -9,6 +9,7 @@ from operator import itemgetter
 
 import msgspec
 
+from poise.decoding import msgpack_decoder
 from poise.simulation._engine import Stream
 from poise.simulation.choices import Choices
 from poise.simulation.link_models import LinkModel, set_links
@@ -159,7 +160,7 @@ class SimulatedDatagrams:
         self.computer = process.computer.name
         host = addresses.host_of(self.computer)
         self._address = addresses.bind(self, host, port)
-        self._decode = msgspec.msgpack.Decoder(Heartbeat).decode
+        self._decode = msgpack_decoder(Heartbeat).decode
         process.on_end.append(self.close)
 
     def receive(self, until: float) -> Sequence[Received]:

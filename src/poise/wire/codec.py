@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar, get_args
 
 import msgspec
 
+from poise.decoding import convert, msgpack_decoder
 from poise.errors import PoiseError
 
 if TYPE_CHECKING:
@@ -70,7 +71,7 @@ class Codec(Generic[T]):
         self._has_arrays = _has_arrays(type_)
         hook = _encode_array if self._has_arrays else _plain
         self._encode = msgspec.msgpack.Encoder(enc_hook=hook).encode
-        self._decode = msgspec.msgpack.Decoder(
+        self._decode = msgpack_decoder(
             type_, ext_hook=_decode_array, dec_hook=_check
         ).decode
 
@@ -134,7 +135,7 @@ def unpack(packed: Packed, type_: Any = Any) -> Any:  # noqa: ANN401, any type
     """
     plain = codec(Any).decode(packed.body, memoryview(packed.buffers))
     try:
-        return msgspec.convert(plain, type_, dec_hook=_array_of)
+        return convert(plain, type_, dec_hook=_array_of)
     except (msgspec.ValidationError, *_UNFIT) as error:
         raise WireError(str(error)) from error
 
@@ -228,7 +229,7 @@ class _Layout(NamedTuple):
     end: int
 
 
-_array_header = msgspec.msgpack.Decoder(tuple[str, tuple[int, ...], int]).decode
+_array_header = msgpack_decoder(tuple[str, tuple[int, ...], int]).decode
 
 
 @lru_cache(maxsize=256)

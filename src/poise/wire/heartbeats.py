@@ -23,6 +23,7 @@ import msgspec
 
 from poise import threads
 from poise.clock import Clock
+from poise.decoding import msgpack_decoder
 from poise.endpoint import Endpoint
 from poise.priority import go_first
 from poise.wire.codec import MALFORMED
@@ -285,7 +286,7 @@ class UdpDatagrams:
             except OSError:
                 self._socket.close()
                 raise
-        self._decode = msgspec.msgpack.Decoder(Heartbeat).decode
+        self._decode = msgpack_decoder(Heartbeat).decode
         self._warn_at = -math.inf
 
     def receive(self, until: float) -> Sequence[Received]:

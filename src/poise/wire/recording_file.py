@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any, Self, TypeVar
 import msgspec
 from msgspec import Struct
 
+from poise.decoding import from_json, msgpack_decoder
 from poise.errors import RunError, UsageError
 from poise.units import counted, format_bytes
 from poise.wire.codec import MALFORMED
@@ -249,7 +250,7 @@ def said_in(path: Path) -> Iterator[Said]:
                     connectors[record.id] = name
             case "Message" if record.channel_id in connectors:
                 try:
-                    value = msgspec.json.decode(record.data)
+                    value = from_json(record.data, Any)
                 except MALFORMED as error:
                     raise UsageError(f"{path} is damaged: {error}") from error
                 at = record.log_time / 1e9
@@ -284,7 +285,7 @@ def inputs_folder(path: Path) -> Path:
 
 def messages_of(path: Path, kind: str, type_: type[_Record]) -> Iterator[_Record]:
     """Yield the records in the topics of a kind; UsageError: it is no recording."""
-    decoder = msgspec.msgpack.Decoder(type_)
+    decoder = msgpack_decoder(type_)
     wanted: set[int] = set()
     for record in _records(path):
         match type(record).__name__:

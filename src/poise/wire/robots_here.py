@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING
 import msgspec
 from msgspec import Struct
 
+from poise.decoding import from_json
 from poise.errors import RunError
 from poise.wire.codec import MALFORMED
 
@@ -135,7 +136,7 @@ def noted() -> Iterator[AgentAddresses]:
     """Yield what managers of this user noted on this computer."""
     for path in sorted(folder().glob("*.agents")):
         try:
-            yield msgspec.json.decode(path.read_bytes(), type=AgentAddresses)
+            yield from_json(path.read_bytes(), AgentAddresses)
         except FileNotFoundError:  # the robot has just stopped
             continue
         except MALFORMED as error:

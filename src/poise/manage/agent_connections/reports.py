@@ -11,11 +11,11 @@ import time
 from collections.abc import Callable, Iterable, Mapping
 from typing import TypeVar
 
-import msgspec
 import zenoh
 from msgspec import structs
 
 from poise.clock import Clock, wall_time
+from poise.decoding import msgpack_decoder
 from poise.errors import RunError
 from poise.wire.codec import MALFORMED
 from poise.wire.control_session import IDENTITIES, parse_identity
@@ -275,7 +275,7 @@ def reading(
     type_: type[S], take: Callable[[S], object], refuse: Callable[[str], object]
 ) -> Callable[..., None]:
     """Return what takes the records of a type from agents, and refuses others."""
-    decode = msgspec.msgpack.Decoder(type_).decode
+    decode = msgpack_decoder(type_).decode
 
     def hear(sample: zenoh.Sample) -> None:
         try:

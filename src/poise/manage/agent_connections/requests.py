@@ -13,6 +13,7 @@ import zenoh
 from zenoh.handlers import Callback
 
 from poise.clock import Clock
+from poise.decoding import from_msgpack
 from poise.manage.agent_connections.reports import LOOK_EVERY, AgentReports, nothing
 from poise.wire.codec import MALFORMED
 from poise.wire.records.request_records import (
@@ -192,9 +193,7 @@ def _answer_of(reply: zenoh.Reply | None) -> Answer | None:
     if reply is None or reply.ok is None:
         return None
     try:
-        answer: Answer = msgspec.msgpack.decode(
-            reply.ok.payload.to_bytes(), type=Answer
-        )
+        answer: Answer = from_msgpack(reply.ok.payload.to_bytes(), Answer)
     except MALFORMED as error:
         return Refused(f"not an answer: {error}")
     return answer

@@ -6,9 +6,9 @@ import contextlib
 import time
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 
-import msgspec
 from msgspec import structs
 
+from poise.decoding import from_msgpack
 from poise.errors import PoiseError, RobotError, RunError
 from poise.manage.adaptation.situation import Situation
 from poise.manage.agent_connections.reports import LOOK_EVERY
@@ -164,7 +164,7 @@ def newest_record(deployments: Iterable[Deployment]) -> Desired:
     if not written:
         return Desired()
     last = max(written, key=lambda each: (each.term, each.generation))
-    return msgspec.msgpack.decode(last.desired, type=Desired)
+    return from_msgpack(last.desired, Desired)
 
 
 def _elected(

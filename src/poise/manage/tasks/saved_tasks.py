@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import contextlib
 
-import msgspec
-
 from poise.clock import boot_id, boot_time
+from poise.decoding import from_msgpack
 from poise.errors import UsageError
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.journal import Journal
@@ -24,7 +23,7 @@ def goes_on_with(run: RunningComponents, asked: Tasks, journal: Journal) -> Save
         return asked.saved
     note = journal.note
     try:
-        saved = msgspec.msgpack.decode(run.desired.tasks, type=Saved)
+        saved = from_msgpack(run.desired.tasks, Saved)
     except MALFORMED as error:
         note(
             "failed",

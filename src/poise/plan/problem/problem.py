@@ -15,8 +15,9 @@ from pathlib import Path
 from typing import get_args
 
 import msgspec
-from msgspec import Struct, ValidationError, convert, structs, to_builtins
+from msgspec import Struct, ValidationError, structs, to_builtins
 
+from poise.decoding import convert, from_json
 from poise.errors import RobotError, unknown
 from poise.model.robot import Computer, Link, Objective, Scale, Spread
 from poise.plan.problem.items import Bundle, Edge, Item, SoftLimit, TimeLimit
@@ -338,7 +339,7 @@ def load(path: str | Path) -> Problem:
         When it cannot be read or anything in it is wrong; the message lists all.
     """
     try:
-        return msgspec.json.decode(Path(path).read_bytes(), type=Problem)
+        return from_json(Path(path).read_bytes(), Problem)
     except OSError as error:
         raise RobotError(f"{path}: {error.strerror or error}") from error
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:

@@ -18,6 +18,7 @@ import msgspec
 
 from poise import threads
 from poise.clock import Clock, boot_id
+from poise.decoding import from_msgpack
 from poise.errors import RunError, UsageError
 from poise.runtime.agent.surroundings import AgentState, Reply
 from poise.runtime.container.account import Account, rights_of
@@ -61,7 +62,7 @@ class AgentFolder:
     def left(self) -> AgentState:
         """Return what an agent that was killed has kept here; nothing: as it began."""
         try:
-            state = msgspec.msgpack.decode(self._path.read_bytes(), type=AgentState)
+            state = from_msgpack(self._path.read_bytes(), AgentState)
         except FileNotFoundError:
             return AgentState()
         except (OSError, *MALFORMED) as error:

@@ -21,9 +21,8 @@ from pathlib import Path, PurePosixPath
 from threading import Lock
 from typing import IO
 
-import msgspec
-
 from poise import threads
+from poise.decoding import from_json
 from poise.errors import RunError
 from poise.runtime.agent.surroundings import Reply
 from poise.runtime.container.account import Account
@@ -164,7 +163,7 @@ class CodeFolder:
         No manifest is no archive of code.
         """
         try:
-            wheels = msgspec.json.decode(manifest.read_bytes(), type=Manifest).wheels
+            wheels = from_json(manifest.read_bytes(), Manifest).wheels
         except (FileNotFoundError, *MALFORMED) as error:
             raise RunError(f"this is not the code of a robot: {error}") from error
         if wheels and this_platform() not in wheels:

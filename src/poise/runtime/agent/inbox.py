@@ -16,6 +16,7 @@ import zenoh
 from msgspec import structs
 
 from poise.clock import Clock
+from poise.decoding import from_msgpack
 from poise.runtime.agent.surroundings import Reply
 from poise.threads import BackOff
 from poise.wire.codec import MALFORMED
@@ -125,11 +126,11 @@ class AgentInbox:
         data = query.payload.to_bytes() if query.payload is not None else b""
         try:
             # first, for what another protocol asks may look different
-            asker = msgspec.msgpack.decode(data, type=Versioned)
+            asker = from_msgpack(data, Versioned)
             if not asker.is_understood:
                 answer(query, Refused(self._not_understood(asker)))
                 return
-            request = msgspec.msgpack.decode(data, type=ManagerRequest)
+            request = from_msgpack(data, ManagerRequest)
         except MALFORMED as error:
             answer(query, Refused(f"not a request: {error}"))
             return

@@ -10,6 +10,7 @@ from typing import Any, Union, get_args, get_origin, get_type_hints
 import msgspec
 from msgspec import Struct
 
+from poise.decoding import convert
 from poise.errors import UsageError, did_you_mean, listed
 from poise.units import DIMENSIONS, parse
 
@@ -36,7 +37,7 @@ def as_declared(implementation: type, values: Values) -> Any:  # noqa: ANN401, a
         return values
     if wrong := [text for _, text in problems(type_, values)]:
         raise UsageError(f"{implementation.__qualname__}: {'; '.join(wrong)}")
-    return msgspec.convert(_in_si(type_, values), type_)
+    return convert(_in_si(type_, values), type_)
 
 
 def problems(type_: type[Struct], values: Values) -> Iterator[tuple[str, str]]:
@@ -60,13 +61,13 @@ def problems(type_: type[Struct], values: Values) -> Iterator[tuple[str, str]]:
                 yield "", f"parameter '{name}' is missing"
             continue
         try:
-            msgspec.convert(given[name], field.type)
+            convert(given[name], field.type)
         except msgspec.ValidationError as error:
             is_fine = False
             yield name, f"parameter '{name}' is {values[name]!r}: {error}"
     if is_fine:
         try:
-            msgspec.convert(given, type_)
+            convert(given, type_)
         except msgspec.ValidationError as error:  # of a check in its `__post_init__`
             yield "", str(error)
 

@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import msgspec
 
 from poise.clock import wall_time
+from poise.decoding import msgpack_decoder
 from poise.runtime.connectors.interface import message_tag
 from poise.runtime.execution.data_age import Stamped
 from poise.wire import frame
@@ -48,7 +49,7 @@ def numbered_tag(type_: type) -> int:
     return message_tag(type_) ^ 1
 
 
-_with_raw = msgspec.msgpack.Decoder(tuple[Number, bool, msgspec.Raw]).decode
+_with_raw = msgpack_decoder(tuple[Number, bool, msgspec.Raw]).decode
 
 
 def without_number(body: bytes) -> bytes:

@@ -13,6 +13,7 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
+from poise.decoding import convert
 from poise.manage.observe.deviations import combined
 from poise.session.render.tables import (
     chain_tables,
@@ -57,7 +58,7 @@ def judgements(
 
 def _found(simulation: Mapping[str, Any], key: str) -> list[Judgement]:
     try:
-        return msgspec.convert(simulation.get(key, []), list[Judgement])
+        return convert(simulation.get(key, []), list[Judgement])
     except msgspec.ValidationError:
         return []
 

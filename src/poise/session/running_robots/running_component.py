@@ -9,10 +9,10 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, TypeVar, cast, get_type_hints
 
-import msgspec
 import yaml
 from msgspec import structs
 
+from poise.decoding import convert, from_json
 from poise.errors import CalleeError, PoiseError, RunError, Timeout, UsageError
 from poise.manage.control_socket.commands import (
     ParametersCommand,
@@ -38,7 +38,7 @@ def value_of(text: str) -> Any:  # noqa: ANN401, YAML's
     JSON comes first: for YAML, ``1e-3`` and a pair of surrogates are something else.
     """
     with contextlib.suppress(ValueError, RecursionError):
-        return msgspec.json.decode(text)
+        return from_json(text, Any)
     try:
         return yaml.safe_load(text)
     except (yaml.YAMLError, ValueError, RecursionError) as error:
@@ -182,7 +182,7 @@ class RunningComponent:
             for passed in reading.passed:
                 if not passed.is_whole:
                     raise RunError(f"a message of '{connector}': {passed.value}")
-                packed = msgspec.convert(passed.value, Packed)
+                packed = convert(passed.value, Packed)
                 try:
                     yield unpack(packed, type_)
                 except WireError as error:
