@@ -96,6 +96,15 @@ def test_a_placement_is_read_from_what_plan_printed(
         assert placed.where == wanted
 
 
+def test_a_file_with_a_date_that_there_is_not_is_refused(
+    robot: Robot, tmp_path: Path
+) -> None:
+    file = tmp_path / "placement.yaml"
+    file.write_text("a: left\n2026-02-30: left\n")
+    with pytest.raises(UsageError, match="cannot be read: day is out of range"):
+        poise.place(robot, method=str(file))
+
+
 def test_all_that_is_wrong_with_a_file_is_said_at_once(
     robot: Robot, tmp_path: Path
 ) -> None:

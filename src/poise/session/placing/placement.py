@@ -101,7 +101,8 @@ def _read(path: Path) -> tuple[Mapping[object, object], frozenset[str]]:
     """Return what a file places, and the architectures that it calls suspended."""
     try:
         found = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+    except (OSError, ValueError, yaml.YAMLError) as error:
+        # PyYAML raises ValueError for some dates and numbers, such as 2026-02-30
         raise UsageError(f"placement {path} cannot be read: {error}") from error
     suspended: object = ()
     if isinstance(found, dict) and isinstance(found.get("placement"), dict):
