@@ -31,6 +31,7 @@ from poise.wire.codec import Unreadable, WireError, codec
 from poise.wire.connections.blocks import DATA, MOST_BYTES, MOST_LENT, Block, Blocks
 from poise.wire.connections.connection import Connection
 from poise.wire.frame import LARGEST, Kind
+from tests.waiting import wait_until
 
 pytestmark = pytest.mark.slow
 
@@ -124,6 +125,21 @@ def test_arrays_that_are_kept_stay_as_they_are(
     for number in range(100, 100 + most):
         ask(ends[0], image(number))
     assert (part == 3).all()
+
+
+def test_a_source_whose_credit_nobody_takes_any_more_connects_again(
+    ends: tuple[Connection, Connection], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(_: frame.Frame) -> bool:
+        raise RuntimeError("can't start new thread")
+
+    source, target = ends
+    failures: list[threading.ExceptHookArgs] = []
+    monkeypatch.setattr(threading, "excepthook", failures.append)
+    source.follow(fail)
+    assert target.send_back(frame.segments(codec(str), "credit", Kind.CREDIT))
+    wait_until(lambda: source.is_over)
+    wait_until(lambda: failures)
 
 
 def test_arrays_outlive_their_connection() -> None:

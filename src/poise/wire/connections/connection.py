@@ -200,6 +200,9 @@ class Connection:
                 pass
         except (Unavailable, Timeout, WireError):
             self.is_over = True
+        except BaseException:  # nothing that comes back would be taken any more
+            self.is_over = True
+            raise
 
     def _place(self, pieces: Pieces) -> _Placed | None:
         """Lend the other end a block for the arrays; None when they go inline."""
