@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import signal
 import subprocess
@@ -9,7 +10,10 @@ import sys
 
 import pytest
 
-from poise.emulate.processes import MARK, marked, stop
+from poise.emulate import processes
+from poise.emulate.processes import MARK, freeze, marked, stop
+from poise.errors import RunError
+from poise.kernel_counters import process_stat
 
 pytestmark = pytest.mark.slow
 
@@ -40,6 +44,17 @@ def test_stubborn_process_is_killed() -> None:
 
 def test_no_processes_are_no_trouble() -> None:
     stop(list)
+
+
+def test_what_cannot_be_frozen_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(processes, "KILL", 0.1)
+    others = itertools.count(1 << 23)  # no process has such a number
+    with subprocess.Popen(["cat"], stdin=subprocess.PIPE) as cat:
+        with pytest.raises(RunError, match="still start others"):
+            freeze(lambda: [cat.pid, next(others)])
+        stat = process_stat(cat.pid)
+        assert stat is not None
+        assert stat.state != "T"
 
 
 @pytest.mark.parametrize("mark", ["poise-test-a", "poise-test-b"])

@@ -65,13 +65,17 @@ def stop(processes: Callable[[], Sequence[int]], ask: float = ASK) -> None:
 
 
 def freeze(processes: Callable[[], Sequence[int]]) -> None:
-    """Stop all that `processes` returns, and what they start, until `thaw`."""
+    """Stop all that `processes` returns, and what they start, until `thaw`.
+
+    RunError: they start others again and again; none is stopped.
+    """
     end = time.monotonic() + KILL
     frozen: set[int] = set()
     while new := set(processes()) - frozen:
         _send(sorted(new), signal.SIGSTOP)
         frozen |= new
         if time.monotonic() > end:
+            thaw(sorted(frozen))
             message = f"processes still start others, {KILL:g} s after being stopped"
             raise RunError(message)
 
