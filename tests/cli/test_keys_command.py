@@ -30,14 +30,14 @@ def test_keys_are_issued_below_the_folder_that_is_named(
 
 
 def test_a_computer_has_a_name_that_a_robot_file_may_have(tmp_path: Path) -> None:
-    asked = ("keys", "issue", "hello", "left", "arm.2", "--out", tmp_path / "out")
-    done = run_poise(*asked)
+    asked, out = ("keys", "issue", "hello"), ("--out", tmp_path / "out")
+    done = run_poise(*asked, "left", "arm.2", *out)
     assert done.returncode == 2
     assert "'arm.2' is not a computer's name: a letter, then" in done.stderr
     assert not (tmp_path / "out").exists()
-    assert run_poise(*asked, "--role", "viewer").returncode == 0  # they are people
-    asked = ("keys", "issue", "hello", "\udcff", "--out", tmp_path / "out")
-    done = run_poise(*asked, "--role", "viewer")  # on the command line, no UTF-8
+    people = (*out, "--role", "viewer")
+    assert run_poise(*asked, "arm.2", *people).returncode == 0
+    done = run_poise(*asked, "\udcff", *people)  # on the command line, no UTF-8
     assert done.returncode == 2
     assert "is no name" in done.stderr
 

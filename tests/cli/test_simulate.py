@@ -53,9 +53,8 @@ def test_placements_are_compared(
     assert "<h1>static</h1>" in (tmp_path / "page.html").read_text()
 
 
-def test_an_outcome_is_printed_though_its_page_cannot_be_written(
-    poise: Poise, rehearsal: type[FakeRehearsal]
-) -> None:
+@pytest.mark.usefixtures("rehearsal")
+def test_an_outcome_is_printed_though_its_page_cannot_be_written(poise: Poise) -> None:
     done = poise("simulate", HELLO, "--html", "/dev/full", "--json")
     assert json.loads(done.stdout)["seconds"] == 60.0
     assert done.returncode == 1

@@ -34,9 +34,10 @@ def table(*columns: str, folds: int = 0) -> Table:
     """
     made = Table(box=box.SIMPLE_HEAD, show_edge=False, padding=(0, 1, 0, 0))
     for place, title in enumerate(columns):
-        breaks = place in {0, folds}
-        how = "fold" if breaks else "ellipsis"
-        made.add_column(title, overflow=how, no_wrap=not breaks)
+        if place in {0, folds}:
+            made.add_column(title, overflow="fold")
+        else:
+            made.add_column(title, no_wrap=True)
     return made
 
 
