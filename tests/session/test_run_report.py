@@ -74,6 +74,13 @@ def test_an_agent_that_was_started_again_changes_no_component_s_cpu() -> None:
     assert report.cpu == pytest.approx(0.1)
 
 
+def test_a_run_too_short_for_figures_of_computers_shows_components() -> None:
+    report = replace(GOOD, components=component_reports(BEGIN, BEGIN, 0.1))
+    assert "on left" in str(report)
+    assert "grabber" in str(report)
+    assert str(report).endswith("ran for 1.0 s")
+
+
 def test_names_of_measures_are_no_markup() -> None:
     measures = {"age [ms]": Summary(count=1), "path [/x]": Summary(count=2)}
     (grabber,) = component_reports(BEGIN, END, 4.0)

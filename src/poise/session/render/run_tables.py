@@ -71,7 +71,8 @@ def report_parts(report: RunRecord) -> Iterator[RenderableType]:
     yield from connector_tables(report.connectors)
     yield from clock_tables(report.clocks)
     shares = ", ".join(f"{n} {share:.0%}" for n, share in report.cpu_share.items())
-    yield f"ran for {report.seconds:.1f} s; CPU used: {shares}"
+    used = f"; CPU used: {shares}" if shares else ""
+    yield f"ran for {report.seconds:.1f} s{used}"
     yield from task_lines(report.tasks, is_over=True)
     for name in report.suspended:
         yield f"[red]architecture '{name}' was suspended: not all fits[/]"
@@ -139,7 +140,8 @@ def _component_table(report: RunRecord) -> Table:
     rows = table(
         "component", "CPU", "timer, period", "missed", "median", "p99", folds=2
     )
-    for computer in report.cpu_share:
+    known = [*report.cpu_share, *(each.computer for each in report.components)]
+    for computer in dict.fromkeys(known):
         rows.add_row(f"[bold]on {computer}[/]")
         here = (c for c in report.components if c.computer == computer)
         for component in sorted(here, key=lambda c: c.name):
