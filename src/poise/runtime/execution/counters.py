@@ -69,6 +69,15 @@ def new_memory() -> int:
     return fd
 
 
+def may_shrink(memory: int) -> bool:
+    """Return whether who sent a descriptor could let its reader meet an end: SIGBUS."""
+    try:
+        seals = fcntl.fcntl(memory, fcntl.F_GET_SEALS)
+    except OSError:  # a file, which has none
+        return True
+    return not seals & fcntl.F_SEAL_SHRINK
+
+
 class StatsPage:
     """A container's end of its stats page."""
 

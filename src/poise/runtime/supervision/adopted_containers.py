@@ -14,6 +14,7 @@ from pathlib import Path
 from poise.clock import Clock
 from poise.runtime.container.account import Account, rights_of
 from poise.runtime.container.agent_link import Orphan, take_over
+from poise.runtime.execution.counters import may_shrink
 from poise.wire.address import agent_path, socket_path
 from poise.wire.robots_here import peer_of
 
@@ -81,11 +82,12 @@ class AdoptedContainers:
                 return None
             if connection is None:  # no descriptor is free: it asks again
                 continue
-            if self.watch(orphan.pid):
+            is_foreign = self._is_foreign(orphan.pid) or may_shrink(stats_page)
+            if not is_foreign and self.watch(orphan.pid):
                 self._left.pop(socket_path(self._folder, orphan.container), None)
                 self.num_adopted += 1
                 return orphan, connection, stats_page
-            if self._is_foreign(orphan.pid):
+            if is_foreign:
                 log.warning("process %d is not a container of this agent", orphan.pid)
             # or it has ended; where no descriptor is free, it asks again
             connection.close()

@@ -221,6 +221,23 @@ def test_what_has_ended_before_it_is_adopted_is_not_adopted(tmp_path: Path) -> N
     adopted.close()
 
 
+@pytest.mark.parametrize("is_memory", [True, False])
+def test_what_may_end_under_its_reader_is_not_adopted(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, *, is_memory: bool
+) -> None:
+    adoption = AdoptedContainers(tmp_path, SystemClock())
+    path = tmp_path / "page"
+    page = os.memfd_create("page") if is_memory else os.open(path, os.O_CREAT)
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as asking:
+        asking.connect(str(agent_path(tmp_path)))
+        orphan = Orphan(container="eye", pid=os.getpid())
+        hand_over(asking, orphan, page).close()
+    assert adoption.next_orphan() is None
+    assert "is not a container of this agent" in caplog.text
+    os.close(page)
+    adoption.close()
+
+
 def test_one_that_is_too_busy_to_be_asked_is_awaited(tmp_path: Path) -> None:
     paths = [socket_path(tmp_path, name) for name in ("nav", "gone")]
     with ExitStack() as stack:
