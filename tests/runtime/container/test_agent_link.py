@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import errno
+import math
+import os
 import socket
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 
@@ -41,3 +45,18 @@ def test_an_agent_that_is_killed_amid_a_record_is_gone(tmp_path: Path) -> None:
         agent.close()
         assert link.receive() is None
         assert not link.files()
+
+
+def test_it_asks_for_adoption_again_when_a_descriptor_is_free(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    agent, its = socket.socketpair()
+    with agent, its:
+        link = AgentLink("see", its, -1, tmp_path, SystemClock())
+        agent.close()
+        assert link.receive() is None
+        error = OSError(errno.EMFILE, os.strerror(errno.EMFILE))
+        monkeypatch.setattr(socket, "socket", Mock(side_effect=error))
+        link.ask_when_due()
+    assert not link.files()
+    assert link.due < math.inf

@@ -117,13 +117,13 @@ class AgentLink:
 
     def _ask(self) -> None:
         orphan = Orphan(container=self._container, pid=os.getpid())
-        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as asking:
-            asking.setblocking(False)
-            try:
+        try:
+            with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as asking:
+                asking.setblocking(False)
                 asking.connect(self._path)
                 ours = hand_over(asking, orphan, self._stats_page)
-            except OSError:  # no agent is there yet
-                return
+        except OSError:  # no agent is there yet, or no descriptor is free
+            return
         keep_private(ours)
         self._reader = frame.RecordReader(ours)
         with self._telling:
