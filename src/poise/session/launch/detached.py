@@ -18,6 +18,7 @@ from poise.model.robot import Robot
 from poise.session import Check, Say
 from poise.session.folders import state_folder
 from poise.session.running_robots.running import Running
+from poise.wire.robots_here import is_alive, path_of
 
 _LOOK_EVERY = 0.05
 _LIMIT = 300.0
@@ -70,7 +71,7 @@ def up_detached(
             size = log.stat().st_size
             values = [f"--set={argument}" for argument in arguments]
             keeper = _started(["emulate", str(file), *values], log)
-            undo.callback(_end, keeper)
+            undo.callback(_end_unused, robot.name, keeper)
             _wait(keeper, log, size, lambda: set_for(robot) is not None, check)
             say(
                 f"its emulated computers stay up until `poise emulate stop`; log: {log}"
@@ -133,6 +134,12 @@ def _manages(process: int, robot: str) -> bool:
         return False
     # agents name it as soon as it has claimed them
     return not status.by_agents and status.manager.pid == process
+
+
+def _end_unused(robot: str, keeper: subprocess.Popen[bytes]) -> None:
+    """End what keeps a robot's computers, unless another manager came first."""
+    if not is_alive(path_of(robot)):
+        _end(keeper)
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:

@@ -1,0 +1,44 @@
+"""What `poise up --detach` leaves when it fails."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from poise.model.robot import Computer, Robot
+from poise.session.launch import detached
+from poise.session.launch.detached import DetachedFailure, up_detached
+
+ROBOT = Robot(name="twice", computers=(Computer(name="left", capacity={"cpu": 1.0}),))
+
+
+@pytest.mark.parametrize(
+    ("another", "ended"), [(False, ["up", "emulate"]), (True, ["up"])]
+)
+def test_ends_the_computers_that_it_made_unless_another_manager_has_them(
+    *,
+    another: bool,
+    ended: list[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Two are started at once, and this one comes second."""
+    found: list[str] = []
+
+    def wait(process: str, *_: object) -> None:
+        if process == "up":
+            raise DetachedFailure("robot 'twice' runs already", 2)
+
+    for name, fake in {
+        "set_for": lambda _: None,
+        "state_folder": lambda: tmp_path,
+        "is_alive": lambda _: another,
+        "_started": lambda words, _: words[0],
+        "_wait": wait,
+        "_end": found.append,
+    }.items():
+        monkeypatch.setattr(detached, name, fake)
+    with pytest.raises(DetachedFailure, match="runs already"):
+        up_detached(ROBOT, Path("robot.yaml"), ["up"], print, lambda: None)
+    assert found == ended
