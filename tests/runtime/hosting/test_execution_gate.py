@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from typing import cast
+from unittest.mock import Mock
 
 import pytest
 
@@ -44,3 +45,16 @@ def test_what_hangs_is_not_waited_for_without_limit() -> None:
         thread.join()
     with gate.borrowed(by_hook=True):  # it is free again
         pass
+
+
+def test_what_could_not_resume_resumes_the_next_time() -> None:
+    exclusion, endpoints = Exclusion("map"), Mock()
+    calls = StartedCalls("map", lambda do: do())
+    gate = ExecutionGate("map", exclusion, endpoints, calls, lambda: True)
+    endpoints.send_buffered.side_effect = [RuntimeError("can't start new thread"), None]
+    with pytest.raises(RuntimeError, match="new thread"):
+        gate.resume()
+    gate.resume()
+    assert not gate.is_paused
+    exclusion.enter(7, 0.0)
+    exclusion.leave()

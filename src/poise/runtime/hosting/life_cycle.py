@@ -213,7 +213,11 @@ class ExecutionGate:
             if self.is_paused and not self._is_borrowed and self._may_resume():
                 self.is_paused = False
                 self._endpoints.mailbox.set_unbounded(unbounded=False)
-                self._endpoints.send_buffered()
+                try:
+                    self._endpoints.send_buffered()
+                except BaseException:  # no thread is free, say: the next time
+                    self.is_paused = True
+                    raise
                 self._exclusion.resume()
 
     @contextmanager
