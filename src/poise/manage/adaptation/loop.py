@@ -103,7 +103,9 @@ class Adaptation:
         now, read = situation.now, cache(partial(values_of, situation))
         if self._keep is not None:
             self._keep(Seen.by(read, now))
-        symptoms = self._policies.evaluate(read, now)
+        reported = situation.statuses.keys() | situation.lost
+        lacks_some = any(c.name not in reported for c in situation.robot.computers)
+        symptoms = self._policies.evaluate(read, now, lacks_some=lacks_some)
         missing = frozenset(self._needs.evaluate(situation, now))
         return replace(situation, symptoms=symptoms, missing=missing)
 

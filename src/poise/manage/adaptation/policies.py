@@ -164,6 +164,10 @@ class Symptom(Struct, frozen=True, kw_only=True):
 Symptoms = tuple[Symptom, ...]
 
 
+_UNSEEN = 5.0
+"""What is not reported any more counts as it was for this time [s]."""
+
+
 class Policies:
     """The policies of one robot, and since when their conditions hold.
 
@@ -175,6 +179,7 @@ class Policies:
         self._policies = [(p, _condition(p).read) for p in policies if not p.call]
         self._functions = [(p, OwnFunction(p.call, folder)) for p in policies if p.call]
         self._acted: dict[Key, float] = {}
+        self._seen_at: dict[Key, float] = {}
         self.since: Mapping[Key, float] = {}
 
     def troubles(self) -> tuple[str, ...]:
@@ -190,10 +195,14 @@ class Policies:
         for _, function in self._functions:
             function.close()
 
-    def evaluate(self, read: Read, now: float, *, waits: bool = False) -> Symptoms:
+    def evaluate(
+        self, read: Read, now: float, *, waits: bool = False, lacks_some: bool = False
+    ) -> Symptoms:
         """Return the symptoms that have been there at every look for long enough.
 
         `waits`: whether to wait for functions; else what they said last counts.
+        `lacks_some`: whether subjects may be missing only because their computer has
+        not reported since it was told what should run: nothing ends by that.
         """
         read = cache(read)  # several policies look at the same subjects
         holding = {
@@ -203,12 +212,31 @@ class Policies:
             for subject in filter(holds, read(policy.for_each))
         }
         holding |= self._by_functions(read, now, waits=waits)
-        self.since = {key: self.since.get(key, now) for key in holding}
+        unseen = self._unseen(read, now) if lacks_some else ()
+        self._seen_at |= dict.fromkeys(holding, now)
+        self.since = {
+            key: self.since.get(key, now) for key in dict.fromkeys([*holding, *unseen])
+        }
+        self._seen_at = {key: self._seen_at[key] for key in self.since}
         return tuple(
             Symptom(policy=policy, what=_what(policy, subject), values=subject)
             for key, (policy, subject) in holding.items()
             if now - self.since[key] >= _or(policy.lasts, LASTS)
         )
+
+    def _unseen(self, read: Read, now: float) -> list[Key]:
+        """Return the conditions that held lately, and whose subjects are not seen."""
+        seen = {
+            _key(policy, subject)
+            for policy, _ in self._policies
+            if policy.for_each is not None
+            for subject in read(policy.for_each)
+        }
+        return [
+            key
+            for key in self.since
+            if key not in seen and now - self._seen_at[key] <= _UNSEEN
+        ]
 
     def _by_functions(
         self, read: Read, now: float, *, waits: bool

@@ -133,6 +133,25 @@ def test_only_what_lasts_counts(situation: Make) -> None:
     assert not look(policies, late, 10.7)  # it begins again
 
 
+def test_what_is_not_reported_for_a_moment_goes_on(situation: Make) -> None:
+    """After each change of what should run, a computer's next status is waited for."""
+    policies, late, gone = Policies([LATE]), situation(missed=("a",)), situation()
+    gone = msgspec.structs.replace(gone, misses=())
+    assert not look(policies, late, 10.0)
+    read = partial(values_of, gone)
+    assert not policies.evaluate(read, 10.2, lacks_some=True)
+    assert look(policies, late, 10.6)
+    assert not policies.evaluate(read, 15.5, lacks_some=True)
+    assert policies.since
+    policies.evaluate(read, 15.7, lacks_some=True)
+    assert not policies.since
+    assert not look(policies, late, 16.0)
+    timers = [msgspec.structs.replace(timer, late=False) for timer in late.misses]
+    well = msgspec.structs.replace(late, misses=tuple(timers))
+    policies.evaluate(partial(values_of, well), 16.2, lacks_some=True)
+    assert not policies.since  # it is reported, and in time
+
+
 def test_nothing_is_done_again_until_it_has_cooled_down(situation: Make) -> None:
     policy = msgspec.structs.replace(LATE, lasts=0.0, cool_down=60.0)
     policies, late = Policies([policy]), situation(missed=("a", "b"))
