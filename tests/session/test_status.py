@@ -13,6 +13,7 @@ from poise.manage.control_socket.commands import RobotStatus
 from poise.manage.observe.chains import ChainHop, ChainReport
 from poise.manage.observe.estimates import DemandEstimate, Load
 from poise.manage.tasks.concurrent_tasks import TaskReport
+from poise.manage.tasks.task_progress import TaskState
 from poise.session.render.status_tables import (
     _remarks,
     component_table,
@@ -99,6 +100,30 @@ def test_a_starved_component_is_shown_with_the_culprit() -> None:
     answer = replace(answer, loads={"vision": load})
     culprit = "component 'spinner' takes 0.9 cores there"
     assert list(remarks(answer)) == [f"{NAME}: 12 errors, starved 80% ({culprit})"]
+
+
+def test_what_rests_lacks_nothing() -> None:
+    estimate = Estimate(mean=0.1, p95=0.1, error=0.01, starved=0.4, long_job=9.0)
+    answer = status(estimate)
+    (standing,) = answer.demand_estimates
+    resting = ComponentStatus(name=NAME, state="inactive")
+    assert [*_remarks(resting, standing)] == []
+
+
+def test_of_what_was_started_often_the_last_start_is_shown() -> None:
+    starts: tuple[tuple[str, TaskState], ...] = (
+        ("a", "done"),
+        ("b", "done"),
+        ("a", "failed"),
+        ("b", "going"),
+    )
+    tasks = [
+        TaskReport(name=name, state=state, priority=0, why="", began=at, since=at)
+        for at, (name, state) in enumerate(starts)
+    ]
+    answer = replace(status(Estimate(mean=0.1, p95=0.1, error=0.01)), tasks=(*tasks,))
+    said = [part for part in status_parts(answer) if "task '" in str(part)]
+    assert said == ["[red]task 'a' is failed[/]", "task 'b' is going"]
 
 
 def test_a_component_with_a_job_that_does_not_end_is_named() -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 from rich.console import RenderableType
 from rich.markup import escape
@@ -13,6 +13,8 @@ from rich.text import Text
 from poise.manage.agent_connections.statuses import connectors_of, located
 from poise.manage.control_socket.commands import RobotStatus
 from poise.manage.observe.estimates import DemandEstimate, culprit_on
+from poise.manage.tasks.concurrent_tasks import TaskReport
+from poise.manage.tasks.task_progress import OVER
 from poise.session.render.tables import (
     chain_tables,
     clock_tables,
@@ -28,7 +30,7 @@ from poise.wire.records.status_records import ComponentStatus, ContainerHealth
 def status_parts(status: RobotStatus) -> Iterator[RenderableType]:
     """Yield a status: deviations first."""
     yield f"robot '{status.robot}'"
-    yield from task_lines(status.tasks)
+    yield from task_lines(_latest(status.tasks))
     if switches := str(status.prefetch):
         yield f"switches from action to action: {switches}"
     yield f"{'last ' if status.by_agents else ''}managed by {status.manager}"
@@ -212,6 +214,15 @@ def _each(
         yield computer, component, demand_estimates.get(component.name)
 
 
+def _latest(tasks: Iterable[TaskReport]) -> Iterator[TaskReport]:
+    """Yield what is not over, and the last start of each task that is."""
+    tasks = tuple(tasks)
+    last = {task.name: task for task in tasks}
+    for task in tasks:
+        if task.state not in OVER or task is last[task.name]:
+            yield task
+
+
 def _remarks(
     component: ComponentStatus, standing: DemandEstimate | None, culprit: str = ""
 ) -> Iterator[str]:
@@ -219,6 +230,8 @@ def _remarks(
         last = component.error.rstrip().rpartition("\n")[2]
         which = f" ({escape(last)})" if last else ""
         yield f"{counted(component.errors, 'error')}{which}"
+    if component.state != "active":
+        standing = None  # what it lacked when it was at work
     if standing is not None and standing.estimate.starved:
         why = f" ({culprit})" if culprit else ""
         yield f"starved {standing.estimate.starved:.0%}{why}"
