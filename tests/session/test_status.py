@@ -214,6 +214,15 @@ def test_names_are_never_cut() -> None:
     assert max(map(len, text.splitlines())) <= 80
 
 
+@pytest.mark.parametrize("width", [40, 78])
+def test_names_are_there_however_narrow_the_terminal(width: int) -> None:
+    rows = table("Q" * 8, *["figure of it"] * 5)
+    rows.add_row("q" * 12, *["123.4 ms ± 5 ms"] * 5)
+    out = StringIO()
+    Console(file=out, width=width).print(rows)
+    assert (out.getvalue().count("Q"), out.getvalue().count("q")) == (8, 12)
+
+
 def shown(answer: RobotStatus) -> str:
     out = StringIO()
     for part in status_parts(answer):

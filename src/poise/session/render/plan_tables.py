@@ -45,7 +45,7 @@ def _chains(
     """Yield how old the data of each chain is predicted to be, if there is one."""
     phase = ("phase",) if len(times) > 1 else ()
     names = "predicted data age", "median", "p99", "deadline", "margin", "late"
-    rows = table(*phase, *names, "most time to")
+    rows = table(*phase, *names, "most time to", folds=len(phase))
     for name, predicted in times.items():
         for chain in predicted.chains:
             margin = units.format_seconds(abs(chain.margin))

@@ -209,7 +209,7 @@ def _timers(report: SimulationReport) -> Iterator[RenderableType]:
 
 def _chains(report: SimulationReport) -> Iterator[RenderableType]:
     rows = table(
-        "chain, data age", "deadline", "used", "missed", "median", "p99", "maximum"
+        "chain,\ndata age", "deadline", "used", "missed", "median", "p99", "maximum"
     )
     for chain in report.chains:
         until = "" if chain.deadline is None else format_seconds(chain.deadline)

@@ -28,16 +28,15 @@ from poise.wire.records.status_records import ConnectorStatus, Summary
 
 
 def table(*columns: str, folds: int = 0) -> Table:
-    """Return an empty table; names, and the column number `folds`, break over lines.
+    """Return an empty table, whose cells break over lines in a narrow terminal.
 
-    In a narrow terminal, a figure that is cut ends in an ellipsis.
+    Names, and the column number `folds`, break anywhere; others break between words,
+    and a word that is cut ends in an ellipsis.
     """
     made = Table(box=box.SIMPLE_HEAD, show_edge=False, padding=(0, 1, 0, 0))
     for place, title in enumerate(columns):
-        if place in {0, folds}:
-            made.add_column(title, overflow="fold")
-        else:
-            made.add_column(title, no_wrap=True)
+        # rich takes room from columns that may break first: from one alone, all of it
+        made.add_column(title, overflow="fold" if place in {0, folds} else "ellipsis")
     return made
 
 
@@ -46,7 +45,8 @@ class NamedRows:
 
     def __init__(self, title: str, *columns: str) -> None:
         self._rows = table(title, *columns)
-        self._rows.columns[0].no_wrap = True  # so that each row is one line
+        for column in self._rows.columns:
+            column.no_wrap = True  # so that each row is one line
         self._names: list[str] = []
 
     @property
@@ -75,8 +75,8 @@ class NamedRows:
 
 def chain_tables(chains: Iterable[ChainReport]) -> Iterator[Table]:
     """Yield a row for each chain, if there is one: the age of its data when used."""
-    names = "chain, data age", "deadline", "used", "late", "median", "p99", "longest"
-    rows = table(*names, "most time to")
+    names = "chain,\ndata age", "deadline", "used", "late", "median", "p99", "longest"
+    rows = table(*names, "most time to", folds=len(names))
     for chain in chains:
         age, head = chain.age, (chain.name, format_seconds(chain.deadline))
         if not age.count:
