@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from typing import Protocol
 from unittest.mock import Mock
 
 import pytest
+from msgspec.structs import replace
 
 from poise import Component, Message, Provided, every, oneway, subscribed
 from poise.clock import SystemClock
@@ -15,15 +17,19 @@ from poise.errors import UsageError
 from poise.runtime.connectors.interface import methods
 from poise.runtime.execution.counters import Counts
 from poise.runtime.execution.data_age import Stamped
+from poise.runtime.hosting.outside_requests import OutsideRequests
 from poise.runtime.hosting.runner import Runner
 from poise.runtime.migration.state_transfer import Request, StateSender, fetch, restore
 from poise.wire import frame
+from poise.wire.codec import pack
 from poise.wire.connections.channel import Channel
 from poise.wire.frame import Frame, Pieces
 from poise.wire.records.deployment_records import ComponentSpec
+from poise.wire.records.request_records import PARAMETERS, PortRequest
 from tests.waiting import wait_until
 
 LIMIT = 20.0
+BOOK = ComponentSpec(name="book", goal="inactive")
 
 
 class Notes(Message):
@@ -137,8 +143,13 @@ class Incarnations:
     def __init__(self) -> None:
         self._runners: list[Runner] = []
 
-    def start(self, implementation: type[Component], *, active: bool) -> Runner:
-        spec = ComponentSpec(name="book", goal="inactive")
+    def start(
+        self,
+        implementation: type[Component],
+        *,
+        active: bool,
+        spec: ComponentSpec = BOOK,
+    ) -> Runner:
         runner = Runner(spec, implementation, SystemClock(), lambda: None)
         self._runners.append(runner)
         runner.start()
@@ -237,6 +248,55 @@ def test_a_large_state_goes_first_and_then_what_changed(
     assert not given.state
     restore(new, given)
     assert texts(new) == ("a", "b")
+
+
+class Tuned(Book):
+    """Counts how often it is tuned."""
+
+    def configure(self) -> None:
+        super().configure()
+        self.gains: list[float] = []
+
+    def reconfigure(self, parameters: Mapping[str, float]) -> None:
+        self.gains.append(parameters["gain"])
+
+
+def test_what_was_set_a_moment_before_a_move_goes_over(
+    incarnations: Incarnations,
+) -> None:
+    """The deployment of the new incarnation does not say so yet."""
+    spec = ComponentSpec(name="book", goal="inactive", parameters={"gain": 1.0})
+    old = incarnations.start(Tuned, active=True, spec=spec)
+    new = incarnations.start(Tuned, active=False, spec=spec)
+    answers: list[object] = []
+    outside = OutsideRequests(lambda _: old, answers.append)
+    request = PortRequest(
+        number=1,
+        container="",
+        component="book",
+        port=PARAMETERS,
+        method="set",
+        value=pack(((), {"gain": 2.0})),
+        limit=LIMIT,
+    )
+    outside.take(request)
+    wait_until(lambda: answers)
+    restore(new, fetch(rest(old), Request.ALL, LIMIT))
+    new.aim("active")
+    assert isinstance(new.component, Tuned)
+    gains = new.component.gains
+
+    def is_told(parameters: Mapping[str, float]) -> bool:
+        return new._changed_parameters == parameters
+
+    wait_until(lambda: gains == [2.0])
+    for gain in (1.5, 2.0):  # what was set elsewhere before, then what was set here
+        changed = {"gain": gain}
+        new.note_spec(replace(spec, changed_parameters=changed))
+        new.aim("active")
+        wait_until(partial(is_told, changed))
+    assert (gains, new.parameters_set) == ([2.0], {})
+    assert new.component.parameters == {"gain": 2.0}
 
 
 def test_what_works_gives_only_its_state(incarnations: Incarnations) -> None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NoReturn, get_args
 
@@ -24,7 +24,12 @@ from poise.errors import (
     encodable,
     listed,
 )
-from poise.runtime.component.component import set_parameters, shown_parameters, within
+from poise.runtime.component.component import (
+    Component,
+    set_parameters,
+    shown_parameters,
+    within,
+)
 from poise.runtime.component.parameters import plain
 from poise.runtime.component.ports import Port
 from poise.runtime.connectors.interface import Method, message_tag, methods
@@ -200,6 +205,7 @@ def _parameters(runner: Runner, request: PortRequest, until: float) -> dict[str,
     def change() -> None:
         try:
             set_parameters(component, changes)
+            runner.parameters_set |= unpack(pack(_now(component, changes)))
         except PoiseError:
             raise
         # a user's hook may raise anything
@@ -207,8 +213,13 @@ def _parameters(runner: Runner, request: PortRequest, until: float) -> dict[str,
             raise_callee_error(error)
 
     _inside(runner, until, change)
+    return _now(component, changes)
+
+
+def _now(component: Component, names: Iterable[str]) -> dict[str, Any]:
+    """Return some parameters, as they are now."""
     now = plain(component.parameters)
-    return {name: now[name] for name in changes}
+    return {name: now[name] for name in names}
 
 
 def _port(runner: Runner, request: PortRequest) -> Port:

@@ -114,6 +114,10 @@ class Runner:
         self._errors = Errors(spec.name)
         self._action = spec
         self._changed_parameters = spec.changed_parameters
+        # what was set here, where no deployment says so yet; the next incarnation takes
+        # it first of all
+        self.parameters_set: dict[str, Any] = {}
+        self._parameters_handed: Mapping[str, Any] = {}
         # one that comes to take over from another goes on with its action
         is_new = spec.goal == "active" or spec.fresh
         self._begun = set[int]() if is_new else set(spec.actions)
@@ -150,6 +154,10 @@ class Runner:
         They are taken once it is active.
         """
         self._action = spec
+
+    def hand_parameters(self, values: Mapping[str, Any]) -> None:
+        """Take parameters that were set at its source, before it does anything else."""
+        self._parameters_handed = values
 
     def wait_ended(self, limit: float) -> bool:
         """Wait up to `limit` [s] for its thread to end; whether it did."""
@@ -348,9 +356,16 @@ class Runner:
     def _work(self) -> None:
         """Run the timers that are due, then at most one message."""
         spec = self._action
+        if self._parameters_handed and self._enter():
+            handed, self._parameters_handed = self._parameters_handed, {}
+            self.parameters_set = dict(handed)
+            self._run(self._take_parameters, "reconfigure", handed)
         if spec.changed_parameters != self._changed_parameters and self._enter():
-            self._changed_parameters = spec.changed_parameters
-            self._run(self._take_parameters, "reconfigure", spec.changed_parameters)
+            self._changed_parameters = told = spec.changed_parameters
+            newer = {n: v for n, v in self.parameters_set.items() if told.get(n) != v}
+            changes = {n: v for n, v in told.items() if n not in newer}
+            self.parameters_set = newer
+            self._run(self._take_parameters, "reconfigure", changes)
         self._begin_actions(spec.actions)
         while self._turns and self._enter():
             what, method = self._turns.popleft()

@@ -88,6 +88,8 @@ class StateTransfer(Struct, frozen=True, kw_only=True):
     stamps: Mapping[str, Stamp] = {}
     heard: Mapping[str, Heard] = {}  # By port
     latest: Mapping[str, bytes] = {}  # Port -> its last message as a frame
+    # Parameters that were set a moment ago: no deployment says so yet
+    parameters: Mapping[str, Any] = {}
 
 
 TRANSFER: Codec[StateTransfer] = codec(StateTransfer)
@@ -190,6 +192,7 @@ class StateSender:
             stamps=runner.ages.held(),
             heard=runner.endpoints.heard,
             latest=runner.endpoints.latest.to_frames(),
+            parameters=dict(runner.parameters_set),
         )
 
 
@@ -345,6 +348,8 @@ def restore(
             delta = _value_of(transfer.delta, component.restore_delta)
             component.restore_delta(delta)
     runner.ages.restore(transfer.stamps)
+    if adapt is None:
+        runner.hand_parameters(transfer.parameters)
     if transfer.latest and not is_fresh:
         runner.endpoints.buffer_until_active()  # the source may yet go on
         runner.endpoints.latest.restore(transfer.latest)
