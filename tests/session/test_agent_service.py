@@ -66,6 +66,30 @@ def test_an_unknown_address_is_refused(poise: Poise, tmp_path: Path) -> None:
     assert not [*tmp_path.iterdir()]
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("computer", "robot", "says"),
+    [
+        ("../left", "hello", "'../left' is not a computer's name: a letter"),
+        ("left", "../hello", "'../hello' is not a robot's name: a letter"),
+    ],
+)
+def test_a_name_that_no_robot_file_has_is_refused(
+    poise: Poise, tmp_path: Path, computer: str, robot: str, says: str
+) -> None:
+    own = (computer, "--robot", robot)
+    folder = tmp_path / "units"
+    for words in (
+        ("agent", *own, "--address", "127.0.0.1"),
+        ("agent", "install", *own, "--address=127.0.0.1", "--unit-folder", folder),
+        ("agent", "uninstall", *own, "--unit-folder", folder),
+    ):
+        done = poise(*words)
+        assert (done.returncode, done.stdout) == (2, "")
+        assert says in done.stderr
+    assert not [*tmp_path.iterdir()]
+
+
 @pytest.mark.skipif(os.getuid() != 0, reason="only root may be another")
 def test_a_unit_that_runs_containers_as_another_user_has_few_rights(
     poise: Poise, tmp_path: Path

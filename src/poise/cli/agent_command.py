@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import logging
 import os
+import re
 import sys
 import time
 from collections.abc import Sequence
@@ -18,20 +19,40 @@ from poise.cli.main import Interrupts
 from poise.cli.options import parse_option
 from poise.endpoint import AGENT_PORT, Endpoint
 from poise.errors import PoiseError, UsageError
+from poise.model.file_keys import NAME, NAME_SAYS
 from poise.runtime.agent.agent import Agent
 from poise.runtime.agent.surroundings import BROKEN, DEPLOYED, AgentSetup
 from poise.runtime.container.account import Account
 from poise.session.agent_service import AgentService
 from poise.session.folders import agent_folder, state_folder, system_agent_folder
-from poise.units import SECONDS
+from poise.units import SECONDS, quoted
 from poise.wire.control_session import SESSION_TIMEOUT
 from poise.wire.credentials import find, folders
 
 log = logging.getLogger(__name__)
 
 _LAST = 65535
-ComputerName = Annotated[str, typer.Argument(help="This computer's name.")]
-RobotName = Annotated[str, typer.Option(help="The robot's name.")]
+
+
+def _computer_name(text: str) -> str:
+    return _name(text, "a computer's")
+
+
+def _robot_name(text: str) -> str:
+    return _name(text, "a robot's")
+
+
+def _name(text: str, whose: str) -> str:
+    """Return a name that a robot file may have; files and units are called so."""
+    if not re.fullmatch(NAME, text):
+        raise UsageError(f"{quoted(text)} is not {whose} name: {NAME_SAYS}")
+    return text
+
+
+ComputerName = Annotated[
+    str, typer.Argument(help="This computer's name.", callback=_computer_name)
+]
+RobotName = Annotated[str, typer.Option(help="The robot's name.", callback=_robot_name)]
 AddressOption = Annotated[
     str, typer.Option(help="IP address by which the others reach this computer.")
 ]
@@ -235,7 +256,7 @@ def check_ip(address: str) -> None:
 
 
 def standby_command(
-    computer: Annotated[str, typer.Argument(help="This computer's name.")],
+    computer: ComputerName,
     claim: Annotated[Path, typer.Option(help="The file of the agent's last claim.")],
 ) -> None:
     """Wait to lead a robot when its manager is gone.
