@@ -96,6 +96,27 @@ def test_a_connector_that_falls_silent_has_no_traffic(
     assert traffic.rate == 0
 
 
+def test_a_connector_whose_ends_have_ended_has_no_traffic(
+    robot: Robot, steady: Sampler
+) -> None:
+    """First the container of both ends ends, later only one of two connectors."""
+    estimates = Estimates(robot, None, emulated=True)
+    for k in range(50):
+        estimates.add(steady(0.2 * k))
+    nothing = msgspec.structs.replace(steady(10.0), containers=())
+    estimates.add(msgspec.structs.replace(nothing, computer="b"))
+    assert estimates.traffic()
+    estimates.add(nothing)
+    assert estimates.traffic() == {}
+    for k in range(50, 100):
+        estimates.add(steady(0.2 * k))
+    assert estimates.traffic()
+    (container,) = steady(20.0).containers
+    alone = msgspec.structs.replace(container, connectors=())
+    estimates.add(msgspec.structs.replace(steady(20.0), containers=(alone,)))
+    assert estimates.traffic() == {}
+
+
 def test_a_replay_gives_the_same_estimates(
     robot: Robot, steady: Sampler, tmp_path: Path
 ) -> None:

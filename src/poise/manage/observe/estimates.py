@@ -129,6 +129,8 @@ def _used(container: ContainerSample) -> float:
 
 _COUNT_OVER = 2.0
 """Time over which a connector's rates are counted [s]."""
+_Place = tuple[str, str]
+"""A computer, and a container there."""
 
 
 class DemandEstimate(Struct, frozen=True, kw_only=True):
@@ -172,8 +174,8 @@ class Estimates:
         self._followed: dict[str, _Followed] = {}
         self.idle: Collection[tuple[str, int]] = ()
         """Components and epochs that are not at work: what they use is no demand."""
-        self._ends: dict[tuple[str, str], tuple[float, ConnectorSample]] = {}
-        self._traffic: dict[str, tuple[str, ConnectorProfile]] = {}
+        self._ends: dict[tuple[_Place, str], tuple[float, ConnectorSample]] = {}
+        self._traffic: dict[str, tuple[_Place, ConnectorProfile]] = {}
 
     def add(self, sample: AgentSample) -> list[tuple[str, Drift]]:
         """Take a sample; return the components whose demand has shifted by it."""
@@ -185,9 +187,11 @@ class Estimates:
                     drift = self._update(component, container.at, sample.computer)
                     if drift is not None:
                         drifts.append((component.name, drift))
-                key = f"{sample.computer}/{container.name}"
                 for connector in container.connectors:
-                    self._count(key, container.at, connector)
+                    self._count(
+                        (sample.computer, container.name), container.at, connector
+                    )
+            self._forget_ended(sample)
         return drifts
 
     def demand_estimates(self) -> list[DemandEstimate]:
@@ -245,20 +249,40 @@ class Estimates:
         running = RunningEstimate(expected, known.repeat if known else 0.0)
         return _Followed(running, expected, component.epoch, computer)
 
-    def _count(self, key: str, at: float, now: ConnectorSample) -> None:
+    def _forget_ended(self, sample: AgentSample) -> None:
+        """Drop the ends on a computer that are not there any more, and what they said.
+
+        A sample has all that is there.
+        """
+        there = {
+            ((sample.computer, container.name), connector.name)
+            for container in sample.containers
+            for connector in container.connectors
+        }
+        gone = [
+            (place, name)
+            for place, name in self._ends
+            if place[0] == sample.computer and (place, name) not in there
+        ]
+        for place, name in gone:
+            del self._ends[place, name]
+            if name in self._traffic and self._traffic[name][0] == place:
+                del self._traffic[name]
+
+    def _count(self, place: _Place, at: float, now: ConnectorSample) -> None:
         """Estimate a connector's rates over the last seconds.
 
         As the end says at which something went over it last.
         """
-        began, before = self._ends.setdefault((key, now.name), (at, now))
+        began, before = self._ends.setdefault((place, now.name), (at, now))
         seconds = at - began
         if seconds < _COUNT_OVER:
             return
-        self._ends[key, now.name] = (at, now)
+        self._ends[place, now.name] = (at, now)
         traffic = traffic_between(before, now, seconds)
-        teller, _ = self._traffic.get(now.name, ("", None))
-        if traffic.rate or teller == key:
-            self._traffic[now.name] = key, traffic
+        teller, _ = self._traffic.get(now.name, (None, None))
+        if traffic.rate or teller == place:
+            self._traffic[now.name] = place, traffic
 
 
 def traffic_between(
