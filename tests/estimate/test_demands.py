@@ -55,6 +55,26 @@ def test_a_declared_rate_counts_in_the_overhead(robot: Robot, profile: Profile) 
     assert connector.cost == pytest.approx(0.24)
 
 
+def test_a_declared_demand_of_0_wins_and_a_rate_of_0_is_not_known(
+    robot: Robot, profile: Profile
+) -> None:
+    (see,) = robot.architectures
+    idle = tuple(replace(c, demand={"cpu": 0.0}, state=0.0) for c in see.components)
+    robot = replace(robot, architectures=(replace(see, components=idle),))
+    filled = with_profile(declared(robot, rate=0.0, message=0.0), profile)
+    eye = component(filled, "eye")
+    assert (eye.demand["cpu"], eye.state) == (0.0, 100.0)
+    (connector,) = filled.all_connectors()
+    assert (connector.rate, connector.message) == (10.0, 1000.0)
+
+
+def test_an_overhead_of_0_makes_a_connector_count_for_nothing(
+    robot: Robot, profile: Profile
+) -> None:
+    (connector,) = with_profile(declared(robot, overhead=0.0), profile).all_connectors()
+    assert connector.cost == 0.0
+
+
 def test_names_what_nobody_knows(robot: Robot, profile: Profile) -> None:
     assert missing(robot, profile) == []
     nothing = Profile(robot="r", poise="", computer="a", speed=1.0, at="", seconds=1.0)

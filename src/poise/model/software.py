@@ -102,9 +102,13 @@ class ComponentEntry(Struct, frozen=True, kw_only=True):
         WhenCutOff | None,
         says("What it does while its computer is cut off. Default: the robot's."),
     ] = None
-    state: Annotated[Bytes, says("The size of its state, which a move transfers.")] = (
-        0.0
-    )
+    state: Annotated[
+        Bytes,
+        says(
+            "The size of its state, which a move transfers. Default, and for 0: from "
+            "the profile."
+        ),
+    ] = 0.0
     checkpoint: Annotated[
         Seconds,
         says(
@@ -182,9 +186,19 @@ class Connector(Struct, frozen=True, kw_only=True, dict=True):
         ),
     ] = None
     message: Annotated[
-        Bytes, says("Size of one message or call, both ways together: 1.5 kB.")
+        Bytes,
+        says(
+            "Size of one message or call, both ways together: 1.5 kB. Default, and for "
+            "0: from the profile."
+        ),
     ] = 0.0
-    rate: Annotated[Rate, says("Messages or calls per second: 10 Hz.")] = 0.0
+    rate: Annotated[
+        Rate,
+        says(
+            "Messages or calls per second: 10 Hz. Default, and for 0: from the "
+            "profile. `overhead: 0` makes it count for nothing."
+        ),
+    ] = 0.0
     limit: Annotated[Seconds, says("Time limit of a call: 100 ms.", gt=0)] = 1.0
     topic: Annotated[
         RosName,
