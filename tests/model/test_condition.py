@@ -51,6 +51,16 @@ def test_nothing_is_more_than_what_is_divided_by_nothing() -> None:
     assert share(ComputerValues(name="x", used=1.0))
 
 
+@pytest.mark.parametrize("comparison", ["<", "<=", ">", ">=", "==", "!="])
+def test_no_comparison_holds_for_nothing_divided_by_nothing(comparison: str) -> None:
+    nothing = ComputerValues(name="x")
+    for text in (
+        f"used / capacity {comparison} 90%",
+        f"90% {comparison} used / capacity",
+    ):
+        assert not parse_condition(text, ComputerValues)(nothing)
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [

@@ -292,10 +292,19 @@ def _common(kind: _Kind, other: _Kind) -> _Kind:
 
 
 def _divide(dividend: float, divisor: float) -> float:
-    """Divide; by 0, infinity or, 0 / 0, what no comparison holds for."""
+    """Divide; by 0, infinity or, 0 / 0, not a number: no comparison of it holds."""
     if divisor:
         return dividend / divisor
     return math.inf * dividend if dividend else math.nan
+
+
+def _differ(one: Value, another: Value) -> bool:
+    """Return whether two values are known and not the same.
+
+    Python says that what is not a number differs from all; a policy would then act
+    because nothing was measured.
+    """
+    return bool(one == one and another == another and one != another)  # noqa: PLR0124
 
 
 _ARITHMETIC: Mapping[type, Callable[[float, float], float]] = {
@@ -310,5 +319,5 @@ _COMPARISONS: Mapping[type, Callable[[Value, Value], bool]] = {
     ast.Gt: operator.gt,
     ast.GtE: operator.ge,
     ast.Eq: operator.eq,
-    ast.NotEq: operator.ne,
+    ast.NotEq: _differ,
 }
