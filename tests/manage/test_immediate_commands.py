@@ -1,12 +1,18 @@
-"""Which connector somebody means who wants to look at it."""
+"""Which connector somebody means who wants to look at it, and what was written."""
 
 from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import cast
 
 import pytest
 from msgspec.structs import replace
 
 from poise.errors import UsageError
-from poise.manage.control_socket.immediate_commands import begin_of
+from poise.manage.agent_connections.agents import Agents
+from poise.manage.control_socket.commands import LogCommand
+from poise.manage.control_socket.immediate_commands import _read_log, begin_of
+from poise.wire.records.request_records import OutputLine, OutputLines
 from poise.wire.records.status_records import (
     AgentStatus,
     ComponentStatus,
@@ -67,3 +73,21 @@ def test_a_port_without_a_connector_is_looked_at_where_its_component_works() -> 
 def test_one_that_is_not_there_is_answered_with_those_that_are() -> None:
     with pytest.raises(UsageError, match=r"no connector 'nose' \(there are: ear"):
         begin_of(STATUSES, "nose")
+
+
+@pytest.mark.parametrize(("most", "texts"), [(0, []), (1, ["b"]), (9, ["a", "b"])])
+def test_no_more_lines_are_told_than_were_asked_for(
+    most: int, texts: list[str]
+) -> None:
+    """An agent tells two, by the clocks of both the later one last."""
+    lines = tuple(
+        OutputLine(at=at, component="eye", text=text)
+        for at, text in ((1, "a"), (2, "b"))
+    )
+    agents = SimpleNamespace(
+        statuses=lambda: STATUSES,
+        ask_all=lambda *_: {"left": OutputLines(lines=lines), "right": OutputLines()},
+    )
+    reading = _read_log(cast("Agents", agents), LogCommand(most=most))
+    assert [line.text for line in reading.lines] == texts
+    assert reading.omitted == 2 - len(texts)

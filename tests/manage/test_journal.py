@@ -82,6 +82,14 @@ def test_memory_holds_the_last_entries_only() -> None:
     assert journal.forgotten == 1
 
 
+def test_who_asks_for_no_entries_gets_none() -> None:
+    journal = Journal(":memory:")
+    journal.note("seen", "one")
+    journal.note("seen", "two")
+    assert journal.entries(most=0) == []
+    assert [entry.what for entry in journal.entries(most=1)] == ["two"]
+
+
 def test_its_files_rotate_and_are_bounded(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -146,7 +146,8 @@ class Journal:
         """
         with self._lock:
             kept = list(self._kept)
-        return [entry for entry in map(_decode, kept[-most:]) if entry.number > after]
+        last = kept[max(0, len(kept) - most) :]
+        return [entry for entry in map(_decode, last) if entry.number > after]
 
     def close(self) -> None:
         """Write what is still to be written, and close the file."""

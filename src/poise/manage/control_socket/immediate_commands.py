@@ -286,7 +286,7 @@ def _read_log(agents: Agents, command: LogCommand) -> LogReading:
             if answer.lines:
                 after[computer] = answer.lines[-1].at
     lines.sort(key=lambda line: line.at)
-    last = lines[-command.most :]
+    last = lines[max(0, len(lines) - command.most) :]
     silent = [c for c, answer in answers.items() if not isinstance(answer, OutputLines)]
     omitted += len(lines) - len(last)
     return LogReading(tuple(last), after, omitted, tuple(sorted(silent)))
