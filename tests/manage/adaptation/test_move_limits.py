@@ -78,6 +78,23 @@ def test_what_was_in_vain_is_thought_about_soon_when_things_have_changed() -> No
     assert not limits.is_backing_off(14.5, {"left": 0.5})
 
 
+def test_when_things_have_changed_it_goes_on_to_think() -> None:
+    """A change that is not worth its cost yet is looked at again and again."""
+    limits = MoveLimits()
+    for now in (0.0, 2.0, 6.0, 14.0):
+        limits.start_backoff(now, {"left": 1.0})
+    assert not limits.is_backing_off(14.5, {"left": 0.5})
+    assert not limits.is_backing_off(15.0, {"left": 0.5})
+
+
+def test_what_goes_wrong_next_waits_for_nothing_that_is_over() -> None:
+    limits = MoveLimits()
+    for now in (0.0, 2.0, 6.0, 14.0):
+        limits.start_backoff(now, {"left": 1.0})
+    limits.reset_backoff()
+    assert not limits.is_backing_off(20.0, {"left": 1.0})
+
+
 def test_a_cool_down_is_none_the_shorter_when_things_have_changed() -> None:
     limits = MoveLimits()
     limits.start_backoff(0.0, {"left": 1.0})

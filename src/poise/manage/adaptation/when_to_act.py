@@ -53,7 +53,7 @@ class MoveLimits:
     """What the loop did lately, and so whether it may act now; times are in [s]."""
 
     def __init__(self) -> None:
-        self._idle_until = 0.0
+        self._settled_at = self._idle_until = float("-inf")
         self._backoff = FIRST_BACKOFF
         self._moves: deque[float] = deque()
         self._left: dict[tuple[str, str], tuple[float, float]] = {}
@@ -68,8 +68,7 @@ class MoveLimits:
             at, before = self._in_vain
             if now >= at + CHANGED_AFTER and has_changed(before, amounts):
                 self.reset_backoff()
-                return False
-        return now < self._idle_until
+        return now < max(self._settled_at, self._idle_until)
 
     def may_move(self, number: int, now: float) -> bool:
         """Return whether `number` components may move within the budget."""
@@ -93,13 +92,14 @@ class MoveLimits:
 
     def reset_backoff(self) -> None:
         """Think at once about what goes wrong next: nothing is wrong now."""
+        self._idle_until = float("-inf")
         self._backoff = FIRST_BACKOFF
         self._in_vain = None
 
     def note(self, steps: Iterable[TransitionStep], now: float) -> None:
         """Remember a transition, whether it went well or not."""
         self.reset_backoff()
-        self._idle_until = now + SETTLE
+        self._settled_at = now + SETTLE
         steps = tuple(steps)
         self._moves.extend(now for step in steps if step.target)
         for component, (source, target) in _paths(steps).items():
