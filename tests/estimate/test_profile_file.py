@@ -18,7 +18,10 @@ def test_keeps_four_digits(profile: Profile) -> None:
     assert read.agent == 0.01235
 
 
-@pytest.mark.parametrize("text", ["[1, 2]", "robot: [", "robot: r\n", ""])
+@pytest.mark.parametrize(
+    "text",
+    ["[1, 2]", "robot: [", "robot: r\n", "", "at: 2026-02-30", "seconds: !!int x"],
+)
 def test_says_which_file_is_no_profile(text: str) -> None:
     with pytest.raises(RobotError, match=r"p\.yaml: not"):
         profile_file.from_text(text, "p.yaml")

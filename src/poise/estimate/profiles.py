@@ -319,7 +319,7 @@ def from_text(text: str, file: str) -> Profile:
         if why := _too_old(plain):
             raise RobotError(f"{file}: {why}")
         return convert(plain, Profile)
-    except yaml.YAMLError as error:
+    except (yaml.YAMLError, ValueError) as error:  # as for a date that does not exist
         raise RobotError(f"{file}: not YAML: {error}") from error
     except msgspec.ValidationError as error:
         raise RobotError(
