@@ -23,7 +23,7 @@ def rounds_of(
     robot: Robot,
     olds: dict[str, str],
     news: dict[str, str],
-    late: Mapping[str, int] = {},
+    lossy: Mapping[str, int] = {},
     away: Collection[str] = (),
     /,
     **others: str,
@@ -40,7 +40,7 @@ def rounds_of(
     layout = DeploymentLayout(robot, "/run")
     sources, targets = placed(olds, 0), placed(news, 1)
     return MigrationRounds(
-        layout, sources, targets, rest, calls, GATEWAYS, lossy=late, away=away
+        layout, sources, targets, rest, calls, GATEWAYS, lossy=lossy, away=away
     )
 
 
@@ -86,12 +86,12 @@ def test_no_marker_goes_over_a_cut_link(robot: Robot) -> None:
         thinker="right",
     )
     (only,) = rounds.pause_and_transfer()
-    late = {"filter.clean-thinker.seen/0.0": 1}
+    lossy = {"filter.clean-thinker.seen/0.0": 1}
     heavy = ("filter.clean-heavy.clean",)
     assert steps(only)[:3] == [
-        ("filter", Step("pause", "filter", 0, late=late)),
+        ("filter", Step("pause", "filter", 0, lossy=lossy)),
         ("heavy", Step("drain channels", "heavy", 0, heavy)),
-        ("thinker", Step("drain channels", "thinker", 0, late=late)),
+        ("thinker", Step("drain channels", "thinker", 0, lossy=lossy)),
     ]
 
 
@@ -104,21 +104,21 @@ def test_a_sender_that_is_cut_off_buffers_what_would_be_kept(robot: Robot) -> No
         grabber="left",
     )
     (only,) = rounds.pause_and_transfer()
-    late = {"grabber.raw-filter.raw/0.0": 4}
+    lossy = {"grabber.raw-filter.raw/0.0": 4}
     assert steps(only)[:3] == [
-        ("grabber", Step("buffer", late=late)),
+        ("grabber", Step("buffer", lossy=lossy)),
         ("filter", Step("pause", "filter", 0)),
-        ("filter", Step("drain channels", "filter", 0, late=late)),
+        ("filter", Step("drain channels", "filter", 0, lossy=lossy)),
     ]
 
 
 def test_a_computer_that_is_out_of_reach_takes_no_step(robot: Robot) -> None:
-    late = {"grabber.raw-filter.raw": 1, "filter.clean-thinker.seen": 1}
+    lossy = {"grabber.raw-filter.raw": 1, "filter.clean-thinker.seen": 1}
     rounds = rounds_of(
         robot,
         {"filter": "right"},
         {"filter": "middle"},
-        late,
+        lossy,
         ["left"],
         grabber="left",
         thinker="left",
@@ -134,14 +134,14 @@ def test_either_side_resumes(robot: Robot) -> None:
         ("filter", Step("redirect", "filter", 0)),
         (
             "grabber",
-            Step("release to targets", connectors=("grabber.raw-filter.raw/0.1",)),
+            Step("release to targets", keys=("grabber.raw-filter.raw/0.1",)),
         ),
     ]
     assert steps(rounds.roll_back()) == [
         ("filter", Step("roll back", "filter", 0)),
         (
             "grabber",
-            Step("release to sources", connectors=("grabber.raw-filter.raw/0.0",)),
+            Step("release to sources", keys=("grabber.raw-filter.raw/0.0",)),
         ),
     ]
 
@@ -213,10 +213,8 @@ def test_what_was_buffered_for_one_goes_to_the_alternative() -> None:
     rounds = rounds_of(
         _alternatives(), {"a": "left", "b": "left"}, {"c": "left"}, **where
     )
-    releases = [step for _, step in rounds.resume() if step.connectors]
-    assert releases == [
-        Step("release to targets", connectors=("source.calls-c.port/0.1",))
-    ]
+    releases = [step for _, step in rounds.resume() if step.keys]
+    assert releases == [Step("release to targets", keys=("source.calls-c.port/0.1",))]
     joins = [step for _, step in rounds.prepare() if step.name == "pre-copy"]
     sources = {"a": (0, "two"), "b": (0, "two")}
     assert joins == [Step("pre-copy", "c", 1, sources=sources)]

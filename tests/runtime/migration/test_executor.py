@@ -165,15 +165,15 @@ def test_a_release_waits_for_calls_at_the_former_target(
     """Over a link that was cut they come late: the source must not end before."""
     looks = iter(range(1, left_after))
     wiring = Mock(with_messages=lambda names, _: set(names))
-    wiring.sender.return_value.name = "calls"
-    wiring.sender.return_value.has_left = lambda: not next(looks, 0)
-    release = Step("release to targets", connectors=("key",))
+    wiring.sender_by_key.return_value.name = "calls"
+    wiring.sender_by_key.return_value.has_left = lambda: not next(looks, 0)
+    release = Step("release to targets", keys=("key",))
     steps = MigrationSteps(1, 1, "container", (release,), 0.05)
     outcome = MigrationExecutor({}, wiring, Mock()).receive(steps)()
     assert isinstance(outcome, kind)
     if isinstance(outcome, StepsFailed):
         assert "connector calls: a call has no answer yet" in outcome.reason
-    wiring.sender.return_value.switch.assert_called_once_with("key")
+    wiring.sender_by_key.return_value.switch.assert_called_once_with("key")
 
 
 def test_a_halt_says_that_nothing_was_committed_and_refuses_what_came_before(
@@ -228,9 +228,9 @@ def test_over_a_cut_link_no_marker_is_sent_and_nobody_is_waited_for(
 ) -> None:
     route = Mock()
     sender = Mock(routes=lambda: {"key": route})
-    wiring = Mock(sender=lambda _: sender)
+    wiring = Mock(sender_by_key=lambda _: sender)
     executor = MigrationExecutor({("one", 0): runner}, wiring, Mock())
-    outcome = executor.receive(batch(Step("buffer", late={"key": 3})))()
+    outcome = executor.receive(batch(Step("buffer", lossy={"key": 3})))()
     assert isinstance(outcome, StepsDone)
     sender.buffer_for_move.assert_called_once_with(3)
     route.give_up.assert_called_once_with()
@@ -240,7 +240,7 @@ def test_over_a_cut_link_no_marker_is_sent_and_nobody_is_waited_for(
 def test_what_arrives_late_over_a_cut_link_is_taken_no_more(runner: Runner) -> None:
     wiring = Mock(with_messages=lambda names, _: set(names))
     executor = MigrationExecutor({("one", 0): runner}, wiring, Mock())
-    drain = Step("drain channels", "one", 0, late={"key": 1})
+    drain = Step("drain channels", "one", 0, lossy={"key": 1})
     assert isinstance(executor.receive(batch(drain))(), StepsDone)
     wiring.shut.assert_called_once_with("key")
 
@@ -254,7 +254,7 @@ def test_a_pause_gives_up_what_the_component_sends_over_a_cut_link(
         name: Mock(routes=lambda name=name: {name: routes[name]}) for name in routes
     }
     runner.endpoints.senders.update(senders)
-    pause = Step("pause", "one", 0, late={"cut": 1})
+    pause = Step("pause", "one", 0, lossy={"cut": 1})
     outcomes = [executor.receive(batch(each))() for each in (OFFER, pause)]
     runner.endpoints.senders.clear()
     assert all(isinstance(each, StepsDone) for each in outcomes), outcomes

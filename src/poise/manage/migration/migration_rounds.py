@@ -133,8 +133,8 @@ class MigrationRounds:
                 sender,
                 Step(
                     "buffer",
-                    connectors=self._timely(connectors),
-                    late=self._keys(connectors),
+                    connectors=self._lossless(connectors),
+                    lossy=self._lossy_keys(connectors),
                 ),
             )
             for sender, connectors in self._by_container(self._from)
@@ -142,12 +142,12 @@ class MigrationRounds:
 
     def _pause(self, name: str) -> PlacedStep:
         begin = [c for c in self._before if c.between[0].component == name]
-        return _step("pause", self._sources[name], late=self._keys(begin))
+        return _step("pause", self._sources[name], lossy=self._lossy_keys(begin))
 
-    def _timely(self, connectors: Iterable[Connector]) -> tuple[str, ...]:
+    def _lossless(self, connectors: Iterable[Connector]) -> tuple[str, ...]:
         return tuple(str(c) for c in connectors if str(c) not in self._lossy)
 
-    def _keys(self, connectors: Iterable[Connector]) -> dict[str, int]:
+    def _lossy_keys(self, connectors: Iterable[Connector]) -> dict[str, int]:
         """Return the keys of lossy connectors, and what their subscribers keep."""
         before = {**self._others, **self._sources}
         return {
@@ -186,8 +186,8 @@ class MigrationRounds:
                 yield _step(
                     "drain channels",
                     receiving,
-                    connectors=self._timely(theirs),
-                    late=self._keys(theirs),
+                    connectors=self._lossless(theirs),
+                    lossy=self._lossy_keys(theirs),
                 )
 
     def _release(
@@ -199,7 +199,7 @@ class MigrationRounds:
         placed = {**self._others, **ends}
         for sender, theirs in self._by_container(connectors):
             keys = tuple(self._layout.key_of(connector, placed) for connector in theirs)
-            yield sender, Step(name, connectors=keys)
+            yield sender, Step(name, keys=keys)
 
     def _by_container(
         self, connectors: list[Connector]

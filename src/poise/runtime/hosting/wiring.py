@@ -102,11 +102,18 @@ class Wiring:
         return troubles
 
     def sender(self, connector: str) -> Sender:
-        """Return the sender of a connector, or of one of its routes by its key."""
+        """Return the sender of a connector, by its name."""
         for opened in self.open_connectors():
-            if opened.sender and connector in {opened.spec.name, opened.spec.key}:
+            if opened.sender and opened.spec.name == connector:
                 return opened.sender
         raise UsageError(f"no connector '{connector}' begins in this container")
+
+    def sender_by_key(self, key: str) -> Sender:
+        """Return the sender that has a route with this key."""
+        opened = self._open.get(key)
+        if opened is None or opened.sender is None:
+            raise UsageError(f"no connector '{key}' begins in this container")
+        return opened.sender
 
     def with_messages(self, connectors: Iterable[str], target: Runner) -> set[str]:
         """Return those over which messages come to a target: not only calls."""

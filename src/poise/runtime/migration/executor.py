@@ -60,7 +60,7 @@ class Participant:
                 self._sending().wait_requested(_left(deadline))
                 runner.gate.wait_idle(min(step.limit, _left(deadline)))
             case "pause":
-                self._pause(step.late, _left(deadline))
+                self._pause(step.lossy, _left(deadline))
             case "drain mailbox":
                 text = "did not handle all messages that wait"
                 text = f"component '{runner.spec.name}' {text}"
@@ -103,11 +103,11 @@ class Participant:
         if self._sender is not None:
             self._sender.refuse(reason)
 
-    def _pause(self, late: Collection[str], limit: float) -> None:
+    def _pause(self, lossy: Collection[str], limit: float) -> None:
         senders = list(self._runner.endpoints.senders.values())
         for sender in senders:
             for key, route in sender.routes().items():
-                if key in late:  # the component itself may be sending there
+                if key in lossy:  # the component itself may be sending there
                     route.give_up()
         try:
             self._runner.gate.pause_for_migration(_PAUSE_SHARE * limit)
@@ -115,7 +115,7 @@ class Participant:
             self._refuse(str(error))
             raise
         for sender in senders:
-            if sender.routes().keys().isdisjoint(late):
+            if sender.routes().keys().isdisjoint(lossy):
                 sender.send_marker(self.migration)
 
     def _activate(self, limit: float) -> None:
@@ -160,10 +160,10 @@ class MigrationExecutor(StepTaker):
             case "buffer":
                 self._buffer(step, migration)
             case "release to targets" | "release to sources":
-                for key in step.connectors:
-                    self._wiring.sender(key).switch(key)
-                for key in step.connectors:
-                    sender = self._wiring.sender(key)
+                for key in step.keys:
+                    self._wiring.sender_by_key(key).switch(key)
+                for key in step.keys:
+                    sender = self._wiring.sender_by_key(key)
                     text = f"connector {sender.name}: a call has no answer yet from "
                     text += "the computer that its target left"
                     poll_until(sender.has_left, deadline, text)
@@ -171,7 +171,7 @@ class MigrationExecutor(StepTaker):
                 runner = self._runner(step)
                 marked = self._wiring.with_messages(step.connectors, runner)
                 markers = dict.fromkeys(marked, migration)
-                for key in step.late:
+                for key in step.lossy:
                     self._wiring.shut(key)
                 runner.endpoints.wait_markers(markers, _left(deadline))
         if step.role is not None:
@@ -184,8 +184,8 @@ class MigrationExecutor(StepTaker):
             sender = self._wiring.sender(name)
             sender.buffer_for_move()
             sender.send_marker(migration)
-        for key, keep in step.late.items():
-            sender = self._wiring.sender(key)
+        for key, keep in step.lossy.items():
+            sender = self._wiring.sender_by_key(key)
             sender.buffer_for_move(keep)
             if route := sender.routes().get(key):
                 route.give_up()

@@ -153,7 +153,7 @@ class MigrationModel(StepTaker):
                     sender.buffer()
                     sender.mark(migration)
             case "release to targets" | "release to sources":
-                for key in step.connectors:
+                for key in step.keys:
                     spec = container.connector(key)
                     connector = container.world.connector_of(spec)
                     self._sender(spec.name).redirect(connector)

@@ -126,14 +126,14 @@ STEPS: Mapping[StepName, tuple[Role | None, Phase]] = {
     # wait until its target has requested everything, and until it has just finished its
     # work: a pause that begins then delays nobody; succeeds at its limit, too
     "await idle": ("source", "prepare"),
-    # send a marker over connectors, and buffer all messages after it; where data is
-    # late, send no marker, and buffer only what the subscriber would keep
+    # send a marker over connectors, and buffer all messages after it; where they are
+    # lossy, send no marker, and buffer only what the subscriber would keep
     "buffer": (None, "quiesce"),
-    # finish the calls in progress, start no more, and send markers but where
-    # data is late
+    # finish the calls in progress, start no more, and send markers but over lossy
+    # connectors
     "pause": ("source", "quiesce"),
     # wait until the markers have arrived at a component over connectors; take no more
-    # where data is late
+    # over lossy ones
     "drain channels": (None, "quiesce"),
     # handle all messages that wait; no more come
     "drain mailbox": ("source", "quiesce"),
@@ -167,8 +167,8 @@ class Step(Struct, frozen=True, omit_defaults=True):
     # The incarnation that takes it; empty for a step of connectors
     component: str = ""
     epoch: int = 0
-    # Names, for `buffer` and `drain channels`; keys, for a release
-    connectors: tuple[str, ...] = ()
+    connectors: tuple[str, ...] = ()  # Their names, for `buffer` and `drain channels`
+    keys: tuple[str, ...] = ()  # Those of connectors, for a release
     # For `pre-copy`: component -> epoch and address of the incarnations that transfer
     # their state. From a source of the same component a target takes state, buffered
     # messages and timers; from others what `adapt` (`ComponentSpec`) makes of their
@@ -176,7 +176,7 @@ class Step(Struct, frozen=True, omit_defaults=True):
     sources: Mapping[str, tuple[int, str]] = {}
     # Keys of connectors whose link is cut, for `buffer`, `pause` and `drain channels`,
     # and how many messages their subscribers keep
-    late: Mapping[str, int] = {}
+    lossy: Mapping[str, int] = {}
     limit: float = 0.0  # For `await idle` [s]
 
     @property
