@@ -96,12 +96,27 @@ def test_a_placement_is_read_from_what_plan_printed(
         assert placed.where == wanted
 
 
-def test_a_file_with_a_date_that_there_is_not_is_refused(
+def test_a_file_may_have_names_that_are_truth_values_elsewhere(tmp_path: Path) -> None:
+    sees = Architecture(
+        name="sees",
+        function="seeing",
+        home="yes",
+        components=tuple(ComponentEntry(name=name) for name in ("on", "no")),
+    )
+    computers = tuple(Computer(name=n, capacity={"cpu": 1.0}) for n in ("yes", "off"))
+    robot = Robot(name="r", computers=computers, architectures=(sees,))
+    file = tmp_path / "placement.yaml"
+    file.write_text("on: off\nno: yes\n")
+    where = poise.place(robot, method=str(file)).where
+    assert where == {"on": "off", "no": "yes"}
+
+
+def test_a_file_with_a_number_that_is_none_is_refused(
     robot: Robot, tmp_path: Path
 ) -> None:
     file = tmp_path / "placement.yaml"
-    file.write_text("a: left\n2026-02-30: left\n")
-    with pytest.raises(UsageError, match="cannot be read: day is out of range"):
+    file.write_text("a: left\n!!int x: left\n")
+    with pytest.raises(UsageError, match="cannot be read: invalid literal"):
         poise.place(robot, method=str(file))
 
 

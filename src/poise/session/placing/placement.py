@@ -97,12 +97,22 @@ def _seed(rule: str) -> int:
         ) from None
 
 
+class _NamesLoader(yaml.SafeLoader):
+    """Reads null and texts: for PyYAML, the names `on` and `no` are truth values."""
+
+    yaml_implicit_resolvers = {  # noqa: RUF012, PyYAML's
+        first: [each for each in known if each[0] == "tag:yaml.org,2002:null"]
+        for first, known in yaml.SafeLoader.yaml_implicit_resolvers.items()
+    }
+
+
 def _read(path: Path) -> tuple[Mapping[object, object], frozenset[str]]:
     """Return what a file places, and the architectures that it calls suspended."""
     try:
-        found = yaml.safe_load(path.read_text(encoding="utf-8"))
+        text = path.read_text(encoding="utf-8")
+        found = yaml.load(text, _NamesLoader)  # noqa: S506, it is safe
     except (OSError, ValueError, yaml.YAMLError) as error:
-        # PyYAML raises ValueError for some dates and numbers, such as 2026-02-30
+        # PyYAML raises ValueError for some tagged values, such as !!int x
         raise UsageError(f"placement {path} cannot be read: {error}") from error
     suspended: object = ()
     if isinstance(found, dict) and isinstance(found.get("placement"), dict):
