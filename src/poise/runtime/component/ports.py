@@ -46,7 +46,7 @@ I = TypeVar("I")  # noqa: E741, an interface
 M = TypeVar("M")
 F = TypeVar("F", bound=Callable[..., Any])
 
-Kind = Literal["provides", "requires", "publishes", "subscribes"]
+PortKind = Literal["provides", "requires", "publishes", "subscribes"]
 Policy = Literal["keep", "block"]
 InputEvent = Literal["lost", "found"]
 
@@ -143,7 +143,7 @@ class Port(Struct, frozen=True):
     """
 
     name: str
-    kind: Kind
+    kind: PortKind
     type: Any
     queue: Queue | None = None
     handler: str = ""  # the method that takes the messages of a subscribed topic

@@ -12,7 +12,7 @@ from pathlib import Path
 from poise.clock import Elapsed
 from poise.errors import RobotError, RunError, UsageError
 from poise.runtime.component.error_report import traceback_of
-from poise.runtime.component.ports import Kind, Port
+from poise.runtime.component.ports import Port, PortKind
 from poise.runtime.connectors.channel_route import ChannelRoute, ReceivingEnd
 from poise.runtime.connectors.flow_control import Credit, CreditIssuer
 from poise.runtime.connectors.interface import carries_messages
@@ -29,8 +29,8 @@ from poise.wire.connections.opening import CALLS, MESSAGES
 from poise.wire.records.deployment_records import ConnectorSpec
 from poise.wire.records.status_records import ConnectorStatus, Side
 
-SENDING: AbstractSet[Kind] = {"publishes", "requires"}
-TAKING: AbstractSet[Kind] = {"subscribes", "provides"}
+SENDING: AbstractSet[PortKind] = {"publishes", "requires"}
+TAKING: AbstractSet[PortKind] = {"subscribes", "provides"}
 """The kinds of ports at the two ends of a connector."""
 
 Runners = Mapping[tuple[str, int], Runner]
@@ -275,7 +275,7 @@ def _forget(spec: ConnectorSpec, target: Runner) -> None:
     target.endpoints.overtaken.forget(spec.name, spec.source_epoch)
 
 
-def _port(runner: Runner, name: str, kinds: AbstractSet[Kind]) -> Port:
+def _port(runner: Runner, name: str, kinds: AbstractSet[PortKind]) -> Port:
     """Return a port that the check of the robot has seen, or its code of now lacks."""
     port = runner.ports.get(name)
     if port is None or port.kind not in kinds:
