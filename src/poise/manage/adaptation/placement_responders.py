@@ -91,7 +91,9 @@ class FailoverResponder:
     ) -> None:
         if failover.suspended:
             why = "components of a lost computer that have a higher priority need room"
-            self._suspensions.suspend(failover.suspended, why, now)
+            if not self._suspensions.suspend(failover.suspended, why, now):
+                self._limits.start_backoff(now)
+                return
         if failover.placement:
             is_room = not failover.steps or transit(self._run, failover.steps).committed
             if is_room and start_together(self._run, failover.placement, lost):
@@ -154,7 +156,7 @@ def _by_priority(
 ) -> FailoverPlan:
     """Return what fits of the stranded, the highest priority first.
 
-    Architectures that run are suspended for higher ones only.
+    Architectures that run are suspended for higher ones only, and then wholly.
     """
     placement: dict[str, str] = {}
     suspended: tuple[str, ...] = ()
@@ -163,7 +165,7 @@ def _by_priority(
         situation.robot.architectures, key=lambda a: -a.priority
     ):
         names = [c.name for c in architecture.components if c.name in stranded]
-        if not names:
+        if not names or architecture.name in suspended:
             continue
         wanted = {name: stranded[name] for name in names}
         for lower in _more_and_more(situation, architecture.priority, kept):
@@ -184,7 +186,7 @@ def _by_priority(
         placement=placement,
         missing=missing,
         suspended=suspended,
-        waits_for_room=placement.keys() != set(stranded),
+        waits_for_room=not missing.keys().isdisjoint(stranded),
     )
 
 

@@ -160,8 +160,19 @@ class Suspensions:
         return has_news
 
     def _stop(self, components: Mapping[str, str]) -> bool:
-        steps = tuple(TransitionStep(*each) for each in sorted(components.items()))
-        return transit(self._run, steps).committed
+        """Stop components; those on computers that are out of reach once they are back.
+
+        Returns whether all others have stopped; else they go on.
+        """
+        run, away = self._run, self._run.agents.out_of_reach()
+        here = {name: at for name, at in components.items() if at not in away}
+        steps = tuple(TransitionStep(*each) for each in sorted(here.items()))
+        if steps and not transit(run, steps).committed:
+            return False
+        if gone := components.keys() - here.keys():
+            why = "what is out of reach is not to go on there"
+            run.commit(run.desired.without(gone), why)
+        return True
 
     def _stay(self, name: str, now: float, *, first: float) -> None:
         """Let one stay suspended: `first` [s], and longer when it is so again."""

@@ -10,7 +10,10 @@ from msgspec.structs import replace
 
 from poise.errors import UsageError
 from poise.manage.adaptation.decision import decide
-from poise.manage.adaptation.placement_responders import plan_failover
+from poise.manage.adaptation.placement_responders import (
+    FailoverResponder,
+    plan_failover,
+)
 from poise.manage.adaptation.policies import Symptom
 from poise.manage.adaptation.situation import Responder, Situation
 from poise.manage.agent_connections.agents import Agents
@@ -274,6 +277,50 @@ def test_a_lost_computer_puts_lower_priorities_aside_for_higher_ones() -> None:
     assert found.missing["low"].startswith(
         "it fits nowhere beside the running components"
     )
+
+
+def lost_with(placement: Mapping[str, str]) -> tuple[Robbed, Situation]:
+    """Return a robot that has lost `right`; `high` has room where `low` has none.
+
+    `low` and `small` are one architecture.
+    """
+    robot = robot_with()
+    high, low = robot.architectures
+    (part,) = low.components
+    low = replace(low, components=(part, replace(part, name="small")))
+    right = Computer(name="right", capacity={"cpu": 1.0, "memory": 1e9})
+    memory = {"high": 8e8, "low": 4e8, "small": 1e7}
+    robot = replace(
+        robot, computers=(*robot.computers, right), architectures=(high, low)
+    ).with_components(lambda c: replace(c, demand={"memory": memory[c.name]}))
+    robbed = Robbed(robot, placement)
+    robbed.run.goes_on_without_lost = True
+    robbed.agents.gone.add("right")
+    lost = Policy(name="lost", for_each="computer", when="lost", do="fail over")
+    values = ComputerValues(name="right", lost=True)
+    symptom = Symptom(policy=lost, what="it is lost", values=values)
+    seen = replace(robbed.situation(), lost=frozenset({"right"}), symptoms=(symptom,))
+    return robbed, seen
+
+
+def test_what_makes_room_for_lost_components_is_suspended_wholly() -> None:
+    """Also its component on the lost computer, though that would fit elsewhere."""
+    robbed, seen = lost_with({"high": "right", "low": "left", "small": "right"})
+    failover = FailoverResponder(robbed.run, robbed.suspensions)
+    assert robbed.respond(failover, seen, 0.0)
+    assert robbed.run.placement() == {"high": "left"}
+    robbed.suspensions.record()
+    (deviation,) = robbed.suspensions.deviations()
+    assert deviation.what.startswith("architecture 'low-task' is suspended")
+
+
+def test_nothing_restarts_where_what_was_to_make_room_does_not_stop() -> None:
+    robbed, seen = lost_with({"high": "right", "low": "left", "small": "left"})
+    robbed.agents.deaf.add("left")
+    failover = FailoverResponder(robbed.run, robbed.suspensions)
+    assert robbed.respond(failover, seen, 0.0)
+    assert robbed.run.placement()["high"] == "right"
+    assert not [e for e in robbed.journal.entries() if "start components" in e.what]
 
 
 def test_of_what_was_lost_the_higher_is_restarted_when_not_all_fits() -> None:
