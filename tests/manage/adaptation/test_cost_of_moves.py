@@ -185,11 +185,11 @@ class Robotless:
         self.robot = robot
         self.journal = Nothing()
         self.desired = Desired()
-        self.tick = Unsupervised()
+        self.parts = Unsupervised()
 
 
 class Unsupervised:
-    """A tick in which an error of a responder fails the test."""
+    """Parts of the loop, of which an error fails the test."""
 
     def run(self, _: str, work: Callable[[], object], **__: object) -> object:
         return work()
