@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from poise.errors import UsageError
 from poise.model.robot import Computer, Robot
 from poise.session.launch import detached
 from poise.session.launch.detached import DetachedFailure, up_detached
@@ -42,3 +43,17 @@ def test_ends_the_computers_that_it_made_unless_another_manager_has_them(
     with pytest.raises(DetachedFailure, match="runs already"):
         up_detached(ROBOT, Path("robot.yaml"), ["up"], print, lambda: None)
     assert found == ended
+
+
+def test_a_log_that_cannot_be_written_is_named_with_what_to_do(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "file").touch()
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "file"))
+    monkeypatch.setattr(detached, "set_for", lambda _: None)
+    with pytest.raises(
+        UsageError,
+        match=r"twice\.computers\.log cannot be written: Not a directory\. It is the "
+        "log of .*: choose another folder by XDG_STATE_HOME",
+    ):
+        up_detached(ROBOT, Path("robot.yaml"), ["up"], print, lambda: None)

@@ -13,7 +13,7 @@ from pathlib import Path
 from msgspec import Struct
 
 from poise.emulate import set_for
-from poise.errors import PoiseError, RunError
+from poise.errors import PoiseError, RunError, UsageError
 from poise.model.robot import Robot
 from poise.session import Check, Say
 from poise.session.folders import state_folder
@@ -88,10 +88,16 @@ def up_detached(
 def _log(name: str) -> Path:
     """Return the path of a log, to append to; a large one is renamed first."""
     path = state_folder() / f"{name}.log"
-    path.parent.mkdir(parents=True, exist_ok=True)
-    if path.exists() and path.stat().st_size > _LARGE_LOG:
-        path.rename(path.with_suffix(".before.log"))
-    path.touch()
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if path.exists() and path.stat().st_size > _LARGE_LOG:
+            path.rename(path.with_suffix(".before.log"))
+        path.touch()
+    except OSError as error:
+        raise UsageError(
+            f"{path} cannot be written: {error.strerror}. It is the log of what runs "
+            "in the background: choose another folder by XDG_STATE_HOME"
+        ) from error
     return path
 
 
