@@ -61,9 +61,10 @@ class FailoverResponder:
     def respond(self, situation: Situation, desired: Desired) -> Change | None:
         """Return where components restart, and what makes room for them."""
         now = situation.now
-        if self._limits.is_backing_off(now):
-            return None
         lost = {symptom.values.name for symptom in situation.about("fail over")}
+        # one that failed says nothing of what can be done once others are lost or back
+        if self._limits.is_backing_off(now, dict.fromkeys(lost, 1.0)):
+            return None
         stranded = {n for n, c in situation.placement.items() if c in lost}
         self._missing &= stranded
         if stranded <= self._missing and now < self._tries_again:
@@ -92,14 +93,14 @@ class FailoverResponder:
         if failover.suspended:
             why = "components of a lost computer that have a higher priority need room"
             if not self._suspensions.suspend(failover.suspended, why, now):
-                self._limits.start_backoff(now)
+                self._limits.start_backoff(now, dict.fromkeys(lost, 1.0))
                 return
         if failover.placement:
             is_room = not failover.steps or transit(self._run, failover.steps).committed
             if is_room and start_together(self._run, failover.placement, lost):
                 self._limits.reset_backoff()
             else:
-                self._limits.start_backoff(now)
+                self._limits.start_backoff(now, dict.fromkeys(lost, 1.0))
 
 
 def _sentence(placement: Mapping[str, str]) -> str:

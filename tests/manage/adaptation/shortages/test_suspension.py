@@ -119,6 +119,21 @@ class Robbed:
             change.carry_out()
         return change is not None
 
+    def lose(self, responder: Responder, now: float, *computers: str) -> bool:
+        """Lose computers, and let a responder do what it wants, as by `respond`."""
+        self.agents.gone |= {*computers}
+        policy = Policy(name="lost", for_each="computer", when="lost", do="fail over")
+        symptoms = tuple(
+            Symptom(
+                policy=policy,
+                what="it is lost",
+                values=ComputerValues(name=name, lost=True),
+            )
+            for name in computers
+        )
+        seen = replace(self.situation(), lost=frozenset(computers), symptoms=symptoms)
+        return self.respond(responder, seen, now)
+
     def sentences(self) -> list[str]:
         """Return what the journal says of architectures."""
         entries = self.journal.entries()
@@ -279,8 +294,8 @@ def test_a_lost_computer_puts_lower_priorities_aside_for_higher_ones() -> None:
     )
 
 
-def lost_with(placement: Mapping[str, str]) -> tuple[Robbed, Situation]:
-    """Return a robot that has lost `right`; `high` has room where `low` has none.
+def with_little_memory(placement: Mapping[str, str]) -> Robbed:
+    """Return a robot of two computers; `high` has room where `low` has none.
 
     `low` and `small` are one architecture.
     """
@@ -295,19 +310,14 @@ def lost_with(placement: Mapping[str, str]) -> tuple[Robbed, Situation]:
     ).with_components(lambda c: replace(c, demand={"memory": memory[c.name]}))
     robbed = Robbed(robot, placement)
     robbed.run.goes_on_without_lost = True
-    robbed.agents.gone.add("right")
-    lost = Policy(name="lost", for_each="computer", when="lost", do="fail over")
-    values = ComputerValues(name="right", lost=True)
-    symptom = Symptom(policy=lost, what="it is lost", values=values)
-    seen = replace(robbed.situation(), lost=frozenset({"right"}), symptoms=(symptom,))
-    return robbed, seen
+    return robbed
 
 
 def test_what_makes_room_for_lost_components_is_suspended_wholly() -> None:
     """Also its component on the lost computer, though that would fit elsewhere."""
-    robbed, seen = lost_with({"high": "right", "low": "left", "small": "right"})
+    robbed = with_little_memory({"high": "right", "low": "left", "small": "right"})
     failover = FailoverResponder(robbed.run, robbed.suspensions)
-    assert robbed.respond(failover, seen, 0.0)
+    assert robbed.lose(failover, 0.0, "right")
     assert robbed.run.placement() == {"high": "left"}
     robbed.suspensions.record()
     (deviation,) = robbed.suspensions.deviations()
@@ -315,12 +325,30 @@ def test_what_makes_room_for_lost_components_is_suspended_wholly() -> None:
 
 
 def test_nothing_restarts_where_what_was_to_make_room_does_not_stop() -> None:
-    robbed, seen = lost_with({"high": "right", "low": "left", "small": "left"})
+    robbed = with_little_memory({"high": "right", "low": "left", "small": "left"})
     robbed.agents.deaf.add("left")
     failover = FailoverResponder(robbed.run, robbed.suspensions)
-    assert robbed.respond(failover, seen, 0.0)
+    assert robbed.lose(failover, 0.0, "right")
     assert robbed.run.placement()["high"] == "right"
     assert not [e for e in robbed.journal.entries() if "start components" in e.what]
+
+
+def test_another_loss_does_not_wait_because_a_restart_failed_before() -> None:
+    """Nothing starts elsewhere at first, and it is tried less and less often."""
+    names = ("left", "right", "third")
+    robot = robot_with()
+    (left,) = robot.computers
+    robot = replace(robot, computers=tuple(replace(left, name=n) for n in names))
+    robbed = Robbed(robot, {"high": "left", "low": "right"})
+    robbed.run.goes_on_without_lost = True
+    failover = FailoverResponder(robbed.run, robbed.suspensions)
+    robbed.agents.deaf |= {"right", "third"}
+    assert robbed.lose(failover, 0.0, "left")
+    assert robbed.lose(failover, 2.0, "left")
+    robbed.agents.deaf.clear()
+    assert not robbed.lose(failover, 3.0, "left")
+    assert robbed.lose(failover, 3.2, "left", "right")
+    assert robbed.run.placement() == {"high": "third", "low": "third"}
 
 
 def test_of_what_was_lost_the_higher_is_restarted_when_not_all_fits() -> None:
