@@ -56,6 +56,20 @@ def test_says_that_the_recording_of_a_workload_is_not_there(tmp_path: Path) -> N
 
 
 @pytest.mark.slow
+def test_a_profile_that_cannot_be_read_is_a_problem(tmp_path: Path) -> None:
+    robot = tmp_path / "robot.yaml"
+    main = "{cpu: 1, memory: 1 GiB}"
+    text = f"robot: r\ncomputers: {{main: {main}}}\nprofile: profile.yaml\n"
+    robot.write_text(text)
+    assert called(["check", str(robot)]).returncode == 0  # it is written later
+    (tmp_path / "profile.yaml").mkdir()
+    done = called(["check", str(robot)])
+    assert done.returncode == 1
+    assert done.stderr.startswith(f"{robot}:3:1: profile ")
+    assert "cannot be read: [Errno 21] Is a directory" in done.stderr
+
+
+@pytest.mark.slow
 def test_a_terminal_shows_that_it_goes_on() -> None:
     ours, theirs = pty.openpty()
     words = ["check", str(ROOT / "examples/hello/robot.yaml")]

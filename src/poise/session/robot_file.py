@@ -26,7 +26,7 @@ from poise.units import format_seconds
 def check(
     file: str | PathLike[str], arguments: Mapping[str, object] | None = None
 ) -> tuple[FileProblem, ...]:
-    """Return what is wrong with a robot file; when nothing is, what is with its code.
+    """Return what is wrong with a robot file, else with its code, else its profile.
 
     Parameters
     ----------
@@ -40,9 +40,13 @@ def check(
     Problems, each with file, line, column and what is wrong there.
     """
     try:
-        load_bare(file, arguments)
+        source = _checked(file, arguments)
     except RobotError as error:
         return error.problems or (FileProblem(str(file), 0, 0, str(error)),)
+    try:
+        profiled(source.robot)
+    except RobotError as error:
+        return (source.positions.problem(Finding(("profile",), str(error))),)
     return ()
 
 
