@@ -95,7 +95,7 @@ def _log(name: str) -> Path:
         path.touch()
     except OSError as error:
         raise UsageError(
-            f"{path} cannot be written: {error.strerror}. It is the log of what runs "
+            f"{path} cannot be written: {error.strerror}. It is the log of a process "
             "in the background: choose another folder by XDG_STATE_HOME"
         ) from error
     return path
