@@ -128,11 +128,15 @@ class Suspensions:
         self._has_news = True
 
     def record(self) -> None:
-        """Note what does not run, and what runs again."""
+        """Note what does not run, and what runs again or is not needed any more."""
+        run = self._run
         suspended = {each.name: each.function for each in self._suspended()}
         for name in sorted(self._known.keys() - suspended.keys()):
             del self._known[name]
-            self._run.journal.note("right", f"architecture '{name}' runs again")
+            components = run.robot.architecture(name).components
+            runs = any(component.name in run.placed for component in components)
+            how = "runs again" if runs else "is not needed any more"
+            run.journal.note("right", f"architecture '{name}' {how}")
         known = {suspended[name] for name in self._known}
         for name, function in suspended.items():
             if function not in known:
@@ -253,13 +257,16 @@ class NeededFunctions:
         What comes back within moments, as by a fail-over, does not count.
         """
         missing, task = missing_functions(situation), situation.task
+        used = situation.robot.functions_of(task)
         needed = {n for t in situation.robot.tasks if t.name == task for n in t.needs}
         if needed & self._said.keys() & missing:  # it has stopped the others
             missing = (missing & needed) | self._said.keys() & missing
         self._since = {name: self._since.get(name, now) for name in missing}
         for name in sorted(self._said.keys() - missing):
             del self._said[name]
-            text = f"function '{name}' of task '{task}' is back"
+            text = f"function '{name}' is not used any more"
+            if name in used:
+                text = f"function '{name}' of task '{task}' is back"
             self._journal.note("right", text)
         lasting = {n for n, since in self._since.items() if now - since >= LASTS}
         for name in sorted(lasting - self._said.keys()):

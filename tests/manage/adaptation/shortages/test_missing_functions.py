@@ -9,7 +9,7 @@ from msgspec.structs import replace
 
 from poise.manage.adaptation.loop import Adaptation
 from poise.manage.shortages.suspension import FIRST, NeededFunctions, missing_functions
-from poise.model.robot import Computer, Robot
+from poise.model.robot import Computer, Robot, Task
 from tests.manage.adaptation.shortages.test_suspension import (
     BOTH,
     HIGH,
@@ -171,3 +171,15 @@ def test_what_is_missing_is_said_once() -> None:
         assert not needs.evaluate(robbed.situation(), float(now))
     entries = [e.what for e in robbed.journal.entries()]
     assert entries.count("task 'work' goes on without function 'low'") == 1
+
+
+def test_a_function_that_no_action_uses_any_more_is_not_said_to_be_back() -> None:
+    robbed = Robbed(robot_with(), HIGH)
+    needs, situation = NeededFunctions(robbed.journal), robbed.situation()
+    for now in range(10):
+        needs.evaluate(situation, float(now))
+    none = Task(name="none", actions=())
+    robot = replace(situation.robot, tasks=(none,))
+    needs.evaluate(replace(situation, robot=robot, task="none"), 10.0)
+    assert not needs.deviations()
+    assert robbed.journal.entries()[-1].what == "function 'low' is not used any more"

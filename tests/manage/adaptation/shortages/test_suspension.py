@@ -80,9 +80,8 @@ class Robbed:
         agents = cast("Agents", self.agents)
         self.run = RunningComponents(robot, placement, agents, self.journal, "/run")
         self.run.start()
-        self.suspensions = Suspensions(
-            self.run, lambda: robot.task("work"), "not all fits"
-        )
+        self.task = robot.task("work")
+        self.suspensions = Suspensions(self.run, lambda: self.task, "not all fits")
         self.taking_back = ResumeSuspended(self.run, self.suspensions)
 
     def situation(self, background: float = 0.0, *late: str) -> Situation:
@@ -200,6 +199,17 @@ def test_what_is_put_aside_again_stays_aside_for_longer() -> None:
     robbed.suspensions.suspend(["low-task"], "it crashes", 20.0)
     assert not robbed.take_back(20.0 + FIRST)
     assert robbed.take_back(20.0 + 2 * FIRST)
+
+
+def test_what_is_not_needed_any_more_is_not_said_to_run() -> None:
+    """Its task ended meanwhile."""
+    robbed = Robbed(robot_with())
+    robbed.suspensions.suspend(["low-task"], "it crashes", 0.0)
+    (task,) = robbed.run.robot.tasks
+    robbed.task = replace(task, actions=())
+    robbed.suspensions.record()
+    assert not robbed.suspensions.deviations()
+    assert robbed.sentences()[-1] == "architecture 'low-task' is not needed any more"
 
 
 def test_what_is_aside_from_the_start_is_said() -> None:
