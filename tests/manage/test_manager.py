@@ -18,6 +18,7 @@ from poise.manage.control_socket.commands import (
     StopCommand,
     StopReport,
     TapCommand,
+    TaskCommand,
 )
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.journal import Journal
@@ -261,6 +262,38 @@ def test_who_asks_for_a_stop_learns_what_remains_and_nothing_else(
         managed.manager.stop()
     asked = managed.manager.submit(StopCommand())
     assert asked.result(0.0) == StopReport((str(left.value),))
+
+
+def test_what_was_refused_is_not_said_to_be_done(
+    managed: Managed, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """No majority of agents stores anything meanwhile."""
+    monkeypatch.setattr(managed.agents, "has_stored", lambda _: False)
+    refused = managed.manager.submit(TaskCommand("start", "sing"))
+    done = managed.manager.submit(TaskCommand("pause", "work"))
+    for _ in range(2):
+        managed.manager.work(0.0)
+    assert not done.done()
+    monkeypatch.setattr(managed.run.clock, "now", lambda: 1e9)
+    managed.manager.work(0.0)
+    why = refused.result(0.0)
+    assert isinstance(why, Refusal)
+    assert why.reason.startswith("robot 'tiny' has no task 'sing'")
+    why = done.result(0.0)
+    assert isinstance(why, Refusal)
+    assert why.reason.startswith("it was done, but no majority")
+
+
+def test_what_was_refused_is_said_so_when_the_robot_stops(
+    managed: Managed, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(managed.agents, "has_stored", lambda _: False)
+    refused = managed.manager.submit(TaskCommand("start", "sing"))
+    managed.manager.work(0.0)
+    managed.manager.stop()
+    why = refused.result(0.0)
+    assert isinstance(why, Refusal)
+    assert why.reason.startswith("robot 'tiny' has no task 'sing'")
 
 
 def test_a_status_waits_for_nothing_that_the_manager_does(managed: Managed) -> None:

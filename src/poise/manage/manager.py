@@ -254,9 +254,9 @@ class Manager:
         self._pending.clear()
         while not self._commands.empty():
             _answer(self._commands.get_nowait()[1], Refusal(text, "RunError"))
-        for _, _, future, _ in self._unstored:
-            done = f"{text}; the command may have taken effect"
-            future.set_result(Refusal(done, "RunError"))
+        for _, _, future, result in self._unstored:
+            done = Refusal(f"{text}; the command may have taken effect", "RunError")
+            future.set_result(result if isinstance(result, Refusal) else done)
         self._unstored.clear()
 
     def end_estimates(self) -> None:
@@ -332,8 +332,9 @@ class Manager:
             if not self._run.agents.has_stored(generation):
                 if self._run.clock.now() < until:
                     continue
-                why = "it was done, but no majority of agents has stored it: the next "
-                result = Refusal(f"{why}manager may undo it", "RunError")
+                if not isinstance(result, Refusal):
+                    why = "it was done, but no majority of agents has stored it: the "
+                    result = Refusal(f"{why}next manager may undo it", "RunError")
             self._unstored.remove(waiting)
             future.set_result(result)
 
