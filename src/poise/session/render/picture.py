@@ -25,11 +25,15 @@ class Hosted(NamedTuple):
 
 
 def picture(shares: Mapping[str, float], hosted: Iterable[Hosted]) -> str:
-    """Return a box for each computer, of share of CPU, with its components as bars."""
+    """Return a box for each computer, of share of CPU, with its components as bars.
+
+    A computer that has components and no share, as in a very short run, has a box, too.
+    """
     placed = sorted(hosted, key=lambda each: (-each.cpu, each.name))
     most = max((each.cpu for each in placed), default=0.0)
     boxes = []
-    for computer, share in shares.items():
+    for computer in dict.fromkeys([*shares, *sorted(each.computer for each in placed)]):
+        share = shares.get(computer)
         rows = [
             bar_row(
                 component.name,
@@ -39,8 +43,9 @@ def picture(shares: Mapping[str, float], hosted: Iterable[Hosted]) -> str:
             for component in placed
             if component.computer == computer
         ]
-        full = " ▲ more than it has" if share > 1 else ""
-        head = bar_row(computer, f"CPU {share:.0%}{full}", share, weight="bold")
+        says = "CPU not known" if share is None else f"CPU {share:.0%}"
+        full = " ▲ more than it has" if share is not None and share > 1 else ""
+        head = bar_row(computer, says + full, share or 0.0, weight="bold")
         boxes.append(f'<div style="{_BOX}">{head}{"".join(rows)}</div>')
     return f"<div>{''.join(boxes)}</div>"
 

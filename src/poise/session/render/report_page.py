@@ -29,20 +29,22 @@ class Mark(NamedTuple):
     says: str
 
 
-def time_line(
-    moments: Sequence[Moment],
-    entries: Mapping[int, JournalEntry],
-    began: float,
-    seconds: float,
-) -> str:
-    """Return CPU and missed deadlines over time, with numbered journal entries."""
-    end = max(seconds, 1.0)
-    names = list(dict.fromkeys(n for each in moments for n in each.cpu_share))
-    strips = {
+def time_line(report: RunRecord, entries: Mapping[int, JournalEntry]) -> str:
+    """Return CPU and missed deadlines over time, with numbered journal entries.
+
+    Of a computer that no moment has, as in a very short run, the whole run's CPU, if
+    that is known.
+    """
+    began, moments = report.began, report.history
+    end = max(report.seconds, 1.0)
+    names = [n for each in moments for n in each.cpu_share]
+    names += [*report.cpu_share, *(each.computer for each in report.components)]
+    strips: dict[str, list[Point]] = {
         f"CPU {name}": [
             (m.at - began, m.cpu_share[name]) for m in moments if name in m.cpu_share
         ]
-        for name in names
+        or [(report.seconds, s) for n, s in report.cpu_share.items() if n == name]
+        for name in dict.fromkeys(names)
     }
     strips[_MISSED] = [
         (m.at - began, max(m.missed.values(), default=0.0)) for m in moments
@@ -178,7 +180,7 @@ def page(report: RunRecord, picture: str, figures: str) -> str:
         picture,
         "<h2>Over time</h2>",
         _ABOUT_TIME,
-        time_line(report.history, entries, report.began, report.seconds),
+        time_line(report, entries),
         "<h2>Worst deadlines</h2>",
         *_worst(report, entries),
         "<h2>What happened</h2>",

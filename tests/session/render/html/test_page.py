@@ -173,6 +173,20 @@ def test_entries_from_before_the_run_are_not_on_the_time_line() -> None:
     ]
 
 
+def test_a_run_shorter_than_a_moment_shows_its_computers() -> None:
+    """The CPU of `left` is that of the whole run, and of `right` none was heard."""
+    (eye,) = REPORT.components
+    hand = replace(eye, name="hand", computer="right")
+    page = replace(REPORT, components=(eye, hand), history=(), seconds=0.3).page()
+    ran, _, over_time = page.partition("<h2>Over time</h2>")
+    for words in ("<span>left</span><span>CPU 125%", "<span>right</span><span>CPU not"):
+        assert words in ran
+    drawing = over_time.partition("</svg>")[0]
+    for words in ("CPU left<", "CPU right<"):
+        assert words in drawing
+    assert drawing.count('stroke="#3b7dd8"') == 1
+
+
 @pytest.mark.parametrize(
     ("change", "verdict"),
     [
