@@ -111,6 +111,16 @@ def test_drifts_are_told_until_the_simulated_world_ends(
     assert ("world has ended" in said) is ends
 
 
+def test_the_status_tells_no_need_of_what_runs_no_more(managed: Managed) -> None:
+    for k in range(100):
+        managed.samples.add(used(0.2 * k))
+    managed.manager.work(0.0)
+    (need,) = managed.manager.status().demand_estimates
+    assert need.component == "thinker"
+    managed.run.commit(managed.run.desired.without(["thinker"]), "it ends")
+    assert not managed.manager.status().demand_estimates
+
+
 def test_a_fault_is_told_while_a_move_waits(managed: Managed) -> None:
     managed.agents.faults = (Fault(container="eye", message="was killed", number=1),)
     managed.agents.states["thinker"] = CONFIGURING

@@ -10,10 +10,12 @@ from msgspec.structs import replace
 
 from poise.estimate.online import Estimate
 from poise.manage.adaptation.decision import decide
+from poise.manage.adaptation.policy_values import values_of
 from poise.manage.adaptation.situation import Situation
 from poise.manage.migration.transition_plan import missing_cpu
 from poise.manage.observe.chains import ChainAge
 from poise.manage.observe.estimates import DemandEstimate
+from poise.model.policy import ComputerValues
 from poise.model.robot import (
     Action,
     Architecture,
@@ -85,6 +87,21 @@ def test_what_is_starved_is_not_said_to_have_the_cpu_that_it_needs(
     assert not found.acts
     assert "all components have the CPU" not in found.why
     assert "'a' does not do 59% of its work, but by what is known of" in found.why
+
+
+def test_what_was_starved_when_it_was_stopped_is_not_starved_now(
+    situation: Make,
+) -> None:
+    estimate = Estimate(mean=0.01, p95=0.01, error=0.001, starved=0.59)
+    starved = DemandEstimate(
+        component="b", computer="left", expected=None, estimate=estimate
+    )
+    seen = situation({"a": "left"}, missed=("a",))
+    seen = replace(seen, demand_estimates=(starved,))
+    assert "'b'" not in decide(seen).why
+    left, _ = values_of(seen, "computer")
+    assert isinstance(left, ComputerValues)
+    assert left.starved == 0.0
 
 
 def crowded(situation: Make, takes: float) -> Situation:

@@ -284,7 +284,7 @@ def _suffering(situation: Situation) -> set[str]:
     """Return the components that are starved, or miss deadlines."""
     starved = {
         demand.component
-        for demand in situation.demand_estimates
+        for demand in situation.estimates_at_work()
         if demand.estimate.starved >= STARVED
     }
     return starved | {timer.component for timer in situation.misses if timer.late}

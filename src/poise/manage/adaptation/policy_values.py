@@ -28,7 +28,7 @@ def values_of(situation: Situation, subject: Subject) -> tuple[Values, ...]:
 def _computers(situation: Situation) -> Iterator[Values]:
     shortages = shortages_of(situation)
     estimates: dict[str, list[DemandEstimate]] = {}
-    for each in situation.demand_estimates:
+    for each in situation.estimates_at_work():
         estimates.setdefault(each.computer, []).append(each)
     components = Counter(situation.placement.values())
     late = Counter(timer.computer for timer in situation.misses if timer.late)

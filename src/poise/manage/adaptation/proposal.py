@@ -103,7 +103,7 @@ def nothing_helps(situation: Situation, gone: str = "") -> str:
     """
     starved = ", ".join(
         f"'{demand.component}' does not do {demand.estimate.starved:.0%} of its work"
-        for demand in situation.demand_estimates
+        for demand in situation.estimates_at_work()
         if demand.estimate.starved >= STARVED
     )
     known = (

@@ -45,7 +45,8 @@ class Situation(Struct, frozen=True, kw_only=True, dict=True):
     loads: Mapping[str, Load] = {}  # computer -> its CPU use lately, where it is known
     misses: tuple[TimerValues, ...] = ()
     chains: tuple[ChainAge, ...] = ()
-    demand_estimates: tuple[DemandEstimate, ...] = ()  # what the components need
+    # what the components need, also those that ran before and may run again
+    demand_estimates: tuple[DemandEstimate, ...] = ()
     statuses: Mapping[str, AgentStatus] = {}  # computer -> what its agent reported last
     traffic: Mapping[str, ConnectorProfile] = {}  # connector -> what goes over it now
     # component -> the downtime of its last move [s]
@@ -61,6 +62,11 @@ class Situation(Struct, frozen=True, kw_only=True, dict=True):
     def about(self, do: Do) -> tuple[Symptom, ...]:
         """Return the symptoms about which something is to be done."""
         return tuple(symptom for symptom in self.symptoms if symptom.policy.do == do)
+
+    def estimates_at_work(self) -> list[DemandEstimate]:
+        """Return what the components need that run."""
+        estimates = self.demand_estimates
+        return [each for each in estimates if each.component in self.placement]
 
     def within_reach(self) -> Situation:
         """Return the same without what is out of reach: nothing moves from or to it."""

@@ -216,17 +216,19 @@ def status_of(
     The deviations are those of agents that are there, and have stopped to report.
     """
     statuses, ages = run.agents.statuses(), run.agents.ages()
-    out_of_reach = run.agents.out_of_reach()
+    out_of_reach, placement = run.agents.out_of_reach(), run.placement()
     return RobotStatus(
         robot=run.robot.name,
         task=" and ".join(task.name for task in tasks if task.state == "going"),
         manager=run.agents.manager,
-        placement=run.placement(),
+        placement=placement,
         computers=statuses,
         ages=ages,
         out_of_reach=out_of_reach,
         deviations=tuple(_silent(ages, out_of_reach, wall_time())),
-        demand_estimates=tuple(estimates.demand_estimates()),
+        demand_estimates=tuple(
+            each for each in estimates.demand_estimates() if each.component in placement
+        ),
         chains=chain_reports(run.robot, statuses),
         capacities={c.name: _capacity(c) for c in run.robot.computers},
         parameters=run.desired.parameters,
