@@ -86,7 +86,7 @@ def test_refuses_a_missing_key(refuse: Refuse) -> None:
         ),
         (robot("simulator: {▸command: 'a \"b'}"), ["not a command line", "quotation"]),
         (robot("simulator: {▸command: '  '}"), ["is empty"]),
-        (robot("together: [▸[a]]"), ["together[0]: has 1 entries", "at least 2"]),
+        (robot("together: [▸[a]]"), ["together[0]: has 1 entry; it takes at least 2"]),
         (component("{▸cpu: 20 percent}"), ["unit 'percent'", "core, cores, %"]),
         (component("{▸memory: 20 Mib}"), ["did you mean 'MiB'?"]),
         (component("{▸memory: -1}"), ["negative"]),

@@ -234,7 +234,8 @@ def _has_length(length: int, where: Where) -> bool:
     if least <= length and (most is None or length <= most):
         return True
     wanted = f"at least {least}" if length < least else f"at most {most}"
-    where.wrong(f"has {length} entries; it takes {wanted}")
+    entries = "1 entry" if length == 1 else f"{length} entries"
+    where.wrong(f"has {entries}; it takes {wanted}")
     return False
 
 
