@@ -156,6 +156,21 @@ def test_code_that_restarted_between_two_looks_comes_back(robot: Robot) -> None:
     assert robot.restarted == {"eye": OLD}
 
 
+def test_code_that_moves_is_not_to_blame_for_what_crashed_there_before(
+    robot: Robot,
+) -> None:
+    """Its container there restarted three times before it came, and once since."""
+    robot.replace()
+    assert not robot.canaries.check()
+    robot.placed["eye"] = replace(NEW, computer="right", epoch=3)
+    robot.health = replace(robot.health, restarts=3)
+    assert not robot.canaries.check()
+    assert not robot.canaries.check()
+    robot.health = replace(robot.health, restarts=4)
+    assert robot.canaries.check()
+    assert robot.placed["eye"].code == ""
+
+
 def test_code_that_is_replaced_again_is_watched_no_more(robot: Robot) -> None:
     robot.replace()
     robot.placed["eye"] = replace(NEW, code="c" * 64)

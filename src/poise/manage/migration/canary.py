@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 
-from msgspec import Struct
+from msgspec import Struct, structs
 
 from poise.clock import wall_time
 from poise.manage.deploy.desired import Incarnation
@@ -71,7 +71,14 @@ class Canaries:
             placed = self._run.placed.get(component)
             if placed is None or _code_of(placed) != _code_of(trial.new):
                 del self._trials[component]  # it was replaced again, or stopped
-            elif why := self._failure(trial, placed):
+                continue
+            has_moved = placed.key != trial.new.key
+            health = self._run.health_of(placed) if has_moved else None
+            if health is not None:  # what its container did before says nothing of it
+                self._trials[component] = structs.replace(
+                    trial, new=placed, restarts=health.restarts
+                )
+            elif not has_moved and (why := self._failure(trial, placed)):
                 del self._trials[component]
                 self._return(trial, placed, why)
                 return True
