@@ -87,6 +87,13 @@ def test_refuses_a_missing_key(refuse: Refuse) -> None:
         (robot("simulator: {▸command: 'a \"b'}"), ["not a command line", "quotation"]),
         (robot("simulator: {▸command: '  '}"), ["is empty"]),
         (robot("together: [▸[a]]"), ["together[0]: has 1 entry; it takes at least 2"]),
+        (
+            robot(
+                "architectures: {x: {function: f, components: {a: {}, b: {}}, "
+                "connectors: [{between: [a, b], ▸limit: 200 h}]}}"
+            ),
+            ["'200 h' must be at most 604800 s"],
+        ),
         (component("{▸cpu: 20 percent}"), ["unit 'percent'", "core, cores, %"]),
         (component("{▸memory: 20 Mib}"), ["did you mean 'MiB'?"]),
         (component("{▸memory: -1}"), ["negative"]),
@@ -115,6 +122,12 @@ def test_refuses_a_missing_key(refuse: Refuse) -> None:
 )
 def test_refuses_a_wrong_value(refuse: Refuse, text: str, words: list[str]) -> None:
     refuse(text, *words)
+
+
+def test_a_bridge_to_ros_2_waits_a_week_at_most(find: Find) -> None:
+    bridge = "{ros2: /x, port: a.p, limit: 1e10}"
+    problems = find(robot(f"ros2: {{bridges: [{bridge}]}}"))
+    assert any("must be at most 604800 s" in each.message for each in problems)
 
 
 @pytest.mark.parametrize("priority", ["1.5", "1001", "high", "1" * 400])

@@ -32,6 +32,8 @@ from poise.model.ros2_node import Ros2Node, RosName
 
 Layer = Literal["deliberative", "sequencing", "reactive"]
 WhenCutOff = Literal["stop", "go on"]
+LONGEST_LIMIT = 7 * 86400.0
+"""[s] A longer limit is an error: clocks and locks cannot wait for ever."""
 
 
 class DeclaredPort(Struct, frozen=True, kw_only=True):
@@ -199,7 +201,9 @@ class Connector(Struct, frozen=True, kw_only=True, dict=True):
             "profile. `overhead: 0` makes it count for nothing."
         ),
     ] = 0.0
-    limit: Annotated[Seconds, says("Time limit of a call: 100 ms.", gt=0)] = 1.0
+    limit: Annotated[
+        Seconds, says("Time limit of a call: 100 ms.", gt=0, le=LONGEST_LIMIT)
+    ] = 1.0
     topic: Annotated[
         RosName,
         says(
@@ -344,7 +348,9 @@ class Ros2Bridge(Struct, frozen=True, kw_only=True):
         says("Default: transient local for a port that keeps its last message."),
     ] = None
     depth: Annotated[int, says("How many messages wait at most.", ge=1, le=10000)] = 10
-    limit: Annotated[Seconds, says("Time limit of a call or an action.", gt=0)] = 1.0
+    limit: Annotated[
+        Seconds, says("Time limit of a call or an action.", gt=0, le=LONGEST_LIMIT)
+    ] = 1.0
 
 
 class Ros2Network(Struct, frozen=True, kw_only=True):

@@ -16,7 +16,7 @@ from msgspec import inspect as types
 from poise.errors import FileProblem, did_you_mean, listed
 from poise.model.file_keys import FileKey, form_of, keys_of
 from poise.model.yaml_tree import Location, Node, Scalar
-from poise.units import parse, quoted
+from poise.units import SECONDS, parse, quoted
 
 NULLS = ("", "~", "null")
 _WORDS = dict.fromkeys(NULLS) | {"true": True, "false": False}
@@ -283,7 +283,8 @@ _LIMITS: Mapping[str, tuple[str, Callable[[float, float], bool]]] = {
 def _in_range(value: float, text: str, notes: Notes) -> float:
     for name, (words, holds) in _LIMITS.items():
         if name in notes and not holds(value, notes[name]):
-            raise ValueError(f"{quoted(text)} must be {words} {notes[name]}")
+            unit = " s" if notes.get("dimension") is SECONDS else ""
+            raise ValueError(f"{quoted(text)} must be {words} {notes[name]:g}{unit}")
     return value
 
 
