@@ -32,7 +32,7 @@ from poise.model.robot import (
     Robot,
     Task,
 )
-from poise.model.steps import Choice, Parallel, Step
+from poise.model.steps import Choice, Parallel, Sequence, Step
 from poise.wire.records.status_records import (
     ActionEnd,
     AgentStatus,
@@ -303,6 +303,19 @@ def test_an_action_whose_component_does_not_start_fails_and_says_why() -> None:
     assert rig.active() == {"seeer"}
     assert any(error in each for each in rig.said())
     assert any("has failed: it cannot begin: component 'goer'" in e for e in rig.said())
+
+
+def test_an_action_whose_component_does_not_start_again_fails_and_no_other() -> None:
+    """It is at work; that its component is missing is seen when another begins."""
+    walks = Sequence(steps=(act("walk", "go"), act("stroll", "go")))
+    look = act("look", "see", on_failure=act("listen", "say"))
+    rig = Rig(robot_with(task("t", Parallel(steps=(look, walks)))), "t")
+    rig.run.commit(rig.run.desired.without(["seeer"]), "it could not be started")
+    rig.agents.crashing = "seeer"
+    rig.end("goer")
+    assert sum("an action cannot begin" in each for each in rig.said()) == 1
+    assert any("has failed: it cannot go on: comp" in each for each in rig.said())
+    assert rig.active() == {"goer", "sayer"}
 
 
 def test_what_is_done_on_failure_is_not_needed_before() -> None:

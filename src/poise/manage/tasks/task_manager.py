@@ -278,15 +278,16 @@ class TaskManager:
     def _fail(
         self, new: list[DueAction], begins: Iterable[str], error: RunError
     ) -> None:
-        """End the actions that cannot begin; the others stay as they are."""
+        """End the actions that cannot begin or go on; the others stay as they are."""
         why = str(error)
         self._run.journal.note("failed", f"an action cannot begin: {why}")
         functions = self._serving.functions_of(begins)
         # of a traceback the last line says most
         short = " ".join(dict.fromkeys([why.splitlines()[0], why.splitlines()[-1]]))
-        for _, attempt in new:
+        for _, attempt in self._due_actions() if functions else new:
             if not functions or functions.intersection(attempt.action.functions):
-                what = f"it cannot begin: {short}"
+                how = "begin" if attempt.progress.since is None else "go on"
+                what = f"it cannot {how}: {short}"
                 self.tasks.end(attempt.number, boot_time(), what, done=False)
         self._note_ended(error.component if isinstance(error, DoesNotStart) else "")
 
