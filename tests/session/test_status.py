@@ -9,11 +9,14 @@ from msgspec.structs import replace
 from rich.console import Console
 
 from poise.estimate.online import Drift, Estimate
+from poise.manage.adaptation.decision import DOWNTIME
 from poise.manage.control_socket.commands import RobotStatus
+from poise.manage.migration.migration_report import WhatIf
 from poise.manage.observe.chains import ChainHop, ChainReport
 from poise.manage.observe.estimates import DemandEstimate, Load
 from poise.manage.tasks.concurrent_tasks import TaskReport
 from poise.manage.tasks.task_progress import TaskState
+from poise.plan import Terms
 from poise.session.render.status_tables import (
     _remarks,
     component_table,
@@ -23,7 +26,7 @@ from poise.session.render.status_tables import (
     remarks,
     status_parts,
 )
-from poise.session.render.tables import chain_tables, table, task_table
+from poise.session.render.tables import chain_tables, table, task_table, what_if_lines
 from poise.wire.records.request_records import ManagerId
 from poise.wire.records.status_records import (
     AgentStatus,
@@ -319,3 +322,24 @@ def test_a_list_of_tasks_fits_80_columns() -> None:
     Console(file=out, width=80).print(task_table([task]))
     assert max(map(len, out.getvalue().splitlines())) <= 80
     assert "which both of them need" in " ".join(out.getvalue().split())
+
+
+@pytest.mark.parametrize(
+    ("downtime", "says"),
+    [
+        (0.766, "mapper is paused for about 766 ms, as in its last move"),
+        (DOWNTIME, "mapper was not moved yet, so nobody knows for how long it is"),
+    ],
+)
+def test_no_pause_is_promised_that_was_not_measured(downtime: float, says: str) -> None:
+    same = Terms(total=0.1, communication=0.1, balance=0.0)
+    seen = WhatIf(
+        component="mapper",
+        source="main",
+        target="vision",
+        now=same,
+        then=same,
+        downtime=downtime,
+        state=8_000_000,
+    )
+    assert any(says in line for line in what_if_lines(seen))

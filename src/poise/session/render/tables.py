@@ -273,6 +273,9 @@ def _places(placement: Mapping[str, str], verb: str) -> str:
 
 def what_if_lines(what_if: WhatIf) -> Iterator[str]:
     """Yield what a move would change."""
+    # what decides moves takes long to load, and most commands need it not
+    from poise.manage.adaptation.decision import DOWNTIME  # noqa: PLC0415
+
     if what_if.trouble:
         yield f"as it is: {what_if.trouble}"
     now, then = what_if.now.total, what_if.then.total
@@ -283,9 +286,14 @@ def what_if_lines(what_if: WhatIf) -> Iterator[str]:
             f"{after:.1%}, of {what_if.usable[computer]:.1%}"
         )
     state = f" with a state of {format_bytes(what_if.state)}" if what_if.state else ""
+    pause = (
+        f"is paused for about {format_seconds(what_if.downtime)}, as in its last move"
+    )
+    if what_if.downtime == DOWNTIME:  # what is taken to be so, and never measured
+        pause = "was not moved yet, so nobody knows for how long it is paused"
     yield (
         f"the move{state} costs {what_if.cost:.2f} core-seconds; {what_if.component} "
-        f"is paused for about {format_seconds(what_if.downtime)}"
+        f"{pause}"
     )
     for limit in what_if.breaks:
         yield f"it would be refused: {limit}"
