@@ -70,6 +70,8 @@ class Peer(Node):
         )
 
     def accept(self, goal):
+        if goal.order == 78:
+            threading.Event().wait(0.8)
         return GoalResponse.REJECT if goal.order == 66 else GoalResponse.ACCEPT
 
     def run(self, goal):
@@ -77,11 +79,11 @@ class Peer(Node):
         if order < 0:
             goal.abort()
             return self.kind.Result()
-        while order == 77 and not goal.is_cancel_requested:
+        while order in (77, 78) and not goal.is_cancel_requested:
             threading.Event().wait(0.05)
-        if order == 77:
+        if order in (77, 78):
             goal.canceled()
-            write("cancelled", True)
+            write(f"cancelled-{order}", True)
             return self.kind.Result()
         goal.succeed()
         return self.kind.Result(sequence=numbers(order))
@@ -172,7 +174,10 @@ def test_goals_are_calls_and_calls_are_goals(tmp_path: Path) -> None:
             ask(-1)
         with pytest.raises(RunError, match="Timeout"):
             ask(77, 1.0)
-        wait_long((tmp_path / "cancelled").exists)
+        wait_long((tmp_path / "cancelled-77").exists)
+        with pytest.raises(RunError, match="Timeout"):
+            ask(78, 0.3)  # it is accepted later
+        wait_long((tmp_path / "cancelled-78").exists)
         assert ask(3) == [0, 1, 1]
         wait_long((tmp_path / "ended").exists)
         for bridge in ("counter-near-ros2", "asker-far-ros2"):

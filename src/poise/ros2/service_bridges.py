@@ -124,12 +124,16 @@ class AsksRos(Services):
         request = service.request.to_ros(service.arguments(*arguments))
         return service.from_ros(self._wait(client.call_async(request), name))
 
-    def _wait(self, future: Any, name: str) -> Any:  # noqa: ANN401, of rclpy
-        """Return what a future brings while the caller waits."""
+    def _wait(self, future: Any, name: str, *, is_left: bool = False) -> Any:  # noqa: ANN401, of rclpy
+        """Return what a future brings while the caller waits.
+
+        `is_left`: after that it still takes what comes.
+        """
         limit = min(time_left(), LONGEST)
         self._waiting.spin_until_future_complete(future, limit)
         if not future.done():
-            future.cancel()
+            if not is_left:
+                future.cancel()
             raise Timeout(f"'{name}' gave no answer within {limit:.3g} s")
         return future.result()
 
@@ -298,7 +302,16 @@ class AsksActions(AsksRos):
         if not client.wait_for_server(min(time_left(), LONGEST)):
             raise Unavailable(f"nobody offers the action '{name}'")
         request = service.request.to_ros(service.arguments(*arguments))
-        goal = self._wait(client.send_goal_async(request), name)
+        sent = client.send_goal_async(request)
+        try:
+            goal = self._wait(sent, name, is_left=True)
+        except Timeout:
+            self._waiting.spin_until_future_complete(sent, _ACCEPTED_WITHIN)
+            if sent.done():
+                _cancel_accepted(sent)
+            else:  # whenever something is asked again
+                sent.add_done_callback(_cancel_accepted)
+            raise
         if not goal.accepted:
             raise RunError(f"'{name}' rejected the goal")
         try:
@@ -316,6 +329,16 @@ class AsksActions(AsksRos):
         for _, client, _ in getattr(self, "_clients", {}).values():
             client.destroy()
         super().cleanup()
+
+
+_ACCEPTED_WITHIN = 1.0
+"""So long is waited for a goal that may be accepted although its caller has given up:
+it is to be cancelled [s]."""
+
+
+def _cancel_accepted(sent: Any) -> None:  # noqa: ANN401, a future of rclpy
+    if (goal := sent.result()) is not None and goal.accepted:
+        goal.cancel_goal_async()
 
 
 _SUCCEEDED = 4
