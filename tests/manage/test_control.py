@@ -159,6 +159,17 @@ def test_a_silent_client_holds_up_nobody(server: ControlServer, folder: Path) ->
         assert send_command("first", StopCommand()) == StopReport()
 
 
+def test_clients_that_were_served_are_forgotten(
+    server: ControlServer, folder: Path
+) -> None:
+    """They leave at once: some may be served before the server looks again."""
+    server.start(answering(StopReport()))
+    for _ in range(200):
+        with socket.socket(socket.AF_UNIX) as client:
+            client.connect(str(folder / "first.sock"))
+    wait_until(lambda: not server._threads, LIMIT)
+
+
 @pytest.mark.usefixtures("server")
 def test_a_socket_at_which_many_wait_is_found(folder: Path) -> None:
     with contextlib.ExitStack() as stack:

@@ -104,17 +104,15 @@ class ControlServer:
             self._free.acquire()
             try:
                 connection, _ = self._listener.accept()
-                thread = threads.daemon(self._serve, "client", connection)
-                thread.start()
+                threads.daemon(self._serve, "client", connection).start()
             except (OSError, RuntimeError) as error:  # no descriptor or thread is free
                 self._free.release()
                 if self._is_closed.wait(_LOOK_EVERY):
                     return
                 log.warning("robot '%s' cannot serve a client: %s", self._robot, error)
-            else:
-                self._threads.add(thread)
 
     def _serve(self, connection: socket.socket) -> None:
+        self._threads.add(threading.current_thread())
         try:
             with connection, contextlib.suppress(WireError, RunError):
                 command: Command = frame.receive_record(connection, Command)
