@@ -13,7 +13,7 @@ from poise.estimate.profiles import (
     TimerProfile,
 )
 from poise.model.hardware import Link
-from poise.model.robot import Chain, Robot
+from poise.model.robot import Action, Chain, Robot
 from poise.simulation.faults import SimulatedFault
 from poise.simulation.rehearsal import Rehearsal, RehearsalPlan
 from poise.simulation.simulation_report import SimulationReport
@@ -133,6 +133,23 @@ def test_what_a_lost_computer_ran_is_out_for_about_a_second() -> None:
     assert (restart.kind, restart.component, restart.before) == ("restart", "arm", "c")
     assert restart.downtime == pytest.approx(outage.lasts, abs=0.1)
     assert [e.what for e in report.events if e.who == "fault"] == [str(fault)]
+
+
+@pytest.mark.slow
+def test_a_function_whose_action_has_ended_did_not_stop() -> None:
+    """After 5 s the action fails, and its alternative needs no arm; a loss counts."""
+    plan = plan_of()
+    (work,) = plan.robot.tasks
+    look = Action(name="look", functions=("seeing", "thinking"))
+    (go,) = work.actions
+    assert isinstance(go, Action)
+    go = structs.replace(go, limit=5.0, on_failure=look)
+    robot = structs.replace(plan.robot, tasks=(structs.replace(work, actions=(go,)),))
+    plan = structs.replace(plan, robot=robot)
+    assert rehearsed(plan).outages == ()
+    fault = SimulatedFault(10.0, "isolate computer", "b", lasts=2.0)
+    lost = rehearsed(structs.replace(plan, faults=(fault,)))
+    assert {outage.function for outage in lost.outages} == {"seeing", "thinking"}
 
 
 @pytest.mark.parametrize(("latency", "misses"), [(0.001, False), (0.08, True)])

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from poise.manage.deploy.desired import Desired
 from poise.manage.journal import JournalEntry
 from poise.manage.migration.migration_report import MigrationReport
+from poise.manage.tasks.task_progress import OVER
 from poise.model.robot import Robot
 from poise.simulation.predicted_times import mean_of
 from poise.simulation.robot.simulated_robot import SimulatedRobot
@@ -183,7 +184,10 @@ class SimulationObserver:
         return manager.run.desired
 
     def _note_placement(self) -> None:
-        """Note what is placed elsewhere, though no move brought it there."""
+        """Note what is placed elsewhere, though no move brought it there.
+
+        And what is not placed because no task needs it any more.
+        """
         desired = self._wanted()
         if desired is None or desired is self._desired:
             return
@@ -194,6 +198,27 @@ class SimulationObserver:
                 since = self._down.get(name, self._robot.scheduler.now)
                 self._restarting[name] = since - self._begin, before
         self._placed.update(placed)
+        for name in self._placed.keys() - placed.keys() - self._needed():
+            del self._placed[name]
+            self._down.pop(name, None)
+            self._restarting.pop(name, None)
+
+    def _needed(self) -> set[str]:
+        """Return the components of what a task that is not over uses now.
+
+        And those of layers that never stop.
+        """
+        robot, manager = self._robot.robot, self._robot.manager
+        assert manager is not None  # noqa: S101, it has told what is placed
+        assert manager.manager is not None  # noqa: S101, the same
+        tasks = manager.manager.tasks.tasks
+        used = tasks.functions_of(r for r in tasks.records if r.state not in OVER)
+        return {
+            component.name
+            for architecture in robot.architectures
+            if architecture.layer != "sequencing" or architecture.function in used
+            for component in architecture.components
+        }
 
     def _note_outages(self) -> None:
         now = self._robot.scheduler.now
