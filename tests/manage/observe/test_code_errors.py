@@ -81,6 +81,16 @@ def test_a_component_that_failed_is_told_of_as_a_deviation() -> None:
     assert not said
 
 
+def test_what_was_raised_before_it_failed_is_not_new_when_it_works_again() -> None:
+    said = list[tuple[str, str]]()
+    raised = CodeErrors(lambda kind, what: said.append((kind, what)))
+    raised.record(statuses(1, "failed"), 0.0)
+    raised.record(statuses(1), 1.0)
+    assert not said
+    raised.record(statuses(2), 2.0)
+    assert said == [("wrong", WHAT)]
+
+
 def test_messages_that_are_refused_are_told_of() -> None:
     said = list[tuple[str, str]]()
     errors = CodeErrors(lambda kind, what: said.append((kind, what)))

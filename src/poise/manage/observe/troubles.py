@@ -137,7 +137,9 @@ class CodeErrors:
                     ):
                         continue
                     stay = container.pid, component.epoch
-                    self._take(component.name, stay, _raised(component, computer), now)
+                    raised = _raised(component, computer)
+                    is_told = component.state == "failed"
+                    self._take(component.name, stay, raised, now, is_told=is_told)
                 for name, count in refused(container):
                     error = Deviation(
                         what=f"connector '{name}' refused messages on '{computer}': "
@@ -155,10 +157,19 @@ class CodeErrors:
         """Return what goes wrong now."""
         return tuple(error for error, _, _ in self._coming.copy().values())
 
-    def _take(self, name: str, stay: Hashable, counts: _Counts, now: float) -> None:
+    def _take(
+        self,
+        name: str,
+        stay: Hashable,
+        counts: _Counts,
+        now: float,
+        *,
+        is_told: bool = False,
+    ) -> None:
+        """Note what is new of an incarnation; `is_told`: somebody else tells of it."""
         known = self._counts.setdefault(name, {})
         before = known.pop(stay, {})
-        for kind, (count, error) in counts.items():
+        for kind, (count, error) in () if is_told else counts.items():
             earlier = before[kind][0] if kind in before else 0
             # an end of a connector may begin again in the same process
             new = count - earlier if count >= earlier else count
@@ -175,7 +186,7 @@ class CodeErrors:
 def _raised(component: ComponentStatus, computer: str) -> _Counts:
     counts: dict[str, tuple[int, Deviation]] = {}
     name = component.name
-    for error in component.error_counts if component.state != "failed" else ():
+    for error in component.error_counts:
         text = error.text.rstrip().rpartition("\n")[2]
         handler = f"'{error.where}' of component '{name}' on '{computer}'"
         said = Deviation(
