@@ -4,9 +4,16 @@ from __future__ import annotations
 
 import pytest
 
+from poise.manage.adaptation import placement_responders
+from poise.manage.adaptation.decision import Decision
 from poise.manage.adaptation.loop import Adaptation
+from poise.manage.adaptation.placement_responders import Transitions
+from poise.manage.adaptation.policies import Policies
 from poise.manage.adaptation.situation import Change, Responder, Situation
+from poise.manage.adaptation.when_to_act import JUDGE_AFTER, SETTLE
 from poise.manage.deploy.desired import Desired
+from poise.manage.deploy.running_components import RunningComponents
+from poise.manage.migration.migration_report import TransitionReport, TransitionStep
 from poise.testing import VirtualClock
 from tests.manage.adaptation.shortages.test_suspension import Robbed, robot_with
 
@@ -94,3 +101,28 @@ def test_a_change_that_fails_backs_off_and_lets_the_next_act() -> None:
     rig.loop.adapt()
     rig.loop.adapt()
     assert [each.times for each in rig.asked] == [1, 2, 2, 2, 2, 2]
+
+
+def test_it_rests_after_a_transition_however_long_that_took(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A cold move may take longer than loads take to settle; so may its judgement."""
+    robbed, clock = Robbed(robot_with()), VirtualClock()
+
+    def transit(
+        _: RunningComponents, steps: tuple[TransitionStep, ...]
+    ) -> TransitionReport:
+        clock.sleep(5.0)
+        return TransitionReport(steps=steps, committed=True)
+
+    monkeypatch.setattr(placement_responders, "transit", transit)
+    transitions = Transitions(robbed.run, Policies([]), robbed.suspensions, clock.now)
+    decision = Decision(acts=True, why="it helps", gain=1.0, undone=1.0)
+    change = transitions.change(decision, (), robbed.situation())
+    change.carry_out()
+    assert transitions.limits.is_backing_off(clock.now() + 0.9 * SETTLE)
+    assert not transitions.limits.is_backing_off(clock.now() + SETTLE)
+    transitions.loss.judge(1.0, clock.now() + 0.9 * JUDGE_AFTER)
+    assert transitions.loss.doubt == 1.0
+    transitions.loss.judge(1.0, clock.now() + JUDGE_AFTER)
+    assert transitions.loss.doubt == 2.0

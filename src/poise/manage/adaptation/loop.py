@@ -68,7 +68,7 @@ class Adaptation:
         self._clock = clock
         self._policies = Policies(policies_of(run.robot.policies), run.robot.folder)
         self._needs = NeededFunctions(run.journal)
-        self._transitions = Transitions(run, self._policies, suspensions)
+        self._transitions = Transitions(run, self._policies, suspensions, clock)
         limits = self._transitions.limits
         self.responders: tuple[Responder, ...] = (
             FailoverResponder(run, suspensions),
@@ -137,7 +137,7 @@ class Adaptation:
             alternatives=alternatives(situation),
             loads=situation.loads,
         )
-        return proposal, self._transitions.carry_out(proposal.steps, situation.now)
+        return proposal, self._transitions.carry_out(proposal.steps)
 
     def what_if(self, component: str, computer: str) -> WhatIf:
         """Return what a move would change, for a person who asks.

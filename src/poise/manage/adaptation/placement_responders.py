@@ -8,7 +8,7 @@ says when a change is worth its moves.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from functools import partial
 
 from msgspec import Struct
@@ -216,11 +216,16 @@ _THINK_EVERY = 0.5
 class Transitions:
     """The transitions that the loop made, and what limits the next one.
 
+    `clock`: the one of situations [s].
     `downtimes`: component -> the downtime of its last move [s].
     """
 
     def __init__(
-        self, run: RunningComponents, policies: Policies, suspensions: Suspensions
+        self,
+        run: RunningComponents,
+        policies: Policies,
+        suspensions: Suspensions,
+        clock: Callable[[], float],
     ) -> None:
         self.run = run
         self.limits = MoveLimits()
@@ -228,6 +233,7 @@ class Transitions:
         self.loss = LossSuffered()
         self._policies = policies
         self._suspensions = suspensions
+        self._clock = clock
 
     def due(self, symptoms: tuple[Symptom, ...], now: float) -> tuple[Symptom, ...]:
         """Return the symptoms about which something may be done now."""
@@ -237,12 +243,12 @@ class Transitions:
         """Return when the first of the symptoms was seen first."""
         return min(self._policies.since.get(symptom.key, now) for symptom in symptoms)
 
-    def carry_out(
-        self, steps: tuple[TransitionStep, ...], now: float
-    ) -> TransitionReport:
-        """Take the steps, and remember that."""
-        self.limits.note(steps, now)
-        report = transit(self.run, steps)
+    def carry_out(self, steps: tuple[TransitionStep, ...]) -> TransitionReport:
+        """Take the steps, and remember that: it may take longer than to settle."""
+        try:
+            report = transit(self.run, steps)
+        finally:
+            self.limits.note(steps, self._clock())
         self.downtimes |= {m.what: m.downtime for m in report.moves}
         return report
 
@@ -264,8 +270,10 @@ class Transitions:
     def _act(self, decision: Decision, due: tuple[Symptom, ...], now: float) -> None:
         proposal = decision.proposal
         self._policies.note_acted(due, now)
-        self.loss.note_change(decision.undone, decision.gain, now)
-        report = self.carry_out(proposal.steps if proposal else (), now)
+        try:
+            report = self.carry_out(proposal.steps if proposal else ())
+        finally:
+            self.loss.note_change(decision.undone, decision.gain, self._clock())
         if report.committed and proposal:
             self._suspensions.note_suspended(proposal.suspended, decision.why, now)
 
