@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from poise.model.robot import Computer, Link
-from poise.plan import Edge, Item, Problem
+from poise.plan import Edge, Item, Problem, solve
 from poise.plan.problem.arrays import Arrays, Placed, arrays_of
 from poise.plan.violations import violations
 from tests.plan.native import Native
@@ -140,3 +140,19 @@ def test_search_finds_what_a_link_without_bandwidth_leaves() -> None:
         placed = Native(arrays).search([], steps=20_000, seed=seed).placed
         assert placed
         assert keeps_limits(arrays, placed)
+
+
+@pytest.mark.parametrize("method", ["auto", "exact", "search"])
+def test_what_is_beyond_a_limit_by_rounding_is_an_answer_and_no_error(
+    method: str,
+) -> None:
+    """The greedy finds room for 1 + 1e-9, which is the slack; others may find none."""
+    demands = {"a": 1e-9, "b": 1.0}
+    items = (Item(name=n, demand={"memory": m}) for n, m in demands.items())
+    problem = Problem(
+        components=tuple(items),
+        computers=(Computer(name="h", capacity={"memory": 1.0}),),
+        together=(("a", "b"),),
+    )
+    result = solve(problem, method=method)
+    assert result.feasible or result.reason

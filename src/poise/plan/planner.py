@@ -418,7 +418,8 @@ def _start(snapshot: Snapshot, method: str) -> tuple[Placed, str]:
     """Return the placement to start from: as it is now, or the greedy's, or none."""
     core = snapshot.core
     greedy, complete = core.greedy()
-    placed: Placed = greedy if complete else []
+    # it subtracts in another order: what is just within a limit may be beyond it here
+    placed: Placed = greedy if complete and core.feasible(greedy) else []
     present: Placed = [] if method == "greedy" else snapshot.present
     if not (present and core.feasible(present)):
         return placed, "greedy"
