@@ -200,7 +200,7 @@ class CrashLoops:
         names = components_in(run, symptom)
         pinned = _pinned(run.robot)
         if not names:
-            raise RunError("it no longer runs")
+            raise RunError("nothing in it is at work")
         for name in names:
             if name in pinned:
                 stays = f"component '{name}' stays on '{symptom.computer}'"
@@ -270,11 +270,15 @@ def _crashed_before(
 
 
 def components_in(run: RunningComponents, symptom: Symptom) -> list[str]:
-    """Return the components of the container that a symptom is about."""
+    """Return the components of the container that a symptom is about.
+
+    Not those that are held: they may be at work elsewhere.
+    """
     return sorted(
         name
         for name, incarnation in run.placed.items()
-        if incarnation.computer == symptom.computer
+        if name not in run.desired.held
+        and incarnation.computer == symptom.computer
         and run.layout.container_of(incarnation) == symptom.values.name
     )
 

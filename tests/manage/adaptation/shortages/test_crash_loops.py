@@ -119,6 +119,17 @@ def test_what_could_not_be_tried_elsewhere_is_not_held_to_crash_there() -> None:
     assert robbed.run.placement() == {"high": "left", "low": "right"}
 
 
+def test_what_is_held_crashes_where_it_is() -> None:
+    """It may be at work elsewhere: so nothing is started in its place."""
+    robbed = Crashing(robot_with())
+    held = replace(robbed.run.desired, held=frozenset({"low"}))
+    robbed.run.commit(held, "another manager may run it")
+    robbed.look()
+    (wrong,) = [what for what in robbed.wrong() if what.startswith("policy")]
+    assert wrong.endswith("'low-task': nothing in it is at work")
+    assert robbed.run.placement() == {"high": "left", "low": "left"}
+
+
 def test_it_is_taken_back_when_a_person_asks() -> None:
     robbed = Crashing(robot_with())
     robbed.crashing = {"left", "right"}

@@ -87,10 +87,12 @@ class Robbed:
     def situation(self, background: float = 0.0, *late: str) -> Situation:
         """Return situation with a load of other programs, and late components."""
         load = Load(capacity=1.0, used=min(1.0, background), background=background)
+        held = self.run.desired.held
+        placement = self.run.placement().items()
         return Situation(
             robot=self.run.robot,
             task="work",
-            placement=self.run.placement(),
+            placement={name: at for name, at in placement if name not in held},
             loads={"left": load},
             misses=tuple(
                 TimerValues(
