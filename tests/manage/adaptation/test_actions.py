@@ -10,11 +10,11 @@ from msgspec.structs import replace
 from poise.errors import RunError, UsageError
 from poise.manage.adaptation.actions import Actions
 from poise.manage.adaptation.loop import Adaptation
-from poise.manage.adaptation.policies import Policies
+from poise.manage.adaptation.policies import Policies, Symptom
 from poise.manage.adaptation.policy_values import values_of
 from poise.manage.adaptation.when_to_act import BUDGET, MoveLimits
 from poise.manage.migration.migration_report import TransitionStep
-from poise.model.policy import Policy
+from poise.model.policy import Policy, TimerValues
 from poise.model.robot import Computer
 from tests.manage.adaptation.shortages.test_suspension import (
     BOTH,
@@ -79,6 +79,19 @@ def test_a_restart_begins_a_new_incarnation_there() -> None:
     assert robbed.run.placement() == BOTH
     assert robbed.run.placed["low"].epoch == 1
     assert robbed.run.placed["high"].epoch == 0
+
+
+def test_what_is_not_at_work_any_more_is_not_restarted() -> None:
+    """Its timer was late a moment ago, so a policy still sees that."""
+    robbed = Robbed(robot_with(), HIGH)
+    late = TimerValues(
+        name="low.t", component="low", computer="left", timer="t", late=True
+    )
+    policy = Policy(name="p", for_each="timer", when="late", do="restart")
+    symptom = Symptom(policy=policy, what="it is late", values=late)
+    actions = Actions(robbed.run, robbed.suspensions, MoveLimits(), Policies([policy]))
+    with pytest.raises(RunError, match="component 'low' is not at work"):
+        actions.act(symptom, robbed.situation(), 0.0)
 
 
 def robbed_of_two() -> Robbed:

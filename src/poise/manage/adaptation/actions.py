@@ -125,7 +125,8 @@ class Actions:
             components = [_component(symptom)]
         steps = []
         for name in sorted(components):
-            at = situation.placement[name]
+            if (at := situation.placement.get(name)) is None:
+                raise RunError(f"component '{name}' is not at work")
             steps += [TransitionStep(name, at), TransitionStep(name, target=at)]
         _raise_on_failure(transit(run, tuple(steps)))
 
