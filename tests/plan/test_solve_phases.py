@@ -9,7 +9,7 @@ from msgspec.structs import replace
 
 from benchmarks.random_robots import random_robot
 from poise import plan
-from poise.errors import UsageError
+from poise.errors import RobotError, UsageError
 from poise.model.robot import Computer, Link, Objective
 from poise.plan import Bundle, Edge, Item, Problem, _core
 from poise.plan.phase_problem import NEVER
@@ -42,6 +42,24 @@ def in_turn(
 
 def alone(*components: Item) -> Problem:
     return Problem(components=components, computers=HALVES)
+
+
+def test_says_all_that_is_wrong_with_phases() -> None:
+    a = plan.PhaseProblem(name="a", problem=alone(item("x")))
+    other = Problem(computers=HALVES[:1])
+    wrong = plan.PhaseProblem(name="a", problem=other, after={"b": -1.0}, lasts=0.0)
+    with pytest.raises(RobotError) as found:
+        plan.TaskProblem(phases=(a, wrong))
+    assert str(found.value).splitlines() == [
+        "the phases are wrong:",
+        "  phase 'a' is there 2 times; names must be unique",
+        "  phase 'a': lasts is 0.0, must be finite and above 0",
+        "  phase 'a': there is no phase 'b'; phases: 'a'",
+        "  phase 'a': after 'b' is -1.0, must be finite and >= 0",
+        "  phase 'a': its computers are not those of 'a'",
+    ]
+    with pytest.raises(RobotError, match="a task has one at least"):
+        plan.TaskProblem(phases=())
 
 
 def test_three_actions_that_do_not_fit_at_once_fit_one_after_the_other() -> None:

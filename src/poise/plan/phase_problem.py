@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from math import inf
 
 from msgspec import Struct
 from msgspec.structs import force_setattr, replace
 
+from poise.errors import RobotError, unknown
 from poise.model.phases import assumed, phases_of
 from poise.model.robot import Computer, Robot
 from poise.plan.from_robot import MEGABYTE, check_task, problem_of
@@ -27,7 +30,7 @@ class PhaseProblem(Struct, frozen=True, kw_only=True):
     ----------
     after
         The names of the phases that it may follow, and how often it is expected to in
-        a run of the task; > 0.
+        a run of the task; >= 0.
     lasts
         How long a run of the task is expected to be in it [s]; > 0.
     """
@@ -57,7 +60,9 @@ class TaskProblem(Struct, frozen=True, kw_only=True):
     assumed: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        """Give all phases the same overhead scale."""
+        """Give all phases the same overhead scale, or raise a RobotError."""
+        if wrong := list(_problems(self.phases)):
+            raise RobotError("the phases are wrong:\n  " + "\n  ".join(wrong))
         if len(self.phases) > 1:
             force_setattr(self, "phases", _in_one_unit(self.phases, self.lasts))
 
@@ -97,6 +102,27 @@ class TaskProblem(Struct, frozen=True, kw_only=True):
         """
         move = self.move.get(component, 0.0)
         return move if move >= NEVER else move * often / seconds
+
+
+def _problems(phases: tuple[PhaseProblem, ...]) -> Iterator[str]:
+    """Yield everything that is wrong with phases, each with its name."""
+    if not phases:
+        yield "there are none; a task has one at least"
+    counts = Counter(phase.name for phase in phases)
+    for name, count in counts.items():
+        if count > 1:
+            yield f"phase {name!r} is there {count} times; names must be unique"
+    for phase in phases:
+        where = f"phase {phase.name!r}"
+        if not 0 < phase.lasts < inf:
+            yield f"{where}: lasts is {phase.lasts}, must be finite and above 0"
+        for before, often in phase.after.items():
+            if before not in counts:
+                yield f"{where}: {unknown('phase', before, counts)}"
+            if not 0 <= often < inf:
+                yield f"{where}: after {before!r} is {often}, must be finite and >= 0"
+        if phase.problem.computers != phases[0].problem.computers:
+            yield f"{where}: its computers are not those of {phases[0].name!r}"
 
 
 def _in_one_unit(
