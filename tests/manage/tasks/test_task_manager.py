@@ -19,6 +19,7 @@ from poise.manage.agent_connections.agents import Agents
 from poise.manage.deploy.desired import Desired
 from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.journal import Journal
+from poise.manage.tasks import task_manager
 from poise.manage.tasks.concurrent_tasks import Tasks
 from poise.manage.tasks.saved_tasks import goes_on_with
 from poise.manage.tasks.task_manager import TaskManager
@@ -284,6 +285,25 @@ def test_a_task_that_finds_no_room_waits_for_the_one_that_is_at_work() -> None:
     assert len(rig.said()) == said  # it says so once
     rig.manager.command("cancel", "first")
     assert rig.active() == {"sayer"}
+
+
+def test_room_is_looked_for_again_soon_after_a_computer_was_lost(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Before that it was looked for less and less often, once a minute in the end."""
+    now, looks = 0.0, list[float]()
+    monkeypatch.setattr(task_manager, "boot_time", lambda: now)
+    rig = Rig(robot_with(task("t", act("a", "see"))), "t")
+    monkeypatch.setattr(rig.manager.tasks, "unblock", lambda: looks.append(now))
+    for _ in range(300):
+        now += 1.0
+        rig.manager.advance()
+    rig.agents.gone.add("spare")
+    looks.clear()
+    for _ in range(8):
+        now += 1.0
+        rig.manager.advance()
+    assert looks == [301.0, 303.0, 307.0]
 
 
 def test_an_action_that_does_not_fit_alone_fails_and_says_why() -> None:

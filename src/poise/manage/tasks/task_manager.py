@@ -149,12 +149,12 @@ class TaskManager:
 
     def _go_on(self) -> None:
         """Let what should run now run, until nothing changes by that."""
-        now = boot_time()
-        if now >= self._room_at or self._lost != self._run.agents.out_of_reach().keys():
-            self._lost = set(self._run.agents.out_of_reach())
+        now, lost = boot_time(), set(self._run.agents.out_of_reach())
+        if now >= self._room_at or lost != self._lost:
             self._room_again = min(2 * self._room_again, _ROOM_AT_MOST)
-            if not self._room_at:
+            if not self._room_at or lost != self._lost:
                 self._room_again = _ROOM_AGAIN
+            self._lost = lost
             self._room_at = now + self._room_again
             self.tasks.unblock()
         for _ in range(_MOST_ROUNDS):
