@@ -46,7 +46,7 @@ class Robot:
         self.state: Any = "active"
         self.notes: list[str] = []
         self.restarted: dict[str, Incarnation] = {}
-        self.gives_state = True
+        self.gives_state = self.restarts = True
         run: Any = self
         self.clock = SimpleNamespace(now=lambda: self.now)
         self.journal = SimpleNamespace(note=lambda _, what: self.notes.append(what))
@@ -89,7 +89,7 @@ class Robot:
     ) -> bool:
         assert where == {"eye": "left"}
         self.restarted = instead
-        return True
+        return self.restarts
 
 
 @pytest.fixture
@@ -154,6 +154,19 @@ def test_code_that_restarted_between_two_looks_comes_back(robot: Robot) -> None:
     robot.gives_state = False
     assert robot.canaries.check()
     assert robot.restarted == {"eye": OLD}
+
+
+def test_code_that_cannot_come_back_is_not_said_to_do_so(robot: Robot) -> None:
+    robot.replace()
+    robot.gives_state = robot.restarts = False
+    robot.health = replace(robot.health, state="stopped")
+    assert robot.canaries.check()
+    (deviation,) = robot.canaries.deviations()
+    assert deviation.what == (
+        "the new code of component 'eye' has failed (its container is stopped), and its "
+        "previous code did not start"
+    )
+    assert robot.notes[-1] == deviation.what
 
 
 def test_code_that_moves_is_not_to_blame_for_what_crashed_there_before(

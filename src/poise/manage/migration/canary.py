@@ -130,15 +130,20 @@ class Canaries:
         run, name = self._run, placed.component
         what = f"component '{name}' returns to its previous code: {why}"
         run.journal.note("decided", what)
-        until = run.clock.now() + SHOWN_FOR
-        shown = Deviation(
-            what=what, computer=placed.computer, component=name, since=wall_time()
-        )
-        self._returned[name] = shown, until
         found = run.reported(placed)
         is_there = found is not None and found.state == "active"
         if not (is_there and plan_return(run, trial.before).run().committed):
-            start_together(run, {name: placed.computer}, instead={name: trial.before})
+            where, before = {name: placed.computer}, {name: trial.before}
+            if not start_together(run, where, instead=before):
+                what = (
+                    f"the new code of component '{name}' has failed ({why}), and its "
+                )
+                what += "previous code did not start"
+                run.journal.note("failed", what)
+        shown = Deviation(
+            what=what, computer=placed.computer, component=name, since=wall_time()
+        )
+        self._returned[name] = shown, run.clock.now() + SHOWN_FOR
 
 
 def _code_of(incarnation: Incarnation) -> tuple[str, str]:
