@@ -163,8 +163,8 @@ def test_code_that_cannot_come_back_is_not_said_to_do_so(robot: Robot) -> None:
     assert robot.canaries.check()
     (deviation,) = robot.canaries.deviations()
     assert deviation.what == (
-        "the new code of component 'eye' has failed (its container is stopped), and its "
-        "previous code did not start"
+        "the new code of component 'eye' has failed (its container is stopped), and "
+        "its previous code did not start"
     )
     assert robot.notes[-1] == deviation.what
 
