@@ -133,3 +133,20 @@ def test_the_way_out_is_that_of_the_alternative_that_needs_least() -> None:
     assert "It would fit with 0.05 more cpu on one" in result.reason
     assert result.conflict is not None
     assert result.conflict.price == 0.05
+
+
+def test_a_placement_with_an_alternative_without_components_can_be_evaluated() -> None:
+    """Nothing is placed for it, so it is what a placement without the other has."""
+    asked = replace(
+        problem((architecture("arm", function="grasp", quality=0.5), 0.5), room=1.0),
+        architectures=(
+            Bundle(name="magnet", components=(), function="grasp"),
+            architecture("arm", function="grasp", quality=0.5),
+        ),
+    )
+    best = plan.solve(asked)
+    assert best.architectures == {"grasp": "magnet"}
+    again = plan.evaluate(asked, best.placement)
+    assert again.architectures == {"grasp": "magnet"}
+    other = plan.evaluate(asked, {"arm.part": "one"})
+    assert other.architectures == {"grasp": "arm"}

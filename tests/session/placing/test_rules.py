@@ -231,3 +231,17 @@ def test_a_layer_below_may_not_be_suspended(tight: Robot, tmp_path: Path) -> Non
     file.write_text(json.dumps({**dict.fromkeys(NAMES, "right"), **nulls}))
     with pytest.raises(UsageError, match="lacks x, y: "):
         poise.place(replace(tight, architectures=(task, reactive)), method=str(file))
+
+
+def test_an_architecture_without_components_is_not_suspended(
+    tight: Robot, tmp_path: Path
+) -> None:
+    """It is on no computer, but the file puts nothing of it on null either."""
+    magnet = Architecture(name="magnet", function="grasp", home="left")
+    robot = replace(tight, architectures=(*tight.architectures, magnet))
+    file = tmp_path / "placement.yaml"
+    where = {
+        n: "right" for a in tight.architectures for n in [c.name for c in a.components]
+    }
+    file.write_text(json.dumps(where))
+    assert not poise.place(robot, method=str(file)).result.suspended

@@ -180,7 +180,8 @@ def _may_rest(
 ) -> bool:
     """Return whether a function is suspended: on null, or named, and not required."""
     return not any(bundle.required for bundle in need) and any(
-        bundle.name in named or idle >= {*bundle.components} for bundle in need
+        bundle.name in named or (bundle.components and idle >= {*bundle.components})
+        for bundle in need
     )
 
 
