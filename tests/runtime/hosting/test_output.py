@@ -76,6 +76,8 @@ def test_who_asks_again_gets_what_is_new(tmp_path: Path) -> None:
     file.add("5")
     again = read(tmp_path, after=first.lines[-1].at)
     assert ([o.text for o in again.lines], again.omitted) == (["5"], 0)
+    none = read(tmp_path, most=0)
+    assert (none.lines, none.omitted) == ((), 6)
 
 
 def test_what_is_being_written_is_told_the_next_time(

@@ -192,7 +192,7 @@ def read_output(folder: Path, request: ReadOutput) -> OutputLines:
         and request.component in {"", line.component}
     }
     lines = sorted(matching, key=lambda line: line.at)
-    last = lines[-request.most :]
+    last = lines[max(0, len(lines) - request.most) :]
     return OutputLines(lines=tuple(last), omitted=len(lines) - len(last))
 
 
