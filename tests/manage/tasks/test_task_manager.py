@@ -33,7 +33,7 @@ from poise.model.robot import (
     Robot,
     Task,
 )
-from poise.model.steps import Choice, Parallel, Sequence, Step
+from poise.model.steps import Choice, Parallel, Retry, Sequence, Step
 from poise.wire.records.status_records import (
     ActionEnd,
     AgentStatus,
@@ -320,6 +320,7 @@ def test_an_action_whose_component_does_not_start_fails_and_says_why() -> None:
         name="goer", state="failed", error=error
     )
     rig.manager.command("start", "t")
+    rig.manager.advance()  # the next look
     assert rig.active() == {"seeer"}
     assert any(error in each for each in rig.said())
     assert any("has failed: it cannot begin: component 'goer'" in e for e in rig.said())
@@ -335,7 +336,21 @@ def test_an_action_whose_component_does_not_start_again_fails_and_no_other() -> 
     rig.end("goer")
     assert sum("an action cannot begin" in each for each in rig.said()) == 1
     assert any("has failed: it cannot go on: comp" in each for each in rig.said())
+    rig.manager.advance()  # the next look
     assert rig.active() == {"goer", "sayer"}
+
+
+def test_what_does_not_start_is_tried_once_a_look() -> None:
+    """Each try may take long, and the robot is looked after in between."""
+    again = Retry(times=2)
+    rig = Rig(robot_with(task("t", act("a", "go", on_failure=again))))
+    rig.agents.crashing = "goer"
+    rig.manager.command("start", "t")
+    for tries in (1, 2, 3, 3):
+        said = [each for each in rig.said() if "an action cannot begin" in each]
+        assert len(said) == tries
+        rig.manager.advance()
+    assert rig.states()["t"][0] == "failed"
 
 
 def test_what_is_done_on_failure_is_not_needed_before() -> None:
@@ -533,6 +548,7 @@ def test_what_crashes_as_it_starts_is_a_failure_of_its_architecture(
     rig.manager.command("start", "t")
     said = "container 'go-arch' on 'main' was killed by SIGSEGV ("
     assert any(said in each for each in rig.said())
+    rig.manager.advance()  # the next look
     assert rig.active() == {"sayer"}
     (belief,) = beliefs_about(robot, "go-arch")
     assert (belief.action, belief.failed) == ("a", 1)

@@ -185,7 +185,7 @@ class TaskManager:
     def _switch(
         self, new: list[DueAction], ends: list[Architecture], room: Room
     ) -> bool:
-        """Carry a switch out; return whether an action has ended by that."""
+        """Carry a switch out; return whether to go on with what follows at once."""
         run = self._run
         stops = [c.name for a in ends for c in a.components if c.name in run.placed]
         begins = room.begins
@@ -197,7 +197,7 @@ class TaskManager:
                 is_hit = switch(run, stops, begins)
         except RunError as error:
             self._fail(new, begins, error)
-            return True
+            return False  # that took its time: the robot is looked after in between
         served = self._serving.functions() | self._suspended
         began = [due for due in new if served.issuperset(due[1].action.functions)]
         for record, attempt in began:
