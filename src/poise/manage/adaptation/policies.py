@@ -67,9 +67,13 @@ class OwnFunction:
     def answer(self, seen: Seen) -> tuple[PolicyAction, ...]:
         """Ask it, and wait for what it says to this."""
         self.ask(seen)
-        if self._asked_at is not None:
-            select.select([self._connection], [], [], self._limit + _MARGIN)
         try:
+            while self._asked_at is not None and self._writer.is_waiting:
+                if not select.select([], [self._connection], [], self._limit)[1]:
+                    break
+                self._writer.flush()
+            if self._asked_at is not None:
+                select.select([self._connection], [], [], self._limit + _MARGIN)
             self._hear()
         except (PoiseError, OSError) as error:
             self._end(str(error), seen.at)
@@ -89,7 +93,8 @@ class OwnFunction:
         if self._process is None:
             return
         if self._asked_at is None:
-            frame.send_record(self._connection, seen)
+            # much of it may wait until its module is imported
+            self._writer.push(seen)
             self._asked_at = seen.at
         elif seen.at - self._asked_at > self._limit + _MARGIN:
             self._end(f"did not answer within {self._limit:g} s", seen.at)
@@ -97,6 +102,7 @@ class OwnFunction:
     def _hear(self) -> None:
         if self._asked_at is None:
             return
+        self._writer.flush()
         answer = self._reader.next(FunctionAnswer)
         if answer is None:
             return
@@ -109,6 +115,7 @@ class OwnFunction:
     def _start(self) -> None:
         self._connection, theirs = socket.socketpair()
         self._reader = frame.RecordReader(self._connection)
+        self._writer = frame.RecordWriter(self._connection)
         with theirs:
             words = (self._reference, self._folder, str(theirs.fileno()))
             self._process = subprocess.Popen(  # noqa: S603, our own code and Python

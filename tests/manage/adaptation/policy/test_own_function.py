@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
+import msgspec
 import pytest
 
 from poise.manage.adaptation.policies import OwnFunction, Policies
@@ -48,6 +49,21 @@ def function(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[OwnFunc
     made = OwnFunction(f"mine:{request.param}", str(tmp_path))
     yield made
     made.close()
+
+
+@pytest.mark.parametrize("function", ["careful"], indirect=True)
+def test_what_is_seen_of_a_large_robot_holds_nothing_up(
+    function: OwnFunction,
+) -> None:
+    """It is more than a socket holds, and the function is imported meanwhile."""
+    names = (f"computer-{k}" for k in range(40_000))
+    many = tuple(ComputerValues(name=name, used=0.1) for name in names)
+    seen = Seen(at=0.0, computers=(*many, *SEEN.computers))
+    assert function.ask(seen) == ()
+    assert not function.trouble
+    assert function._writer.is_waiting
+    (action,) = function.answer(msgspec.structs.replace(seen, at=0.1))
+    assert (action.about, function.trouble) == ("left", "")
 
 
 @pytest.mark.parametrize("function", ["careful"], indirect=True)
