@@ -9,7 +9,6 @@ from msgspec.structs import replace
 from rich.console import Console
 
 from poise.estimate.online import Drift, Estimate
-from poise.manage.adaptation.decision import DOWNTIME
 from poise.manage.control_socket.commands import RobotStatus
 from poise.manage.migration.migration_report import WhatIf
 from poise.manage.observe.chains import ChainHop, ChainReport
@@ -328,10 +327,12 @@ def test_a_list_of_tasks_fits_80_columns() -> None:
     ("downtime", "says"),
     [
         (0.766, "mapper is paused for about 766 ms, as in its last move"),
-        (DOWNTIME, "mapper was not moved yet, so nobody knows for how long it is"),
+        (None, "mapper was not moved yet, so nobody knows for how long it is"),
     ],
 )
-def test_no_pause_is_promised_that_was_not_measured(downtime: float, says: str) -> None:
+def test_no_pause_is_promised_that_was_not_measured(
+    downtime: float | None, says: str
+) -> None:
     same = Terms(total=0.1, communication=0.1, balance=0.0)
     seen = WhatIf(
         component="mapper",

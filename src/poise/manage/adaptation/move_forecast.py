@@ -8,13 +8,7 @@ from msgspec import Struct
 
 from poise import plan
 from poise.errors import RobotError, UsageError
-from poise.manage.adaptation.decision import (
-    DOWNTIME,
-    HORIZON,
-    WORTH,
-    cost_of,
-    move_costs,
-)
+from poise.manage.adaptation.decision import HORIZON, WORTH, cost_of, move_costs
 from poise.manage.adaptation.proposal import share_what_is_left, with_costs
 from poise.manage.adaptation.situation import Situation
 from poise.manage.agent_connections.statuses import components_of
@@ -61,7 +55,7 @@ def what_if(situation: Situation, component: str, computer: str) -> WhatIf:
             for name in (source, computer)
         },
         usable={name: computers[name].usable("cpu") for name in (source, computer)},
-        downtime=situation.downtimes.get(component, DOWNTIME),
+        downtime=situation.downtimes.get(component),
         cost=cost_of(situation, [step]),
         state=sizes.get(component, 0),
     )

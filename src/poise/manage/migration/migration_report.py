@@ -168,8 +168,7 @@ class WhatIf(Struct, frozen=True, tag=True, kw_only=True):
     usable
         Computer -> the CPU that there is for them [cores].
     downtime
-        For how long the component would be paused [s]: as in its last move, else a
-        guess.
+        For how long its last move paused the component [s]; None: it was not moved yet.
     cost
         Work that the move would cost [core-seconds].
     state
@@ -185,6 +184,6 @@ class WhatIf(Struct, frozen=True, tag=True, kw_only=True):
     trouble: str = ""
     loads: Mapping[str, tuple[float, float]] = {}
     usable: Mapping[str, float] = {}
-    downtime: float
+    downtime: float | None
     cost: float = 0.0
     state: int = 0

@@ -273,9 +273,6 @@ def _places(placement: Mapping[str, str], verb: str) -> str:
 
 def what_if_lines(what_if: WhatIf) -> Iterator[str]:
     """Yield what a move would change."""
-    # what decides moves takes long to load, and most commands need it not
-    from poise.manage.adaptation.decision import DOWNTIME  # noqa: PLC0415
-
     if what_if.trouble:
         yield f"as it is: {what_if.trouble}"
     now, then = what_if.now.total, what_if.then.total
@@ -286,11 +283,11 @@ def what_if_lines(what_if: WhatIf) -> Iterator[str]:
             f"{after:.1%}, of {what_if.usable[computer]:.1%}"
         )
     state = f" with a state of {format_bytes(what_if.state)}" if what_if.state else ""
-    pause = (
-        f"is paused for about {format_seconds(what_if.downtime)}, as in its last move"
-    )
-    if what_if.downtime == DOWNTIME:  # what is taken to be so, and never measured
+    if what_if.downtime is None:
         pause = "was not moved yet, so nobody knows for how long it is paused"
+    else:
+        lasts = format_seconds(what_if.downtime)
+        pause = f"is paused for about {lasts}, as in its last move"
     yield (
         f"the move{state} costs {what_if.cost:.2f} core-seconds; {what_if.component} "
         f"{pause}"
