@@ -1,4 +1,7 @@
-"""Hosts and TCP ports as text: `10.0.0.1`, `robot.local:7500`, `[fd00::2]:7447`."""
+"""Names of robots and computers, and hosts with TCP ports as text.
+
+`arm_2`; `10.0.0.1`, `robot.local:7500`, `[fd00::2]:7447`.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +12,9 @@ from typing import Self
 from msgspec import Struct
 
 from poise.units import quoted
+
+NAME = r"[A-Za-z][A-Za-z0-9_-]{0,62}"
+NAME_SAYS = "a letter, then up to 62 letters, digits, '_' or '-'"
 
 AGENT_PORT = 7447
 """The TCP port of an agent, unless it is given another one."""

@@ -17,9 +17,8 @@ import typer
 
 from poise.cli.main import Interrupts
 from poise.cli.options import parse_option
-from poise.endpoint import AGENT_PORT, Endpoint
+from poise.endpoint import AGENT_PORT, NAME, NAME_SAYS, Endpoint
 from poise.errors import PoiseError, UsageError
-from poise.model.file_keys import NAME, NAME_SAYS
 from poise.runtime.agent.agent import Agent
 from poise.runtime.agent.surroundings import BROKEN, DEPLOYED, AgentSetup
 from poise.runtime.container.account import Account

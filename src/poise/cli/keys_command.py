@@ -12,8 +12,8 @@ import typer
 from msgspec import Struct
 
 from poise.cli.options import AsJson, show
+from poise.endpoint import NAME, NAME_SAYS
 from poise.errors import PoiseError, UsageError, did_you_mean
-from poise.model.file_keys import NAME, NAME_SAYS
 from poise.session.keys import DAYS, MOST_DAYS, authority_of, init_keys
 from poise.session.render.tables import table
 from poise.units import quoted

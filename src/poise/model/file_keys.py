@@ -17,10 +17,8 @@ from msgspec import Meta, Struct, structs
 from msgspec import inspect as types
 
 from poise import units
+from poise.endpoint import NAME, NAME_SAYS
 from poise.units import quoted
-
-NAME = r"[A-Za-z][A-Za-z0-9_-]{0,62}"
-NAME_SAYS = "a letter, then up to 62 letters, digits, '_' or '-'"
 
 
 def says(text: str, **notes: object) -> Meta:

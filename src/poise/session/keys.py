@@ -21,8 +21,8 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 from msgspec import Struct
 
+from poise.endpoint import NAME, NAME_SAYS
 from poise.errors import UsageError
-from poise.model.file_keys import NAME, NAME_SAYS
 from poise.wire.credentials import (
     AUTHORITY,
     CERTIFICATE,
