@@ -239,10 +239,13 @@ class Policies:
             if policy.for_each is not None
             for subject in read(policy.for_each)
         }
+        names = {policy.name for policy, _ in self._policies}  # not of functions
         return [
             key
             for key in self.since
-            if key not in seen and now - self._seen_at[key] <= _UNSEEN
+            if key[0] in names
+            and key not in seen
+            and now - self._seen_at[key] <= _UNSEEN
         ]
 
     def _by_functions(

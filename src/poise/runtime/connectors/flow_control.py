@@ -139,7 +139,7 @@ class CreditIssuer:
     def _count(self, route: int, came: int) -> None:
         """Note how many messages came, and count those that got lost.
 
-        WireError: nobody sends so many.
+        WireError: it is over `_MOST_SENT`.
         """
         if came > _MOST_SENT:
             raise WireError(f"{came} messages are said to have gone over one route")

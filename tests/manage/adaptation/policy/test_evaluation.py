@@ -152,6 +152,14 @@ def test_what_is_not_reported_for_a_moment_goes_on(situation: Make) -> None:
     assert not policies.since  # it is reported, and in time
 
 
+def test_what_a_function_wants_no_more_ends_at_once(situation: Make) -> None:
+    """Whatever else is reported: it has seen what there is."""
+    policies, wanted = Policies([LATE]), ("own", "a", "left")
+    policies.since, policies._seen_at = {wanted: 9.0}, {wanted: 9.9}
+    policies.evaluate(partial(values_of, situation()), 10.0, lacks_some=True)
+    assert not policies.since
+
+
 def test_nothing_is_done_again_until_it_has_cooled_down(situation: Make) -> None:
     policy = msgspec.structs.replace(LATE, lasts=0.0, cool_down=60.0)
     policies, late = Policies([policy]), situation(missed=("a", "b"))
