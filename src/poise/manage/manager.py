@@ -201,6 +201,10 @@ class Manager:
             prefetch=self._prefetch.report(),
         )
 
+    def away(self) -> frozenset[str]:
+        """Return the computers that do not obey: they may be back in a moment."""
+        return self._lost.away()
+
     def lost(self) -> frozenset[str]:
         """Return the computers that nobody hears."""
         return self._lost.computers()

@@ -31,6 +31,7 @@ from poise.session.robot_file import task_of
 from poise.session.run_records import History
 from poise.session.run_report import MeasuredRun, RunReport, reported
 from poise.units import counted
+from poise.wire.heartbeats import UNCUT_SURELY_ENDED
 
 Meanwhile = Callable[[RunningComponents, float], object]
 """Called a few times a second with the run and its time so far [s]; may move
@@ -198,6 +199,8 @@ def _measure(
     run.check = look_around
     try:
         up.watch(seconds, look, manager.tasks.is_over)
+        if manager.away():  # an agent is started again: it has counts, too
+            up.watch(UNCUT_SURELY_ENDED, look, lambda: not manager.away())
     except KeyboardInterrupt:
         interrupted = True
     except RunError:

@@ -65,6 +65,10 @@ class LostComputers:
                 self._note_back(computer, status)
         self._note_refusals()
 
+    def away(self) -> frozenset[str]:
+        """Return those that do not obey, or have not done what they were told since."""
+        return frozenset(self._lost_at)
+
     def computers(self) -> frozenset[str]:
         """Return those that nobody hears: what ran there may be started elsewhere.
 
