@@ -114,15 +114,15 @@ def run(
     sampling = Sampling(take or recording.add, every)
     try:
         with started(robot, placement, journal, _silent, sampling) as up:
-            up.run.watch(WARM_UP)
+            up.live.watch(WARM_UP)
             recording.drain()
             up.computers.begin()
-            begin, manager = up.run.agents.statuses(), time.process_time()
+            begin, manager = up.live.agents.statuses(), time.process_time()
             end_at = time.monotonic() + seconds
             while (left := end_at - time.monotonic()) > 0:
-                up.run.watch(min(left, 0.2))
+                up.live.watch(min(left, 0.2))
                 up.computers.poll()
-            end, manager = up.run.agents.statuses(), time.process_time() - manager
+            end, manager = up.live.agents.statuses(), time.process_time() - manager
             void = up.computers.end()
     finally:
         journal.close()

@@ -31,7 +31,7 @@ from poise.clock import SystemClock
 from poise.kernel_counters import proportional_memory
 from poise.manage.agent_connections.agents import Agents
 from poise.manage.deploy.deactivation import stop
-from poise.manage.deploy.running_components import RunningComponents
+from poise.manage.deploy.live_robot import LiveRobot
 from poise.manage.journal import Journal
 from poise.model.robot import Robot
 from poise.session.launch.computers import computers_of
@@ -78,11 +78,11 @@ def measure(robot: Robot, seconds: float) -> Mapping[str, float]:
         )
         agents.wait_alive(computers.endpoints, LIMIT, computers.raise_if_ended)
         agent_there = time.monotonic()
-        run = RunningComponents(robot, placement, agents, journal, str(folder))
-        stack.callback(stop, run)
-        run.start()
+        live = LiveRobot(robot, placement, agents, journal, str(folder))
+        stack.callback(stop, live)
+        live.start()
         active = time.monotonic()
-        run.watch(SETTLE)
+        live.watch(SETTLE)
         (before,) = agents.statuses().values()
         time.sleep(seconds)
         (after,) = agents.statuses().values()

@@ -26,7 +26,7 @@ from poise.clock import SystemClock
 from poise.manage.agent_connections.agents import Agents
 from poise.manage.agent_connections.statuses import components_of
 from poise.manage.deploy.deactivation import stop
-from poise.manage.deploy.running_components import RunningComponents
+from poise.manage.deploy.live_robot import LiveRobot
 from poise.manage.journal import Journal
 from poise.manage.migration.migration_report import MigrationReport
 from poise.manage.migration.move import plan_move
@@ -39,9 +39,7 @@ _SIGNS = ("answered", "received")
 
 
 @contextlib.contextmanager
-def running(
-    name: str, placement: dict[str, str]
-) -> Iterator[tuple[RunningComponents, Path]]:
+def running(name: str, placement: dict[str, str]) -> Iterator[tuple[LiveRobot, Path]]:
     """Start a robot of `robots/` and yield its run and its folder."""
     robot = load(ROBOTS / name)
     with contextlib.ExitStack() as stack:
@@ -56,16 +54,16 @@ def running(
             Agents(robot.name, computers.endpoints, SystemClock(), keys=keys)
         )
         agents.wait_alive(computers.endpoints, 20)
-        run = RunningComponents(robot, placement, agents, journal, str(folder))
-        run.start()
-        yield run, folder
-        stop(run)
+        live = LiveRobot(robot, placement, agents, journal, str(folder))
+        live.start()
+        yield live, folder
+        stop(live)
 
 
-def totals(run: RunningComponents, component: str) -> dict[str, float]:
+def totals(live: LiveRobot, component: str) -> dict[str, float]:
     """Return the largest value of each of a component's measures."""
     found: dict[str, float] = {}
-    for status in components_of(run.agents.statuses()):
+    for status in components_of(live.agents.statuses()):
         if status.name == component:
             for name, summary in status.measures.items():
                 found[name] = max(found.get(name, 0.0), summary.maximum)
@@ -73,7 +71,7 @@ def totals(run: RunningComponents, component: str) -> dict[str, float]:
 
 
 def storm(
-    run: RunningComponents,
+    live: LiveRobot,
     moves: int,
     limit: float,
     chance: random.Random,
@@ -90,20 +88,20 @@ def storm(
     until = time.monotonic() + limit
     while len(reports) < moves and time.monotonic() < until:
         component = chance.choice(COMPONENTS)
-        here = run.placement()[component]
+        here = live.placement()[component]
         if killing and len(reports) % killing == killing - 1:
-            kill_soon(run, chance)
-        reports.append(plan_move(run, component, "b" if here == "a" else "a").run())
+            kill_soon(live, chance)
+        reports.append(plan_move(live, component, "b" if here == "a" else "a").run())
         if sys.stderr.isatty():
             sys.stderr.write(f"\r{len(reports)} moves")
     return reports
 
 
-def kill_soon(run: RunningComponents, chance: random.Random) -> None:
+def kill_soon(live: LiveRobot, chance: random.Random) -> None:
     """Kill one of the moving components' containers within a move's usual time."""
     pids = [
         container.pid
-        for status in run.agents.statuses().values()
+        for status in live.agents.statuses().values()
         for container in status.containers
         if container.name == "storm"
     ]
@@ -117,12 +115,12 @@ def kill(pid: int) -> None:
         os.kill(pid, signal.SIGKILL)
 
 
-def is_at_work(run: RunningComponents) -> bool:
+def is_at_work(live: LiveRobot) -> bool:
     """Return whether numbers go through and calls are answered, within 10 s."""
     for _ in range(20):
-        before = totals(run, "producer"), totals(run, "consumer")
-        run.agents.wait_news(lambda: False, 0.5)
-        after = totals(run, "producer"), totals(run, "consumer")
+        before = totals(live, "producer"), totals(live, "consumer")
+        live.agents.wait_news(lambda: False, 0.5)
+        after = totals(live, "producer"), totals(live, "consumer")
         if all(
             new.get(name, 0) > old.get(name, 0)
             for old, new, name in zip(
@@ -133,13 +131,13 @@ def is_at_work(run: RunningComponents) -> bool:
     return False
 
 
-def count(run: RunningComponents, folder: Path) -> dict[str, int]:
+def count(live: LiveRobot, folder: Path) -> dict[str, int]:
     """Halt the producer, wait until all has arrived, and return the counts."""
     (folder / "halt").touch()
     until = time.monotonic() + 10
     while time.monotonic() < until:
-        run.watch(0.7)
-        producer, consumer = totals(run, "producer"), totals(run, "consumer")
+        live.watch(0.7)
+        producer, consumer = totals(live, "producer"), totals(live, "consumer")
         # one that has just moved tells its numbers a little later
         if producer.get("sent", 0) == consumer.get("received", -1):
             break

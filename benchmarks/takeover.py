@@ -35,7 +35,7 @@ from poise.manage.agent_connections.agents import Agents
 from poise.manage.agent_connections.requests import PendingAnswer
 from poise.manage.agent_connections.statuses import components_of
 from poise.manage.deploy.deactivation import stop
-from poise.manage.deploy.running_components import RunningComponents
+from poise.manage.deploy.live_robot import LiveRobot
 from poise.manage.deploy.takeover import start_or_take_over
 from poise.manage.journal import Journal
 from poise.manage.migration.move import plan_move
@@ -132,7 +132,7 @@ def _die() -> None:
 @contextlib.contextmanager
 def manager(
     there: AgentAddresses, folder: Path, *, doomed_from: int | None = None
-) -> Iterator[tuple[RunningComponents, DoomedAgents, float]]:
+) -> Iterator[tuple[LiveRobot, DoomedAgents, float]]:
     """Take over the robot; yield its run, its agents, and when these were there."""
     robot = load(ROBOTS / "storm.yaml")
     journal = Journal(folder / "journal.jsonl")
@@ -145,14 +145,14 @@ def manager(
         connected = time.monotonic()
         if doomed_from is not None:
             agents.begin(random.Random(doomed_from), 4)
-        run = RunningComponents(robot, PLACEMENT, agents, journal, str(folder))
-        start_or_take_over(run, by_force=False)
-        yield run, agents, connected
+        live = LiveRobot(robot, PLACEMENT, agents, journal, str(folder))
+        start_or_take_over(live, by_force=False)
+        yield live, agents, connected
 
 
-def active(run: RunningComponents) -> Counter[str]:
+def active(live: LiveRobot) -> Counter[str]:
     """Return how often each component is active."""
-    found = components_of(run.current())
+    found = components_of(live.current())
     return Counter(each.name for each in found if each.state == "active")
 
 

@@ -149,16 +149,16 @@ def _watched(
     seconds: float,
     check: Check,
 ) -> TrialResult:
-    run, computers, world = (
-        running.started.run,
+    live, computers, world = (
+        running.started.live,
         running.started.computers,
         running.started.world,
     )
-    seen, moves, where = LastSeen(), 0, run.placement()
+    seen, moves, where = LastSeen(), 0, live.placement()
     computers.begin()
     waited = world.waited() if world is not None else 0.0
-    run.agents.on_status = seen.record_status
-    begin, began = run.agents.statuses(), time.monotonic()
+    live.agents.on_status = seen.record_status
+    begin, began = live.agents.statuses(), time.monotonic()
     seen.record(begin)
     ticks, stolen = _cpu_times()
     with _programs(running, condition) as start_programs:
@@ -170,7 +170,7 @@ def _watched(
             if world is not None and world.has_ended():
                 raise RunError(f"the simulated world ended after {now:.1f} s")
             computers.poll()
-            places = run.placement()
+            places = live.placement()
             moves += sum(where.get(name, at) != at for name, at in places.items())
             where = places
             if running.tasks.show(task).state in OVER:
@@ -179,7 +179,7 @@ def _watched(
     later, stolen_later = _cpu_times()
     stolen = (stolen_later - stolen) / max(1.0, later - ticks)
     waited = world.waited() - waited if world is not None else 0.0
-    end = run.agents.statuses()
+    end = live.agents.statuses()
     final = seen.merged(end)
     invalid = computers.end()
     if not invalid and waited > _TOLERATED * now:
@@ -193,9 +193,9 @@ def _watched(
         seconds=now,
         functions=said.get("functions", {}),
         world={name: said[name] for name in said.keys() - _BULKY},
-        chains=_chains(run.robot, placed.placement, final),
+        chains=_chains(live.robot, placed.placement, final),
         timers=_timers(final),
-        cpu_share=cpu_shares(run.robot, begin, end, computers.faster),
+        cpu_share=cpu_shares(live.robot, begin, end, computers.faster),
         moves=moves,
         world_waited=waited,
         stolen=stolen,

@@ -30,7 +30,7 @@ from poise.estimate.online import LEAST_SHARE, Drift, Estimate
 from poise.manage.adaptation.loop import Adaptation
 from poise.manage.adaptation.situation import Situation
 from poise.manage.deploy.desired import Desired, Incarnation
-from poise.manage.deploy.running_components import RunningComponents
+from poise.manage.deploy.live_robot import LiveRobot
 from poise.manage.migration import transition_run
 from poise.manage.migration.migration_report import TransitionReport, TransitionStep
 from poise.manage.observe.estimates import DemandEstimate, Load
@@ -85,7 +85,7 @@ class Loop:
         self._moves: list[Move] = []
         self._lately: deque[Cores] = deque(maxlen=2)
         self._adaptation = Adaptation(
-            cast("RunningComponents", self),
+            cast("LiveRobot", self),
             self._situation,
             cast("Suspensions", _Nothing()),
             clock=lambda: BEGAN + self._step * STEP,
@@ -114,7 +114,7 @@ class Loop:
         return Desired(placed=placed)
 
     def transit(
-        self, _: RunningComponents, steps: tuple[TransitionStep, ...]
+        self, _: LiveRobot, steps: tuple[TransitionStep, ...]
     ) -> TransitionReport:
         """Make moves; a cold one is a stop and a start."""
         self.acts.append(Act(self._step, self._placement, len(steps)))
@@ -125,7 +125,7 @@ class Loop:
 
     def start_together(
         self,
-        _: RunningComponents,
+        _: LiveRobot,
         placement: Mapping[str, str],
         lost: Collection[str] = (),  # noqa: ARG002 - as the real one
     ) -> bool:

@@ -18,7 +18,7 @@ from rich.markup import escape
 
 from poise import Placement, Robot, RunError, RunReport, load, place, run
 from poise.manage.agent_connections.statuses import components_of
-from poise.manage.deploy.running_components import RunningComponents
+from poise.manage.deploy.live_robot import LiveRobot
 from poise.manage.migration.migration_report import MigrationReport
 from poise.manage.migration.move import plan_move
 from poise.session import Check, nothing
@@ -221,14 +221,14 @@ class _Mover:
         self._ended = 0.0
         self._counts: list[tuple[int, int]] = [(0, 0)]
 
-    def look(self, run: RunningComponents, now: float) -> None:
+    def look(self, live: LiveRobot, now: float) -> None:
         """Move when it is time; `now` is since the start of the drive [s]."""
         if self._report is None and now > MOVE_AT:
-            self._counts.append(_deadlines(run))
-            self._report = plan_move(run, _MOVED, self._target).run()
+            self._counts.append(_deadlines(live))
+            self._report = plan_move(live, _MOVED, self._target).run()
             self._ended = now + self._report.prepared + self._report.downtime
         elif len(self._counts) == _COUNTS_BEFORE_END and now > self._ended + 1:
-            self._counts.append(_deadlines(run))
+            self._counts.append(_deadlines(live))
 
     def scene(self, report: RunReport) -> Scene:
         """Return what came of it."""
@@ -248,9 +248,9 @@ class _Mover:
         )
 
 
-def _deadlines(run: RunningComponents) -> tuple[int, int]:
+def _deadlines(live: LiveRobot) -> tuple[int, int]:
     """Return how many deadlines the navigator missed so far, and how many it had."""
-    for component in components_of(run.agents.statuses()):
+    for component in components_of(live.agents.statuses()):
         if component.name == NAVIGATOR:
             (cycle,) = component.timers
             return cycle.missed, cycle.releases
@@ -295,9 +295,9 @@ def _serve(
     lasts = seconds or DRIVE
     with _shown(console, lasts) as show:
 
-        def look(run: RunningComponents, now: float) -> None:
-            show(run, now)
-            meanwhile(run, now)
+        def look(live: LiveRobot, now: float) -> None:
+            show(live, now)
+            meanwhile(live, now)
 
         report = run(
             robot,

@@ -87,7 +87,7 @@ def seen(tmp_path_factory: pytest.TempPathFactory) -> Mapping[str, Seen]:
         end = time.monotonic() + LIMIT
         while not is_enough():
             assert time.monotonic() < end, "they were not sampled"
-            up.run.watch(0.2)
+            up.live.watch(0.2)
     journal.close()
     return found
 

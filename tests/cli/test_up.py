@@ -244,10 +244,10 @@ def test_steps_taken_are_taken_back_when_one_fails(robot: Path) -> None:
     with started(model, TOGETHER, journal, lambda _: None) as robot_up:
         steps = plan_transition(model, TOGETHER, then)
         by_name = sorted(steps, key=lambda step: step.component)  # what fails goes last
-        report = transit(robot_up.run, tuple(by_name))
+        report = transit(robot_up.live, tuple(by_name))
         assert [m.what for m in report.moves] == ["first", "second", "first"]
         assert not report.committed
         assert "not from elsewhere" in report.reason
-        assert robot_up.run.placement() == TOGETHER
-        robot_up.run.watch(0.1)
+        assert robot_up.live.placement() == TOGETHER
+        robot_up.live.watch(0.1)
     journal.close()

@@ -20,7 +20,7 @@ from poise.manage.control_socket.commands import (
     TapCommand,
     TaskCommand,
 )
-from poise.manage.deploy.running_components import RunningComponents
+from poise.manage.deploy.live_robot import LiveRobot
 from poise.manage.journal import Journal
 from poise.manage.manager import MOST_COMMANDS, Manager
 from poise.manage.migration.migration_report import MigrationReport
@@ -59,7 +59,7 @@ class Managed:
         self.agents = FakeAgents("left", "right")
         self.journal = Journal(":memory:")
         agents = cast("Agents", self.agents)
-        self.run = RunningComponents(robot, PLACEMENT, agents, self.journal, "/run")
+        self.run = LiveRobot(robot, PLACEMENT, agents, self.journal, "/run")
         self.run.start()
         estimates = Estimates(robot, None, emulated=True)
         self.samples = Recording()
@@ -191,8 +191,8 @@ def test_a_bug_in_a_command_is_refused_and_the_robot_goes_on(
     managed: Managed, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def break_down(*_: object, **__: object) -> None:
-        run = managed.run  # in the middle of a change
-        run.commit(run.desired.aiming("stay", ["thinker"]), "odd")
+        live = managed.run  # in the middle of a change
+        live.commit(live.desired.aiming("stay", ["thinker"]), "odd")
         raise KeyError("odd")
 
     monkeypatch.setattr("poise.manage.manager.plan_move", break_down)

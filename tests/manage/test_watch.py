@@ -8,7 +8,7 @@ import pytest
 from msgspec.structs import replace
 
 from poise.manage.deploy.desired import Incarnation
-from poise.manage.deploy.running_components import RunningComponents
+from poise.manage.deploy.live_robot import LiveRobot
 from poise.manage.journal import Journal
 from poise.manage.observe import watch
 from poise.manage.observe.watch import Watch
@@ -35,20 +35,20 @@ def test_a_connector_is_not_said_to_be_joined_because_its_end_is_moved(
     monkeypatch.setattr(watch, "_JOIN_WITHIN", 0.0)
     agents, journal = FakeAgents("left", "right"), Journal(":memory:")
     placement = {"grabber": "left", "filter": "left"}
-    run = RunningComponents(robot, placement, cast("Agents", agents), journal, "/run")
-    run.start()
-    seen = Watch(run)
+    live = LiveRobot(robot, placement, cast("Agents", agents), journal, "/run")
+    live.start()
+    seen = Watch(live)
     agents.unjoined = (RAW,)
     agents.report(replace(agents.statuses()["left"], pid=9))  # so it is told again
-    run.reconcile()
+    live.reconcile()
     seen.record()
     what = f"connector '{RAW.name}' from 'left' does not reach 'left'"
     assert [each.what for each in seen.deviations] == [what]
-    run.commit(run.desired.aiming("stay", ["filter"]), "it is to move")
+    live.commit(live.desired.aiming("stay", ["filter"]), "it is to move")
     seen.record()
     assert [each.what for each in seen.deviations] == [what]
     agents.unjoined = ()
-    run.commit(run.desired.aiming("active", ["filter"]), "it stays")
+    live.commit(live.desired.aiming("active", ["filter"]), "it stays")
     seen.record()
     assert not seen.deviations
     said = [(e.kind, e.what) for e in journal.entries() if "reach" in e.what]
@@ -59,14 +59,14 @@ def test_what_crashes_before_it_is_configured_is_not_said_to_be_healthy(
     robot: Robot,
 ) -> None:
     agents, journal = FakeAgents("left", "right"), Journal(":memory:")
-    run = RunningComponents(robot, {}, cast("Agents", agents), journal, "/run")
-    run.start()
-    seen = Watch(run)
+    live = LiveRobot(robot, {}, cast("Agents", agents), journal, "/run")
+    live.start()
+    seen = Watch(live)
     agents.states["thinker"] = ComponentStatus(
         name="thinker", epoch=1, state="unconfigured"
     )
     thinker = Incarnation(component="thinker", computer="left", epoch=1)
-    run.commit(run.desired.with_coming([thinker]), "it starts")
+    live.commit(live.desired.with_coming([thinker]), "it starts")
     health = ContainerHealth(name="mind", state="running", since=0.0)
     fault = Fault(container="mind", message="was killed by SIGSEGV", number=1)
     left = replace(agents.statuses()["left"], health=(health,), faults=(fault,))

@@ -210,7 +210,7 @@ def test_the_age_of_a_message_from_a_computer_whose_clock_is_ahead(
         )
 
         def measures() -> dict[str, float]:
-            status = up.run.agents.statuses()["main"]
+            status = up.live.agents.statuses()["main"]
             (container,) = status.containers
             found = container.components[0].measures
             return {name: each.median for name, each in found.items() if each.count > 9}
@@ -218,9 +218,9 @@ def test_the_age_of_a_message_from_a_computer_whose_clock_is_ahead(
         deadline = time.monotonic() + LIMIT
         while not measures():
             assert time.monotonic() < deadline
-            up.run.watch(0.05)
+            up.live.watch(0.05)
         found = measures()
-        clocks = up.run.agents.statuses()["main"].clocks
+        clocks = up.live.agents.statuses()["main"].clocks
     assert found["bare"] > AHEAD / 2  # what a bare difference would have said
     assert -found["error"] <= found["age"] < LIMIT
     assert 0 < found["error"] < LIMIT

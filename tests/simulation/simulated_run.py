@@ -415,8 +415,8 @@ class _Run:
             if not isinstance(result, MigrationReport):
                 return
             if result.committed:
-                assert manager.run is not None
-                epoch = manager.run.placed[component].epoch
+                assert manager.live is not None
+                epoch = manager.live.placed[component].epoch
                 robot.ledger.commit(component, epoch)
             elif robot.ledger.is_whole:
                 robot.ledger.violate("moves-succeed", f"{command}: {result.reason}")

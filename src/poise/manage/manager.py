@@ -45,8 +45,8 @@ from poise.manage.control_socket.immediate_commands import (
     status_of,
 )
 from poise.manage.deploy.deactivation import stop
+from poise.manage.deploy.live_robot import LiveRobot
 from poise.manage.deploy.lost_computers import LostComputers
-from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.migration.canary import Canaries
 from poise.manage.migration.migration_report import MigrationReport
 from poise.manage.migration.move import (
@@ -86,7 +86,7 @@ class Manager:
 
     def __init__(
         self,
-        run: RunningComponents,
+        live: LiveRobot,
         tasks: Saved,
         estimates: Estimates,
         samples: Recording,
@@ -95,9 +95,9 @@ class Manager:
         suspended: str = "",  # why not all that the task needs runs; empty: it does
         recording: RecordingFile | None = None,
     ) -> None:
-        self._run = run
-        run.goes_on_without_lost = True
-        self._parts = run.parts
+        self._live = live
+        live.goes_on_without_lost = True
+        self._parts = live.parts
         self._estimates = estimates
         self._samples = samples
         self._recording = recording
@@ -111,24 +111,26 @@ class Manager:
         self._ended: StopReport | Refusal | None = None
         self._stopping = threading.Event()
         self._why_over = ""
-        self._watch = Watch(run)
+        self._watch = Watch(live)
         self._troubles = ManagerTroubles(
-            run.journal, others=(samples, *([recording] if recording else []))
+            live.journal, others=(samples, *([recording] if recording else []))
         )
-        self.failures = ThreadFailures(run.journal)
-        self._lost = LostComputers(run)
-        self._reader = SituationReader(run, estimates, self._lost)
-        self.tasks = TaskManager(run, tasks, self._situation)
-        self._suspensions = Suspensions(run, self.tasks.now, suspended)
+        self.failures = ThreadFailures(live.journal)
+        self._lost = LostComputers(live)
+        self._reader = SituationReader(live, estimates, self._lost)
+        self.tasks = TaskManager(live, tasks, self._situation)
+        self._suspensions = Suspensions(live, self.tasks.now, suspended)
         if suspended:
             self._suspensions.record()
-        self._prefetch = Prefetcher(run)
-        self._canaries = Canaries(run)
+        self._prefetch = Prefetcher(live)
+        self._canaries = Canaries(live)
         keep = recording.add_seen if recording else None
         self._adaptation = Adaptation(
-            run, self._situation, self._suspensions, acts=adapts, keep=keep
+            live, self._situation, self._suspensions, acts=adapts, keep=keep
         )
-        run.check = self._observe  # also while it waits for a move, which may take long
+        live.check = (
+            self._observe
+        )  # also while it waits for a move, which may take long
 
     @property
     def is_stopping(self) -> bool:
@@ -146,10 +148,10 @@ class Manager:
         elif isinstance(command, StopCommand):
             self._stops.append(future)  # before the flag, or nobody answers it
             self._stopping.set()
-            self._run.cancel()
+            self._live.cancel()
         elif self.is_stopping and not isinstance(command, RecordCommand):
             future.set_result(Refusal("the robot is being stopped", "RunError"))
-        elif (seen := answer(self._run, self.status, command)) is not None:
+        elif (seen := answer(self._live, self.status, command)) is not None:
             future.set_result(seen)
         elif isinstance(command, ParametersCommand):
             self._set_parameters(command, future)
@@ -163,7 +165,7 @@ class Manager:
             self._refuse_more(future)
             return
         try:
-            taken = set_parameters(self._run, command)
+            taken = set_parameters(self._live, command)
         except PoiseError as error:
             future.set_result(Refusal.from_error(error))
             return
@@ -177,7 +179,7 @@ class Manager:
     def _enqueue(self, command: Command, future: Results) -> None:
         try:
             self._commands.put_nowait((command, future))
-            self._run.agents.notify()
+            self._live.agents.notify()
         except queue.Full:
             self._refuse_more(future)
 
@@ -187,8 +189,8 @@ class Manager:
 
     def status(self) -> RobotStatus:
         """Return the last known state; from any thread, at once."""
-        known = status_of(self._run, self.tasks.reports, self._estimates)
-        lost_states = tuple(self._run.lost_states.copy().values())
+        known = status_of(self._live, self.tasks.reports, self._estimates)
+        lost_states = tuple(self._live.lost_states.copy().values())
         return structs.replace(
             known,
             deviations=(*self._superseded(), *known.deviations, *self._deviations()),
@@ -211,9 +213,9 @@ class Manager:
 
     def work(self, limit: float) -> None:
         """Carry out a command if one comes within `limit` [s]; look at the robot."""
-        wait = partial(self._run.agents.wait_news, self._has_news, limit)
+        wait = partial(self._live.agents.wait_news, self._has_news, limit)
         if self._parts.run("wait for news", wait) is None:
-            self._run.clock.sleep(limit)
+            self._live.clock.sleep(limit)
         try:
             command, future = self._commands.get_nowait()
         except queue.Empty:
@@ -237,7 +239,7 @@ class Manager:
         """Stop the robot, and answer the clients that still wait."""
         self._stopping.set()
         try:
-            stop(self._run)
+            stop(self._live)
         finally:
             self.end()
 
@@ -245,11 +247,11 @@ class Manager:
         """Answer the clients that still wait: the robot has stopped."""
         self._stopping.set()
         self._adaptation.close()
-        text = f"robot '{self._run.robot.name}' has stopped"
+        text = f"robot '{self._live.robot.name}' has stopped"
         if self._why_over:
             text = "another manager has taken the robot over: ask that one"
         refusal = Refusal(text, "RunError") if self._why_over else None
-        remaining = self._run.remaining
+        remaining = self._live.remaining
         self._ended = refusal or StopReport((remaining,) if remaining else ())
         for future in self._stops:
             _answer(future, self._ended)
@@ -268,11 +270,11 @@ class Manager:
         if not self._estimates_end:
             self._estimates_end = True
             what = "the simulated world has ended: estimates are frozen"
-            self._run.journal.note("seen", what)
+            self._live.journal.note("seen", what)
 
     def _take_samples(self) -> None:
         """Estimate from samples, keep them, and say which demands have shifted."""
-        prepared = self._run.prefetched.items()
+        prepared = self._live.prefetched.items()
         self._estimates.idle = {(name, idle.epoch) for name, idle in prepared}
         for sample in self._samples.drain():
             if self._estimates_end:
@@ -282,7 +284,7 @@ class Manager:
             for name, drift in self._estimates.add(sample):
                 needs = f"'{name}' needs {drift.after:.1%} of a core now"
                 what = f"{needs}, {drift.before:.1%} before"
-                self._run.journal.note("seen", what)
+                self._live.journal.note("seen", what)
 
     def _look_after_tasks(self) -> None:
         self.tasks.advance(self._suspensions.functions())
@@ -310,7 +312,7 @@ class Manager:
             or not self._commands.empty()
             or (not self._parts.backs_off("look after tasks") and self.tasks.has_news())
             or any(pending.is_decided() for _, pending, _ in self._pending)
-            or any(self._run.agents.has_stored(each[0]) for each in self._unstored)
+            or any(self._live.agents.has_stored(each[0]) for each in self._unstored)
         )
 
     def _begin(self, command: Command, future: Results) -> None:
@@ -326,15 +328,15 @@ class Manager:
 
     def _answer_when_stored(self, future: Results, result: Result | Refusal) -> None:
         """Answer once what it changed outlives this manager."""
-        generation, now = self._run.desired.generation, self._run.clock.now()
+        generation, now = self._live.desired.generation, self._live.clock.now()
         self._unstored.append((generation, now + _STORED_LIMIT, future, result))
         self._answer_stored()
 
     def _answer_stored(self) -> None:
         for waiting in list(self._unstored):
             generation, until, future, result = waiting
-            if not self._run.agents.has_stored(generation):
-                if self._run.clock.now() < until:
+            if not self._live.agents.has_stored(generation):
+                if self._live.clock.now() < until:
                     continue
                 if not isinstance(result, Refusal):
                     why = "it was done, but no majority of agents has stored it: the "
@@ -367,29 +369,29 @@ class Manager:
                 f"{type(error).__name__}: {error}"
             )
             trace = traceback.format_exc()
-            self._run.journal.note("failed", what, command=command, traceback=trace)
-            self._run.release(what)  # what was placed goes on
+            self._live.journal.note("failed", what, command=command, traceback=trace)
+            self._live.release(what)  # what was placed goes on
             return Refusal(f"{what}. The robot keeps its placement", "RunError")
 
     def _do_or_plan(self, command: Command) -> Result | PendingMigration:
         """Do what a command asks for, but for a migration: that is returned."""
-        run = self._run
+        live = self._live
         self._lost.settle()
         match command:
             case TaskCommand(verb, task, priority):
                 self.tasks.command(verb, task, priority)
                 return TaskDone(self.tasks.report(task))
             case ParametersCommand(component=component, changes=changes):
-                desired = run.desired.with_parameters(component, unpack(changes))
-                run.commit(desired, f"parameters of '{component}' are set")
+                desired = live.desired.with_parameters(component, unpack(changes))
+                live.commit(desired, f"parameters of '{component}' are set")
                 return PortAnswer(number=0, outcome="done", value=changes)
             case RebalanceCommand(cost, dry):
                 return Rebalanced(*self._adaptation.balance(cost, dry=dry))
             case MoveCommand(component, computer, force, dry=True):
-                check_target(run, component, computer, force=force)
+                check_target(live, component, computer, force=force)
                 return self._adaptation.what_if(component, computer)
             case MoveCommand(component, computer, force):
-                pending = plan_move(run, component, computer, force=force)
+                pending = plan_move(live, component, computer, force=force)
                 self._adaptation.check_asked(component, computer, force=force)
             case ReplaceCommand(by=by, adapt=adapt, watch=watch) if watch and (
                 adapt or ":" not in by
@@ -399,9 +401,9 @@ class Manager:
                     "state that was mapped cannot be mapped back"
                 )
             case ReplaceCommand(component, by, adapt, fresh) if ":" in by:
-                pending = plan_replacement(run, component, by, adapt, fresh=fresh)
+                pending = plan_replacement(live, component, by, adapt, fresh=fresh)
             case ReplaceCommand(what, by, adapt, fresh):
-                pending = plan_alternative(run, what, by, adapt, fresh=fresh)
+                pending = plan_alternative(live, what, by, adapt, fresh=fresh)
             case _:
                 raise AssertionError(command)
         return pending.configure_ahead()
@@ -414,7 +416,7 @@ class Manager:
 
         Empty: it leads.
         """
-        agents = self._run.agents
+        agents = self._live.agents
         if (successor := agents.successor()) is not None:
             text = f"{successor} has taken over the robot, which keeps running"
             return text, successor.since
@@ -430,14 +432,14 @@ class Manager:
             text, since = self._end_of_lead()
         if text:
             what = f"{text}; what this manager says may be out of date"
-            host = self._run.agents.manager.host
+            host = self._live.agents.manager.host
             yield Deviation(what=what, computer=host, since=since)
 
     def _raise_on_successor(self) -> None:
         text, _ = self._end_of_lead()
         if text and not self._why_over:
-            self._run.journal.note("seen", text)
-            self._run.leave()
+            self._live.journal.note("seen", text)
+            self._live.leave()
             self._why_over = text
         if self._why_over:  # again, when something that waited has caught it
             raise TakenOver(self._why_over)
@@ -445,7 +447,7 @@ class Manager:
     def _observe(self) -> None:
         self._parts.run("see who manages the robot", self._raise_on_successor)
         self._parts.run("look at itself", self._troubles.check)
-        self._run.reconcile()
+        self._live.reconcile()
         self._parts.run("see which computers are lost", self._lost.note)
         self._parts.run("watch components", self._watch.record)
 

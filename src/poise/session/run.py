@@ -14,7 +14,7 @@ from poise.emulate import set_for
 from poise.errors import PoiseError, RunError, UsageError
 from poise.manage.control_socket.control_server import ControlServer
 from poise.manage.deploy.deactivation import drain
-from poise.manage.deploy.running_components import RunningComponents
+from poise.manage.deploy.live_robot import LiveRobot
 from poise.manage.journal import JournalEntry
 from poise.manage.manager import Manager
 from poise.manage.observe.chains import chain_reports
@@ -33,7 +33,7 @@ from poise.session.run_report import MeasuredRun, RunReport, reported
 from poise.units import counted
 from poise.wire.heartbeats import UNCUT_SURELY_ENDED
 
-Meanwhile = Callable[[RunningComponents, float], object]
+Meanwhile = Callable[[LiveRobot, float], object]
 """Called a few times a second with the run and its time so far [s]; may move
 components, and may raise to end the run."""
 
@@ -113,7 +113,7 @@ def run(  # noqa: PLR0913 - each is a choice of the user
             shows = "; `poise top` and `poise dashboard` show it"
         say(f"running task '{chosen}' for up to {seconds:g} s{shows}")
         seen = _measure(up, seconds, manager, check, meanwhile)
-        drain(up.run)
+        drain(up.live)
         warnings.end()
         entries = tuple(book.entries())
         if book.forgotten:
@@ -173,11 +173,11 @@ def _measure(
     up: Started, seconds: float, manager: Manager, check: Check, meanwhile: Meanwhile
 ) -> MeasuredRun:
     """Let it run until its end; a computer that is lost ends it by an error."""
-    run, looks = up.run, up.run.check
+    live, looks = up.live, up.live.check
     up.computers.begin()
-    history, last_seen = History(run.robot, up.computers.faster), LastSeen()
-    run.agents.on_status = last_seen.record_status
-    begin, began, at = run.agents.statuses(), time.monotonic(), wall_time()
+    history, last_seen = History(live.robot, up.computers.faster), LastSeen()
+    live.agents.on_status = last_seen.record_status
+    begin, began, at = live.agents.statuses(), time.monotonic(), wall_time()
     last_seen.record(begin)
     interrupted = False
 
@@ -188,15 +188,15 @@ def _measure(
         if lost := manager.lost():
             lost_one = min(lost)
             what = f"computer '{lost_one}' is out of reach"
-            raise RunError(run.unreached().get(lost_one, what))
+            raise RunError(live.unreached().get(lost_one, what))
 
     def look(_: float) -> None:
-        now, statuses = time.monotonic(), run.agents.statuses()
+        now, statuses = time.monotonic(), live.agents.statuses()
         history.record(statuses, wall_time(), now)
         manager.work(0.0)
-        meanwhile(run, now - began)
+        meanwhile(live, now - began)
 
-    run.check = look_around
+    live.check = look_around
     try:
         up.watch(seconds, look, manager.tasks.is_over)
         if manager.away():  # an agent is started again: it has counts, too
@@ -207,12 +207,12 @@ def _measure(
         if not manager.is_stopping:
             raise
     stopped = "`poise stop` ended it" if manager.is_stopping else ""
-    run.check = check
-    end = run.agents.statuses()
+    live.check = check
+    end = live.agents.statuses()
     return MeasuredRun(
         begin=begin,
         end=end,
-        chains=chain_reports(run.robot, last_seen.merged(end)),
+        chains=chain_reports(live.robot, last_seen.merged(end)),
         began=at,
         history=tuple(history.moments),
         last_seen=last_seen,

@@ -161,8 +161,8 @@ def reported(
     journal: tuple[JournalEntry, ...],
 ) -> RunReport:
     """Return the report of a run whose components are inactive by now."""
-    final = seen.last_seen.merged(up.run.agents.statuses())
-    robot = up.run.robot
+    final = seen.last_seen.merged(up.live.agents.statuses())
+    robot = up.live.robot
     invalid, simulation = seen.invalid, {}
     try:
         simulation = dict(up.world.result()) if up.world else {}
@@ -187,11 +187,11 @@ def reported(
         errors=component_errors(seen.last_seen.stays()),
         hung=hung_handlers(final),
         refused=refused_messages(final),
-        lost=unprocessed(up.run, placed.where.keys(), seen.last_seen.ended),
+        lost=unprocessed(up.live, placed.where.keys(), seen.last_seen.ended),
         silent=silent_ports(robot, final),
         faults=tuple(
             LocatedFault(computer=computer, **msgspec.structs.asdict(fault))
-            for computer, fault in faults_after(up.run.faults_before, final)
+            for computer, fault in faults_after(up.live.faults_before, final)
         ),
         clocks=clocks_of(seen.end),
         interrupted=seen.interrupted,

@@ -61,7 +61,7 @@ class Up(Running):
     """A robot that this process keeps up: its manager works on a thread of its own."""
 
     def __init__(self, started: Started, manager: Manager) -> None:
-        super().__init__(started.run.robot.name)
+        super().__init__(started.live.robot.name)
         self.started = started
         self._manager = manager
         self._error: Exception | None = None
@@ -107,11 +107,11 @@ class Up(Running):
             self._ended.set()
 
     def _keep_up(self) -> None:
-        run = self.started.run
+        live = self.started.live
         try:
             while not self._manager.is_stopping:
-                if not run.parts.run("carry on", self._work):
-                    run.clock.sleep(TICK)
+                if not live.parts.run("carry on", self._work):
+                    live.clock.sleep(TICK)
         finally:  # it was asked for, or another manager has the robot
             self._manager.stop()
 

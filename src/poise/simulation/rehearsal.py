@@ -27,13 +27,13 @@ from poise.simulation.workload import workload_of
 def unsettled(robot: SimulatedRobot) -> list[str]:
     """Return what is not as it is desired, in words."""
     manager = robot.manager
-    if manager is None or manager.manager is None or manager.run is None:
+    if manager is None or manager.manager is None or manager.live is None:
         why = robot.managers[-1].error if robot.managers else None
         return [f"no manager is up ({why or 'it starts'})"]
     working = robot.working()
     misplaced = [
         f"'{name}' works on {' and '.join(working.get(name, ['nothing']))}, not '{at}'"
-        for name, at in sorted(manager.run.placement().items())
+        for name, at in sorted(manager.live.placement().items())
         if working.get(name) != [at]
     ]
     lost = sorted(manager.manager.lost())

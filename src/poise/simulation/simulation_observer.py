@@ -179,9 +179,9 @@ class SimulationObserver:
 
     def _wanted(self) -> Desired | None:
         manager = self._robot.manager
-        if manager is None or manager.run is None or manager.manager is None:
+        if manager is None or manager.live is None or manager.manager is None:
             return None
-        return manager.run.desired
+        return manager.live.desired
 
     def _note_placement(self) -> None:
         """Note what is placed elsewhere, though no move brought it there.

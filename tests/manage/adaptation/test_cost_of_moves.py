@@ -22,7 +22,7 @@ from poise.manage.adaptation.decision import DOWNTIME, START
 from poise.manage.adaptation.loop import Adaptation
 from poise.manage.adaptation.situation import Situation
 from poise.manage.deploy.desired import Desired
-from poise.manage.deploy.running_components import RunningComponents
+from poise.manage.deploy.live_robot import LiveRobot
 from poise.manage.migration.migration_report import TransitionReport, TransitionStep
 from poise.manage.observe.estimates import DemandEstimate, Load
 from poise.manage.shortages.suspension import Suspensions
@@ -155,7 +155,7 @@ class World:
         return found
 
     def transit(
-        self, _: RunningComponents, steps: tuple[TransitionStep, ...], **__: object
+        self, _: LiveRobot, steps: tuple[TransitionStep, ...], **__: object
     ) -> TransitionReport:
         """Make the moves at once; each takes some time."""
         before = dict(self.placement)
@@ -201,7 +201,7 @@ def run(world: World, seconds: float) -> World:
     patch.setattr(placement_responders, "transit", world.transit)
     try:
         adaptation = Adaptation(
-            cast("RunningComponents", Robotless(world.robot)),
+            cast("LiveRobot", Robotless(world.robot)),
             world.situation,
             cast("Suspensions", Nothing()),
             clock=lambda: world.now,

@@ -12,7 +12,7 @@ from poise.manage.adaptation.policies import Policies
 from poise.manage.adaptation.situation import Change, Responder, Situation
 from poise.manage.adaptation.when_to_act import JUDGE_AFTER, SETTLE
 from poise.manage.deploy.desired import Desired
-from poise.manage.deploy.running_components import RunningComponents
+from poise.manage.deploy.live_robot import LiveRobot
 from poise.manage.migration.migration_report import TransitionReport, TransitionStep
 from poise.testing import VirtualClock
 from tests.manage.adaptation.shortages.test_suspension import Robbed, robot_with
@@ -109,9 +109,7 @@ def test_it_rests_after_a_transition_however_long_that_took(
     """A cold move may take longer than loads take to settle; so may its judgement."""
     robbed, clock = Robbed(robot_with()), VirtualClock()
 
-    def transit(
-        _: RunningComponents, steps: tuple[TransitionStep, ...]
-    ) -> TransitionReport:
+    def transit(_: LiveRobot, steps: tuple[TransitionStep, ...]) -> TransitionReport:
         clock.sleep(5.0)
         return TransitionReport(steps=steps, committed=True)
 

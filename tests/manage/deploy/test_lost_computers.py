@@ -7,8 +7,8 @@ from typing import cast
 from msgspec import structs
 
 from poise.manage.agent_connections.agents import Agents
+from poise.manage.deploy.live_robot import LiveRobot
 from poise.manage.deploy.lost_computers import LostComputers
-from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.journal import Journal
 from poise.model.robot import Robot
 from tests.manage.conftest import FakeAgents
@@ -17,15 +17,15 @@ from tests.manage.conftest import FakeAgents
 def test_an_agent_that_was_back_before_anybody_looked_is_told_of(robot: Robot) -> None:
     agents, journal = FakeAgents("left", "right"), Journal(":memory:")
     placement = {"grabber": "left", "thinker": "right"}
-    run = RunningComponents(robot, placement, cast("Agents", agents), journal, "/run")
-    run.start()
-    lost = LostComputers(run)
+    live = LiveRobot(robot, placement, cast("Agents", agents), journal, "/run")
+    live.start()
+    lost = LostComputers(live)
     before, told = len(journal.entries()), len(agents.deployed)
     lost.note()
     assert len(journal.entries()) == before
     status = agents.statuses()["right"]
     agents.report(structs.replace(status, pid=8, adopted=1))
-    run.reconcile()
+    live.reconcile()
     for _ in range(2):
         lost.note()
     assert [computer for computer, _ in agents.deployed[told:]] == ["right"]

@@ -12,9 +12,9 @@ from poise.manage.agent_connections.agents import Agents
 from poise.manage.deploy.adoption import authoritative, found_in, joined_by
 from poise.manage.deploy.deployment_layout import DeploymentLayout
 from poise.manage.deploy.desired import Desired, Incarnation
+from poise.manage.deploy.live_robot import LiveRobot
 from poise.manage.deploy.lost_computers import LostComputers
 from poise.manage.deploy.reconciler import WITNESS_LIMIT
-from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.deploy.takeover import start_or_take_over
 from poise.manage.journal import Journal
 from poise.model.robot import Robot
@@ -57,7 +57,7 @@ class Cut:
         self.agents.gone = {"left", "right"} - {reached}
         self.journal = Journal(":memory:")
         agents = cast("Agents", self.agents)
-        self.run = RunningComponents(robot, PLACEMENT, agents, self.journal, "/run")
+        self.run = LiveRobot(robot, PLACEMENT, agents, self.journal, "/run")
 
     def take_over(self, *, by_force: bool = False) -> None:
         start_or_take_over(self.run, by_force=by_force)

@@ -10,8 +10,8 @@ from msgspec import structs
 from poise.errors import RunError
 from poise.manage.agent_connections.agents import Agents
 from poise.manage.agent_connections.requests import ANSWER_LIMIT, PendingAnswer
+from poise.manage.deploy.live_robot import LiveRobot
 from poise.manage.deploy.reconciler import APPLY_LIMIT, TRY_AGAIN
-from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.journal import Journal
 from poise.model.robot import Robot
 from poise.testing import VirtualClock
@@ -42,7 +42,7 @@ class Rig:
         self.clock, self.agents = VirtualClock(), Silent()
         self.journal = Journal(":memory:")
         agents = cast("Agents", self.agents)
-        self.run = RunningComponents(
+        self.run = LiveRobot(
             robot, PLACEMENT, agents, self.journal, "/run", clock=self.clock
         )
         self.run.start()

@@ -14,7 +14,7 @@ from poise.estimate.code_version import version_of
 from poise.manage.agent_connections.agents import Agents
 from poise.manage.deploy.deployment_layout import DeploymentLayout
 from poise.manage.deploy.desired import Desired, Incarnation
-from poise.manage.deploy.running_components import RunningComponents
+from poise.manage.deploy.live_robot import LiveRobot
 from poise.manage.deploy.takeover import newest_record, start_or_take_over
 from poise.manage.journal import Journal
 from poise.manage.manager import Manager
@@ -41,9 +41,7 @@ LEFT = (
 LATER = ManagerId(key="l", user="bob", host="desk", pid=8, since=0.0)
 
 
-def run_of(
-    robot: Robot, *left: Incarnation
-) -> tuple[RunningComponents, FakeAgents, Journal]:
+def run_of(robot: Robot, *left: Incarnation) -> tuple[LiveRobot, FakeAgents, Journal]:
     """Return a run whose agents do what an earlier manager told them."""
     agents, journal = FakeAgents("left", "right"), Journal(":memory:")
     gateways = {"left": "left:7000", "right": "right:7000"}
@@ -51,8 +49,8 @@ def run_of(
         layout = DeploymentLayout(robot, "/run", code_version=version_of)
         for computer, told in layout.specs(left, 5, gateways).items():
             agents.begin_deploy(computer, told)
-    run = RunningComponents(robot, PLACEMENT, cast("Agents", agents), journal, "/run")
-    return run, agents, journal
+    live = LiveRobot(robot, PLACEMENT, cast("Agents", agents), journal, "/run")
+    return live, agents, journal
 
 
 def sentences(journal: Journal) -> list[str]:
@@ -96,7 +94,7 @@ def test_new_incarnations_differ_from_any_that_another_computer_may_run(
     assert run.next_epoch("grabber") == 1
 
 
-def serving_tasks(robot: Robot) -> RunningComponents:
+def serving_tasks(robot: Robot) -> LiveRobot:
     """Return a run of tasks that goes on, of which only `grabber` was found."""
     run, agents, _ = run_of(robot)
     layout = DeploymentLayout(robot, "/run", code_version=version_of)
@@ -184,15 +182,13 @@ def test_the_newest_record_is_that_of_the_latest_term() -> None:
     assert newest_record([]) == Desired()
 
 
-def standby_of(
-    robot: Robot, record: Desired
-) -> tuple[RunningComponents, FakeAgents, Journal]:
+def standby_of(robot: Robot, record: Desired) -> tuple[LiveRobot, FakeAgents, Journal]:
     """Return a standby's run, whose agents stored a record, and run nothing."""
     _, agents, journal = run_of(robot)
     stored = Deployment(generation=6, containers=(), term=3, desired=encode(record))
     agents.vote(stored)
     return (
-        RunningComponents(robot, {}, cast("Agents", agents), journal, "/run"),
+        LiveRobot(robot, {}, cast("Agents", agents), journal, "/run"),
         agents,
         journal,
     )
@@ -218,9 +214,9 @@ def test_a_standby_that_does_not_know_of_a_stop_finishes_it(robot: Robot) -> Non
 
 def test_a_robot_that_was_stopped_starts_again(robot: Robot) -> None:
     _, agents, journal = standby_of(robot, Desired(generation=6, is_stopped=True))
-    run = RunningComponents(robot, PLACEMENT, cast("Agents", agents), journal, "/run")
-    start_or_take_over(run)
-    assert run.placement() == PLACEMENT
+    live = LiveRobot(robot, PLACEMENT, cast("Agents", agents), journal, "/run")
+    start_or_take_over(live)
+    assert live.placement() == PLACEMENT
     assert sentences(journal)[-1] == "all components run"
 
 

@@ -20,7 +20,7 @@ from poise.manage.agent_connections.agents import Agents
 from poise.manage.agent_connections.requests import AgentRequests, PendingAnswer
 from poise.manage.agent_connections.statuses import components_of, connectors_of
 from poise.manage.deploy.deactivation import stop
-from poise.manage.deploy.running_components import RunningComponents
+from poise.manage.deploy.live_robot import LiveRobot
 from poise.manage.journal import Journal
 from poise.manage.migration.coordinator import DOWNTIME_LIMIT, RESUME_LIMIT
 from poise.manage.migration.migration_report import MigrationReport
@@ -267,22 +267,20 @@ class MovingRobot:
         self.joints = JOINTS
         self.limit = 3.0
         self.chance = random.Random(1)
-        self.run: RunningComponents
+        self.live: LiveRobot
 
     def start(
         self, counter: str, source: str = "left", *, isolated: bool = False
-    ) -> RunningComponents:
+    ) -> LiveRobot:
         (self.folder / self.name).mkdir()
         robot = self._robot(counter, isolated=isolated)
         placement = {"source": source, "counter": "left", "sink": "left"}
         placement |= {component.name: "left" for component in self.extra}
         agents: Agents = self.striking  # type: ignore[assignment] # it stands in for one
-        self.run = RunningComponents(
-            robot, placement, agents, self.journal, str(self.folder)
-        )
-        self.run.start()
+        self.live = LiveRobot(robot, placement, agents, self.journal, str(self.folder))
+        self.live.start()
         self.works()
-        return self.run
+        return self.live
 
     def told(self, component: str) -> tuple[int, int]:
         """Return what a component tells: progress, and what went wrong."""
@@ -299,10 +297,10 @@ class MovingRobot:
     @contextlib.contextmanager
     def standing_still(self, component: str, seconds: float) -> Iterator[None]:
         """Stop a component's containers before some round, for so long [s]."""
-        container = self.run.layout.container_of(self.run.placed[component])
+        container = self.live.layout.container_of(self.live.placed[component])
         stopped = [
             each.pid
-            for status in self.run.agents.statuses().values()
+            for status in self.live.agents.statuses().values()
             for each in status.containers
             if each.name == container
         ]
@@ -327,7 +325,7 @@ class MovingRobot:
                 going_on.join(LIMIT)
 
     def wait_for(self, holds: Callable[[], bool]) -> None:
-        assert self.run.agents.wait_news(holds, LIMIT)
+        assert self.live.agents.wait_news(holds, LIMIT)
 
     def works(self) -> None:
         """Wait until numbers go through, and calls are answered."""
@@ -337,9 +335,9 @@ class MovingRobot:
 
     def kill(self, computer: str, component: str) -> None:
         """Kill the container of a component, and wait until that is seen."""
-        container = self.run.layout.container_of(self.run.placed[component])
+        container = self.live.layout.container_of(self.live.placed[component])
         before = self.faults(container)
-        for each in self.run.agents.statuses()[computer].containers:
+        for each in self.live.agents.statuses()[computer].containers:
             if each.name == container:
                 os.kill(each.pid, signal.SIGKILL)
         self.wait_for(lambda: self.faults(container) != before)
@@ -348,7 +346,7 @@ class MovingRobot:
         """Return those of a container: agents also keep those of earlier tests."""
         return [
             fault
-            for status in self.run.agents.statuses().values()
+            for status in self.live.agents.statuses().values()
             for fault in status.faults
             if fault.container == container
         ]
@@ -357,7 +355,7 @@ class MovingRobot:
         """Return where a `counter` is active, by what was said last."""
         return [
             computer
-            for computer, status in self.run.current().items()
+            for computer, status in self.live.current().items()
             for component in components_of({computer: status})
             if (component.name, component.state) == ("counter", "active")
         ]
@@ -412,7 +410,7 @@ def _world(pair: TwoAgents, name: str) -> Iterator[MovingRobot]:
     world = MovingRobot(pair.folder, pair.agents, journal, name)
     yield world
     with contextlib.suppress(RunError):  # of an agent that the test killed
-        stop(world.run)
+        stop(world.live)
     journal.close()
 
 
@@ -437,11 +435,11 @@ def assert_bounded(report: MigrationReport) -> None:
     assert report.downtime < DOWNTIME_LIMIT + RESUME_LIMIT + LIMIT / 2
 
 
-def move_counter(run: RunningComponents, computer: str) -> None:
+def move_counter(live: LiveRobot, computer: str) -> None:
     """Move the counter, with time for that on a machine that is busy otherwise."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("poise.manage.migration.coordinator.DOWNTIME_LIMIT", LIMIT)
-        report = plan_move(run, "counter", computer).run()
+        report = plan_move(live, "counter", computer).run()
     assert report.committed, report.reason
     assert replay(report, "counter") == ""
 
@@ -794,16 +792,14 @@ def test_what_a_manager_left_that_is_gone_is_ended_first(
     """Else it would run on as it was, though it has other code or parameters by now."""
 
     def processes() -> set[int]:
-        statuses = world.run.current().values()
+        statuses = world.live.current().values()
         return {each.pid for status in statuses for each in status.containers}
 
     run = world.start("Counter")
     before = processes()
     placement, folder = run.placement(), str(world.folder)
-    world.run = RunningComponents(
-        run.robot, placement, run.agents, world.journal, folder
-    )
-    world.run.start()
+    world.live = LiveRobot(run.robot, placement, run.agents, world.journal, folder)
+    world.live.start()
     world.works()
     assert before
     assert before.isdisjoint(processes())

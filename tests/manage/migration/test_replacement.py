@@ -12,7 +12,7 @@ from poise.errors import UsageError
 from poise.manage.agent_connections.agents import Agents
 from poise.manage.agent_connections.statuses import components_of
 from poise.manage.deploy.deactivation import stop
-from poise.manage.deploy.running_components import RunningComponents
+from poise.manage.deploy.live_robot import LiveRobot
 from poise.manage.journal import Journal
 from poise.manage.migration.move import plan_alternative, plan_replacement
 from poise.model.robot import (
@@ -167,9 +167,7 @@ class RobotWithAlternatives(Told):
         placement = dict.fromkeys(("source", "sink", "counter"), "left")
         placement["adder"] = "right"
         robot = _robot(folder, place)
-        self.run = RunningComponents(
-            robot, placement, agents, self.journal, str(folder)
-        )
+        self.run = LiveRobot(robot, placement, agents, self.journal, str(folder))
 
     def active(self) -> set[str]:
         """Return what is active, by what was said last."""

@@ -9,7 +9,7 @@ import pytest
 
 from poise.errors import RunError
 from poise.manage.deploy.desired import Incarnation
-from poise.manage.deploy.running_components import RunningComponents
+from poise.manage.deploy.live_robot import LiveRobot
 from poise.manage.migration.pending_migration import STALL_LIMIT, Stall
 from poise.wire.records.status_records import (
     AgentStatus,
@@ -31,8 +31,8 @@ class Preparation:
         self.run = Mock(**{"layout.container_of.return_value": "main"})
         self.misses("connector 'a.out-mid.in' is not joined")
         self.is_at("inactive")
-        run = cast("RunningComponents", self.run)
-        self.stall = Stall(run, lambda: self.now)
+        live = cast("LiveRobot", self.run)
+        self.stall = Stall(live, lambda: self.now)
         self.stall.check(self.run.missing(), [TARGET])
 
     def misses(self, *what: str) -> None:

@@ -8,7 +8,7 @@ import pytest
 from msgspec import structs
 
 from poise.manage.agent_connections.agents import Agents
-from poise.manage.deploy.running_components import RunningComponents
+from poise.manage.deploy.live_robot import LiveRobot
 from poise.manage.journal import Journal
 from poise.manage.migration.migration_report import TransitionStep
 from poise.manage.migration.transition_run import transit
@@ -28,12 +28,12 @@ def agents() -> FakeAgents:
 
 
 @pytest.fixture
-def run(robot: Robot, agents: FakeAgents) -> RunningComponents:
-    run = RunningComponents(
+def live(robot: Robot, agents: FakeAgents) -> LiveRobot:
+    live = LiveRobot(
         robot, PLACEMENT, cast("Agents", agents), Journal(":memory:"), "/run"
     )
-    run.start()
-    return run
+    live.start()
+    return live
 
 
 def told(agents: FakeAgents) -> dict[str, tuple[str, int, str]]:
@@ -48,45 +48,43 @@ def told(agents: FakeAgents) -> dict[str, tuple[str, int, str]]:
 
 
 def test_what_cannot_be_started_is_placed_nowhere(
-    run: RunningComponents, agents: FakeAgents
+    live: LiveRobot, agents: FakeAgents
 ) -> None:
     agents.states["thinker"] = ComponentStatus(
         name="thinker", state="failed", error="ValueError: no thought"
     )
-    report = transit(run, (START,))
+    report = transit(live, (START,))
     assert not report.committed
     assert "ValueError: no thought" in report.reason
-    assert run.placement() == PLACEMENT
+    assert live.placement() == PLACEMENT
     assert told(agents).keys() == PLACEMENT.keys()
 
 
-def test_what_does_not_end_is_started_anew(
-    run: RunningComponents, agents: FakeAgents
-) -> None:
+def test_what_does_not_end_is_started_anew(live: LiveRobot, agents: FakeAgents) -> None:
     agents.deaf = {"left"}
-    report = transit(run, (STOP,))
+    report = transit(live, (STOP,))
     assert not report.committed
     assert "component 'filter' still runs on 'left' 5 s after" in report.reason
-    assert run.placement() == PLACEMENT
+    assert live.placement() == PLACEMENT
     assert told(agents)["filter"] == ("left", 1, "eye:Filter")
 
 
 def test_what_was_replaced_stays_replaced_over_a_cold_move(
-    run: RunningComponents, agents: FakeAgents
+    live: LiveRobot, agents: FakeAgents
 ) -> None:
-    better = structs.replace(run.placed["filter"], implementation="eye:Better")
-    run.commit(run.desired.placing([better]), "it was replaced")
+    better = structs.replace(live.placed["filter"], implementation="eye:Better")
+    live.commit(live.desired.placing([better]), "it was replaced")
     again = TransitionStep("filter", target="right")
-    assert transit(run, (STOP, again)).committed
+    assert transit(live, (STOP, again)).committed
     assert told(agents)["filter"] == ("right", 1, "eye:Better")
 
 
 def test_a_move_that_is_refused_undoes_the_steps_before(
-    run: RunningComponents, agents: FakeAgents
+    live: LiveRobot, agents: FakeAgents
 ) -> None:
     nowhere = TransitionStep("grabber", "left", "moon")
-    report = transit(run, (START, nowhere))
+    report = transit(live, (START, nowhere))
     assert not report.committed
     assert "no computer 'moon'" in report.reason
-    assert run.placement() == PLACEMENT
+    assert live.placement() == PLACEMENT
     assert told(agents).keys() == PLACEMENT.keys()

@@ -10,7 +10,7 @@ from msgspec.structs import replace
 
 from poise.manage.agent_connections.agents import Agents
 from poise.manage.deploy.deactivation import stop
-from poise.manage.deploy.running_components import RunningComponents
+from poise.manage.deploy.live_robot import LiveRobot
 from poise.manage.journal import Journal
 from poise.manage.observe.estimates import Load
 from poise.manage.tasks.action_placement import LikelyAction
@@ -33,9 +33,7 @@ class Rig:
         self.agents = FakeAgents("left", "right")
         self.journal = Journal(":memory:")
         agents = cast("Agents", self.agents)
-        self.run = RunningComponents(
-            robot, {"grabber": "left"}, agents, self.journal, "/run"
-        )
+        self.run = LiveRobot(robot, {"grabber": "left"}, agents, self.journal, "/run")
         self.run.start()
         self.now = 0.0
         self.prefetch = Prefetcher(self.run, lambda: self.now)

@@ -17,7 +17,7 @@ from poise.estimate.success_rates import beliefs_about
 from poise.manage.adaptation.situation import Situation
 from poise.manage.agent_connections.agents import Agents
 from poise.manage.deploy.desired import Desired
-from poise.manage.deploy.running_components import RunningComponents
+from poise.manage.deploy.live_robot import LiveRobot
 from poise.manage.journal import Journal
 from poise.manage.tasks import task_manager
 from poise.manage.tasks.concurrent_tasks import Tasks
@@ -139,7 +139,7 @@ class Rig:
         self.agents = Speaking("main", "spare")
         self.journal = Journal(":memory:")
         agents = cast("Agents", self.agents)
-        self.run = RunningComponents(robot, {}, agents, self.journal, "/run")
+        self.run = LiveRobot(robot, {}, agents, self.journal, "/run")
         self.run.start()
         self.manager = TaskManager(self.run, saved or Saved(), self._situation)
         for name in started:

@@ -18,7 +18,7 @@ from poise.manage.adaptation.policies import Policies, Symptom, saw
 from poise.manage.adaptation.situation import Change, Situation
 from poise.manage.adaptation.when_to_act import MoveLimits
 from poise.manage.deploy.desired import Desired
-from poise.manage.deploy.running_components import RunningComponents
+from poise.manage.deploy.live_robot import LiveRobot
 from poise.manage.migration.migration_report import (
     MigrationReport,
     TransitionReport,
@@ -44,12 +44,12 @@ class Actions:
 
     def __init__(
         self,
-        run: RunningComponents,
+        live: LiveRobot,
         suspensions: Suspensions,
         limits: MoveLimits,
         policies: Policies,
     ) -> None:
-        self._run = run
+        self._live = live
         self._policies = policies
         self._suspensions = suspensions
         self._limits = limits
@@ -57,7 +57,9 @@ class Actions:
             "move": self._move,
             "replace": self._replace,
             "restart": self._restart,
-            "restart elsewhere": CrashLoops(run, suspensions, limits).restart_elsewhere,
+            "restart elsewhere": CrashLoops(
+                live, suspensions, limits
+            ).restart_elsewhere,
             "suspend": self._suspend,
         }
 
@@ -80,7 +82,7 @@ class Actions:
         try:
             self.act(symptom, situation, situation.now)
         except PoiseError as error:
-            self._run.journal.note("failed", f"{what}: {error}")
+            self._live.journal.note("failed", f"{what}: {error}")
 
     def act(self, symptom: Symptom, situation: Situation, now: float) -> None:
         """Carry out the action of a symptom's policy."""
@@ -89,7 +91,7 @@ class Actions:
         self._by_name[do](symptom, situation, now)
 
     def _move(self, symptom: Symptom, situation: Situation, now: float) -> None:
-        policy, run = symptom.policy, self._run
+        policy, live = symptom.policy, self._live
         component, target = _component(symptom), policy.to or ""
         source = situation.placement.get(component, "")
         if source == target:
@@ -102,25 +104,25 @@ class Actions:
                 raise RunError(f"'{component}' left '{target}' only recently")
             check_move(situation, component, target)
         self._limits.note([TransitionStep(component, source, target)], now)
-        _raise_on_failure(plan_move(run, component, target).run())
+        _raise_on_failure(plan_move(live, component, target).run())
 
     def _replace(self, symptom: Symptom, _situation: Situation, _now: float) -> None:
-        policy, run = symptom.policy, self._run
+        policy, live = symptom.policy, self._live
         old = self._architecture(symptom)
         others = [
             a.name
-            for a in sorted(run.robot.architectures, key=lambda a: -a.quality)
+            for a in sorted(live.robot.architectures, key=lambda a: -a.quality)
             if a.function == old.function and a.name != old.name
         ]
         if not (by := policy.by or next(iter(others), "")):
             raise UsageError(f"architecture '{old.name}' has no alternative")
-        replacement = plan_alternative(run, old.name, by, fresh=policy.force)
+        replacement = plan_alternative(live, old.name, by, fresh=policy.force)
         _raise_on_failure(replacement.run())
 
     def _restart(self, symptom: Symptom, situation: Situation, _now: float) -> None:
-        run = self._run
+        live = self._live
         if symptom.policy.for_each == "container":
-            components = components_in(run, symptom)
+            components = components_in(live, symptom)
         else:
             components = [_component(symptom)]
         steps = []
@@ -128,7 +130,7 @@ class Actions:
             if (at := situation.placement.get(name)) is None:
                 raise RunError(f"component '{name}' is not at work")
             steps += [TransitionStep(name, at), TransitionStep(name, target=at)]
-        _raise_on_failure(transit(run, tuple(steps)))
+        _raise_on_failure(transit(live, tuple(steps)))
 
     def _suspend(self, symptom: Symptom, situation: Situation, now: float) -> None:
         if symptom.policy.for_each == "computer":
@@ -138,12 +140,12 @@ class Actions:
         self._suspensions.suspend([architecture.name], symptom.what, now)
 
     def _architecture(self, symptom: Symptom) -> Architecture:
-        placed, name = self._run.placed, symptom.values.name
+        placed, name = self._live.placed, symptom.values.name
         is_container = symptom.policy.for_each == "container"
-        for architecture in self._run.robot.architectures:
+        for architecture in self._live.robot.architectures:
             for component in architecture.components:
                 there = placed.get(component.name) if is_container else None
-                inside = there and self._run.layout.container_of(there)
+                inside = there and self._live.layout.container_of(there)
                 if component.name == _component(symptom) or name == inside:
                     return architecture
         raise UsageError(f"no architecture has '{name}'")
@@ -186,9 +188,9 @@ class CrashLoops:
     """Where containers crashed again and again, and what is done about it."""
 
     def __init__(
-        self, run: RunningComponents, suspensions: Suspensions, limits: MoveLimits
+        self, live: LiveRobot, suspensions: Suspensions, limits: MoveLimits
     ) -> None:
-        self._run = run
+        self._live = live
         self._suspensions = suspensions
         self._limits = limits
         self._crashed: dict[str, dict[str, float]] = {}
@@ -197,9 +199,9 @@ class CrashLoops:
         self, symptom: Symptom, situation: Situation, now: float
     ) -> None:
         """Restart a container where it has not crashed; else suspend it."""
-        run, container = self._run, symptom.values.name
-        names = components_in(run, symptom)
-        pinned = _pinned(run.robot)
+        live, container = self._live, symptom.values.name
+        names = components_in(live, symptom)
+        pinned = _pinned(live.robot)
         if not names:
             raise RunError("nothing in it is at work")
         for name in names:
@@ -219,9 +221,9 @@ class CrashLoops:
                 for name, at in where.items()
             ]
             self._limits.note(steps, now)
-            if start_together(run, where, situation.lost):
+            if start_together(live, where, situation.lost):
                 return
-            if lost := set(where.values()) - run.computers():
+            if lost := set(where.values()) - live.computers():
                 away = named("computer", sorted(lost))
                 raise RunError(f"{away} went out of reach in the meantime")
             crashed |= dict.fromkeys(where.values(), now)
@@ -244,9 +246,9 @@ class CrashLoops:
         way_out = "it is resumed when its code changes, or by `poise balance`"
         said = f" (the last time: {fault.message})" if fault else ""
         why = f"container '{container}' crashes again and again on {computers}{said}"
-        architecture = self._run.robot.architecture_of(names[0])
+        architecture = self._live.robot.architecture_of(names[0])
         self._suspensions.quarantine(architecture.name)
-        is_there = any(c.name in self._run.placed for c in architecture.components)
+        is_there = any(c.name in self._live.placed for c in architecture.components)
         # else the last try to start it ended so
         put = (
             self._suspensions.suspend if is_there else self._suspensions.note_suspended
@@ -270,17 +272,17 @@ def _crashed_before(
     return crashed
 
 
-def components_in(run: RunningComponents, symptom: Symptom) -> list[str]:
+def components_in(live: LiveRobot, symptom: Symptom) -> list[str]:
     """Return the components of the container that a symptom is about.
 
     Not those that are held: they may be at work elsewhere.
     """
     return sorted(
         name
-        for name, incarnation in run.placed.items()
-        if name not in run.desired.held
+        for name, incarnation in live.placed.items()
+        if name not in live.desired.held
         and incarnation.computer == symptom.computer
-        and run.layout.container_of(incarnation) == symptom.values.name
+        and live.layout.container_of(incarnation) == symptom.values.name
     )
 
 

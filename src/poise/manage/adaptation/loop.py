@@ -29,7 +29,7 @@ from poise.manage.adaptation.policies import Key, Policies, Symptom, saw
 from poise.manage.adaptation.policy_values import values_of
 from poise.manage.adaptation.proposal import propose
 from poise.manage.adaptation.situation import Responder, Situation
-from poise.manage.deploy.running_components import RunningComponents
+from poise.manage.deploy.live_robot import LiveRobot
 from poise.manage.migration.migration_report import Proposal, TransitionReport, WhatIf
 from poise.manage.observe.deviations import Deviation
 from poise.manage.shortages.suspension import (
@@ -52,7 +52,7 @@ class Adaptation:
 
     def __init__(
         self,
-        run: RunningComponents,
+        live: LiveRobot,
         read: Callable[[], Situation],
         suspensions: Suspensions,
         *,
@@ -60,21 +60,21 @@ class Adaptation:
         keep: Callable[[Seen], object] | None = None,
         clock: Callable[[], float] = time.monotonic,  # a time that never goes back [s]
     ) -> None:
-        self._run = run
+        self._live = live
         self._read = read
         self._suspensions = suspensions
         self._acts = acts
         self._keep = keep
         self._clock = clock
-        self._policies = Policies(policies_of(run.robot.policies), run.robot.folder)
-        self._needs = NeededFunctions(run.journal)
-        self._transitions = Transitions(run, self._policies, suspensions, clock)
+        self._policies = Policies(policies_of(live.robot.policies), live.robot.folder)
+        self._needs = NeededFunctions(live.journal)
+        self._transitions = Transitions(live, self._policies, suspensions, clock)
         limits = self._transitions.limits
         self.responders: tuple[Responder, ...] = (
-            FailoverResponder(run, suspensions),
+            FailoverResponder(live, suspensions),
             StopWithoutNeeded(suspensions),
-            Actions(run, suspensions, limits, self._policies),
-            ResumeSuspended(run, suspensions),
+            Actions(live, suspensions, limits, self._policies),
+            ResumeSuspended(live, suspensions),
             ReplanResponder(self._transitions),
             UseAgainResponder(self._transitions),
         )
@@ -85,7 +85,7 @@ class Adaptation:
     def adapt(self) -> None:
         """Look at the robot once, and let the first responder act that wants to."""
         situation = self._analysed(self._situation())
-        parts = self._run.parts
+        parts = self._live.parts
         parts.run("report symptoms", partial(self._report, situation.symptoms))
         parts.run("see which architectures are suspended", self._suspensions.record)
         if self._acts:
@@ -111,11 +111,11 @@ class Adaptation:
 
     def _respond(self, responder: Responder, situation: Situation) -> bool:
         """Carry out what a responder wants; return whether it wanted something."""
-        change = responder.respond(situation, self._run.desired)
+        change = responder.respond(situation, self._live.desired)
         if change is None:
             return False
         if change.why:
-            self._run.journal.note("decided", change.why, **change.facts)
+            self._live.journal.note("decided", change.why, **change.facts)
         change.carry_out()
         return True
 
@@ -130,7 +130,7 @@ class Adaptation:
         if dry or not proposal.steps:
             return proposal, None
         what = f"asked to balance: {counted(len(proposal.steps), 'step')}"
-        self._run.journal.note(
+        self._live.journal.note(
             "decided",
             what,
             proposal=proposal,
@@ -144,7 +144,7 @@ class Adaptation:
 
         Raises UsageError when a cut link forbids it, or the computer is out of reach.
         """
-        if away := self._run.unreached().get(computer):
+        if away := self._live.unreached().get(computer):
             raise UsageError(away)
         situation = self._situation()
         check_links(situation, component, computer)
@@ -165,7 +165,7 @@ class Adaptation:
             return
         what = f"asked to move '{component}' to '{computer}'"
         others = alternatives(situation)
-        self._run.journal.note("seen", what, what_if=change, alternatives=others)
+        self._live.journal.note("seen", what, what_if=change, alternatives=others)
 
     def close(self) -> None:
         """End what policies have started."""
@@ -173,7 +173,7 @@ class Adaptation:
 
     def _report(self, symptoms: tuple[Symptom, ...]) -> None:
         """Journal each symptom when it has lasted, and when it has ended."""
-        note = self._run.journal.note
+        note = self._live.journal.note
         troubles = {*self._policies.troubles()}
         for trouble in sorted(troubles - self._troubles):
             note("wrong", trouble)

@@ -23,7 +23,7 @@ from poise.manage.adaptation.proposal import explain
 from poise.manage.adaptation.situation import Change, Homes, Situation
 from poise.manage.adaptation.when_to_act import LossSuffered, MoveLimits
 from poise.manage.deploy.desired import Desired
-from poise.manage.deploy.running_components import RunningComponents
+from poise.manage.deploy.live_robot import LiveRobot
 from poise.manage.migration.migration_report import TransitionReport, TransitionStep
 from poise.manage.migration.transition_plan import plan_transition
 from poise.manage.migration.transition_run import start_together, transit
@@ -51,8 +51,8 @@ class FailoverResponder:
 
     purpose = "restart components of lost computers"
 
-    def __init__(self, run: RunningComponents, suspensions: Suspensions) -> None:
-        self._run = run
+    def __init__(self, live: LiveRobot, suspensions: Suspensions) -> None:
+        self._live = live
         self._suspensions = suspensions
         self._limits = MoveLimits()
         self._missing: set[str] = set()
@@ -78,7 +78,7 @@ class FailoverResponder:
             if name not in before:
                 where = desired.placed[name].computer
                 what = f"component '{name}' of '{where}' is missing: {why}"
-                self._run.journal.note("wrong", what)
+                self._live.journal.note("wrong", what)
         if not failover.placement and not failover.suspended:
             return None
         return Change(
@@ -96,8 +96,10 @@ class FailoverResponder:
                 self._limits.start_backoff(now, dict.fromkeys(lost, 1.0))
                 return
         if failover.placement:
-            is_room = not failover.steps or transit(self._run, failover.steps).committed
-            if is_room and start_together(self._run, failover.placement, lost):
+            is_room = (
+                not failover.steps or transit(self._live, failover.steps).committed
+            )
+            if is_room and start_together(self._live, failover.placement, lost):
                 self._limits.reset_backoff()
             else:
                 self._limits.start_backoff(now, dict.fromkeys(lost, 1.0))
@@ -222,12 +224,12 @@ class Transitions:
 
     def __init__(
         self,
-        run: RunningComponents,
+        live: LiveRobot,
         policies: Policies,
         suspensions: Suspensions,
         clock: Callable[[], float],
     ) -> None:
-        self.run = run
+        self.live = live
         self.limits = MoveLimits()
         self.downtimes: dict[str, float] = {}
         self.loss = LossSuffered()
@@ -246,7 +248,7 @@ class Transitions:
     def carry_out(self, steps: tuple[TransitionStep, ...]) -> TransitionReport:
         """Take the steps, and remember that: it may take longer than to settle."""
         try:
-            report = transit(self.run, steps)
+            report = transit(self.live, steps)
         finally:
             self.limits.note(steps, self._clock())
         self.downtimes |= {m.what: m.downtime for m in report.moves}
@@ -340,7 +342,7 @@ class ReplanResponder:
         if any(said != why for said in self._said.values()):
             self._said = dict.fromkeys(self._said, why)
             others = alternatives(situation)
-            note = self._transitions.run.journal.note
+            note = self._transitions.live.journal.note
             note("seen", why, decision=decision, alternatives=others)
 
 
@@ -380,7 +382,7 @@ class UseAgainResponder:
             else "every running component has the CPU that it needs"
         )
         names = " and ".join(f"'{name}'" for name in back)
-        note = self._transitions.run.journal.note
+        note = self._transitions.live.journal.note
         note("seen", f"{names} may be used again; {why}")
         if not decision.acts or why_not:
             return None

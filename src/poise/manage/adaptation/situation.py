@@ -13,8 +13,8 @@ from msgspec.structs import replace
 from poise.estimate.profiles import ConnectorProfile
 from poise.manage.adaptation.policies import Symptom
 from poise.manage.deploy.desired import Desired
+from poise.manage.deploy.live_robot import LiveRobot
 from poise.manage.deploy.lost_computers import LostComputers
-from poise.manage.deploy.running_components import RunningComponents
 from poise.manage.observe.chains import ChainAge, ChainAges, ChainReader, DeadlineMisses
 from poise.manage.observe.estimates import (
     DemandEstimate,
@@ -156,22 +156,22 @@ class SituationReader:
     """Reads what the manager knows of its robot, for one moment at a time."""
 
     def __init__(
-        self, run: RunningComponents, estimates: Estimates, lost: LostComputers
+        self, live: LiveRobot, estimates: Estimates, lost: LostComputers
     ) -> None:
-        self._run = run
+        self._live = live
         self._estimates = estimates
         self._lost = lost
         self._misses = DeadlineMisses()
-        self._chains, self._ages = ChainReader(run.robot), ChainAges()
+        self._chains, self._ages = ChainReader(live.robot), ChainAges()
 
     def read(self, task: Task) -> Situation:
         """Return the situation now, while `task` runs."""
-        run, moment = self._run, time.monotonic()
-        statuses = run.current()
-        held = run.desired.held
-        placement = {n: at for n, at in run.placement().items() if n not in held}
+        live, moment = self._live, time.monotonic()
+        statuses = live.current()
+        held = live.desired.held
+        placement = {n: at for n, at in live.placement().items() if n not in held}
         return Situation(
-            robot=replace(run.robot, tasks=(task,)),
+            robot=replace(live.robot, tasks=(task,)),
             task=task.name,
             placement=placement,
             lost=self._lost.computers(),
@@ -181,7 +181,7 @@ class SituationReader:
             demand_estimates=tuple(self._estimates.demand_estimates()),
             statuses=statuses,
             traffic=self._estimates.traffic(),
-            solve_steps=run.solve_steps,
+            solve_steps=live.solve_steps,
         )
 
 

@@ -28,7 +28,7 @@ from poise.manage.control_socket.commands import (
     TapCommand,
 )
 from poise.manage.deploy.desired import Incarnation
-from poise.manage.deploy.running_components import RunningComponents
+from poise.manage.deploy.live_robot import LiveRobot
 from poise.manage.observe.chains import chain_reports
 from poise.manage.observe.deviations import Deviation
 from poise.manage.observe.estimates import Estimates
@@ -56,7 +56,7 @@ _MARGIN = 0.5
 _LOOK_EVERY = 0.02
 
 
-def ask_port(run: RunningComponents, command: PortCommand) -> PortAnswer:
+def ask_port(live: LiveRobot, command: PortCommand) -> PortAnswer:
     """Return what came of a command; from any thread.
 
     It waits, within its limit, for a component that moves, restarts or is lost, and
@@ -69,17 +69,17 @@ def ask_port(run: RunningComponents, command: PortCommand) -> PortAnswer:
     RunError
         Nobody took it within its limit, or what took it gave no answer.
     """
-    _check(run, command)
-    clock, name = run.clock, command.component
+    _check(live, command)
+    clock, name = live.clock, command.component
     until = clock.now() + command.limit
     while True:
-        where, why = _place(run, name)
+        where, why = _place(live, name)
         if where:
-            answer = _ask(run, command, where, until)
+            answer = _ask(live, command, where, until)
             if answer.outcome != "away":
                 return answer
             why = answer.reason
-        if run.is_over.is_set():
+        if live.is_over.is_set():
             raise RunError("the robot is being stopped")
         if clock.now() >= until:
             raise RunError(
@@ -89,12 +89,12 @@ def ask_port(run: RunningComponents, command: PortCommand) -> PortAnswer:
         clock.sleep(_LOOK_EVERY)
 
 
-def set_parameters(run: RunningComponents, command: ParametersCommand) -> PortAnswer:
+def set_parameters(live: LiveRobot, command: ParametersCommand) -> PortAnswer:
     """Let a component take other parameters, or refuse; raises as `ask_port`.
 
     From any thread; the manager then keeps what the component took.
     """
-    commands = {entry.name for entry in run.robot.components() if entry.command}
+    commands = {entry.name for entry in live.robot.components() if entry.command}
     if command.component in commands:
         raise UsageError(
             f"component '{command.component}' is a command line: it reads its "
@@ -102,7 +102,7 @@ def set_parameters(run: RunningComponents, command: ParametersCommand) -> PortAn
         )
     changes = unpack(command.changes, dict[str, Any])
     return ask_port(
-        run,
+        live,
         PortCommand(
             component=command.component,
             port=PARAMETERS,
@@ -113,8 +113,8 @@ def set_parameters(run: RunningComponents, command: ParametersCommand) -> PortAn
     )
 
 
-def _check(run: RunningComponents, command: PortCommand) -> None:
-    known = sorted(component.name for component in run.robot.components())
+def _check(live: LiveRobot, command: PortCommand) -> None:
+    known = sorted(component.name for component in live.robot.components())
     if command.component not in known:
         guess = did_you_mean(command.component, known)
         raise UsageError(
@@ -131,14 +131,14 @@ def _check(run: RunningComponents, command: PortCommand) -> None:
         )
 
 
-def _place(run: RunningComponents, name: str) -> tuple[str, str]:
+def _place(live: LiveRobot, name: str) -> tuple[str, str]:
     """Return where a component works, or an empty text and why it does not."""
-    placed = run.placed.get(name)
+    placed = live.placed.get(name)
     if placed is None:
         return "", f"component '{name}' does not run: no task at work needs it"
-    if placed.computer in run.agents.out_of_reach():
+    if placed.computer in live.agents.out_of_reach():
         return "", f"computer '{placed.computer}' is out of reach"
-    statuses = run.agents.statuses()
+    statuses = live.agents.statuses()
     here = {c: s for c, s in statuses.items() if c == placed.computer}
     for component in components_of(here):
         if (component.name, component.epoch) == (name, placed.epoch):
@@ -148,13 +148,13 @@ def _place(run: RunningComponents, name: str) -> tuple[str, str]:
 
 
 def _ask(
-    run: RunningComponents, command: PortCommand, computer: str, until: float
+    live: LiveRobot, command: PortCommand, computer: str, until: float
 ) -> PortAnswer:
-    limit = max(0.0, until - run.clock.now())
+    limit = max(0.0, until - live.clock.now())
     request = PortRequest(
         number=secrets.randbits(62),
-        container=run.layout.container_of(
-            run.placed.get(command.component)
+        container=live.layout.container_of(
+            live.placed.get(command.component)
             or Incarnation(component=command.component, computer=computer)
         ),
         component=command.component,
@@ -163,11 +163,11 @@ def _ask(
         value=command.value,
         limit=limit,
     )
-    answer = run.agents.ask(computer, request, limit + _MARGIN)
+    answer = live.agents.ask(computer, request, limit + _MARGIN)
     if isinstance(answer, PortAnswer):
         return answer
     what = "call" if command.method else "message"
-    if run.clock.now() >= until:
+    if live.clock.now() >= until:
         why = f"no answer within {command.limit:g} s; the {what} may have been taken"
         return PortAnswer(number=request.number, outcome="late", reason=why)
     why = f"computer '{computer}' gave no answer"
@@ -184,7 +184,7 @@ _BITS = 62
 
 
 def answer(
-    run: RunningComponents, status: Callable[[], RobotStatus], command: Command
+    live: LiveRobot, status: Callable[[], RobotStatus], command: Command
 ) -> Result | Refusal | None:
     """Return the answer to a command that changes no placement; None: another one.
 
@@ -196,31 +196,31 @@ def answer(
             case StatusCommand():
                 done = status()
             case JournalCommand(after=after, most=most):
-                done = JournalEntries(tuple(run.journal.entries(after, most)))
+                done = JournalEntries(tuple(live.journal.entries(after, most)))
             case LogCommand():
-                done = _read_log(run.agents, command)
+                done = _read_log(live.agents, command)
             case TapCommand():
-                done = _read_tap(run, command)
+                done = _read_tap(live, command)
             case PortCommand():
-                done = ask_port(run, command)
+                done = ask_port(live, command)
     except PoiseError as error:
         return Refusal.from_error(error)
     return done
 
 
 def status_of(
-    run: RunningComponents, tasks: Sequence[TaskReport], estimates: Estimates
+    live: LiveRobot, tasks: Sequence[TaskReport], estimates: Estimates
 ) -> RobotStatus:
     """Return the last known state, but for deviations and faults; from any thread.
 
     The deviations are those of agents that are there, and have stopped to report.
     """
-    statuses, ages = run.agents.statuses(), run.agents.ages()
-    out_of_reach, placement = run.agents.out_of_reach(), run.placement()
+    statuses, ages = live.agents.statuses(), live.agents.ages()
+    out_of_reach, placement = live.agents.out_of_reach(), live.placement()
     return RobotStatus(
-        robot=run.robot.name,
+        robot=live.robot.name,
         task=" and ".join(task.name for task in tasks if task.state == "going"),
-        manager=run.agents.manager,
+        manager=live.agents.manager,
         placement=placement,
         computers=statuses,
         ages=ages,
@@ -229,24 +229,24 @@ def status_of(
         demand_estimates=tuple(
             each for each in estimates.demand_estimates() if each.component in placement
         ),
-        chains=chain_reports(run.robot, statuses),
-        capacities={c.name: _capacity(c) for c in run.robot.computers},
-        parameters=run.desired.parameters,
-        memory_demands=run.robot.demands("memory"),
-        recent=run.journal.recent(),
+        chains=chain_reports(live.robot, statuses),
+        capacities={c.name: _capacity(c) for c in live.robot.computers},
+        parameters=live.desired.parameters,
+        memory_demands=live.robot.demands("memory"),
+        recent=live.journal.recent(),
         tasks=tuple(tasks),
-        robot_tasks=tuple(task.name for task in run.robot.tasks),
+        robot_tasks=tuple(task.name for task in live.robot.tasks),
         loads=estimates.loads.loads(),
-        by_ros2=_by_ros2(run),
+        by_ros2=_by_ros2(live),
         traffic=estimates.traffic(),
     )
 
 
-def _by_ros2(run: RunningComponents) -> tuple[str, ...]:
-    placed = run.placement()
+def _by_ros2(live: LiveRobot) -> tuple[str, ...]:
+    placed = live.placement()
     return tuple(
         connector.name
-        for connector in run.robot.all_connectors()
+        for connector in live.robot.all_connectors()
         if connector.topic and all(end.component in placed for end in connector.between)
     )
 
@@ -294,10 +294,10 @@ def _read_log(agents: Agents, command: LogCommand) -> LogReading:
     return LogReading(tuple(last), after, omitted, tuple(sorted(silent)))
 
 
-def _read_tap(run: RunningComponents, command: TapCommand) -> TapReading:
+def _read_tap(live: LiveRobot, command: TapCommand) -> TapReading:
     """Return what has gone out since the viewer asked last; from any thread."""
-    agents = run.agents
-    if command.connector in _by_ros2(run):
+    agents = live.agents
+    if command.connector in _by_ros2(live):
         topic = command.connector.rpartition(" ")[2]
         raise UsageError(
             f"'{command.connector}' is made by ROS 2 alone: `ros2 topic echo {topic}` "

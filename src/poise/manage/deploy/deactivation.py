@@ -14,7 +14,7 @@ from poise.manage.agent_connections.statuses import (
     connectors_of,
 )
 from poise.manage.deploy.desired import Incarnation
-from poise.manage.deploy.running_components import RunningComponents
+from poise.manage.deploy.live_robot import LiveRobot
 from poise.wire.records.status_records import ConnectorStatus
 
 
@@ -66,54 +66,54 @@ ARRIVAL_LIMIT = 2.5
 containers report their counts once a second, agents twice."""
 
 
-def deactivate_callers(run: RunningComponents) -> None:
+def deactivate_callers(live: LiveRobot) -> None:
     """Make callers inactive before those whom they call: no call goes nowhere."""
-    calls = calling_ports(run.agents.statuses())
-    ends = [connector.between for connector in run.layout.connectors(run.placed)]
+    calls = calling_ports(live.agents.statuses())
+    ends = [connector.between for connector in live.layout.connectors(live.placed)]
     leads = [
         (s.component, t.component) for s, t in ends if (s.component, s.port) in calls
     ]
     callees = {callee for _, callee in leads}
     if callees:
-        next(inactive for inactive in _deactivate(run, leads) if callees <= inactive)
+        next(inactive for inactive in _deactivate(live, leads) if callees <= inactive)
 
 
-def drain(run: RunningComponents) -> None:
+def drain(live: LiveRobot) -> None:
     """Deactivate all components, each when it has processed what was sent to it.
 
     Afterwards the agents' statuses hold the final counts. A component whose handler
     does not end, and a message that does not arrive, are not waited for any longer.
     """
-    ends = [connector.between for connector in run.layout.connectors(run.placed)]
+    ends = [connector.between for connector in live.layout.connectors(live.placed)]
     leads = [(source.component, target.component) for source, target in ends]
-    for inactive in _deactivate(run, leads):
+    for inactive in _deactivate(live, leads):
         fed = {target for source, target in leads if source in inactive} - inactive
-        run.agents.wait_news(partial(_is_processed, run, fed), ARRIVAL_LIMIT)
+        live.agents.wait_news(partial(_is_processed, live, fed), ARRIVAL_LIMIT)
 
 
-def _deactivate(run: RunningComponents, leads: Leads) -> Iterator[set[str]]:
+def _deactivate(live: LiveRobot, leads: Leads) -> Iterator[set[str]]:
     """Make components inactive, each before those to which it leads; yield which are.
 
     A component whose handler does not end is not waited for any longer.
     """
     inactive: set[str] = set()
-    for level in levels(run.placed, leads):
+    for level in levels(live.placed, leads):
         inactive |= set(level)
         why = f"{', '.join(sorted(level))}: callers end before those whom they call"
-        run.commit(run.desired.aiming("inactive", inactive), why)
-        run.agents.wait_news(partial(_are_inactive, run, inactive), REST_LIMIT)
+        live.commit(live.desired.aiming("inactive", inactive), why)
+        live.agents.wait_news(partial(_are_inactive, live, inactive), REST_LIMIT)
         yield inactive
 
 
-def _are_inactive(run: RunningComponents, names: Collection[str]) -> bool:
-    run.reconcile()
-    run.raise_on_lost()
+def _are_inactive(live: LiveRobot, names: Collection[str]) -> bool:
+    live.reconcile()
+    live.raise_on_lost()
     places = [
         incarnation
-        for incarnation in run.placed.values()
+        for incarnation in live.placed.values()
         if incarnation.component in names
     ]
-    return not maybe_active(places, run.computers(), run.current())
+    return not maybe_active(places, live.computers(), live.current())
 
 
 def maybe_active(
@@ -132,13 +132,13 @@ def maybe_active(
     ]
 
 
-def _is_processed(run: RunningComponents, targets: Collection[str]) -> bool:
-    run.raise_on_lost()
-    return not unprocessed(run, targets)
+def _is_processed(live: LiveRobot, targets: Collection[str]) -> bool:
+    live.raise_on_lost()
+    return not unprocessed(live, targets)
 
 
 def unprocessed(
-    run: RunningComponents,
+    live: LiveRobot,
     targets: Collection[str],
     ended: Iterable[ConnectorStatus] = (),
 ) -> dict[str, int]:
@@ -147,11 +147,11 @@ def unprocessed(
     `ended`: the last counts of containers that ended; what they did after is not known.
     """
     ends: dict[str, list[ConnectorStatus]] = {}
-    for end in connectors_of(run.agents.statuses()):
+    for end in connectors_of(live.agents.statuses()):
         ends.setdefault(end.name, []).append(end)
     wanted = {
         str(connector): connector.between[1].component
-        for connector in run.layout.connectors(run.placed)
+        for connector in live.layout.connectors(live.placed)
     }
     left = {name: _left(same) for name, same in ends.items()}
     for end in ended:
@@ -185,37 +185,37 @@ RETURN_LIMIT = 3.0
 """A stop waits this long for computers that are out of reach [s]."""
 
 
-def stop(run: RunningComponents) -> None:
+def stop(live: LiveRobot) -> None:
     """Stop everything, callers first, on all computers that are reached.
 
     Computers that come back within `RETURN_LIMIT` are stopped, too. Harmless when
-    repeated, and where another manager has the robot. After RunError, `run.remaining`
+    repeated, and where another manager has the robot. After RunError, `live.remaining`
     says what still runs.
     """
-    if run.is_left or run.desired.is_stopped:
+    if live.is_left or live.desired.is_stopped:
         return
     try:
-        _stop(run)
+        _stop(live)
     except RunError as error:
-        run.remaining = str(error)
+        live.remaining = str(error)
         raise
 
 
-def _stop(run: RunningComponents) -> None:
-    agents, run.goes_on_without_lost = run.agents, True
+def _stop(live: LiveRobot) -> None:
+    agents, live.goes_on_without_lost = live.agents, True
     with contextlib.suppress(RunError):  # it is only for quiet
-        deactivate_callers(run)
-    away = {computer.name for computer in run.robot.computers} - run.computers()
-    run.end_all("the robot is stopped")
+        deactivate_callers(live)
+    away = {computer.name for computer in live.robot.computers} - live.computers()
+    live.end_all("the robot is stopped")
     if away:
-        agents.wait_news(lambda: away <= run.computers(), RETURN_LIMIT)
-        if not away.isdisjoint(run.computers()):
-            run.end_all("computers that are back are stopped")
+        agents.wait_news(lambda: away <= live.computers(), RETURN_LIMIT)
+        if not away.isdisjoint(live.computers()):
+            live.end_all("computers that are back are stopped")
     text = "; ".join(
         f"{sentence}; `poise stop --file FILE` ends it once '{name}' is reached"
-        for name, sentence in run.unreached().items()
+        for name, sentence in live.unreached().items()
     )
     if text:
-        run.journal.note("failed", f"stopped, but: {text}")
+        live.journal.note("failed", f"stopped, but: {text}")
         raise RunError(f"stopped, but: {text}")
-    run.journal.note("done", "everything stopped")
+    live.journal.note("done", "everything stopped")

@@ -10,7 +10,7 @@ import contextlib
 
 from poise.clock import wall_time
 from poise.errors import RunError
-from poise.manage.deploy.running_components import RunningComponents
+from poise.manage.deploy.live_robot import LiveRobot
 from poise.manage.observe.deviations import Deviation
 from poise.units import counted
 from poise.wire.records.status_records import AgentStatus
@@ -26,25 +26,25 @@ _REPLACED = 10.0
 class LostComputers:
     """The computers of a running robot that do not obey its manager."""
 
-    def __init__(self, run: RunningComponents) -> None:
-        self._run = run
-        self._obeying = set(run.computers())
+    def __init__(self, live: LiveRobot) -> None:
+        self._live = live
+        self._obeying = set(live.computers())
         self._lost_at: dict[str, float] = {}
         self._lost_moments: dict[str, float] = {}
-        for computer in sorted({c.name for c in run.robot.computers} - self._obeying):
+        for computer in sorted({c.name for c in live.robot.computers} - self._obeying):
             self._lost_at[computer] = wall_time()
-            self._lost_moments[computer] = run.clock.now()
+            self._lost_moments[computer] = live.clock.now()
         self._was_cut_off: set[str] = set()
         self._refused: dict[str, Deviation] = {}
-        self._pids = _pids(run)
+        self._pids = _pids(live)
         self._began = wall_time()
 
     def note(self) -> None:
         """Journal which computers were lost, which are back, and which refuse."""
-        run = self._run
-        pids = _pids(run)
+        live = self._live
+        pids = _pids(live)
         obeying = {
-            computer for computer in run.computers() if run.agents.obey(computer)
+            computer for computer in live.computers() if live.agents.obey(computer)
         }
         restarted = {
             computer
@@ -57,11 +57,11 @@ class LostComputers:
         self._was_cut_off |= {
             c
             for c in self._lost_at
-            if c not in obeying and run.agents.heartbeats.is_cut_off(c)
+            if c not in obeying and live.agents.heartbeats.is_cut_off(c)
         }
         for computer in sorted(self._lost_at.keys() & obeying):
-            status = run.agents.statuses().get(computer)
-            if status is not None and run.reconciler.is_current(computer, status):
+            status = live.agents.statuses().get(computer)
+            if status is not None and live.reconciler.is_current(computer, status):
                 self._note_back(computer, status)
         self._note_refusals()
 
@@ -75,8 +75,8 @@ class LostComputers:
         Their leases have ended, or end within a second. What an agent has left for the
         next one stays for a while.
         """
-        agents = self._run.agents
-        away = self._lost_at.keys() & agents.out_of_reach().keys() & self._run.claimed
+        agents = self._live.agents
+        away = self._lost_at.keys() & agents.out_of_reach().keys() & self._live.claimed
         return frozenset(
             name
             for name in sorted(away)
@@ -87,13 +87,13 @@ class LostComputers:
 
     def _is_replaced(self, computer: str) -> bool:
         """Return whether the next agent of a computer is awaited."""
-        run, status = self._run, self._run.agents.statuses().get(computer)
-        since = run.clock.now() - self._lost_moments[computer]
+        live, status = self._live, self._live.agents.statuses().get(computer)
+        since = live.clock.now() - self._lost_moments[computer]
         return status is not None and status.is_leaving and since < _REPLACED
 
     def deviations(self) -> list[Deviation]:
         """Return what is known of each; from any thread."""
-        since = self._run.agents.out_of_reach()
+        since = self._live.agents.out_of_reach()
         lost_at, refused = self._lost_at.copy(), self._refused.copy()
         returning = [
             Deviation(
@@ -105,17 +105,17 @@ class LostComputers:
         ]
         away = [
             Deviation(what=what, computer=computer, since=since[computer])
-            for computer, what in self._run.unreached().items()
+            for computer, what in self._live.unreached().items()
             if computer in since
         ]
         return [*returning, *refused.values(), *away, *self._held_components()]
 
     def _held_components(self) -> list[Deviation]:
         """Return what may run on computers that were not claimed yet."""
-        run, desired = self._run, self._run.desired
+        live, desired = self._live, self._live.desired
         return [
             Deviation(
-                what=run.why_held(name),
+                what=live.why_held(name),
                 computer=desired.placed[name].computer,
                 component=name,
                 since=self._began,
@@ -125,40 +125,40 @@ class LostComputers:
 
     def settle(self) -> None:
         """Wait for computers that were cut off for a moment: a command is to come."""
-        run, now = self._run, self._run.clock.now()
+        live, now = self._live, self._live.clock.now()
         self.note()
         lost = {n for n, at in self._lost_moments.items() if now - at < _MOMENT}
         if not lost:
             return
 
         def are_back() -> bool:
-            run.reconcile()
+            live.reconcile()
             self.note()
             return lost.isdisjoint(self._lost_at)
 
-        run.agents.wait_news(are_back, _MOMENT)
+        live.agents.wait_news(are_back, _MOMENT)
         back = lost - self._lost_at.keys()
         here = [
             incarnation
-            for incarnation in run.placed.values()
+            for incarnation in live.placed.values()
             if incarnation.computer in back
         ]
         with contextlib.suppress(RunError):  # the command itself says so
-            run.wait(here, _MOMENT)
+            live.wait(here, _MOMENT)
 
     def _note_lost(self, computer: str) -> None:
-        run = self._run
+        live = self._live
         self._obeying.discard(computer)
         self._lost_at[computer] = wall_time()
-        self._lost_moments[computer] = run.clock.now()
+        self._lost_moments[computer] = live.clock.now()
         back = f"computer '{computer}' was cut off, or its agent was restarted"
-        away = run.unreached().get(computer, back)
+        away = live.unreached().get(computer, back)
         if self._is_replaced(computer):
             away = f"the agent of '{computer}' is being replaced by another one"
-        run.journal.note("wrong", away)
+        live.journal.note("wrong", away)
 
     def _note_back(self, computer: str, status: AgentStatus) -> None:
-        run = self._run
+        live = self._live
         self._obeying.add(computer)
         del self._lost_at[computer], self._lost_moments[computer]
         was_cut_off = computer in self._was_cut_off
@@ -173,11 +173,11 @@ class LostComputers:
             what = f"the agent of '{computer}' was restarted; {went_on} went on"
         elif was_cut_off:
             what += "; its movable components were inactive meanwhile"
-        run.journal.note("right", what)
+        live.journal.note("right", what)
 
     def _note_refusals(self) -> None:
         """Journal what an agent refuses, or does not answer, when that is new."""
-        run, troubles = self._run, self._run.reconciler.troubles()
+        live, troubles = self._live, self._live.reconciler.troubles()
         for computer in sorted(self._refused.keys() - troubles.keys()):
             del self._refused[computer]
         for computer, why in troubles.items():
@@ -187,9 +187,9 @@ class LostComputers:
                 self._refused[computer] = Deviation(
                     what=what, computer=computer, since=wall_time()
                 )
-                run.journal.note("failed", what)
+                live.journal.note("failed", what)
 
 
-def _pids(run: RunningComponents) -> dict[str, int]:
+def _pids(live: LiveRobot) -> dict[str, int]:
     """Return the processes of the agents, by computer."""
-    return {name: status.pid for name, status in run.agents.statuses().items()}
+    return {name: status.pid for name, status in live.agents.statuses().items()}

@@ -8,7 +8,7 @@ from msgspec import Struct, structs
 
 from poise.clock import wall_time
 from poise.manage.deploy.desired import Incarnation
-from poise.manage.deploy.running_components import RunningComponents
+from poise.manage.deploy.live_robot import LiveRobot
 from poise.manage.migration.migration_report import MigrationReport
 from poise.manage.migration.move import plan_return
 from poise.manage.migration.transition_run import start_together
@@ -33,8 +33,8 @@ class _Trial(Struct, frozen=True, kw_only=True):
 class Canaries:
     """The components whose new code is watched; for the manager's thread."""
 
-    def __init__(self, run: RunningComponents) -> None:
-        self._run = run
+    def __init__(self, live: LiveRobot) -> None:
+        self._live = live
         self._trials: dict[str, _Trial] = {}
         self._returned: dict[str, tuple[Deviation, float]] = {}
 
@@ -42,38 +42,38 @@ class Canaries:
         self, component: str, seconds: float, migrate: Callable[[], MigrationReport]
     ) -> MigrationReport:
         """Replace a component, and watch it from then on if it was replaced."""
-        run, before = self._run, self._run.placed.get(component)
+        live, before = self._live, self._live.placed.get(component)
         if before is None:  # it was stopped meanwhile: the migration says so
             return migrate()
-        found = run.reported(before)
+        found = live.reported(before)
         timers = found.timers if found is not None else ()
         misses = {t.name: t.missed / max(1, t.releases) for t in timers}
         report = migrate()
         if report.committed:
-            new = run.placed[component]
-            health = run.health_of(new)
+            new = live.placed[component]
+            health = live.health_of(new)
             self._trials[component] = _Trial(
                 before=before,
                 new=new,
                 misses=misses,
                 restarts=health.restarts if health else 0,
                 seconds=seconds,
-                until=run.clock.now() + seconds,
+                until=live.clock.now() + seconds,
             )
             self._returned.pop(component, None)
             what = f"new code of component '{component}' is watched for {seconds:g} s"
-            run.journal.note("decided", what)
+            live.journal.note("decided", what)
         return report
 
     def check(self) -> bool:
         """End what was watched long enough, and what has failed; return whether any."""
         for component, trial in list(self._trials.items()):
-            placed = self._run.placed.get(component)
+            placed = self._live.placed.get(component)
             if placed is None or _code_of(placed) != _code_of(trial.new):
                 del self._trials[component]  # it was replaced again, or stopped
                 continue
             has_moved = placed.key != trial.new.key
-            health = self._run.health_of(placed) if has_moved else None
+            health = self._live.health_of(placed) if has_moved else None
             if health is not None:  # what its container did before says nothing of it
                 self._trials[component] = structs.replace(
                     trial, new=placed, restarts=health.restarts
@@ -82,15 +82,15 @@ class Canaries:
                 del self._trials[component]
                 self._return(trial, placed, why)
                 return True
-            elif self._run.clock.now() >= trial.until:
+            elif self._live.clock.now() >= trial.until:
                 del self._trials[component]
                 what = f"new code of component '{component}' has worked for "
-                self._run.journal.note("done", f"{what}{trial.seconds:g} s: it stays")
+                self._live.journal.note("done", f"{what}{trial.seconds:g} s: it stays")
         return False
 
     def under_way(self) -> tuple[str, ...]:
         """Return what is watched, in words; from any thread."""
-        now = self._run.clock.now()
+        now = self._live.clock.now()
         return tuple(
             f"new code of component '{name}' is watched for {trial.until - now:.0f} s "
             "more"
@@ -99,20 +99,20 @@ class Canaries:
 
     def deviations(self) -> Iterator[Deviation]:
         """Yield which code came back lately; from any thread."""
-        now = self._run.clock.now()
+        now = self._live.clock.now()
         for deviation, until in self._returned.copy().values():
             if now < until:
                 yield deviation
 
     def _failure(self, trial: _Trial, placed: Incarnation) -> str:
         """Return why new code has failed; empty: it has not."""
-        health = self._run.health_of(placed)
+        health = self._live.health_of(placed)
         if health is not None and health.restarts > trial.restarts:
             fault = health.last_fault
             return f"its container crashed: {fault.message if fault else 'unknown'}"
         if health is not None and health.state not in {"starting", "running"}:
             return f"its container is {health.state}"
-        found = self._run.reported(placed)
+        found = self._live.reported(placed)
         if found is not None and found.state == "failed":
             return f"it failed: {found.error}"
         for timer in found.timers if found is not None else ():
@@ -127,23 +127,23 @@ class Canaries:
 
     def _return(self, trial: _Trial, placed: Incarnation, why: str) -> None:
         """Let the code before take over; what cannot give its state is restarted."""
-        run, name = self._run, placed.component
+        live, name = self._live, placed.component
         what = f"component '{name}' returns to its previous code: {why}"
-        run.journal.note("decided", what)
-        found = run.reported(placed)
+        live.journal.note("decided", what)
+        found = live.reported(placed)
         is_there = found is not None and found.state == "active"
-        if not (is_there and plan_return(run, trial.before).run().committed):
+        if not (is_there and plan_return(live, trial.before).run().committed):
             where, before = {name: placed.computer}, {name: trial.before}
-            if not start_together(run, where, instead=before):
+            if not start_together(live, where, instead=before):
                 what = (
                     f"the new code of component '{name}' has failed ({why}), and its "
                 )
                 what += "previous code did not start"
-                run.journal.note("failed", what)
+                live.journal.note("failed", what)
         shown = Deviation(
             what=what, computer=placed.computer, component=name, since=wall_time()
         )
-        self._returned[name] = shown, run.clock.now() + SHOWN_FOR
+        self._returned[name] = shown, live.clock.now() + SHOWN_FOR
 
 
 def _code_of(incarnation: Incarnation) -> tuple[str, str]:

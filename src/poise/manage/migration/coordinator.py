@@ -22,7 +22,7 @@ from poise.manage.agent_connections.statuses import (
     keeping_ports,
 )
 from poise.manage.deploy.desired import Incarnation
-from poise.manage.deploy.running_components import RunningComponents
+from poise.manage.deploy.live_robot import LiveRobot
 from poise.manage.migration.migration_report import MigrationReport
 from poise.manage.migration.migration_rounds import MigrationRounds, PlacedStep
 from poise.manage.migration.pending_migration import PREPARE_LIMIT, STALL_LIMIT, Stall
@@ -58,20 +58,20 @@ class Migration:
 
     def __init__(
         self,
-        run: RunningComponents,
+        live: LiveRobot,
         report: MigrationReport,  # what it is about; where all was and is to be
         sources: Sequence[Incarnation],
         targets: Sequence[Incarnation],
     ) -> None:
-        self._run = run
+        self._live = live
         self._report = report
         self._sources = sources
         self._targets = targets
         gone = {incarnation.component for incarnation in sources}
         self._others = {
-            n: incarnation for n, incarnation in run.placed.items() if n not in gone
+            n: incarnation for n, incarnation in live.placed.items() if n not in gone
         }
-        self._away = run.agents.out_of_reach().keys()
+        self._away = live.agents.out_of_reach().keys()
         self._dropped: dict[str, str] = {}
         self._migration_number = 0
         self._names = [source.component for source in sources]
@@ -104,13 +104,13 @@ class Migration:
         phases = self._phases.seconds()
         if reason:
             reason = self._with_losses(reason)
-            desired = self._run.desired.without_configured_ahead(self._targets)
+            desired = self._live.desired.without_configured_ahead(self._targets)
             desired = desired.with_coming(())
             desired = desired.aiming("active", self._names)
-            self._run.commit(desired, f"{self._what} is rolled back: {reason}")
+            self._live.commit(desired, f"{self._what} is rolled back: {reason}")
         else:
             self._linger()
-            self._run.reconcile()
+            self._live.reconcile()
         self._wait_ended(self._targets if reason else self._sources)
         self._raise_on_successor()
         if not reason and not self._is_known():
@@ -133,7 +133,7 @@ class Migration:
 
         Those of the targets know what is active, those of the sources what is gone.
         """
-        agents = self._run.agents
+        agents = self._live.agents
         statuses = agents.statuses()
         return any(
             all(
@@ -145,7 +145,7 @@ class Migration:
         )
 
     def _raise_on_successor(self) -> None:
-        successor = self._run.agents.successor()
+        successor = self._live.agents.successor()
         if successor is not None:
             raise RunError(
                 f"{successor} took over the robot during the {self._what}: "
@@ -155,45 +155,45 @@ class Migration:
     def _rounds(self) -> MigrationRounds:
         """Return the steps; raise RunError when they could not all be taken."""
         self._raise_on_failed()
-        run = self._run
+        live = self._live
         for source in self._sources:
-            placed = run.placed.get(source.component)
+            placed = live.placed.get(source.component)
             if placed is None or placed.epoch != source.epoch:
                 raise RunError(f"component '{source.component}' was changed meanwhile")
-        raise_on_cut_state(run, self._sources, self._targets)
-        lossy = lossy_connectors(run, self._sources, self._others)
+        raise_on_cut_state(live, self._sources, self._targets)
+        lossy = lossy_connectors(live, self._sources, self._others)
         self._dropped = {name: connector.why for name, connector in lossy.items()}
         return MigrationRounds(
-            run.layout,
+            live.layout,
             self._sources,
             self._targets,
             self._others,
-            calling_ports(run.agents.statuses()),
-            run.gateways(),
+            calling_ports(live.agents.statuses()),
+            live.gateways(),
             lossy={name: connector.keep for name, connector in lossy.items()},
             away=self._away,
         )
 
     def _prepare(self, rounds: MigrationRounds) -> None:
-        desired = self._run.desired.aiming("stay", self._names).with_coming(
+        desired = self._live.desired.aiming("stay", self._names).with_coming(
             self._targets
         )
-        self._run.commit(desired, f"prepare the {self._what}")
+        self._live.commit(desired, f"prepare the {self._what}")
         # higher than that of any earlier migration, whatever the clock says
-        self._migration_number = self._run.desired.generation
-        stall = Stall(self._run)
+        self._migration_number = self._live.desired.generation
+        stall = Stall(self._live)
 
         def trouble() -> bool:
-            stall.check(self._run.missing(self._targets), self._targets)
+            stall.check(self._live.missing(self._targets), self._targets)
             return self._raise_on_failed()
 
-        self._run.wait(self._targets, PREPARE_LIMIT, trouble)
+        self._live.wait(self._targets, PREPARE_LIMIT, trouble)
         limit = PREPARE_LIMIT if self._copies_ahead() else STALL_LIMIT
         self._send_round(rounds.prepare(), limit, self._raise_on_failed)
 
     def _copies_ahead(self) -> bool:
         """Return whether a large state, or the import of `adapt`, may take its time."""
-        found = map(self._run.reported, self._targets)
+        found = map(self._live.reported, self._targets)
         return any(t.adapt for t in self._targets) or any(
             component.copies_ahead for component in found if component is not None
         )
@@ -213,12 +213,12 @@ class Migration:
         self._phases.enter("transfer", quiesced)
         self._phases.enter("commit")
         # nothing rolls back any more; sources redirect until agents are told
-        desired = self._run.desired.without(self._names)
+        desired = self._live.desired.without(self._names)
         desired = desired.placing(
             incarnation.with_goal("active") for incarnation in self._targets
         )
-        self._run.commit(desired, f"{self._what} is committed", tell_later=True)
-        self._committed_generation = self._run.desired.generation
+        self._live.commit(desired, f"{self._what} is committed", tell_later=True)
+        self._committed_generation = self._live.desired.generation
         self._phases.enter("resume")
         self._send_last_round(rounds.resume())
         return ""
@@ -281,9 +281,9 @@ class Migration:
         """Send each container its steps; yield these and the outcome as it is known."""
         batches: dict[tuple[str, str], list[PlacedStep]] = {}
         for placed in steps:
-            container = self._run.layout.container_of(placed[0])
+            container = self._live.layout.container_of(placed[0])
             batches.setdefault((placed[0].computer, container), []).append(placed)
-        by_number = {next(self._run.batch_numbers): key for key in batches}
+        by_number = {next(self._live.batch_numbers): key for key in batches}
         told = [
             (
                 computer,
@@ -298,48 +298,48 @@ class Migration:
             )
             for number, (computer, container) in by_number.items()
         ]
-        for outcome in self._run.agents.send_steps(told, check):
+        for outcome in self._live.agents.send_steps(told, check):
             self._taken += outcome.taken
             yield batches[by_number[outcome.number]], outcome
 
     def _wait_ended(self, gone: Sequence[Incarnation]) -> None:
         """Wait until what is not desired any more has ended; say what does not end."""
-        run = self._run
+        live = self._live
 
         def have_ended() -> bool:
-            run.reconcile()
-            away = run.agents.out_of_reach()
+            live.reconcile()
+            away = live.agents.out_of_reach()
             is_told = not self._committed_generation or self._is_known()
             is_told = is_told or all(
                 target.computer in away for target in self._targets
             )
-            return is_told and all(map(run.has_ended, gone))
+            return is_told and all(map(live.has_ended, gone))
 
-        run.agents.wait_news(have_ended, REMOVE_LIMIT)
-        if hanging := [e.component for e in gone if not run.has_ended(e)]:
+        live.agents.wait_news(have_ended, REMOVE_LIMIT)
+        if hanging := [e.component for e in gone if not live.has_ended(e)]:
             self._note_failure(
                 f"{named('component', hanging)} did not stop within {REMOVE_LIMIT:g} s"
             )
 
     def _with_losses(self, reason: str) -> str:
         """Return why it rolled back; a loss is known later than what it leads to."""
-        losses = self._run.unreached().items()
+        losses = self._live.unreached().items()
         new = [text for computer, text in losses if computer not in self._away]
         return "; ".join([reason, *(text for text in new if text not in reason)])
 
     def _note_failure(self, reason: str) -> None:
-        self._run.journal.note("failed", f"{self._what}: {reason}")
+        self._live.journal.note("failed", f"{self._what}: {reason}")
 
     def _raise_on_failed(self) -> bool:
-        run = self._run
-        run.poll()
+        live = self._live
+        live.poll()
         ends = [*self._sources, *self._targets]
-        run.raise_on_unreached(ends)
-        run.raise_on_broken(ends)
+        live.raise_on_unreached(ends)
+        live.raise_on_broken(ends)
         for source in self._sources:
-            found = run.reported(source)
+            found = live.reported(source)
             if found is not None and found.state != "active":
-                what = explain(source, found, run.health_of(source))
+                what = explain(source, found, live.health_of(source))
                 raise RunError(f"{what}: its state cannot be transferred")
         return False
 
@@ -365,12 +365,12 @@ def _left(deadline: float) -> float:
 
 
 def raise_on_cut_state(
-    run: RunningComponents,
+    live: LiveRobot,
     sources: Iterable[Incarnation],
     targets: Iterable[Incarnation],
 ) -> None:
     """Raise RunError when a state would have to cross a link that is cut."""
-    cut = cut_links(run.agents.statuses())
+    cut = cut_links(live.agents.statuses())
     to = {incarnation.component: incarnation.computer for incarnation in targets}
     for source in sources:
         between = sorted({source.computer, to.get(source.component, source.computer)})
@@ -389,17 +389,17 @@ class LossyConnector(Struct, frozen=True):
 
 
 def lossy_connectors(
-    run: RunningComponents,
+    live: LiveRobot,
     sources: Iterable[Incarnation],
     others: Mapping[str, Incarnation],
 ) -> dict[str, LossyConnector]:
     """Return connectors of components that migrate which cannot be drained now."""
     moving = {incarnation.component: incarnation for incarnation in sources}
     placed = {**others, **moving}
-    unreached = run.unreached_connectors(placed)
-    keeps = keeping_ports(run.agents.statuses())
+    unreached = live.unreached_connectors(placed)
+    keeps = keeping_ports(live.agents.statuses())
     lossy = {}
-    for connector in run.layout.connectors_at(moving, placed):
+    for connector in live.layout.connectors_at(moving, placed):
         if (why := unreached.get(str(connector))) is None:
             continue
         ends = [placed[end.component] for end in connector.between]
@@ -407,7 +407,7 @@ def lossy_connectors(
         keep = keeps.get((subscriber.component, subscriber.port))
         if keep is None:
             why += f"; '{subscriber}' has no `keep`, so nothing may be lost"
-        if keep is None or run.unresponsive(ends):
+        if keep is None or live.unresponsive(ends):
             raise RunError(f"connector '{connector}' cannot be drained: {why}")
         lossy[str(connector)] = LossyConnector(why, keep)
     return lossy

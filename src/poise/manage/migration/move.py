@@ -18,11 +18,7 @@ from poise import plan
 from poise.errors import RunError, UsageError
 from poise.manage.agent_connections.statuses import calling_ports, components_of
 from poise.manage.deploy.desired import Incarnation
-from poise.manage.deploy.running_components import (
-    ACTIVE_LIMIT,
-    READY_LIMIT,
-    RunningComponents,
-)
+from poise.manage.deploy.live_robot import ACTIVE_LIMIT, READY_LIMIT, LiveRobot
 from poise.manage.migration.coordinator import Migration
 from poise.manage.migration.migration_report import MigrationReport
 from poise.manage.migration.pending_migration import PendingMigration
@@ -33,60 +29,60 @@ from poise.wire.records.code_records import SHOWN
 
 
 def plan_move(
-    run: RunningComponents, component: str, computer: str, *, force: bool = False
+    live: LiveRobot, component: str, computer: str, *, force: bool = False
 ) -> PendingMigration:
     """Return the move of a running component to a computer, to be run.
 
     `force`: as of `check_target`.
     """
-    old = check_target(run, component, computer, force=force)
+    old = check_target(live, component, computer, force=force)
     new = Incarnation(
         component=component,
         computer=computer,
-        epoch=run.next_epoch(component),
+        epoch=live.next_epoch(component),
         goal="inactive",
         implementation=old.implementation,
         code=old.code,
         gently=True,
     )
-    return _pending(run, old, new)
+    return _pending(live, old, new)
 
 
-def _placed(run: RunningComponents, component: str) -> Incarnation:
+def _placed(live: LiveRobot, component: str) -> Incarnation:
     try:
-        return run.placed[component]
+        return live.placed[component]
     except KeyError:
-        known = ", ".join(sorted(run.placed))
+        known = ", ".join(sorted(live.placed))
         raise UsageError(
             f"component '{component}' is not running (running: {known})"
         ) from None
 
 
 def check_target(
-    run: RunningComponents, component: str, computer: str, *, force: bool
+    live: LiveRobot, component: str, computer: str, *, force: bool
 ) -> Incarnation:
     """Return what is to move; UsageError when it may not.
 
     `force`: whether it goes even when it is in the reactive or the deliberative layer;
     only people may ask so.
     """
-    old = _placed(run, component)
-    known = [computer.name for computer in run.robot.computers]
+    old = _placed(live, component)
+    known = [computer.name for computer in live.robot.computers]
     if computer not in known:
         raise UsageError(f"no computer '{computer}' (there are {', '.join(known)})")
-    layer = run.robot.architecture_of(component).layer
+    layer = live.robot.architecture_of(component).layer
     if layer != "sequencing" and not force:
         raise UsageError(
             f"component '{component}' is in the {layer} layer, which does not move; "
             "`--force` moves it anyway"
         )
-    allowed = allowed_computers(run.robot, layers_stay=False)[component]
+    allowed = allowed_computers(live.robot, layers_stay=False)[component]
     if computer not in allowed:
         raise UsageError(
             f"component '{component}' may not run on '{computer}', only on "
             f"{' or '.join(allowed) or 'none'}"
         )
-    if not run.robot.component(component).movable:
+    if not live.robot.component(component).movable:
         raise UsageError(f"component '{component}' is not movable (robot file)")
     if old.computer == computer:
         raise UsageError(f"component '{component}' runs on '{computer}' already")
@@ -94,7 +90,7 @@ def check_target(
 
 
 def plan_replacement(
-    run: RunningComponents,
+    live: LiveRobot,
     component: str,
     by: str,
     adapt: str = "",
@@ -107,32 +103,32 @@ def plan_replacement(
     `adapt`: ``package.module:function`` that turns the old state into the new one;
     empty: the new implementation restores the old one's state as it is.
     """
-    old = _placed(run, component)
-    _check_layer(run.robot.architecture_of(component), f"component '{component}'")
-    if run.robot.component(component).command:
+    old = _placed(live, component)
+    _check_layer(live.robot.architecture_of(component), f"component '{component}'")
+    if live.robot.component(component).command:
         raise UsageError(
             f"component '{component}' is a command line: it has no implementation"
         )
     implementation, at, version = by.partition("@")
     new = structs.replace(
         old,
-        epoch=run.next_epoch(component),
+        epoch=live.next_epoch(component),
         goal="inactive",
         implementation=implementation,
-        code=_code(run, old.computer, version) if at else old.code,
+        code=_code(live, old.computer, version) if at else old.code,
         adapt=adapt,
         fresh=fresh,
         gently=True,
     )
-    return _pending(run, old, new, by)
+    return _pending(live, old, new, by)
 
 
-def plan_return(run: RunningComponents, before: Incarnation) -> PendingMigration:
+def plan_return(live: LiveRobot, before: Incarnation) -> PendingMigration:
     """Return the swap of a component's code for that of an earlier incarnation."""
-    old = _placed(run, before.component)
+    old = _placed(live, before.component)
     new = structs.replace(
         old,
-        epoch=run.next_epoch(before.component),
+        epoch=live.next_epoch(before.component),
         goal="inactive",
         implementation=before.implementation,
         code=before.code,
@@ -140,15 +136,15 @@ def plan_return(run: RunningComponents, before: Incarnation) -> PendingMigration
         fresh=False,
         gently=True,
     )
-    entry = run.robot.component(before.component)
-    code = (before.code or run.robot.deployed)[:SHOWN]
+    entry = live.robot.component(before.component)
+    code = (before.code or live.robot.deployed)[:SHOWN]
     by = before.implementation or entry.implementation
-    return _pending(run, old, new, f"{by}@{code}" if code else by)
+    return _pending(live, old, new, f"{by}@{code}" if code else by)
 
 
-def _code(run: RunningComponents, computer: str, version: str) -> str:
+def _code(live: LiveRobot, computer: str, version: str) -> str:
     """Return the version of code that begins so; empty: the robot's own."""
-    status = run.agents.statuses().get(computer)
+    status = live.agents.statuses().get(computer)
     there = status.code if status is not None else ()
     found = [code for code in there if version and code.startswith(version)]
     if len(found) != 1:
@@ -158,14 +154,14 @@ def _code(run: RunningComponents, computer: str, version: str) -> str:
             f"code that begins with '{version}' (there: {known}): `poise deploy FILE` "
             "sends one"
         )
-    return "" if found[0] == run.robot.deployed else found[0]
+    return "" if found[0] == live.robot.deployed else found[0]
 
 
 def _pending(
-    run: RunningComponents, old: Incarnation, new: Incarnation, by: str = ""
+    live: LiveRobot, old: Incarnation, new: Incarnation, by: str = ""
 ) -> PendingMigration:
-    entry = run.robot.component(old.component)
-    found = [c for c in components_of(run.agents.statuses()) if c.name == entry.name]
+    entry = live.robot.component(old.component)
+    found = [c for c in components_of(live.agents.statuses()) if c.name == entry.name]
     has_state = any(c.has_state for c in found)
     # then there is no state to be transferred
     has_failed = any(c.epoch == old.epoch and c.state == "failed" for c in found)
@@ -180,23 +176,23 @@ def _pending(
     if has_failed:
         fresh = structs.replace(new, fresh=True)
         return PendingMigration(
-            run, report, (), (), lambda: _restart(run, report, old, fresh)
+            live, report, (), (), lambda: _restart(live, report, old, fresh)
         )
     if report.cold:
         return PendingMigration(
-            run, report, (), (), lambda: _move_cold(run, report, old, new)
+            live, report, (), (), lambda: _move_cold(live, report, old, new)
         )
     return PendingMigration(
-        run,
+        live,
         report,
         (old,),
         (new,),
-        lambda: Migration(run, report, (old,), (new,)).run(),
+        lambda: Migration(live, report, (old,), (new,)).run(),
     )
 
 
 def _move_cold(
-    run: RunningComponents, report: MigrationReport, old: Incarnation, new: Incarnation
+    live: LiveRobot, report: MigrationReport, old: Incarnation, new: Incarnation
 ) -> MigrationReport:
     """Stop a command and start it elsewhere, or here again.
 
@@ -206,48 +202,48 @@ def _move_cold(
     """
     started = time.monotonic()
     try:
-        run.bring([new], READY_LIMIT, f"prepare the cold move of {report.name}")
+        live.bring([new], READY_LIMIT, f"prepare the cold move of {report.name}")
     except RunError as error:
-        desired = run.desired.with_coming(())
-        run.commit(desired, f"the cold move of {report.name} is rolled back: {error}")
+        desired = live.desired.with_coming(())
+        live.commit(desired, f"the cold move of {report.name} is rolled back: {error}")
         phases = {"prepare": time.monotonic() - started}
         return structs.replace(report, reason=str(error), phases=phases)
     prepared = time.monotonic() - started
     return structs.replace(
-        _restart(run, report, old, new), phases={"prepare": prepared}
+        _restart(live, report, old, new), phases={"prepare": prepared}
     )
 
 
 def _restart(
-    run: RunningComponents, report: MigrationReport, old: Incarnation, new: Incarnation
+    live: LiveRobot, report: MigrationReport, old: Incarnation, new: Incarnation
 ) -> MigrationReport:
     """End an incarnation that has no state, or has failed, and then start the next."""
     began = time.monotonic()
-    reason = _swap(run, old, new)
+    reason = _swap(live, old, new)
     away = time.monotonic() - began
     return structs.replace(report, committed=not reason, reason=reason, downtime=away)
 
 
-def _swap(run: RunningComponents, old: Incarnation, new: Incarnation) -> str:
+def _swap(live: LiveRobot, old: Incarnation, new: Incarnation) -> str:
     """Return why `old` runs again; empty: `new` runs."""
     what, active = f"cold move of '{old.component}'", new.with_goal("active")
     try:
         # the two must not run at the same time
-        desired = run.desired.without([old.component]).with_coming([new])
-        run.commit(desired, f"{what}: it ends where it was")
-        run.wait_ended(old)
-        run.bring([active], ACTIVE_LIMIT, f"{what}: it starts")
+        desired = live.desired.without([old.component]).with_coming([new])
+        live.commit(desired, f"{what}: it ends where it was")
+        live.wait_ended(old)
+        live.bring([active], ACTIVE_LIMIT, f"{what}: it starts")
     except RunError as error:
-        again = structs.replace(old, epoch=run.next_epoch(old.component))
-        desired = run.desired.with_coming(()).placing([again])
-        run.commit(desired, f"{what} is rolled back: {error}")
+        again = structs.replace(old, epoch=live.next_epoch(old.component))
+        desired = live.desired.with_coming(()).placing([again])
+        live.commit(desired, f"{what} is rolled back: {error}")
         return str(error)
-    run.commit(run.desired.placing([active]), f"{what} is committed")
+    live.commit(live.desired.placing([active]), f"{what} is committed")
     return ""
 
 
 def plan_alternative(
-    run: RunningComponents,
+    live: LiveRobot,
     architecture: str,
     by: str,
     adapt: str = "",
@@ -262,16 +258,16 @@ def plan_alternative(
     `fresh`: whether they begin without state; else `adapt` is needed where there is
     any.
     """
-    old, new = _checked(run, architecture, by)
+    old, new = _checked(live, architecture, by)
     if not adapt and not fresh:
-        _check_stateless(run, old)
-    where = _placement(run, old, new)
-    sources = tuple(run.placed[component.name] for component in old.components)
+        _check_stateless(live, old)
+    where = _placement(live, old, new)
+    sources = tuple(live.placed[component.name] for component in old.components)
     targets = tuple(
         Incarnation(
             component=component.name,
             computer=where[component.name],
-            epoch=run.next_epoch(component.name),
+            epoch=live.next_epoch(component.name),
             goal="inactive",
             adapt=adapt,
             fresh=fresh,
@@ -286,19 +282,17 @@ def plan_alternative(
         after=where,
     )
     return PendingMigration(
-        run,
+        live,
         report,
         sources,
         targets,
-        lambda: Migration(run, report, sources, targets).run(),
+        lambda: Migration(live, report, sources, targets).run(),
     )
 
 
-def _checked(
-    run: RunningComponents, name: str, by: str
-) -> tuple[Architecture, Architecture]:
-    old, new = _architecture(run.robot, name), _architecture(run.robot, by)
-    missing = [c.name for c in old.components if c.name not in run.placed]
+def _checked(live: LiveRobot, name: str, by: str) -> tuple[Architecture, Architecture]:
+    old, new = _architecture(live.robot, name), _architecture(live.robot, by)
+    missing = [c.name for c in old.components if c.name not in live.placed]
     if missing or not old.components:
         raise UsageError(
             f"architecture '{name}' does not run (not running: {', '.join(missing)})"
@@ -310,7 +304,7 @@ def _checked(
         )
     for architecture in (old, new):
         _check_layer(architecture, f"architecture '{architecture.name}'")
-    if any(c.name in run.placed for c in new.components):
+    if any(c.name in live.placed for c in new.components):
         raise UsageError(f"architecture '{by}' runs already")
     commands = [c.name for c in (*old.components, *new.components) if c.command]
     if commands:
@@ -318,7 +312,7 @@ def _checked(
             f"{named('executable', commands)} cannot take over state: "
             "stop the robot, and start it with the other architecture"
         )
-    _check_callers(run, old, new)
+    _check_callers(live, old, new)
     return old, new
 
 
@@ -330,11 +324,11 @@ def _check_layer(architecture: Architecture, what: str) -> None:
         )
 
 
-def _check_stateless(run: RunningComponents, old: Architecture) -> None:
+def _check_stateless(live: LiveRobot, old: Architecture) -> None:
     """Raise UsageError when a component's state would be lost."""
-    placed = {run.placed[c.name].computer for c in old.components}
+    placed = {live.placed[c.name].computer for c in old.components}
     names = {c.name for c in old.components}
-    statuses = run.agents.statuses()
+    statuses = live.agents.statuses()
     found = components_of({c: s for c, s in statuses.items() if c in placed})
     lost = sorted({c.name for c in found if c.has_state} & names)
     if lost:
@@ -344,22 +338,20 @@ def _check_stateless(run: RunningComponents, old: Architecture) -> None:
         )
 
 
-def _check_callers(
-    run: RunningComponents, old: Architecture, new: Architecture
-) -> None:
+def _check_callers(live: LiveRobot, old: Architecture, new: Architecture) -> None:
     """Raise UsageError when a caller of `old` could not call `new`."""
-    layout = run.layout
+    layout = live.layout
     olds, news = (
         {c.name for c in architecture.components} for architecture in (old, new)
     )
-    others = run.placed.keys() - olds
+    others = live.placed.keys() - olds
     offered = {
         layout.slot_of(connector)
         for connector in layout.connectors({*others, *news})
         if connector.between[1].component in news
     }
-    calls = calling_ports(run.agents.statuses())
-    for connector in layout.connectors(run.placed):
+    calls = calling_ports(live.agents.statuses())
+    for connector in layout.connectors(live.placed):
         source, target = connector.between
         is_call = (source.component, source.port) in calls
         if source.component in olds or target.component not in olds or not is_call:
@@ -371,9 +363,7 @@ def _check_callers(
             )
 
 
-def _placement(
-    run: RunningComponents, old: Architecture, new: Architecture
-) -> dict[str, str]:
+def _placement(live: LiveRobot, old: Architecture, new: Architecture) -> dict[str, str]:
     """Return where the new components go, beside all that runs.
 
     The old ones are still there meanwhile, but compute nothing any more when the new
@@ -381,19 +371,19 @@ def _placement(
     """
     goes = {c.name for c in old.components}
     comes = [c.name for c in new.components]
-    problem = plan.keep_components(plan.problem_of(run.robot), {*run.placed, *comes})
+    problem = plan.keep_components(plan.problem_of(live.robot), {*live.placed, *comes})
     components = []
     for component in problem.components:
         pinned = component
-        if component.name in run.placed:
-            here = run.placed[component.name].computer
+        if component.name in live.placed:
+            here = live.placed[component.name].computer
             pinned = structs.replace(component, only=(here,))
         if component.name in goes:
             demand = {r: n for r, n in component.demand.items() if r != "cpu"}
             pinned = structs.replace(pinned, demand=demand)
         components.append(pinned)
     problem = structs.replace(problem, components=tuple(components), architectures=())
-    result = plan.solve(problem, steps=run.solve_steps)
+    result = plan.solve(problem, steps=live.solve_steps)
     if not result.feasible:
         raise UsageError(
             f"architecture '{new.name}' does not fit beside the running components: "

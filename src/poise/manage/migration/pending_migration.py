@@ -15,7 +15,7 @@ from msgspec import structs
 from poise.errors import RunError
 from poise.manage.agent_connections.statuses import components_of
 from poise.manage.deploy.desired import Incarnation
-from poise.manage.deploy.running_components import RunningComponents
+from poise.manage.deploy.live_robot import LiveRobot
 from poise.manage.migration.migration_report import MigrationReport
 
 PREPARE_LIMIT = 30.0
@@ -29,10 +29,10 @@ class Stall:
 
     def __init__(
         self,
-        run: RunningComponents,
+        live: LiveRobot,
         clock: Callable[[], float] = time.monotonic,  # a time that never goes back [s]
     ) -> None:
-        self._run = run
+        self._live = live
         self._missing: list[str] = []
         self._clock = clock
         self._since = clock()
@@ -53,7 +53,7 @@ class Stall:
 
     def _is_configuring(self, wanted: Collection[Incarnation]) -> bool:
         """Return whether one is being started, imported or configured."""
-        current, container_of = self._run.current(), self._run.layout.container_of
+        current, container_of = self._live.current(), self._live.layout.container_of
         places = {(w.computer, container_of(w)) for w in wanted}
         states = {(c.name, c.epoch): c.state for c in components_of(current)}
         return any(states.get(w.key) == "unconfigured" for w in wanted) or any(
@@ -75,13 +75,13 @@ class PendingMigration:
 
     def __init__(
         self,
-        run: RunningComponents,
+        live: LiveRobot,
         report: MigrationReport,
         sources: tuple[Incarnation, ...],
         targets: tuple[Incarnation, ...],
         migrate: Callable[[], MigrationReport],  # makes it; returns how it went
     ) -> None:
-        self._run = run
+        self._live = live
         self._report = report
         self._sources = {source.key: source for source in sources}
         self._targets = tuple(structs.replace(t, unjoined=True) for t in targets)
@@ -94,9 +94,11 @@ class PendingMigration:
     def configure_ahead(self) -> Self:
         """Let the targets be configured; waits for nothing."""
         self._began = time.monotonic()
-        self._stall = Stall(self._run)
-        desired = self._run.desired.with_configured_ahead(self._targets)
-        self._run.commit(desired, f"configure for the migration of {self._report.name}")
+        self._stall = Stall(self._live)
+        desired = self._live.desired.with_configured_ahead(self._targets)
+        self._live.commit(
+            desired, f"configure for the migration of {self._report.name}"
+        )
         return self
 
     def is_decided(self) -> bool:
@@ -120,20 +122,20 @@ class PendingMigration:
         configured = time.monotonic() - self._began if self._began else 0.0
         if self._reason:
             report = structs.replace(self._report, reason=self._reason)
-            desired = self._run.desired.without_configured_ahead(self._targets)
+            desired = self._live.desired.without_configured_ahead(self._targets)
             why = f"migration of {report.name} was not started: {self._reason}"
-            self._run.commit(desired, why)
+            self._live.commit(desired, why)
         else:
             report = self._migrate()
         prepared = configured + report.phases.get("prepare", 0.0)
         report = structs.replace(report, phases={**report.phases, "prepare": prepared})
-        report.note_in(self._run.journal)
+        report.note_in(self._live.journal)
         return report
 
     def _is_configured(self) -> bool:
-        run = self._run
-        run.raise_on_unreached(self._targets)
-        run.raise_on_broken(self._targets)
+        live = self._live
+        live.raise_on_unreached(self._targets)
+        live.raise_on_broken(self._targets)
         self._missing = missing = self._unmet()
         if missing and time.monotonic() > self._began + PREPARE_LIMIT:
             text = f"not ready within {PREPARE_LIMIT:g} s: {'; '.join(missing)}"
@@ -148,12 +150,12 @@ class PendingMigration:
         unsure = [
             f"computer '{computer}' is not heard, or was cut off"
             for computer in sorted({end.computer for end in ends})
-            if not self._run.agents.heartbeats.is_sure(computer)
+            if not self._live.agents.heartbeats.is_sure(computer)
         ]
         resting = (
             self._sources.get((component.name, component.epoch))
-            for component in components_of(self._run.agents.statuses())
+            for component in components_of(self._live.agents.statuses())
             if component.state == "inactive"
         )
         unjoined = (structs.replace(s, unjoined=True) for s in resting if s is not None)
-        return unsure + self._run.missing([*self._targets, *unjoined])
+        return unsure + self._live.missing([*self._targets, *unjoined])

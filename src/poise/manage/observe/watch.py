@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 from poise.clock import wall_time
 from poise.manage.agent_connections.statuses import Statuses, components_of
-from poise.manage.deploy.running_components import RunningComponents
+from poise.manage.deploy.live_robot import LiveRobot
 from poise.manage.journal import Kind
 from poise.manage.observe.deviations import (
     Deviation,
@@ -24,13 +24,13 @@ _JOIN_WITHIN = 2.0
 class Watch:
     """Compares what a run wants with what its agents report."""
 
-    def __init__(self, run: RunningComponents) -> None:
+    def __init__(self, live: LiveRobot) -> None:
         self.deviations: tuple[Deviation, ...] = ()
         """What is not as it should be now."""
-        self._run = run
+        self._live = live
         self._unjoined: dict[str, tuple[Deviation, float]] = {}
-        self._faults = FaultFilter(run.faults_before)
-        self.code_errors = CodeErrors(run.journal.note)
+        self._faults = FaultFilter(live.faults_before)
+        self.code_errors = CodeErrors(live.journal.note)
 
     @property
     def num_faults(self) -> int:
@@ -43,21 +43,21 @@ class Watch:
         The entry of a container's fault covers the deviation that it caused. A move
         judges the components that it moves.
         """
-        run = self._run
-        run.note_refused()
+        live = self._live
+        live.note_refused()
         self._note_faults()
-        reached = run.computers()
-        statuses = {c: status for c, status in run.current().items() if c in reached}
+        reached = live.computers()
+        statuses = {c: status for c, status in live.current().items() if c in reached}
         before = {deviation.key: deviation for deviation in self.deviations}
         deviations = self._found(statuses, before)
         for key, deviation in deviations.items():
             if key in before and before[key].what == deviation.what:
                 deviations[key] = before[key]
             elif not deviation.container:
-                run.journal.note("wrong", deviation.what)
+                live.journal.note("wrong", deviation.what)
         for key in sorted(before.keys() - deviations.keys()):
             if not before[key].container:
-                run.journal.note("right", before[key].end())
+                live.journal.note("right", before[key].end())
         self.deviations = tuple(deviations.values())
         self.code_errors.record(statuses, time.monotonic())
         self._note_recoveries(statuses)
@@ -66,12 +66,12 @@ class Watch:
         self, statuses: Statuses, before: Mapping[str, Deviation]
     ) -> dict[str, Deviation]:
         """Return what deviates now, by key; of what is being moved, what did before."""
-        run, now = self._run, wall_time()
-        wanted, settled = run.desired.incarnations(), run.desired.settled()
-        moving = run.placed.keys() - settled.keys()
+        live, now = self._live, wall_time()
+        wanted, settled = live.desired.incarnations(), live.desired.settled()
+        moving = live.placed.keys() - settled.keys()
         current = {key: before[key] for key in sorted(before.keys() & moving)}
         deviations = find_deviations(
-            settled.values(), wanted, run.layout, statuses, now
+            settled.values(), wanted, live.layout, statuses, now
         )
         current |= {deviation.key: deviation for deviation in deviations}
         there = [
@@ -80,7 +80,7 @@ class Watch:
             if name not in current and incarnation.computer in statuses
         ]
         began = time.monotonic()
-        joined = run.layout.connectors(run.placed) if self._unjoined else ()
+        joined = live.layout.connectors(live.placed) if self._unjoined else ()
         still = {
             name: self._unjoined[name]
             for connector in joined
@@ -89,7 +89,7 @@ class Watch:
         }
         self._unjoined = still | {
             name: self._unjoined.get(name, (deviation, began))
-            for name, deviation in find_unjoined(there, run.layout, statuses, now)
+            for name, deviation in find_unjoined(there, live.layout, statuses, now)
         }
         return current | {
             deviation.key: deviation
@@ -99,24 +99,24 @@ class Watch:
 
     def _note_faults(self) -> None:
         """Journal what broke on computers since the last time."""
-        run = self._run
-        statuses = run.agents.statuses()
+        live = self._live
+        statuses = live.agents.statuses()
         for sentence, fault in self._faults.new(statuses, time.monotonic()):
             kind: Kind = "right" if fault.is_over else "wrong"
-            run.journal.note(kind, sentence, fault=fault)
+            live.journal.note(kind, sentence, fault=fault)
 
     def _note_recoveries(self, statuses: Statuses) -> None:
         """Journal which containers run as they should again after a fault."""
-        run = self._run
+        live = self._live
         deviating = {
-            run.layout.container_of(run.placed[deviation.component])
+            live.layout.container_of(live.placed[deviation.component])
             for deviation in self.deviations
-            if deviation.component in run.placed
+            if deviation.component in live.placed
         }
         states = {(c.name, c.epoch): c.state for c in components_of(statuses)}
         starting = {
-            (each.computer, run.layout.container_of(each))
-            for each in run.desired.incarnations()
+            (each.computer, live.layout.container_of(each))
+            for each in live.desired.incarnations()
             if states.get(each.key, "unconfigured") == "unconfigured"
         }
         for computer, status in statuses.items():
@@ -125,4 +125,4 @@ class Watch:
                 is_well = is_well and (computer, health.name) not in starting
                 if is_well and self._faults.close(computer, health.name):
                     what = f"container '{health.name}' on '{computer}'"
-                    run.journal.note("right", f"{what} is healthy again")
+                    live.journal.note("right", f"{what} is healthy again")

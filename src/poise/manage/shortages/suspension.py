@@ -20,7 +20,7 @@ from poise.errors import UsageError
 from poise.estimate.code_version import version_of
 from poise.manage.adaptation.situation import Change, Situation
 from poise.manage.deploy.desired import Desired
-from poise.manage.deploy.running_components import RunningComponents
+from poise.manage.deploy.live_robot import LiveRobot
 from poise.manage.journal import Journal
 from poise.manage.migration.migration_report import TransitionStep
 from poise.manage.migration.transition_run import start_together, transit
@@ -44,9 +44,9 @@ class Suspensions:
     """What a robot's task needs, but does not run. Times are those of one clock [s]."""
 
     def __init__(
-        self, run: RunningComponents, task: Callable[[], Task], why: str = ""
+        self, live: LiveRobot, task: Callable[[], Task], why: str = ""
     ) -> None:
-        self._run = run
+        self._live = live
         self._task = task
         self._why = why
         self._known: dict[str, Deviation] = {}
@@ -64,19 +64,19 @@ class Suspensions:
 
         Their state is lost.
         """
-        run, names = self._run, tuple(names)
+        live, names = self._live, tuple(names)
         components: dict[str, str] = {}
         for name in names:
-            architecture = run.robot.architecture(name)
+            architecture = live.robot.architecture(name)
             if architecture.layer != "sequencing":
                 raise UsageError(
                     f"architecture '{name}' is in the {architecture.layer} layer, "
                     "which Poise never suspends"
                 )
             here = {
-                c.name: run.placed[c.name].computer
+                c.name: live.placed[c.name].computer
                 for c in architecture.components
-                if c.name in run.placed
+                if c.name in live.placed
             }
             if not here:
                 raise UsageError(f"architecture '{name}' does not run")
@@ -115,28 +115,28 @@ class Suspensions:
 
     def quarantine(self, name: str) -> None:
         """Take an architecture that crashes back only with other code, or `release`."""
-        architecture = self._run.robot.architecture(name)
+        architecture = self._live.robot.architecture(name)
         self._crashed[name] = self._code_of(architecture)
 
     def release(self) -> None:
         """Take back soon what fits, also what crashed: a person asked for it."""
         for name in self._crashed:
             what = f"architecture '{name}' may start again, though it crashed"
-            self._run.journal.note("decided", what)
+            self._live.journal.note("decided", what)
         self._crashed.clear()
         self._stays.clear()
         self._has_news = True
 
     def record(self) -> None:
         """Note what does not run, and what runs again or is not needed any more."""
-        run = self._run
+        live = self._live
         suspended = {each.name: each.function for each in self._suspended()}
         for name in sorted(self._known.keys() - suspended.keys()):
             del self._known[name]
-            components = run.robot.architecture(name).components
-            runs = any(component.name in run.placed for component in components)
+            components = live.robot.architecture(name).components
+            runs = any(component.name in live.placed for component in components)
             how = "runs again" if runs else "is not needed any more"
-            run.journal.note("right", f"architecture '{name}' {how}")
+            live.journal.note("right", f"architecture '{name}' {how}")
         known = {suspended[name] for name in self._known}
         for name, function in suspended.items():
             if function not in known:
@@ -146,7 +146,7 @@ class Suspensions:
     def functions(self) -> frozenset[str]:
         """Return the functions of what is suspended."""
         known = self._known.keys()
-        robot = self._run.robot
+        robot = self._live.robot
         return frozenset(a.function for a in robot.architectures if a.name in known)
 
     def deviations(self) -> tuple[Deviation, ...]:
@@ -168,14 +168,14 @@ class Suspensions:
 
         Returns whether all others have stopped; else they go on.
         """
-        run, away = self._run, self._run.agents.out_of_reach()
+        live, away = self._live, self._live.agents.out_of_reach()
         here = {name: at for name, at in components.items() if at not in away}
         steps = tuple(TransitionStep(*each) for each in sorted(here.items()))
-        if steps and not transit(run, steps).committed:
+        if steps and not transit(live, steps).committed:
             return False
         if gone := components.keys() - here.keys():
             why = "what is out of reach is not to go on there"
-            run.commit(run.desired.without(gone), why)
+            live.commit(live.desired.without(gone), why)
         return True
 
     def _stay(self, name: str, now: float, *, first: float) -> None:
@@ -195,19 +195,19 @@ class Suspensions:
             return
         self._look_at_code = now + _LOOK_AT_CODE
         for name, code in list(self._crashed.items()):
-            if self._code_of(self._run.robot.architecture(name)) != code:
+            if self._code_of(self._live.robot.architecture(name)) != code:
                 del self._crashed[name]
                 self._has_news = True
                 what = f"the code of architecture '{name}' has changed"
-                self._run.journal.note("seen", what)
+                self._live.journal.note("seen", what)
 
     def _code_of(self, architecture: Architecture) -> str:
-        folders = self._run.robot.folders
+        folders = self._live.robot.folders
         return " ".join(version_of(c, *folders) for c in architecture.components)
 
     def _suspended(self) -> list[Architecture]:
         """Return what does not run; worked out when what that depends on changes."""
-        inputs = self._run.robot, self._run.placed.keys(), self._task()
+        inputs = self._live.robot, self._live.placed.keys(), self._task()
         if inputs != self._inputs:
             robot, placed, task = inputs
             self._inputs = robot, frozenset(placed), task
@@ -221,7 +221,7 @@ class Suspensions:
         since = before.since if before else wall_time()
         self._known[name] = Deviation(what=what, computer="", since=since)
         if before is None or before.what != what:
-            self._run.journal.note("wrong", what)
+            self._live.journal.note("wrong", what)
 
 
 def not_running(robot: Robot, task: str, placed: Iterable[str]) -> list[Architecture]:
@@ -347,8 +347,8 @@ class ResumeSuspended:
 
     purpose = "start suspended architectures again"
 
-    def __init__(self, run: RunningComponents, suspensions: Suspensions) -> None:
-        self._run = run
+    def __init__(self, live: LiveRobot, suspensions: Suspensions) -> None:
+        self._live = live
         self._suspensions = suspensions
         self._try_at = 0.0
         self._try_again = _TRY_AGAIN
@@ -406,7 +406,7 @@ class ResumeSuspended:
         return [*islice(product(*of_each), _MOST_CHOICES)]
 
     def _start(self, names: list[str], where: Mapping[str, str], now: float) -> None:
-        if start_together(self._run, where):
+        if start_together(self._live, where):
             self._suspensions.note_resumed(names, now)
         else:
             self._suspensions.note_suspended(names, "it could not be started", now)

@@ -15,7 +15,7 @@ from poise.errors import PoiseError, RobotError
 from poise.estimate.success_rates import learned
 from poise.manage.adaptation.proposal import SOLVE_FOR
 from poise.manage.adaptation.situation import Situation
-from poise.manage.deploy.running_components import RunningComponents
+from poise.manage.deploy.live_robot import LiveRobot
 from poise.manage.migration.migration_report import TransitionStep
 from poise.manage.migration.transition_plan import plan_transition, residue
 from poise.manage.tasks.component_reports import Serving, conditions_of
@@ -195,13 +195,11 @@ def likely_next(
 class Admission:
     """Decides where the functions of all tasks go together."""
 
-    def __init__(
-        self, run: RunningComponents, tasks: Tasks, plans: PlanOverTime
-    ) -> None:
-        self._run = run
+    def __init__(self, live: LiveRobot, tasks: Tasks, plans: PlanOverTime) -> None:
+        self._live = live
         self._tasks = tasks
         self._plans = plans
-        self._serving = Serving(run)
+        self._serving = Serving(live)
 
     def admit(
         self,
@@ -268,7 +266,7 @@ class Admission:
         functions -= left_out
         runs = situation.robot.components_for(functions)
         placement = {n: at for n, at in situation.placement.items() if n in runs}
-        idle = self._run.prepared()
+        idle = self._live.prepared()
         hint = {n: idle.get(n, at) for n, at in by_plan.items() if n in runs}
         here = replace(situation, placement=placement)
         return room_for_functions(here, functions, hint)

@@ -12,7 +12,7 @@ from poise.estimate.success_rates import learned
 from poise.manage.adaptation.decision import shortages_of
 from poise.manage.adaptation.situation import Situation
 from poise.manage.agent_connections.statuses import components_of
-from poise.manage.deploy.running_components import RunningComponents
+from poise.manage.deploy.live_robot import LiveRobot
 from poise.model.phases import first_action, promise_of
 from poise.model.robot import Architecture, ConnectorEnd, Robot
 from poise.model.steps import Choice
@@ -36,20 +36,18 @@ class ComponentReports:
     `heard`: component -> epoch -> the number of its last request that was heard.
     """
 
-    def __init__(
-        self, run: RunningComponents, heard: dict[str, dict[int, int]]
-    ) -> None:
-        self._run = run
+    def __init__(self, live: LiveRobot, heard: dict[str, dict[int, int]]) -> None:
+        self._live = live
         self._heard = heard
 
     def ends(self) -> Mapping[str, EndReport]:
         """Return what was said at each port that ends an action, as component.port."""
-        placed, prepared = self._run.placed, self._run.prefetched
+        placed, prepared = self._live.placed, self._live.prefetched
         return {
             f"{component.name}.{end.port}": EndReport(
                 component.epoch, end.count, end.done
             )
-            for component in components_of(self._run.current())
+            for component in components_of(self._live.current())
             if component.ends
             and (known := placed.get(component.name) or prepared.get(component.name))
             and known.epoch == component.epoch
@@ -58,7 +56,7 @@ class ComponentReports:
 
     def requests(self) -> Iterator[tuple[str, TaskRequest]]:
         """Yield what components want done with tasks, and which component does."""
-        for component in components_of(self._run.current()):
+        for component in components_of(self._live.current()):
             for request in self._new_of(component):
                 heard = self._heard.setdefault(component.name, {})
                 heard[component.epoch] = request.number
@@ -77,17 +75,17 @@ class ComponentReports:
 class Serving:
     """The architectures of a run that are at work."""
 
-    def __init__(self, run: RunningComponents) -> None:
-        self._run = run
+    def __init__(self, live: LiveRobot) -> None:
+        self._live = live
         self._placed: AbstractSet[str] = frozenset()
         self._whole_then: list[Architecture] = []
 
     def moving(self) -> list[Architecture]:
         """Return those of the sequencing layer of which something is placed."""
-        placed = self._run.placed
+        placed = self._live.placed
         return [
             a
-            for a in self._run.robot.architectures
+            for a in self._live.robot.architectures
             if a.layer == "sequencing" and any(c.name in placed for c in a.components)
         ]
 
@@ -101,7 +99,7 @@ class Serving:
 
     def broken(self, lost: Collection[str]) -> set[str]:
         """Return the functions of which something is missing, or on a lost computer."""
-        placed = self._run.placed
+        placed = self._live.placed
         return {
             a.function
             for a in self.moving()
@@ -115,14 +113,14 @@ class Serving:
 
     def functions_of(self, components: Iterable[str]) -> set[str]:
         """Return the functions that components belong to."""
-        architecture_of = self._run.robot.architecture_of
+        architecture_of = self._live.robot.architecture_of
         return {architecture_of(name).function for name in components}
 
     def why_endless(self, end: ConnectorEnd | None) -> str:
         """Return why nothing can report an action's end; empty: its component runs."""
-        if end is None or end.component in self._run.placed:
+        if end is None or end.component in self._live.placed:
             return ""
-        function = self._run.robot.architecture_of(end.component).function
+        function = self._live.robot.architecture_of(end.component).function
         if not (serving := self.architectures([function])):
             return ""  # it is suspended, or its computer is lost: it may come back
         return (
@@ -132,10 +130,10 @@ class Serving:
 
     def _whole(self) -> list[Architecture]:
         """Return what is placed wholly; computed when the placed components change."""
-        run, placed = self._run, self._run.placed.keys()
+        live, placed = self._live, self._live.placed.keys()
         if placed != self._placed:
             self._placed = frozenset(placed)
-            self._whole_then = [a for a in run.robot.whole(placed) if a.components]
+            self._whole_then = [a for a in live.robot.whole(placed) if a.components]
         return self._whole_then
 
 

@@ -10,7 +10,7 @@ from msgspec.structs import replace
 
 from poise.manage.agent_connections.statuses import components_of
 from poise.manage.deploy.desired import Incarnation
-from poise.manage.deploy.running_components import RunningComponents
+from poise.manage.deploy.live_robot import LiveRobot
 from poise.manage.migration.transition_plan import residue
 from poise.manage.observe.estimates import Load
 from poise.manage.tasks.action_placement import LikelyAction
@@ -139,9 +139,9 @@ class Prefetcher:
     """
 
     def __init__(
-        self, run: RunningComponents, clock: Callable[[], float] = time.monotonic
+        self, live: LiveRobot, clock: Callable[[], float] = time.monotonic
     ) -> None:
-        self._run = run
+        self._live = live
         self._clock = clock
         self._chosen_at = float("-inf")
         self._chosen_for: object = None
@@ -155,11 +155,11 @@ class Prefetcher:
 
     def report(self) -> PrefetchReport:
         """Return what it was good for; from any thread."""
-        switches = self._run.switches
+        switches = self._live.switches
         return PrefetchReport(
             hit=switches.summary(is_hit=True),
             miss=switches.summary(is_hit=False),
-            prepared=self._run.prepared(),
+            prepared=self._live.prepared(),
             memory=sum(self._memory.copy().values()),
             wasted=self._wasted,
         )
@@ -172,19 +172,24 @@ class Prefetcher:
         """Note how preparations go, and prepare what is likely next."""
         self._note_failures()
         self._note_ready()
-        if self._run.robot.prefetch.off:
+        if self._live.robot.prefetch.off:
             likely = ()
-        now, placement = self._clock(), self._run.placement()
-        situation = [*likely], placement, [*self._run.prefetched], self._run.computers()
+        now, placement = self._clock(), self._live.placement()
+        situation = (
+            [*likely],
+            placement,
+            [*self._live.prefetched],
+            self._live.computers(),
+        )
         if situation == self._chosen_for and now < self._chosen_at + LOOK_EVERY:
             return
         self._chosen_at = now
         likely = [action for action in likely if not self._is_backed_off(action)]
         cpu = self._cpu_left(placement, loads())
-        held = self._run.prepared()
-        choice = choose(self._run.robot, placement, likely, cpu=cpu, held=held)
+        held = self._live.prepared()
+        choice = choose(self._live.robot, placement, likely, cpu=cpu, held=held)
         self._go_to(choice, likely, cpu)
-        self._chosen_for = [*likely], placement, [*self._run.prefetched], cpu.keys()
+        self._chosen_for = [*likely], placement, [*self._live.prefetched], cpu.keys()
 
     def _go_to(
         self,
@@ -192,13 +197,13 @@ class Prefetcher:
         likely: Collection[LikelyAction],
         cpu: Mapping[str, float],
     ) -> None:
-        run, note = self._run, self._run.journal.note
+        live, note = self._live, self._live.journal.note
         for (action, task), why in choice.why_not.items():
             if task and (action, task) not in self._why_not:
                 note("seen", f"nothing is prepared for {_named(action, task)}: {why}")
         self._why_not = choice.why_not
         wanted = choice.placement
-        held = run.prepared()
+        held = live.prepared()
         drops = [name for name in held if wanted.get(name) != held[name]]
         drops += self._make_idle(likely, drops)
         begins = {n: at for n, at in wanted.items() if held.get(n) != at}
@@ -206,7 +211,7 @@ class Prefetcher:
             return
         if drops:
             note("decided", f"{_list(drops)} no longer kept prepared")
-            drop(run, drops)
+            drop(live, drops)
         for likely_action in likely:
             mine = {
                 n: at
@@ -219,12 +224,14 @@ class Prefetcher:
                 probability = likely_action.probability
                 note("decided", text, placement=mine, probability=probability)
         if begins:
-            prepare(run, begins, {at: cpu[at] for at in begins.values()})
-        new = (run.prefetched[n] for n in sorted(begins.keys() & run.prefetched.keys()))
+            prepare(live, begins, {at: cpu[at] for at in begins.values()})
+        new = (
+            live.prefetched[n] for n in sorted(begins.keys() & live.prefetched.keys())
+        )
         self._begun |= {incarnation.key: incarnation for incarnation in new}
         restarts = {
             (computer, health.name): health.restarts
-            for computer, status in run.agents.statuses().items()
+            for computer, status in live.agents.statuses().items()
             for health in status.health
         }
         self._restarts = {
@@ -236,9 +243,9 @@ class Prefetcher:
         self, likely: Iterable[LikelyAction], drops: Collection[str]
     ) -> list[str]:
         """Leave idle what no action is likely to need; return what is not ready."""
-        run, unready, ready = self._run, list[str](), list[Incarnation]()
+        live, unready, ready = self._live, list[str](), list[Incarnation]()
         needed = {name for action in likely for name in action.placement}
-        for name, incarnation in run.prefetched.items():
+        for name, incarnation in live.prefetched.items():
             if not incarnation.gently or name in needed or name in drops:
                 continue
             if incarnation.key in self._ready:
@@ -246,8 +253,8 @@ class Prefetcher:
             else:
                 unready.append(name)
         if ready:
-            run.commit(
-                run.desired.with_prefetched(ready), "prepared components are idle"
+            live.commit(
+                live.desired.with_prefetched(ready), "prepared components are idle"
             )
         return unready
 
@@ -255,9 +262,9 @@ class Prefetcher:
         self, placement: Mapping[str, str], loads: Mapping[str, Load]
     ) -> dict[str, float]:
         """Return computer -> CPU that may be used there to prepare [cores]."""
-        robot, cpu = self._run.robot, {}
+        robot, cpu = self._live.robot, {}
         unplaced = residue(robot, placement)
-        for name in self._run.computers():
+        for name in self._live.computers():
             left = unplaced[name]["cpu"]
             if name in loads:
                 left = min(left, loads[name].capacity - loads[name].used)
@@ -269,29 +276,29 @@ class Prefetcher:
         """Drop what cannot be prepared, and say why: its action may still begin."""
         if not self._begun:
             return
-        run = self._run
+        live = self._live
         failed = {
             name: why
-            for name, incarnation in run.prefetched.items()
+            for name, incarnation in live.prefetched.items()
             if incarnation.key in self._begun and (why := self._failure(incarnation))
         }
         for name, why in failed.items():
-            computer = run.prefetched[name].computer
+            computer = live.prefetched[name].computer
             where = f"component '{name}' cannot be prepared on '{computer}'"
             text = f"{where}; it starts only with its action: {why}"
-            run.journal.note("failed", text)
+            live.journal.note("failed", text)
         if failed:
             self._backed_off |= dict.fromkeys(failed, self._clock() + TRY_AGAIN)
-            drop(run, failed)
+            drop(live, failed)
 
     def _note_ready(self) -> None:
         """Journal what is ready now, and count what was dropped that never worked."""
-        run = self._run
-        here = {idle.key for idle in run.prefetched.values()}
-        at_work = {incarnation.key for incarnation in run.placed.values()}
+        live = self._live
+        here = {idle.key for idle in live.prefetched.values()}
+        at_work = {incarnation.key for incarnation in live.placed.values()}
         used = {
             self._container(incarnation)
-            for incarnation in (*run.prefetched.values(), *run.placed.values())
+            for incarnation in (*live.prefetched.values(), *live.placed.values())
         }
         gone = {
             self._container(incarnation)
@@ -301,7 +308,10 @@ class Prefetcher:
         self._wasted += sum(self._memory.get(key, 0) for key in gone - used)
         self._begun = {key: idle for key, idle in self._begun.items() if key in here}
         self._ready &= self._begun.keys()
-        statuses, waiting = run.current(), map(self._container, run.prefetched.values())
+        statuses, waiting = (
+            live.current(),
+            map(self._container, live.prefetched.values()),
+        )
         self._memory = {
             key: health.memory
             for key in waiting
@@ -319,22 +329,22 @@ class Prefetcher:
             self._ready |= {(component.name, component.epoch) for component in ready}
             seconds = max(component.start for component in ready)
             names = _list([component.name for component in ready])
-            run.journal.note("done", f"{names} prepared within {seconds:.2f} s")
+            live.journal.note("done", f"{names} prepared within {seconds:.2f} s")
 
     def _failure(self, idle: Incarnation) -> str:
         """Return why something that is prepared fails; empty: it does not."""
-        health, before = self._run.health_of(idle), self._restarts.get(idle.key, 0)
+        health, before = self._live.health_of(idle), self._restarts.get(idle.key, 0)
         if health is not None and (
             health.state == "restarting" or health.restarts > before
         ):
             return health.last_fault.message if health.last_fault else "it ended"
-        component = self._run.reported(idle)
+        component = self._live.reported(idle)
         if component is None or component.state != "failed":
             return ""
         return component.error.rstrip().rpartition("\n")[2] or "it failed"
 
     def _container(self, incarnation: Incarnation) -> tuple[str, str]:
-        return incarnation.computer, self._run.layout.container_of(incarnation)
+        return incarnation.computer, self._live.layout.container_of(incarnation)
 
     def _is_backed_off(self, action: LikelyAction) -> bool:
         now = self._clock()

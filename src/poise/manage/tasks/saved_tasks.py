@@ -7,30 +7,30 @@ import contextlib
 from poise.clock import boot_id, boot_time
 from poise.decoding import from_msgpack
 from poise.errors import UsageError
-from poise.manage.deploy.running_components import RunningComponents
+from poise.manage.deploy.live_robot import LiveRobot
 from poise.manage.journal import Journal
 from poise.manage.tasks.concurrent_tasks import Tasks
 from poise.manage.tasks.task_progress import OVER, Saved
 from poise.wire.codec import MALFORMED
 
 
-def goes_on_with(run: RunningComponents, asked: Tasks, journal: Journal) -> Saved:
+def goes_on_with(live: LiveRobot, asked: Tasks, journal: Journal) -> Saved:
     """Return the tasks that go on: those of the manager before, and those asked for.
 
     `asked`: what this manager was to start; what runs already goes on where it was.
     """
-    if not run.has_taken_over or not run.desired.tasks:
+    if not live.has_taken_over or not live.desired.tasks:
         return asked.saved
     note = journal.note
     try:
-        saved = from_msgpack(run.desired.tasks, Saved)
+        saved = from_msgpack(live.desired.tasks, Saved)
     except MALFORMED as error:
         note(
             "failed",
             f"the previous manager's tasks cannot be read, and are dropped: {error}",
         )
         return asked.saved
-    tasks = Tasks(run.robot, lambda text: note("decided", text), saved=saved)
+    tasks = Tasks(live.robot, lambda text: note("decided", text), saved=saved)
     for record in list(tasks.records):
         if record.state not in OVER:
             names = ", ".join(f"'{attempt.name}'" for attempt in tasks.tries(record))

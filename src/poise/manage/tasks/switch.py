@@ -18,17 +18,17 @@ from msgspec.structs import replace
 from poise.errors import RunError
 from poise.manage.agent_connections.statuses import components_of
 from poise.manage.deploy.desired import Incarnation
-from poise.manage.deploy.running_components import (
+from poise.manage.deploy.live_robot import (
     ACTIVE_LIMIT,
     READY_LIMIT,
     DoesNotStart,
-    RunningComponents,
+    LiveRobot,
 )
 from poise.model.robot import Architecture
 
 
 def prepare(
-    run: RunningComponents, placement: Mapping[str, str], cpu: Mapping[str, float]
+    live: LiveRobot, placement: Mapping[str, str], cpu: Mapping[str, float]
 ) -> None:
     """Let components be prepared on computers; return before they are.
 
@@ -37,98 +37,94 @@ def prepare(
     `cpu`: computer -> the CPU time that others leave for it [cores].
     """
     new = [
-        _prepared(run, name, computer, gently=True)
+        _prepared(live, name, computer, gently=True)
         for name, computer in placement.items()
-        if name not in run.placed
+        if name not in live.placed
     ]
-    preparation_cpu = {**run.desired.preparation_cpu, **cpu}
-    run.commit(
-        replace(run.desired, preparation_cpu=preparation_cpu).with_prefetched(new),
+    preparation_cpu = {**live.desired.preparation_cpu, **cpu}
+    live.commit(
+        replace(live.desired, preparation_cpu=preparation_cpu).with_prefetched(new),
         "prepare the next action",
     )
 
 
-def drop(run: RunningComponents, components: Iterable[str]) -> None:
+def drop(live: LiveRobot, components: Iterable[str]) -> None:
     """End prepared components; their state is lost."""
-    gone = [name for name in components if name in run.prefetched]
+    gone = [name for name in components if name in live.prefetched]
     if gone:
-        run.commit(run.desired.without(gone), "idle components end")
+        live.commit(live.desired.without(gone), "idle components end")
 
 
-def switch(
-    run: RunningComponents, ends: Collection[str], begins: Mapping[str, str]
-) -> bool:
+def switch(live: LiveRobot, ends: Collection[str], begins: Mapping[str, str]) -> bool:
     """Let components rest, prepared, and others begin to work.
 
     Returns whether all of these were prepared.
     """
-    are_ready = _are_ready(run, begins)
+    are_ready = _are_ready(live, begins)
     idle = [
-        replace(run.placed[name], goal="inactive", unjoined=True, gently=False)
+        replace(live.placed[name], goal="inactive", unjoined=True, gently=False)
         for name in ends
     ]
     new = [
-        replace(_prepared(run, name, at), unjoined=False, gently=False)
+        replace(_prepared(live, name, at), unjoined=False, gently=False)
         for name, at in begins.items()
     ]
     active = [incarnation.with_goal("active") for incarnation in new]
-    desired = run.desired.without([*ends, *begins]).with_prefetched(idle)
+    desired = live.desired.without([*ends, *begins]).with_prefetched(idle)
     try:
-        run.commit(desired.with_coming(new), "switch to the next action")
-        _wait(run, [*idle, *new], READY_LIMIT)
-        run.commit(run.desired.with_coming(active), "activate the next action")
-        _wait(run, active, ACTIVE_LIMIT)
+        live.commit(desired.with_coming(new), "switch to the next action")
+        _wait(live, [*idle, *new], READY_LIMIT)
+        live.commit(live.desired.with_coming(active), "activate the next action")
+        _wait(live, active, ACTIVE_LIMIT)
     except RunError as error:
-        run.commit(run.desired.with_coming(()), f"it cannot begin: {error}")
+        live.commit(live.desired.with_coming(()), f"it cannot begin: {error}")
         raise
-    run.commit(run.desired.placing(active), "the next action is at work")
+    live.commit(live.desired.placing(active), "the next action is at work")
     return are_ready
 
 
-def _are_ready(run: RunningComponents, components: Mapping[str, str]) -> bool:
+def _are_ready(live: LiveRobot, components: Mapping[str, str]) -> bool:
     """Return whether all of some components are prepared where they are to work."""
     return all(
-        (idle := run.prefetched.get(name)) is not None
+        (idle := live.prefetched.get(name)) is not None
         and idle.computer == computer
-        and (found := run.reported(idle)) is not None
+        and (found := live.reported(idle)) is not None
         and found.state == "inactive"
         for name, computer in components.items()
     )
 
 
 def _prepared(
-    run: RunningComponents, name: str, computer: str, *, gently: bool = False
+    live: LiveRobot, name: str, computer: str, *, gently: bool = False
 ) -> Incarnation:
-    before = run.prefetched.get(name)
+    before = live.prefetched.get(name)
     if before is not None and before.computer == computer:
-        found = run.reported(before)
+        found = live.reported(before)
         if found is None or found.state != "failed":
             return before
     return Incarnation(
         component=name,
         computer=computer,
-        epoch=run.next_epoch(name),
+        epoch=live.next_epoch(name),
         goal="inactive",
         gently=gently,
         unjoined=True,
     )
 
 
-def _wait(
-    run: RunningComponents, wanted: Collection[Incarnation], limit: float
-) -> None:
+def _wait(live: LiveRobot, wanted: Collection[Incarnation], limit: float) -> None:
     """Wait until components are at their goals; others' troubles do not count."""
     mine = {incarnation.key for incarnation in wanted}
 
     def trouble() -> bool:
-        run.poll()
-        for component in components_of(run.agents.statuses()):
+        live.poll()
+        for component in components_of(live.agents.statuses()):
             is_mine = (component.name, component.epoch) in mine
             if is_mine and component.state == "failed":
                 raise DoesNotStart(component.name, component.error)
         return False
 
-    run.wait(wanted, limit, trouble)
+    live.wait(wanted, limit, trouble)
 
 
 SHORTEST, LONGEST = 10.0, 300.0
@@ -140,16 +136,16 @@ _START = 0.3
 class IdleComponents:
     """The components that are idle after their actions, and since when."""
 
-    def __init__(self, run: RunningComponents) -> None:
-        self._run = run
+    def __init__(self, live: LiveRobot) -> None:
+        self._live = live
         self._since: dict[str, float] = {}
 
     def drop_expired(self, kept: Collection[str]) -> None:
         """End what has been idle for too long."""
-        run, now = self._run, time.monotonic()
-        idle = {n for n, e in run.prefetched.items() if not e.gently}
+        live, now = self._live, time.monotonic()
+        idle = {n for n, e in live.prefetched.items() if not e.gently}
         self._since = {n: self._since.get(n, now) for n in sorted(idle)}
-        for architecture in run.robot.architectures:
+        for architecture in live.robot.architectures:
             names = [
                 c.name
                 for c in architecture.components
@@ -160,30 +156,30 @@ class IdleComponents:
             limit = self.limit(architecture)
             if all(now - self._since[name] >= limit for name in names):
                 text = f"stopping architecture '{architecture.name}': no action has "
-                run.journal.note("decided", f"{text}needed it for {limit:.1f} s")
-                drop(run, names)
+                live.journal.note("decided", f"{text}needed it for {limit:.1f} s")
+                drop(live, names)
 
     def oldest_first(self, prepared: Iterable[str]) -> list[str]:
         """Return prepared components: those that only might be needed come first.
 
         Those that become idle now come last.
         """
-        run, now = self._run, time.monotonic()
-        known = {name: self._since.get(name, 0.0) for name in run.prefetched}
+        live, now = self._live, time.monotonic()
+        known = {name: self._since.get(name, 0.0) for name in live.prefetched}
         return sorted(prepared, key=lambda name: known.get(name, now))
 
     def limit(self, architecture: Architecture) -> float:
         """Return for how long an architecture is idle at most [s]."""
         if architecture.linger is not None:
             return architecture.linger
-        run = self._run
+        live = self._live
         names = {c.name for c in architecture.components}
-        starts = [c.start for c in components_of(run.current()) if c.name in names]
+        starts = [c.start for c in components_of(live.current()) if c.name in names]
         start = max(starts, default=0.0) or _START
-        capacity = {c.name: c.capacity.get("memory", 0.0) for c in run.robot.computers}
+        capacity = {c.name: c.capacity.get("memory", 0.0) for c in live.robot.computers}
         share = sum(
             c.demand.get("memory", 0.0) / capacity[idle.computer]
             for c in architecture.components
-            if (idle := run.prefetched.get(c.name)) and capacity.get(idle.computer)
+            if (idle := live.prefetched.get(c.name)) and capacity.get(idle.computer)
         )
         return min(LONGEST, max(SHORTEST, start / share)) if share else LONGEST

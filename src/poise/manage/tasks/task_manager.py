@@ -18,7 +18,7 @@ from poise.estimate.outcomes import Ending, note_outcome
 from poise.manage.adaptation.policy_values import values_of
 from poise.manage.adaptation.situation import Situation
 from poise.manage.deploy.desired import Desired
-from poise.manage.deploy.running_components import DoesNotStart, RunningComponents
+from poise.manage.deploy.live_robot import DoesNotStart, LiveRobot
 from poise.manage.migration.transition_run import transit
 from poise.manage.tasks.action_placement import (
     Admission,
@@ -67,20 +67,20 @@ class TaskManager:
 
     def __init__(
         self,
-        run: RunningComponents,
+        live: LiveRobot,
         saved: Saved,  # what was started already; it is changed
         situation: Callable[[], Situation],
     ) -> None:
-        self._run = run
+        self._live = live
         self._situation = situation
-        self._explore = run.robot.explore
-        self.tasks = Tasks(run.robot, self._say, self._choose, saved)
-        self._plans = PlanOverTime(run.robot, run.solve_steps)
-        self._serving = Serving(run)
+        self._explore = live.robot.explore
+        self.tasks = Tasks(live.robot, self._say, self._choose, saved)
+        self._plans = PlanOverTime(live.robot, live.solve_steps)
+        self._serving = Serving(live)
         self.tasks.saved.boot = boot_id()
-        self._room = Admission(run, self.tasks, self._plans)
-        self._component_reports = ComponentReports(run, self.tasks.saved.heard)
-        self._idle = IdleComponents(run)
+        self._room = Admission(live, self.tasks, self._plans)
+        self._component_reports = ComponentReports(live, self.tasks.saved.heard)
+        self._idle = IdleComponents(live)
         self._room_at, self._room_again = 0.0, _ROOM_AGAIN
         self._lost: AbstractSet[str] = frozenset()
         self._suspended: AbstractSet[str] = frozenset()
@@ -99,15 +99,15 @@ class TaskManager:
         used = {function for action in actions for function in action.functions}
         if fixed := self._serving.fixed():
             actions.append(Action(name="always", functions=tuple(sorted(fixed))))
-        tasks = [self._run.robot.task(record.name) for record in going]
+        tasks = [self._live.robot.task(record.name) for record in going]
         needs = dict.fromkeys(n for t in tasks for n in t.needs if n in used)
         name = "' and '".join(task.name for task in tasks) or "none"
         return Task(name=name, actions=tuple(actions), needs=tuple(needs))
 
     def likely_next(self) -> list[LikelyAction]:
         """Return what may be needed next and does not run, the most probable first."""
-        run, self._upcoming = self._run, self.tasks.next_actions()
-        placed, idle = run.placement(), run.prepared()
+        live, self._upcoming = self._live, self.tasks.next_actions()
+        placed, idle = live.placement(), live.prepared()
         return likely_next(self._upcoming, self._plans, placed, idle)
 
     def is_over(self) -> bool:
@@ -149,7 +149,7 @@ class TaskManager:
 
     def _go_on(self) -> None:
         """Let what should run now run, until nothing changes by that."""
-        now, lost = boot_time(), set(self._run.agents.out_of_reach())
+        now, lost = boot_time(), set(self._live.agents.out_of_reach())
         if now >= self._room_at or lost != self._lost:
             self._room_again = min(2 * self._room_again, _ROOM_AT_MOST)
             if not self._room_at or lost != self._lost:
@@ -186,15 +186,15 @@ class TaskManager:
         self, new: list[DueAction], ends: list[Architecture], room: Room
     ) -> bool:
         """Carry a switch out; return whether to go on with what follows at once."""
-        run = self._run
-        stops = [c.name for a in ends for c in a.components if c.name in run.placed]
+        live = self._live
+        stops = [c.name for a in ends for c in a.components if c.name in live.placed]
         begins = room.begins
         is_hit = False
         heard = self._component_reports.ends()
         try:
             stops = self._make_room(room, begins, stops)
             if stops or begins:
-                is_hit = switch(run, stops, begins)
+                is_hit = switch(live, stops, begins)
         except RunError as error:
             self._fail(new, begins, error)
             return False  # that took its time: the robot is looked after in between
@@ -212,7 +212,7 @@ class TaskManager:
     def _has_turn(self, attempt: Attempt) -> bool:
         """Return whether its component began with this action, and no other since."""
         end = attempt.action.ends
-        placed = self._run.placed.get(end.component) if end is not None else None
+        placed = self._live.placed.get(end.component) if end is not None else None
         return placed is not None and [*placed.actions][-1:] == [attempt.number]
 
     def _fail_endless(self, began: Iterable[Attempt]) -> bool:
@@ -233,7 +233,7 @@ class TaskManager:
 
         Also those that start again.
         """
-        placed = dict(self._run.placed)
+        placed = dict(self._live.placed)
         going_on = {
             attempt.number
             for record in self.tasks.records
@@ -249,30 +249,30 @@ class TaskManager:
                 known = {n: a for n, a in component.actions.items() if n in going_on}
                 actions = {**known, number: attempt.action.name}
                 placed[end.component] = replace(component, actions=actions)
-        return replace(self._run.desired, placed=placed)
+        return replace(self._live.desired, placed=placed)
 
     def _make_room(
         self, room: Room, begins: Mapping[str, str], stops: list[str]
     ) -> list[str]:
         """Move what is in the way, end what may not stay idle; return what may."""
-        run = self._run
+        live = self._live
         if room.moves:
-            report = transit(run, room.moves)
+            report = transit(live, room.moves)
             if not report.committed:
                 raise RunError(report.reason)
-        away = run.agents.out_of_reach()
-        idle = {n: e.computer for n, e in run.prefetched.items() if n not in begins}
-        idle |= {n: run.placed[n].computer for n in stops if n not in begins}
-        works = {n: at for n, at in run.placement().items() if n not in idle}
+        away = live.agents.out_of_reach()
+        idle = {n: e.computer for n, e in live.prefetched.items() if n not in begins}
+        idle |= {n: live.placed[n].computer for n in stops if n not in begins}
+        works = {n: at for n, at in live.placement().items() if n not in idle}
         order = self._idle.oldest_first(idle)
-        gone = beyond_memory(run.robot, {**works, **begins}, idle, order)
+        gone = beyond_memory(live.robot, {**works, **begins}, idle, order)
         if gone:
             what = f"there is not enough memory to keep {', '.join(gone)} idle"
-            run.journal.note("decided", what)
-        gone += [n for n in stops if run.placed[n].computer in away]
+            live.journal.note("decided", what)
+        gone += [n for n in stops if live.placed[n].computer in away]
         if gone:
             why = "it cannot stay idle: no memory, or its computer is out of reach"
-            run.commit(run.desired.without(gone), why)
+            live.commit(live.desired.without(gone), why)
         return [name for name in stops if name not in gone]
 
     def _fail(
@@ -280,7 +280,7 @@ class TaskManager:
     ) -> None:
         """End the actions that cannot begin or go on; the others stay as they are."""
         why = str(error)
-        self._run.journal.note("failed", f"an action cannot begin: {why}")
+        self._live.journal.note("failed", f"an action cannot begin: {why}")
         functions = self._serving.functions_of(begins)
         # of a traceback the last line says most
         short = " ".join(dict.fromkeys([why.splitlines()[0], why.splitlines()[-1]]))
@@ -298,7 +298,7 @@ class TaskManager:
             what = f"'{attempt.action.ends}' reported its end"
             self.tasks.end(attempt.number, now, what, done=said.done)
         self._note_ended()
-        note = self._run.journal.note
+        note = self._live.journal.note
         for component, request in self._component_reports.requests():
             asks = f"asks to {request.verb} task '{request.task}'"
             what = f"component '{component}' {asks}"
@@ -323,14 +323,14 @@ class TaskManager:
 
         `broken`: the component whose architecture could not begin.
         """
-        blamed = self._run.robot.architecture_of(broken) if broken else None
+        blamed = self._live.robot.architecture_of(broken) if broken else None
         for ended in self.tasks.take_ended():
             self._since = boot_time()
             self._room_at = 0.0
             end = ended.action.ends
             if blamed is not None and blamed.function in ended.action.functions:
                 self._unlearned.append((ended, [blamed.name]))
-            if not ended.worked or (end and end.component not in self._run.placed):
+            if not ended.worked or (end and end.component not in self._live.placed):
                 continue  # nothing could do it, or report it: none of them is to blame
             serving = self._serving.architectures(ended.action.functions)
             self._unlearned.append((ended, serving))
@@ -338,7 +338,7 @@ class TaskManager:
     def _learn(self) -> None:
         """Learn from what has ended: that takes longer than a switch."""
         for ended, serving in self._unlearned:
-            robot, name = self._run.robot, ended.action.name
+            robot, name = self._live.robot, ended.action.name
             if not robot.folder or not serving:
                 continue
             ending: Ending = "done" if ended.done else "failed"
@@ -347,7 +347,7 @@ class TaskManager:
                 note_outcome(robot, name, ending, serving, conditions=conditions)
             except PoiseError as error:
                 what = f"the outcome of '{name}' is not learned: {error}"
-                self._run.journal.note("failed", what)
+                self._live.journal.note("failed", what)
         self._unlearned.clear()
 
     def _condition_holds(self, until: Until) -> bool:
@@ -359,10 +359,10 @@ class TaskManager:
         )
 
     def _choose(self, choice: Choice, is_lookahead: bool) -> int:  # noqa: FBT001
-        note = self._run.journal.note
+        note = self._live.journal.note
         try:
             return choose(
-                self._run.robot,
+                self._live.robot,
                 choice,
                 conditions_of(self._situation()),
                 lambda text: None if is_lookahead else note("decided", text),
@@ -375,25 +375,25 @@ class TaskManager:
     def _kept(self) -> set[str]:
         """Return what keeps its state for a task that waits or is paused."""
         halted = (r for r in self.tasks.records if r.state in {"waiting", "paused"})
-        return self._run.robot.components_for(self.tasks.functions_of(halted))
+        return self._live.robot.components_for(self.tasks.functions_of(halted))
 
     def _note_switch(
         self, record: TaskRecord, attempt: Attempt, *, is_hit: bool
     ) -> None:
         seconds = boot_time() - self._since
-        self._run.switches.note(seconds, is_hit=is_hit)
+        self._live.switches.note(seconds, is_hit=is_hit)
         how = "it was prepared" if is_hit else "it was not prepared"
         text = f"switched to action '{attempt.name}' in {seconds:.3f} s: {how}"
         facts = {"task": record.name, "is_hit": is_hit, "seconds": seconds}
-        self._run.journal.note("done", text, **facts)
+        self._live.journal.note("done", text, **facts)
 
     def _save(self) -> None:
         """Let components and the next manager know what they need, if that is new."""
         self.reports = self._reported()
-        run, saved = self._run, msgspec.msgpack.encode(self.tasks.saved)
+        live, saved = self._live, msgspec.msgpack.encode(self.tasks.saved)
         desired = replace(self._with_turns(), tasks=saved)
-        if desired != run.desired:
-            run.commit(desired, "tasks go on")
+        if desired != live.desired:
+            live.commit(desired, "tasks go on")
 
     def _reported(self) -> tuple[TaskReport, ...]:
         def serving(attempt: Attempt) -> tuple[str, ...]:
@@ -402,4 +402,4 @@ class TaskManager:
         return task_reports(self.tasks, self._upcoming, serving, boot_time())
 
     def _say(self, text: str) -> None:
-        self._run.journal.note("decided", text)
+        self._live.journal.note("decided", text)

@@ -13,7 +13,7 @@ from msgspec.msgpack import encode
 
 from poise import threads
 from poise.emulate import set_for
-from poise.manage.deploy.running_components import RunningComponents
+from poise.manage.deploy.live_robot import LiveRobot
 from poise.manage.journal import Journal, JournalEntry, check_journal
 from poise.manage.manager import Manager
 from poise.manage.observe.estimates import Estimates
@@ -128,7 +128,7 @@ def managed(
     *,
     adapts: bool,
     recorder: RecordingFile | None,
-    begin: Callable[[RunningComponents], object] | None = None,
+    begin: Callable[[LiveRobot], object] | None = None,
 ) -> Iterator[Managed]:
     """Start a robot with a manager, and stop it afterwards."""
     samples, robot = Recording(), what.robot
@@ -147,8 +147,8 @@ def managed(
         found=what.computers,
     ) as up:
         manager = Manager(
-            up.run,
-            goes_on_with(up.run, what.tasks, journal),
+            up.live,
+            goes_on_with(up.live, what.tasks, journal),
             Estimates(robot, read_profile(robot), emulated=robot.is_emulated),
             samples,
             adapts=adapts,

@@ -21,7 +21,7 @@ from poise.errors import RobotError, RunError
 from poise.manage.agent_connections.agents import Agents
 from poise.manage.agent_connections.statuses import containers_left
 from poise.manage.deploy.deactivation import stop
-from poise.manage.deploy.running_components import RunningComponents
+from poise.manage.deploy.live_robot import LiveRobot
 from poise.manage.journal import Journal
 from poise.model.robot import Robot
 from poise.runtime.hosting.command_line import die_with_parent, program
@@ -184,7 +184,7 @@ AGENT_LIMIT = 20.0
 class Started(Struct, frozen=True):
     """A robot that runs, with what it runs on."""
 
-    run: RunningComponents
+    live: LiveRobot
     computers: Computers
     world: SimulatorProcess | None
 
@@ -197,7 +197,7 @@ class Started(Struct, frozen=True):
         """Let it run for `seconds`; return whether the simulated world ended first."""
         last, end = time.monotonic(), time.monotonic() + seconds
         while (left := end - last) > 0:
-            self.run.watch(min(left, _STEP))
+            self.live.watch(min(left, _STEP))
             self.computers.poll()
             now = time.monotonic()
             meanwhile(now - last)
@@ -227,7 +227,7 @@ def started(  # noqa: PLR0913 - each is a choice of the caller
     check: Check = nothing,
     *,
     use_kept: bool = False,
-    begin: Callable[[RunningComponents], object] | None = None,
+    begin: Callable[[LiveRobot], object] | None = None,
     tasks: bytes = b"",
     election: Election | None = None,
     found: Computers | None = None,
@@ -275,19 +275,19 @@ def started(  # noqa: PLR0913 - each is a choice of the caller
             agents.wait_alive(
                 computers.endpoints, AGENT_LIMIT, look_around, computers.why_silent
             )
-        run = RunningComponents(
+        live = LiveRobot(
             robot, placement, agents, journal, str(folder), weigh=look.weigh
         )
-        run.begin_with(tasks)
+        live.begin_with(tasks)
         if begin is None:
             say(f"starting {counted(len(placement), 'component')}")
         if computers.outlive_manager:
             note(computers.addresses)
             stack.callback(_forget_if_ended, robot.name, agents, computers.endpoints)
-        stack.enter_context(_running(run, check, begin or RunningComponents.start))
+        stack.enter_context(_running(live, check, begin or LiveRobot.start))
         stack.callback(at_work.clear)
         at_work.set()
-        yield Started(run, computers, world)
+        yield Started(live, computers, world)
 
 
 def _forget_if_ended(robot: str, agents: Agents, computers: Iterable[str]) -> None:
@@ -308,19 +308,19 @@ def _check_runnable(robot: Robot, placed: Collection[str]) -> None:
 
 @contextlib.contextmanager
 def _running(
-    run: RunningComponents, check: Check, begin: Callable[[RunningComponents], object]
+    live: LiveRobot, check: Check, begin: Callable[[LiveRobot], object]
 ) -> Iterator[None]:
     try:
-        run.check = check
-        begin(run)
+        live.check = check
+        begin(live)
         yield
     except BaseException:  # Ctrl-C, too, must leave nothing running
-        if run.has_taken_over and not run.is_over.is_set():
-            run.leave()  # a robot at work goes on, whatever becomes of this manager
+        if live.has_taken_over and not live.is_over.is_set():
+            live.leave()  # a robot at work goes on, whatever becomes of this manager
         # the first error is the one to raise; what it leaves on real computers is said
         try:
-            stop(run)
+            stop(live)
         except RunError as left:
             log.warning("%s", left)
         raise
-    stop(run)
+    stop(live)

@@ -349,7 +349,7 @@ def _speeds(
     with started(bare, placement, journal, nothing, check=check) as up:
         up.watch(_WARM_UP)
         up.watch(seconds)
-        measured = _measures(up.run.agents.statuses())
+        measured = _measures(up.live.agents.statuses())
     if reference not in measured:
         raise RunError(f"'{reference}' was too busy to be measured; try again")
     unit = max(measured[reference]) / robot.computer(reference).speed

@@ -17,7 +17,7 @@ from poise.estimate import profiles as profile_file
 from poise.estimate.code_version import version_of
 from poise.estimate.profiles import WINDOW, Profile
 from poise.manage.agent_connections.statuses import components_of
-from poise.manage.deploy.running_components import ACTIVE_LIMIT
+from poise.manage.deploy.live_robot import ACTIVE_LIMIT
 from poise.manage.journal import Journal
 from poise.manage.observe.sample_recording import Recording
 from poise.model.robot import Robot
@@ -371,11 +371,11 @@ def measure_alone(
             _watch(up, seconds, tick)
             samples = recording.drain()
             invalid = up.computers.end(rig.computer)
-            working = up.run.agents.statuses()
-            up.run.reach("inactive", ACTIVE_LIMIT)
+            working = up.live.agents.statuses()
+            up.live.reach("inactive", ACTIVE_LIMIT)
             return Observed(
                 measured=measure(samples),
-                statuses=up.run.agents.statuses(),
+                statuses=up.live.agents.statuses(),
                 working=working,
                 invalid=invalid,
             )

@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 
 from poise.manage.agent_connections.statuses import components_of
-from poise.manage.deploy.running_components import RunningComponents
+from poise.manage.deploy.live_robot import LiveRobot
 from poise.session import nothing
 from poise.session.render.simulation_tables import span
 from poise.session.run import Meanwhile
@@ -29,11 +29,11 @@ def progress(
     if not live or not console.is_terminal:
         due = _LINE_EVERY
 
-        def tell(run: RunningComponents, now: float) -> None:
+        def tell(live: LiveRobot, now: float) -> None:
             nonlocal due
             if now >= due:
                 due = now + _LINE_EVERY
-                console.print(f"  {_sentence(run, now, seconds)}")
+                console.print(f"  {_sentence(live, now, seconds)}")
 
         yield tell
         return
@@ -82,10 +82,10 @@ def _bar(
         )
 
 
-def _sentence(run: RunningComponents, now: float, seconds: float) -> str:
+def _sentence(live: LiveRobot, now: float, seconds: float) -> str:
     timers = [
         timer
-        for component in components_of(run.agents.statuses())
+        for component in components_of(live.agents.statuses())
         for timer in component.timers
         if timer.deadline is not None
     ]

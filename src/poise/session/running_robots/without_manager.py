@@ -9,7 +9,7 @@ from poise.manage.agent_connections.agents import Agents
 from poise.manage.agent_connections.statuses import containers_left
 from poise.manage.control_socket.agents_without_manager import ask_agents
 from poise.manage.control_socket.commands import RobotStatus
-from poise.manage.deploy.running_components import STOP_LIMIT
+from poise.manage.deploy.live_robot import STOP_LIMIT
 from poise.model.robot import Robot
 from poise.session.launch.computers import emulated_addresses, real_agents
 from poise.wire.control_session import endpoint_of

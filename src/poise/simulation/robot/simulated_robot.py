@@ -14,7 +14,7 @@ from poise.estimate.demands import kinds_together
 from poise.estimate.profiles import Profile
 from poise.manage.agent_connections.agents import Agents
 from poise.manage.control_socket.commands import Command, Refusal, Result, RobotStatus
-from poise.manage.deploy.running_components import RunningComponents
+from poise.manage.deploy.live_robot import LiveRobot
 from poise.manage.deploy.takeover import start_or_take_over
 from poise.manage.journal import Journal, JournalEntry
 from poise.manage.manager import TICK, Manager
@@ -92,7 +92,7 @@ class SimulatedManager:
         self.manager: Manager | None = None
         self.up_since = math.inf
         self.on_up: Callable[[], object] = lambda: None
-        self.run: RunningComponents | None = None
+        self.live: LiveRobot | None = None
         self.error: PoiseError | None = None
         self._datagrams = datagrams
         self._note = note
@@ -146,15 +146,15 @@ class SimulatedManager:
             for name in () if self._is_standby else setup.tasks:
                 asked.start(name, self.process.computer.wall())
             asked.arbitrate(self.process.computer.wall())
-            run = self.run = RunningComponents(
-                robot, placement, agents, journal, "/robot"
+            live = self.live = LiveRobot(robot, placement, agents, journal, "/robot")
+            live.begin_with(encode(asked.saved))
+            live.solve_steps = SOLVE_STEPS
+            start_or_take_over(
+                live, by_force=self._takes_over, follows=self._is_standby
             )
-            run.begin_with(encode(asked.saved))
-            run.solve_steps = SOLVE_STEPS
-            start_or_take_over(run, by_force=self._takes_over, follows=self._is_standby)
             self.manager = Manager(
-                run,
-                goes_on_with(run, asked, journal),
+                live,
+                goes_on_with(live, asked, journal),
                 Estimates(robot, setup.profile, emulated=True),
                 samples,
                 adapts=setup.adapts,

@@ -17,7 +17,7 @@ from poise.manage.adaptation.placement_responders import (
 from poise.manage.adaptation.policies import Symptom
 from poise.manage.adaptation.situation import Responder, Situation
 from poise.manage.agent_connections.agents import Agents
-from poise.manage.deploy.running_components import RunningComponents
+from poise.manage.deploy.live_robot import LiveRobot
 from poise.manage.journal import Journal
 from poise.manage.observe.estimates import Load
 from poise.manage.shortages.suspension import (
@@ -78,7 +78,7 @@ class Robbed:
         self.agents = FakeAgents(*(computer.name for computer in robot.computers))
         self.journal = Journal(":memory:")
         agents = cast("Agents", self.agents)
-        self.run = RunningComponents(robot, placement, agents, self.journal, "/run")
+        self.run = LiveRobot(robot, placement, agents, self.journal, "/run")
         self.run.start()
         self.task = robot.task("work")
         self.suspensions = Suspensions(self.run, lambda: self.task, "not all fits")

@@ -10,7 +10,7 @@ from msgspec import structs
 from poise.errors import RunError
 from poise.manage.agent_connections.agents import Agents
 from poise.manage.deploy.deactivation import stop
-from poise.manage.deploy.running_components import RunningComponents
+from poise.manage.deploy.live_robot import LiveRobot
 from poise.manage.journal import Journal
 from poise.model.robot import Robot
 from poise.testing import VirtualClock
@@ -20,11 +20,9 @@ from tests.manage.conftest import FakeAgents
 PLACEMENT = {"grabber": "left", "thinker": "right"}
 
 
-def run_of(robot: Robot, agents: FakeAgents) -> tuple[RunningComponents, Journal]:
+def run_of(robot: Robot, agents: FakeAgents) -> tuple[LiveRobot, Journal]:
     journal = Journal(":memory:")
-    return RunningComponents(
-        robot, PLACEMENT, cast("Agents", agents), journal, "/run"
-    ), journal
+    return LiveRobot(robot, PLACEMENT, cast("Agents", agents), journal, "/run"), journal
 
 
 @pytest.fixture
@@ -210,10 +208,10 @@ def test_a_computer_that_has_not_reported_again_keeps_its_address(
     """Else what is told meanwhile breaks the components whose connectors lead there."""
     placement = {"filter": "left", "thinker": "right"}
     journal = Journal(":memory:")
-    run = RunningComponents(robot, placement, cast("Agents", agents), journal, "/run")
-    run.start()
+    live = LiveRobot(robot, placement, cast("Agents", agents), journal, "/run")
+    live.start()
     agents.forget("right")
-    run.commit(run.desired.aiming("inactive", ["filter"]), "it ends")
+    live.commit(live.desired.aiming("inactive", ["filter"]), "it ends")
     (container,) = agents.deployed[-1][1].containers
     assert [c.address for c in container.connectors] == ["right:7000/mind"]
 

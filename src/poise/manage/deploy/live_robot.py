@@ -59,8 +59,8 @@ class DoesNotStart(RunError):
         self.component = component
 
 
-class RunningComponents(DesiredState):
-    """The components of a task on the robot's computers; parameters as for its base."""
+class LiveRobot(DesiredState):
+    """The robot as it is at work, and as it should be; parameters as for its base."""
 
     def __init__(
         self,
