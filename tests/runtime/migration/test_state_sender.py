@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
+from pathlib import Path
 from typing import Protocol
 from unittest.mock import Mock
 
@@ -17,6 +18,7 @@ from poise.errors import UsageError
 from poise.runtime.connectors.interface import methods
 from poise.runtime.execution.counters import Counts
 from poise.runtime.execution.data_age import Stamped
+from poise.runtime.hosting.checkpoints import Checkpoints
 from poise.runtime.hosting.outside_requests import OutsideRequests
 from poise.runtime.hosting.runner import Runner
 from poise.runtime.migration.state_transfer import Request, StateSender, fetch, restore
@@ -149,8 +151,10 @@ class Incarnations:
         *,
         active: bool,
         spec: ComponentSpec = BOOK,
+        checkpoints: Checkpoints | None = None,
     ) -> Runner:
         runner = Runner(spec, implementation, SystemClock(), lambda: None)
+        runner.checkpoints = checkpoints
         self._runners.append(runner)
         runner.start()
         runner.aim("active" if active else "inactive")
@@ -248,6 +252,42 @@ def test_a_large_state_goes_first_and_then_what_changed(
     assert not given.state
     restore(new, given)
     assert texts(new) == ("a", "b")
+
+
+@pytest.mark.slow
+def test_a_checkpoint_takes_no_change_from_what_is_still_to_be_sent(
+    incarnations: Incarnations, tmp_path: Path
+) -> None:
+    """Its `snapshot` would be the last one, since which `snapshot_delta` counts."""
+    checkpoints = Checkpoints(tmp_path, "book", 1, 0.01, SystemClock())
+    old = incarnations.start(Gradual, active=True, checkpoints=checkpoints)
+    new = incarnations.start(Gradual, active=False)
+    channel = DirectPipe(old)
+    restore(new, fetch(channel, Request.STATE, LIMIT))
+    tell(old, "a")
+    first = checkpoints.due
+    wait_until(lambda: checkpoints.due > first + 0.05)
+    old.gate.begin_migration()
+    old.gate.pause_for_migration(LIMIT)
+    channel.sender.send()
+    restore(new, fetch(channel, Request.ALL, LIMIT))
+    assert texts(new) == ("a",)
+
+
+@pytest.mark.slow
+def test_checkpoints_go_on_when_a_move_led_back(
+    incarnations: Incarnations, tmp_path: Path
+) -> None:
+    checkpoints = Checkpoints(tmp_path, "book", 1, 0.01, SystemClock())
+    old = incarnations.start(Gradual, active=True, checkpoints=checkpoints)
+    fetch(DirectPipe(old), Request.STATE, LIMIT)
+    tell(old, "a word")
+    old.aim("active")
+    wait_until(lambda: any(b"a word" in f.read_bytes() for f in _kept(tmp_path)))
+
+
+def _kept(folder: Path) -> list[Path]:
+    return [*folder.glob("*.checkpoint")]
 
 
 class Tuned(Book):

@@ -125,6 +125,8 @@ class Runner:
         self.asked_at = clock.now()
         self.reason_to_end = ""
         self.checkpoints: Checkpoints | None = None
+        # a target has its state, and is to get what changed since that snapshot
+        self.owes_changes = False
         self.lease: LeaseEnd | None = None
         self._start = 0.0
         self._snapshot = 0
@@ -142,6 +144,7 @@ class Runner:
     def aim(self, goal: TargetState) -> None:
         """Set the goal; harmless when repeated. To be active, a pause ends."""
         self.gate.end_migration()
+        self.owes_changes = False
         self.life_cycle.aim(goal)
         # in a hook it resumes by itself when that ends, which nobody should wait for
         if goal == "active" and self.life_cycle.state == "active":
@@ -426,9 +429,14 @@ class Runner:
     def _take_checkpoint(self, checkpoints: Checkpoints, due: float | None) -> float:
         """Take a checkpoint when it is time; return when there is something to do."""
         if checkpoints.due <= self.clock.now() and self._enter():
-            write = partial(checkpoints.write, self.component, self.endpoints.latest)
-            self._run(write, "checkpoint")
+            self._run(self._write_checkpoint, "checkpoint", checkpoints)
         return checkpoints.due if due is None else min(due, checkpoints.due)
+
+    def _write_checkpoint(self, checkpoints: Checkpoints) -> None:
+        if self.owes_changes:  # they would count from its snapshot
+            checkpoints.begin()
+        else:
+            checkpoints.write(self.component, self.endpoints.latest)
 
     def _run_timer(self, releases: Releases) -> None:
         if not self._enter():

@@ -161,9 +161,9 @@ class StateSender:
         self._runner.exclusion.enter(new_chain(), SERVE_LIMIT)
         try:
             state = self._runner.component.snapshot()
+            self._has_sent_state = self._runner.owes_changes = True
         finally:
             self._runner.exclusion.leave()
-        self._has_sent_state = True
         return _transfer(state)
 
     def _wait_decided(self, limit: float) -> None:
