@@ -290,6 +290,21 @@ def _kept(folder: Path) -> list[Path]:
     return [*folder.glob("*.checkpoint")]
 
 
+def test_new_code_that_copies_ahead_gets_all_from_old_code_that_does_not(
+    incarnations: Incarnations,
+) -> None:
+    old = incarnations.start(Book, active=True)
+    new = incarnations.start(Gradual, active=False)
+    channel = DirectPipe(old)
+    restore(new, fetch(channel, Request.STATE, LIMIT))
+    tell(old, "a")
+    old.gate.begin_migration()
+    old.gate.pause_for_migration(LIMIT)
+    channel.sender.send()
+    restore(new, fetch(channel, Request.ALL, LIMIT))
+    assert texts(new) == ("a",)
+
+
 class Tuned(Book):
     """Counts how often it is tuned."""
 

@@ -161,7 +161,9 @@ class StateSender:
         self._runner.exclusion.enter(new_chain(), SERVE_LIMIT)
         try:
             state = self._runner.component.snapshot()
-            self._has_sent_state = self._runner.owes_changes = True
+            # of other code all is sent in the end: what changed, it does not know
+            self._has_sent_state = self._runner.copies_ahead
+            self._runner.owes_changes = self._has_sent_state
         finally:
             self._runner.exclusion.leave()
         return _transfer(state)
