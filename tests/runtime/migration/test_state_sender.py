@@ -305,6 +305,22 @@ def test_new_code_that_copies_ahead_gets_all_from_old_code_that_does_not(
     assert texts(new) == ("a",)
 
 
+class Fewer(Component):
+    """Is like a book, without the ports that nobody uses."""
+
+    def restore(self, state: Notes) -> None:
+        self.texts = state.texts
+
+
+def test_new_code_may_lack_ports_that_nobody_uses(incarnations: Incarnations) -> None:
+    old = incarnations.start(Book, active=True)
+    new = incarnations.start(Fewer, active=False)
+    tell(old, "a")
+    restore(new, fetch(rest(old), Request.ALL, LIMIT))
+    assert isinstance(new.component, Fewer)
+    assert new.component.texts == ("a",)
+
+
 class Tuned(Book):
     """Counts how often it is tuned."""
 

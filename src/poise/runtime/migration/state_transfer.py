@@ -359,9 +359,10 @@ def restore(
     # it is handed here
     has_state = transfer.state or transfer.delta or runner.copies_ahead
     waiting = {port for port, _, _ in transfer.messages}
-    for port, heard in transfer.heard.items():
+    known = runner.endpoints.heard  # other code may lack a port
+    for port in transfer.heard.keys() & known:
         if port in waiting or (has_state and not is_fresh):
-            runner.endpoints.heard[port].update(heard)
+            known[port].update(transfer.heard[port])
     for port, data, stamps in transfer.messages:
         received = frame.parse(data)
         value = received.value(entry_codec(runner.ports[port], received.tag))
