@@ -74,6 +74,14 @@ def test_pages_of_other_sites_are_refused() -> None:
     )
 
 
+def test_no_page_of_another_site_may_show_ours_in_a_frame() -> None:
+    """Else it could have a click that is meant for it stop the robot."""
+    rule = (b"content-security-policy", b"frame-ancestors 'none'")
+    assert rule in answer_to(host="localhost:7480")["headers"]
+    cookie = f"poise_token7480={TOKEN}"
+    assert rule in answer_to(TOKEN, host="robot:7480", cookie=cookie)["headers"]
+
+
 def test_other_addresses_need_the_token_once_and_then_its_cookie() -> None:
     assert status(TOKEN, host="robot:7480") == 403
     assert status(TOKEN, host="robot:7480", query="token=wrong") == 403

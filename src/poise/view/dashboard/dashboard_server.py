@@ -35,7 +35,8 @@ class Guard:
     """Refuses requests before anything else sees them (ASGI).
 
     A page of another site that runs in the same browser must not act on the robot:
-    hence the checks of `Origin` and, where there are no tokens, of `Host`.
+    hence the checks of `Origin` and, where there are no tokens, of `Host`. Nor may it
+    show ours in a frame, where a click that is meant for it would stop the robot.
 
     `tokens`: those that open the page -> whether with it one may act.
     """
@@ -67,7 +68,7 @@ class Guard:
             await _answer(send, 303, there, "")
         else:
             scope[_MAY_ACT] = self._tokens.get(token, True)
-            await self._app(scope, receive, send)
+            await self._app(scope, receive, _unframed(send))
 
     def _known(self, shown: str) -> str:
         """Return the token that is shown; empty: it is none."""
@@ -75,6 +76,18 @@ class Guard:
         return next(
             (t for t in self._tokens if secrets.compare_digest(given, t.encode())), ""
         )
+
+
+def _unframed(send: Send) -> Send:
+    """Return what sends an answer that no other page may show as a part of its own."""
+    rule = b"content-security-policy", b"frame-ancestors 'none'"
+
+    async def send_unframed(message: Message) -> None:
+        if message["type"] == "http.response.start":
+            message["headers"] = [*message["headers"], rule]
+        await send(message)
+
+    return send_unframed
 
 
 _CLOSED = "open the address with the token that `poise dashboard` printed"
