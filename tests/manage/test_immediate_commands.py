@@ -86,7 +86,10 @@ def test_no_more_lines_are_told_than_were_asked_for(
     )
     agents = SimpleNamespace(
         statuses=lambda: STATUSES,
-        ask_all=lambda *_: {"left": OutputLines(lines=lines), "right": OutputLines()},
+        request_all=lambda *_: {
+            "left": OutputLines(lines=lines),
+            "right": OutputLines(),
+        },
     )
     reading = _read_log(cast("Agents", agents), LogCommand(most=most))
     assert [line.text for line in reading.lines] == texts

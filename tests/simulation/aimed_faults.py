@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 
 from msgspec import Struct
 
-from poise.simulation.faults import Kind, SimulatedFault
+from poise.simulation.faults import SimulatedFault, SimulatedFaultKind
 from poise.simulation.robot.modelled_container import Moment
 from poise.simulation.robot.simulated_robot import SimulatedRobot
 
@@ -14,7 +14,7 @@ from poise.simulation.robot.simulated_robot import SimulatedRobot
 class _Aim(Struct, frozen=True):
     """What may follow on a moment, in which share of them, and how soon [s]."""
 
-    kinds: tuple[Kind, ...]
+    kinds: tuple[SimulatedFaultKind, ...]
     often: float
     within: float
 

@@ -23,8 +23,8 @@ from poise.simulation.choices import Choices
 from poise.simulation.faults import (
     KINDS,
     LINK_KINDS,
-    Kind,
     SimulatedFault,
+    SimulatedFaultKind,
     inject,
     plan_faults,
 )
@@ -110,7 +110,7 @@ class Scenario(Struct, frozen=True, kw_only=True):
     workload: SimulatedWork = SimulatedWork()
     seconds: float = 60.0
     faults: tuple[SimulatedFault, ...] | None = None
-    kinds: tuple[Kind, ...] = KINDS
+    kinds: tuple[SimulatedFaultKind, ...] = KINDS
     moves: bool = True
     converges: float = CONVERGE_LIMIT
     election: Election | None = None

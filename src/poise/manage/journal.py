@@ -21,7 +21,7 @@ from poise.units import counted
 
 log = logging.getLogger(__name__)
 
-Kind = Literal["seen", "decided", "desired", "done", "failed", "wrong", "right"]
+EntryKind = Literal["seen", "decided", "desired", "done", "failed", "wrong", "right"]
 """What an entry is about.
 
 seen
@@ -44,7 +44,7 @@ _MOST_KEPT_SIZE = 8 << 20
 _MOST_WAITING = 1 << 20
 _MOST_RECENT = 20
 _TAIL = 64 << 10
-KINDS: tuple[str, ...] = get_args(Kind)
+KINDS: tuple[str, ...] = get_args(EntryKind)
 
 
 class JournalEntry(Struct, frozen=True):
@@ -54,7 +54,7 @@ class JournalEntry(Struct, frozen=True):
     """
 
     at: float
-    kind: Kind
+    kind: EntryKind
     what: str
     facts: Any
     number: int = 0
@@ -117,7 +117,7 @@ class Journal:
         """Return the last entries without their facts; any thread may ask."""
         return tuple(self._recent.copy())
 
-    def note(self, kind: Kind, what: str, **facts: object) -> None:
+    def note(self, kind: EntryKind, what: str, **facts: object) -> None:
         """Add an entry: `what` for people, `facts` for machines."""
         refused = ""
         with self._lock:

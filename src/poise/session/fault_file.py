@@ -19,7 +19,13 @@ from poise.model.yaml_tree import Finding, Positions, read_file
 from poise.model.yaml_tree import Path as KeyPath
 from poise.model.yaml_validation import validate
 from poise.simulation.choices import Choices
-from poise.simulation.faults import KINDS, LINK_KINDS, Kind, SimulatedFault, plan_faults
+from poise.simulation.faults import (
+    KINDS,
+    LINK_KINDS,
+    SimulatedFault,
+    SimulatedFaultKind,
+    plan_faults,
+)
 
 
 def fault_findings(
@@ -57,7 +63,7 @@ Faults: TypeAlias = Sequence[SimulatedFault] | str | PathLike[str]
 RANDOM = "random"
 _LONGEST_PAUSE, _FEWEST = 300.0, 6
 """The seed picks a fault every five minutes, or about six in a short simulation."""
-_TIMELESS: tuple[Kind, ...] = (
+_TIMELESS: tuple[SimulatedFaultKind, ...] = (
     "kill container",
     "step wall clock",
     "another manager",
@@ -66,7 +72,7 @@ _TIMELESS: tuple[Kind, ...] = (
 """These are over at once: `for` says nothing about them."""
 _AT_ONCE = 1.0
 """What such a fault has instead [s]."""
-_ANYWHERE: tuple[Kind, ...] = ("lose datagrams",)
+_ANYWHERE: tuple[SimulatedFaultKind, ...] = ("lose datagrams",)
 """These are about no computer of their own."""
 _KEYS: Mapping[str, KeyPath] = {"target": ("computer",), "lasts": ("for",)}
 
@@ -77,7 +83,7 @@ class FaultKeys(Struct, frozen=True, kw_only=True):
     at: Annotated[
         Seconds, says("When it begins, counted from when the robot is up: 10 min.")
     ]
-    fault: Annotated[Kind, says("What breaks.")]
+    fault: Annotated[SimulatedFaultKind, says("What breaks.")]
     computer: Annotated[Name | None, says("Where.")] = None
     between: Annotated[
         tuple[Name, Name] | None,

@@ -18,7 +18,7 @@ if TYPE_CHECKING:  # they need greenlet, which is an extra; a fault is named wit
     from poise.simulation.robot.simulated_process import Process
     from poise.simulation.robot.simulated_robot import SimulatedRobot
 
-Kind = Literal[
+SimulatedFaultKind = Literal[
     "kill agent",
     "kill container",
     "kill manager",
@@ -38,8 +38,8 @@ Kind = Literal[
     "another manager",
     "take over",
 ]
-KINDS: tuple[Kind, ...] = Kind.__args__  # type: ignore[attr-defined]
-LINK_KINDS: tuple[Kind, ...] = ("cut link", "cut one way", "clog link")
+KINDS: tuple[SimulatedFaultKind, ...] = SimulatedFaultKind.__args__  # type: ignore[attr-defined]
+LINK_KINDS: tuple[SimulatedFaultKind, ...] = ("cut link", "cut one way", "clog link")
 """Those that happen between two computers."""
 _ALLOWED = 0.4
 """Each kind is allowed in this share of runs."""
@@ -61,7 +61,7 @@ class SimulatedFault(Struct, frozen=True):
     """
 
     at: float
-    kind: Kind
+    kind: SimulatedFaultKind
     target: str
     other: str = ""
     lasts: float = 1.0
@@ -77,7 +77,7 @@ def plan_faults(
     computers: Sequence[str],
     begin: float,
     end: float,
-    kinds: Sequence[Kind] = KINDS,
+    kinds: Sequence[SimulatedFaultKind] = KINDS,
     *,
     mean_pause: float = _MEAN_PAUSE,
 ) -> list[SimulatedFault]:
@@ -219,7 +219,9 @@ def _cut(robot: SimulatedRobot, fault: SimulatedFault) -> Mend:
     return heal
 
 
-def _weighted(draw: float, kinds: Sequence[Kind], weights: Sequence[float]) -> Kind:
+def _weighted(
+    draw: float, kinds: Sequence[SimulatedFaultKind], weights: Sequence[float]
+) -> SimulatedFaultKind:
     """Return one of the kinds, as often as its weight says."""
     left = draw * sum(weights)
     for kind, weight in zip(kinds, weights, strict=True):

@@ -259,7 +259,7 @@ class Agents(AgentReports):
             for name in sorted(computers):
                 claim = self._new_claim(name, take_over=take_over)
                 claims[name] = replace(claim, is_poll=is_poll)
-            answers = self.ask_all(claims, _VOTE_LIMIT)
+            answers = self.request_all(claims, _VOTE_LIMIT)
             accepted = {n: a for n, a in answers.items() if isinstance(a, Claimed)}
             if not self._claims.has_majority(accepted):
                 refused = (a for a in answers.values() if isinstance(a, Refused))
@@ -378,11 +378,11 @@ class Agents(AgentReports):
         self._claims.revoke(names)
         return True
 
-    def ask(self, computer: str, request: Request, limit: float) -> Answer | None:
+    def request(self, computer: str, request: Request, limit: float) -> Answer | None:
         """Return an agent's answer; None: it gave none within `limit` [s]."""
-        return self.ask_all({computer: request}, limit)[computer]
+        return self.request_all({computer: request}, limit)[computer]
 
-    def ask_all(
+    def request_all(
         self, requests: Mapping[str, Request], limit: float
     ) -> dict[str, Answer | None]:
         """Return the answers of agents by computer; None: none within `limit` [s]."""
@@ -392,7 +392,7 @@ class Agents(AgentReports):
     def keep_checkpoint(self, computer: str, copy: CheckpointCopy) -> str:
         """Let an agent keep a state for a component that is to start there."""
         limit = ANSWER_LIMIT + len(copy.data or b"") / _LEAST_BANDWIDTH
-        answer = self.ask(computer, copy, limit)
+        answer = self.request(computer, copy, limit)
         if isinstance(answer, Accepted):
             return ""
         why = answer.reason if isinstance(answer, Refused) else str(answer)

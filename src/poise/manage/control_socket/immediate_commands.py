@@ -163,7 +163,7 @@ def _ask(
         value=command.value,
         limit=limit,
     )
-    answer = live.agents.ask(computer, request, limit + _MARGIN)
+    answer = live.agents.request(computer, request, limit + _MARGIN)
     if isinstance(answer, PortAnswer):
         return answer
     what = "call" if command.method else "message"
@@ -279,7 +279,7 @@ def _read_log(agents: Agents, command: LogCommand) -> LogReading:
         )
         for computer in agents.statuses()
     }
-    answers = agents.ask_all(asked, _ANSWER_LIMIT)
+    answers = agents.request_all(asked, _ANSWER_LIMIT)
     after, lines, omitted = dict(command.after), [], 0
     for computer, answer in answers.items():
         if isinstance(answer, OutputLines):
@@ -315,7 +315,7 @@ def _read_tap(live: LiveRobot, command: TapCommand) -> TapReading:
         latest=command.latest,
         limit=_ANSWER_LIMIT,
     )
-    reply = agents.ask(computer, asked, _ANSWER_LIMIT)
+    reply = agents.request(computer, asked, _ANSWER_LIMIT)
     if isinstance(reply, TapReading):
         return reply
     why = f"no answer within {_ANSWER_LIMIT:g} s"

@@ -18,7 +18,7 @@ from msgspec.structs import replace
 from poise.clock import Clock, wall_time
 from poise.errors import PoiseError, TakenOver
 from poise.manage.agent_connections.statuses import Statuses
-from poise.manage.journal import Journal, Kind
+from poise.manage.journal import EntryKind, Journal
 from poise.manage.observe.deviations import Deviation
 from poise.threads import SHOWN_FOR
 from poise.units import counted
@@ -119,7 +119,7 @@ class CodeErrors:
     A component that failed is a deviation, and not told of here.
     """
 
-    def __init__(self, note: Callable[[Kind, str], object]) -> None:
+    def __init__(self, note: Callable[[EntryKind, str], object]) -> None:
         self._note = note
         self._counts: dict[str, dict[Hashable, _Counts]] = {}
         """Component or connector -> incarnation -> what was counted."""

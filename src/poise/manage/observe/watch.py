@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from poise.clock import wall_time
 from poise.manage.agent_connections.statuses import Statuses, components_of
 from poise.manage.deploy.live_robot import LiveRobot
-from poise.manage.journal import Kind
+from poise.manage.journal import EntryKind
 from poise.manage.observe.deviations import (
     Deviation,
     FaultFilter,
@@ -102,7 +102,7 @@ class Watch:
         live = self._live
         statuses = live.agents.statuses()
         for sentence, fault in self._faults.new(statuses, time.monotonic()):
-            kind: Kind = "right" if fault.is_over else "wrong"
+            kind: EntryKind = "right" if fault.is_over else "wrong"
             live.journal.note(kind, sentence, fault=fault)
 
     def _note_recoveries(self, statuses: Statuses) -> None:
