@@ -70,6 +70,17 @@ def test_messages_are_recorded_without_and_calls_with_a_tag(
     assert [decode(e.body, memoryview(e.buffers)) for e in found] == ["one", "two"]
 
 
+def test_a_call_whose_callee_has_moved_is_recorded_only_where_it_runs(
+    file: InputFile, tmp_path: Path
+) -> None:
+    """Its caller sends it to the new place, which records it, too."""
+    handler = file.handler(
+        lambda _: frame.segments(codec(type(None)), None, Kind.MOVED)
+    )
+    come(handler, Kind.CALL, "one")
+    assert not inputs_so_far(tmp_path)
+
+
 def test_last_messages_are_recorded_as_all_others(
     file: InputFile, tmp_path: Path
 ) -> None:

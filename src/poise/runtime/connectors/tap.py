@@ -361,7 +361,7 @@ class InputFile:
         def handle_and_record(received: Frame) -> Pieces | None:
             at = self._time()
             answer = handle(received)
-            if received.kind in _RECORDED:
+            if received.kind in _RECORDED and not _is(Kind.MOVED, answer):
                 self._add(at, received, answer)
             return answer
 
@@ -398,6 +398,10 @@ class InputFile:
 
 def _result(answer: Pieces | None) -> bytes:
     """Return the encoded result of an answer; empty when it failed."""
-    if answer is None or bytes(answer[0])[1] != Kind.RESULT:
+    if answer is None or not _is(Kind.RESULT, answer):
         return b""
     return bytes(answer[_RESULT_BODY])
+
+
+def _is(kind: Kind, answer: Pieces | None) -> bool:
+    return answer is not None and bytes(answer[0])[1] == kind
