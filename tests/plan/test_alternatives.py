@@ -61,6 +61,18 @@ def test_puts_aside_as_few_as_possible() -> None:
     assert plan.solve(asked, fewer=True).suspended == ("c",)
 
 
+def test_counts_a_component_that_two_architectures_share_once() -> None:
+    """The first two need 2.8 together; each of them with the third 3.3."""
+    needs = {"base": 2.0, "a": 0.4, "b": 0.4, "c": 0.9}
+    parts = {"first": ("base", "a"), "second": ("base", "b"), "third": ("c",)}
+    asked = Problem(
+        components=tuple(Item(name=n, demand={"cpu": x}) for n, x in needs.items()),
+        computers=(Computer(name="one", capacity={"cpu": 3.0}),),
+        architectures=tuple(Bundle(name=n, components=p) for n, p in parts.items()),
+    )
+    assert plan.solve(asked, fewer=True).suspended == ("third",)
+
+
 def test_keeps_a_low_priority_that_still_fits() -> None:
     asked = problem(
         (architecture("high", priority=2), 3.0),

@@ -8,6 +8,7 @@ one that is required.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from itertools import combinations, product
 from math import inf, prod
@@ -155,7 +156,12 @@ class _Admission:
         self._decide = decide
         self._tried = 0
         self.is_complete = True
-        self._demand = {c.name: c.demand for c in problem.components}
+        # each of those that share a component counts its part of it
+        sharing = Counter(name for b in problem.architectures for name in b.components)
+        self._demand = {
+            c.name: {r: x / max(1, sharing[c.name]) for r, x in c.demand.items()}
+            for c in problem.components
+        }
         resources = {r for h in problem.computers for r in h.capacity}
         resources -= {limit.resource for limit in problem.soft_limits}
         self._usable = {
