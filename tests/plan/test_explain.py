@@ -46,3 +46,15 @@ def test_names_what_must_come_along(two_computers: Problem) -> None:
 def test_names_the_components_there_are(two_computers: Problem) -> None:
     with pytest.raises(UsageError, match="no component is called 'x'"):
         plan.explain(two_computers, plan.solve(two_computers).placement, "x")
+
+
+def test_calls_no_architecture_rejected_that_has_no_components(
+    two_computers: Problem,
+) -> None:
+    bundles = (
+        plan.Bundle(name="plain", components=("a", "b"), function="see"),
+        plan.Bundle(name="magnet", components=(), function="grasp"),
+    )
+    problem = replace(two_computers, architectures=bundles)
+    with pytest.raises(UsageError, match="'magnet' was chosen, and has no component"):
+        plan.explain(problem, plan.solve(problem).placement, "magnet")

@@ -88,8 +88,8 @@ def explain(
     Raises
     ------
     UsageError
-        When there is no such component or architecture, or the placement is not
-        complete.
+        When there is no such component or architecture, it was chosen but has no
+        components, or the placement is not complete.
     """
     for bundle in problem.architectures:
         if name == bundle.name or name in bundle.components:
@@ -130,6 +130,10 @@ def _rejection(
         if b.function == bundle.function and bundle.function and b != bundle
     ]
     chosen = next((b.name for b in rivals if placement.keys() & {*b.components}), "")
+    if not (chosen or bundle.components):
+        raise UsageError(
+            f"architecture {bundle.name!r} was chosen, and has no component to explain"
+        )
     present = [
         b
         for b in problem.architectures
