@@ -74,9 +74,7 @@ def test_a_call_whose_callee_has_moved_is_recorded_only_where_it_runs(
     file: InputFile, tmp_path: Path
 ) -> None:
     """Its caller sends it to the new place, which records it, too."""
-    handler = file.handler(
-        lambda _: frame.segments(codec(type(None)), None, Kind.MOVED)
-    )
+    handler = file.handler(lambda _: frame.segments(codec(str), "", Kind.MOVED))
     come(handler, Kind.CALL, "one")
     assert not inputs_so_far(tmp_path)
 
