@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any, Protocol
 
 import pytest
@@ -109,6 +110,15 @@ def test_binds_arguments_however_they_are_given() -> None:
 def test_a_timer_needs_times_above_zero(period: float, deadline: float | None) -> None:
     with pytest.raises(UsageError, match="all must be above 0"):
         every(period, deadline=deadline)
+
+
+@pytest.mark.parametrize(
+    "given",
+    [{"period": math.inf}, {"hz": math.inf}, {"hz": 1e-300}, {"period": 1e-300}],
+)
+def test_a_timer_has_a_period_that_a_clock_can_count(given: dict[str, float]) -> None:
+    with pytest.raises(UsageError, match="from 1e-09 to 1e\\+09 s"):
+        every(**given)
 
 
 def test_a_timer_has_a_period_or_a_rate() -> None:

@@ -49,6 +49,8 @@ F = TypeVar("F", bound=Callable[..., Any])
 PortKind = Literal["provides", "requires", "publishes", "subscribes"]
 Policy = Literal["keep", "block"]
 InputEvent = Literal["lost", "found"]
+_SHORTEST, _LONGEST = 1e-9, 1e9
+"""Periods of timers [s]: beyond, no clock and no wait of Python's has room for them."""
 
 
 @dataclass_transform(frozen_default=True, field_specifiers=(msgspec.field,))
@@ -252,9 +254,9 @@ def every(
     Parameters
     ----------
     period
-        From one release to the next [s]; > 0.
+        From one release to the next [s]; 1e-9 to 1e9.
     hz
-        In place of `period`: releases in a second; > 0.
+        In place of `period`: releases in a second.
     deadline
         [s] after the release; > 0. None: not watched.
     """
@@ -268,6 +270,9 @@ def every(
         text = f"every({period}, hz={hz}, deadline={deadline}): all must be above 0"
         raise UsageError(text)
     seconds = 1 / hz if period is None and hz is not None else period
+    if seconds is not None and not _SHORTEST <= seconds <= _LONGEST:
+        text = f"every({period}, hz={hz}): the period must be from {_SHORTEST:g} to "
+        raise UsageError(f"{text}{_LONGEST:g} s")
 
     def mark(method: F) -> F:
         method.__poise_timer__ = (seconds, deadline)  # type: ignore[attr-defined]
