@@ -42,6 +42,14 @@ def test_a_computer_has_a_name_that_a_robot_file_may_have(tmp_path: Path) -> Non
     assert "is no name" in done.stderr
 
 
+def test_who_may_only_look_gets_no_keys_to_lead_the_robot(tmp_path: Path) -> None:
+    asked = ("keys", "issue", "hello", "kim", "--role", "viewer", "--leads")
+    done = run_poise(*asked, "--out", tmp_path / "out")
+    assert done.returncode == 2
+    assert "--leads is for computers, not with --role viewer" in done.stderr
+    assert not (tmp_path / "out").exists()
+
+
 def test_a_folder_that_is_not_there_has_no_keys(tmp_path: Path) -> None:
     done = run_poise("keys", "list", "--folder", tmp_path / "nowhere")
     assert done.returncode == 2

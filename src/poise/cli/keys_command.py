@@ -89,6 +89,8 @@ def issue_command(
     poise keys issue hello kim --role viewer --days 7
     """
     of_role = _role(role)
+    if leads and of_role != "agent":
+        raise UsageError(f"--leads is for computers, not with --role {role}")
     if not days <= MOST_DAYS:
         raise UsageError(f"--days {days:g}: it is {MOST_DAYS} at most")
     for name in names:
