@@ -140,6 +140,16 @@ def test_what_is_missing_is_said() -> None:
         draw(ROBOT).save("robot.gif")
 
 
+@pytest.mark.parametrize("place", [("gone", "left"), ("eye", "nowhere")])
+def test_what_runs_and_is_in_no_file_is_named(place: tuple[str, str]) -> None:
+    """So it is when the file was changed since the robot was started."""
+    running, auto = dict([place]), {"eye": "left"}
+    with pytest.raises(UsageError, match=f"'{place[0]}' on '{place[1]}': the"):
+        draw(ROBOT, "deployment", {"running": running})
+    with pytest.raises(UsageError, match="placement 'running' has"):
+        draw(ROBOT, "transition", {"running": running, "auto": auto})
+
+
 @pytest.mark.parametrize("drawing", ALL)
 @pytest.mark.parametrize("ending", FORMATS)
 def test_every_notation_names_everything(drawing: Drawing, ending: str) -> None:

@@ -103,7 +103,7 @@ def draw(
     Raises
     ------
     UsageError
-        There is no such task, or placements are missing.
+        There is no such task, or placements are missing or name what the robot lacks.
     RobotError
         No transition leads to the second placement; the message says why.
     """
@@ -113,6 +113,8 @@ def draw(
             raise UsageError(f"robot '{robot.name}' has no task '{task}'")
         functions = None if task is None else robot.functions_of(task)
         return Drawing(component_diagram(robot, functions))
+    for name, placement in named.items():
+        _check(robot, name, placement)
     if what == "deployment" and named:
         return Drawing(deployment_diagram(robot, named))
     if what == "transition" and len(named) == 2:  # noqa: PLR2004
@@ -123,6 +125,21 @@ def draw(
         "a deployment diagram is of one placement or more, a transition of two: "
         f"{what} got {len(named)}"
     )
+
+
+def _check(robot: Robot, name: str, placement: Mapping[str, str]) -> None:
+    """Raise UsageError for components and computers that the robot does not have."""
+    components = {each.name for each in robot.components()}
+    computers = {each.name for each in robot.computers}
+    if strange := [
+        f"'{component}' on '{computer}'"
+        for component, computer in placement.items()
+        if component not in components or computer not in computers
+    ]:
+        raise UsageError(
+            f"placement '{name}' has {', '.join(strange)}: the robot file has no such "
+            "component or computer"
+        )
 
 
 Ports = dict[str, dict[str, tuple[str, str]]]
