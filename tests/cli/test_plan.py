@@ -245,6 +245,24 @@ def test_the_cheapest_computers_for_tasks(phases_file: Path) -> None:
     assert list(answer["tasks"]) == ["talk", "serve"]
 
 
+def test_the_cheapest_computers_say_what_will_be_late_there(tmp_path: Path) -> None:
+    path = tmp_path / "robot.yaml"
+    path.write_text("""
+robot: slow
+computers: {one: {cpu: 1, memory: 1 GiB}}
+architectures:
+  servo:
+    function: servo
+    components: {eye: {cpu: 10%}, arm: {cpu: 45%}}
+    connectors: [{between: [eye, arm], message: 1 kB, rate: 10 Hz}]
+chains: {see: {through: [eye, arm], deadline: 3 ms}}
+tasks: {go: {actions: [{name: go, functions: [servo]}]}}
+""")
+    assert "not predicted: see, at least" in call(path, "--smallest").stdout
+    answer = json.loads(call(path, "--smallest", "--json").stdout)
+    assert answer["tasks"]["go"]["predicted"]["go"]["unknown"] == ["see"]
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
     [

@@ -329,27 +329,40 @@ def _answer_smallest(
 ) -> bool:
     """Print the cheapest computers on which each task fits; return whether all do."""
     problems = [*tasks.values()]
-    few = plan.smallest(problems, lambda method: how(method).task_result)
+    decided: list[DecidedByTime] = []
+
+    def decide(problem: plan.TaskProblem) -> plan.TaskResult:
+        decided.append(how(problem))
+        return decided[-1].task_result
+
+    few = plan.smallest(problems, decide)
+    times = [
+        next(each.predicted for each in decided if each.task_result is result)
+        for result in few.results
+    ]
     known = problems[0].computers
     price = sum(h.price for h in known if h.name in few.computers)
-    results = dict(zip(tasks, few.results, strict=False))
+    results = dict(zip(tasks, zip(few.results, times, strict=True), strict=False))
     if json:
         answer = {
             "feasible": few.feasible,
             "computers": few.computers,
             "price": price,
             "smallest_proven": few.proven,
-            "tasks": {task: result.to_dict() for task, result in results.items()},
+            "tasks": {
+                task: {**result.to_dict(), "predicted": predicted}
+                for task, (result, predicted) in results.items()
+            },
         }
         print_json(answer)
         return few.feasible
     console = console_to()
     if few.feasible:
         show_smallest(few, price, console)
-    for task, result in results.items():
+    for task, (result, predicted) in results.items():
         if len(tasks) > 1:
             console.print(f"\n[bold]{task}[/]", highlight=False)
-        show(result, console)
+        show(result, console, predicted)
     return few.feasible
 
 
