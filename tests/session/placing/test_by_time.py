@@ -302,3 +302,11 @@ def test_a_chain_that_is_not_predicted_counts_what_it_takes_at_least(
     assert found["mind"] == "a"
     assert found.predicted["go"].unknown == ("see",)
     assert "not predicted: see, at least" in " ".join(str(found).split())
+
+
+def test_a_placement_that_is_late_says_how_long_deciding_took(placed: Place) -> None:
+    keys = {"hog": "25%", "mind": "0.1%", "beats": "Beat"}
+    found = placed(**keys, chains=CHAIN.replace("100 ms", "1 ms")).result
+    assert found.objective is not None
+    assert found.objective.time > 1.0
+    assert found.seconds > 0.0

@@ -191,7 +191,7 @@ def _neighbours(
             changed = _evaluated(phase.problem, placed, there)
             if changed.feasible:
                 results = {**result.results, phase.name: changed}
-                yield plan.TaskResult(problem, results, seconds=result.seconds)
+                yield replace(result, results=results)
 
 
 def _evaluated(
@@ -199,7 +199,10 @@ def _evaluated(
 ) -> plan.Result:
     """Return what can be said of a placement that suspends what another one does."""
     suspended, why = like.suspended, like.choice.why
-    return plan.evaluate(problem, placement, like.method, suspended=suspended, why=why)
+    found = plan.evaluate(problem, placement, like.method, suspended=suspended, why=why)
+    found.seconds, found.seed = like.seconds, like.seed
+    found.stopped_by = like.stopped_by
+    return found
 
 
 def _changes(
@@ -258,7 +261,7 @@ def _as_predicted(
         for phase in problem.phases
         for found in [result.results[phase.name]]
     }
-    told = plan.TaskResult(problem, results, seconds=result.seconds)
+    told = replace(result, problem=problem, results=results)
     return DecidedByTime(told, decided.predicted)
 
 
