@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from msgspec import structs
 
 from poise.runtime.agent.agent_files import AgentFolder, CheckpointFiles, DiskThread
 from poise.runtime.agent.surroundings import AgentState
@@ -17,7 +18,13 @@ from poise.wire.records.deployment_records import (
     ContainerSpec,
     Deployment,
 )
-from poise.wire.records.request_records import Accepted, Answer, CheckpointCopy, Refused
+from poise.wire.records.request_records import (
+    Accepted,
+    Answer,
+    CheckpointCopy,
+    Refused,
+    set_age,
+)
 from tests.waiting import wait_until
 
 pytestmark = pytest.mark.slow
@@ -145,6 +152,44 @@ def test_another_manager_gets_what_was_sent_to_the_one_before(tmp_path: Path) ->
     goes_on.set()
     wait_until(lambda: len(sent) == 2)
     assert [copy.data for copy in sent] == [b"state", b"state"]
+    files.stop()
+
+
+def test_a_new_state_is_sent_whatever_number_its_file_gets(tmp_path: Path) -> None:
+    """A disk gives a new file the number of one that is gone: of the last but one."""
+    goes_on = threading.Semaphore(0)
+    sent: list[CheckpointCopy] = []
+
+    def send(copy: CheckpointCopy) -> None:
+        sent.append(copy)
+        assert goes_on.acquire(timeout=20.0)
+
+    files = CheckpointFiles(tmp_path, send)
+    files.write(COPY)
+    files.start()
+    files.send_only(WANTED)
+    wait_until(lambda: sent)
+    for state in (b"second", b"third"):  # while the first is under way
+        files.write(structs.replace(COPY, data=state, age=0.0))
+    goes_on.release()
+    wait_until(lambda: len(sent) == 2)
+    goes_on.release()
+    assert [copy.data for copy in sent] == [b"state", b"third"]
+    files.stop()
+
+
+def test_of_a_state_that_is_the_same_only_the_age_is_sent(tmp_path: Path) -> None:
+    sent: list[CheckpointCopy] = []
+    files = CheckpointFiles(tmp_path, sent.append)
+    files.write(COPY)
+    files.start()
+    files.send_only(WANTED)
+    wait_until(lambda: sent)
+    (path,) = tmp_path.iterdir()
+    set_age(path, 3.0)
+    wait_until(lambda: len(sent) == 2)
+    assert [copy.data for copy in sent] == [b"state", None]
+    assert sent[1].age < COPY.age
     files.stop()
 
 

@@ -11,6 +11,7 @@ import fcntl
 import logging
 import os
 import threading
+import weakref
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -105,6 +106,19 @@ POLL_EVERY = 0.1
 _JOIN_LIMIT = 1.0
 
 
+class _SentFile:
+    """A checkpoint that was sent; while this lives, no new file gets its number."""
+
+    def __init__(self, path: Path) -> None:
+        self._file = os.open(path, os.O_RDONLY)
+        weakref.finalize(self, os.close, self._file)
+        self.number, self.modified_ns = os.fstat(self._file).st_ino, 0
+
+    def read(self) -> bytes:
+        with open(self._file, "rb", closefd=False) as file:
+            return file.read()
+
+
 class CheckpointFiles:
     """The checkpoints in the folder of an agent's containers."""
 
@@ -118,7 +132,7 @@ class CheckpointFiles:
         self._account = account
         self._send = send
         self._wanted: tuple[tuple[str, int], ...] = ()
-        self._sent: dict[tuple[str, int], tuple[int, int]] = {}
+        self._sent: dict[tuple[str, int], _SentFile] = {}
         self._ended = threading.Event()
         self._has_work = threading.Event()
         self._modified: dict[tuple[str, int], float] = {}
@@ -180,25 +194,29 @@ class CheckpointFiles:
 
     def _news(self) -> Iterator[CheckpointCopy]:
         sent = self._sent  # for another manager, `resend` begins a new one
+        for key in sent.keys() - {*self._wanted}:
+            del sent[key]
         self._modified = {k: v for k, v in self._modified.items() if k in self._wanted}
         for component, epoch in self._wanted:
             path = checkpoint_path(self._folder, component, epoch)
             with contextlib.suppress(OSError):  # there is none yet
                 status = path.stat()
-                at = status.st_ino, status.st_mtime_ns
                 self._modified[component, epoch] = status.st_mtime
-                before = sent.get((component, epoch))
-                if at == before:
-                    continue
+                file = sent.get((component, epoch))
                 # the same file has the same content: only its age is news
-                is_same = before is not None and before[0] == at[0]
+                is_same = file is not None and file.number == status.st_ino
+                if file is None or not is_same:
+                    file = _SentFile(path)
+                elif file.modified_ns == status.st_mtime_ns:
+                    continue
                 yield CheckpointCopy(
                     component=component,
                     epoch=epoch,
-                    data=None if is_same else path.read_bytes(),
+                    data=None if is_same else file.read(),
                     age=age_of(status.st_mtime),
                 )
-                sent[component, epoch] = at
+                file.modified_ns = status.st_mtime_ns
+                sent[component, epoch] = file
 
 
 _MOST = 100
