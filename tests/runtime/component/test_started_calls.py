@@ -6,7 +6,8 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from concurrent.futures import CancelledError
+from concurrent.futures import CancelledError, ThreadPoolExecutor
+from functools import partial
 from typing import cast
 
 import pytest
@@ -14,6 +15,7 @@ import pytest
 import poise
 from poise.clock import SystemClock
 from poise.errors import RunError, Timeout
+from poise.runtime.component import started_calls
 from poise.runtime.component.component import Context, create
 from poise.runtime.component.started_calls import (
     MOST_OPEN,
@@ -101,6 +103,20 @@ def test_too_many_are_refused_and_none_waits_for_ever(component: Component) -> N
         component.calls.start(int)
     goes_on.set()
     assert all(call.result() for call in calls)
+
+
+def test_one_that_finds_no_thread_is_not_waited_for(
+    component: Component, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(_: threading.Thread) -> None:
+        raise RuntimeError("can't start new thread")
+
+    monkeypatch.setattr(started_calls, "_threads", partial(ThreadPoolExecutor, 1))
+    with monkeypatch.context() as patching:
+        patching.setattr(threading.Thread, "start", refuse)
+        with pytest.raises(RunError, match="no call of 'asker' is started: can't"):
+            component.calls.start(int)
+    assert component.calls.wait(time.monotonic())
 
 
 def test_a_pause_waits_for_answers_or_says_that_it_does(component: Component) -> None:

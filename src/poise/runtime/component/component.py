@@ -178,7 +178,7 @@ class Component:
         Raises
         ------
         RunError
-            64 of the component's calls wait for answers.
+            64 of the component's calls wait for answers, or no thread is free.
         UsageError
             It is a method of the component, which only one thread runs at a time.
         """

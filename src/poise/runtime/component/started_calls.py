@@ -99,14 +99,18 @@ class StartedCalls:
     ) -> StartedCall[R]:
         """Make a call on another thread.
 
-        Raises RunError: `MOST_OPEN` are open.
+        Raises RunError: `MOST_OPEN` are open, or no thread is free.
         """
         if self._num_calls >= MOST_OPEN:
             raise RunError(f"{MOST_OPEN} calls of '{self._name}' wait for answers")
         self.expect(calls=1)
         answer: Future[R] = Future()
         answer.add_done_callback(lambda _: self.end(calls=1))
-        self._make(partial(_answer, answer, call, args, kwargs, _calls.deadline()))
+        try:
+            self._make(partial(_answer, answer, call, args, kwargs, _calls.deadline()))
+        except RuntimeError as error:
+            answer.cancel()  # or each move would wait for it
+            raise RunError(f"no call of '{self._name}' is started: {error}") from error
         return StartedCall(answer, self)
 
     def _make(self, do: Callable[[], None]) -> None:
