@@ -154,6 +154,7 @@ def test_a_placement_with_an_alternative_without_components_can_be_evaluated() -
         architectures=(
             Bundle(name="magnet", components=(), function="grasp"),
             architecture("arm", function="grasp", quality=0.5),
+            Bundle(name="glue", components=(), function="grasp", quality=0.7),
         ),
     )
     best = plan.solve(asked)

@@ -80,8 +80,8 @@ def chosen_by(
         placed = [
             b for b in need if b.components and placement.keys() >= {*b.components}
         ]
-        # one without components is chosen where no other is
-        placed = placed or [b for b in need if not b.components]
+        # the best without components is chosen where no other is
+        placed = placed or [b for b in need if not b.components][:1]
         if len(need) > 1 and len(placed) != 1:
             names = ", ".join(bundle.name for bundle in need)
             has = ", ".join(bundle.name for bundle in placed) or "none"
