@@ -427,6 +427,22 @@ def test_a_request_whose_answer_got_lost_gets_it_again(
     assert fetch(channel, Request.ALL, LIMIT).delta == lost.delta
 
 
+def test_a_state_is_not_kept_when_the_move_led_back(
+    incarnations: Incarnations,
+) -> None:
+    """It may be large, and is old as soon as the component works again."""
+    old = incarnations.start(Book, active=True)
+    channel = rest(old)
+    before = fetch(channel, Request.ALL, LIMIT)
+    channel.sender.refuse("it is at work again")
+    old.aim("active")
+    tell(old, "a")
+    old.gate.begin_migration()
+    old.gate.pause_for_migration(LIMIT)
+    channel.sender.send()
+    assert fetch(channel, Request.ALL, LIMIT).state != before.state
+
+
 def test_whoever_asks_waits_until_it_is_given(incarnations: Incarnations) -> None:
     old = incarnations.start(Book, active=True)
     tell(old, "a")

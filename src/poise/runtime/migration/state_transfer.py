@@ -129,8 +129,8 @@ class StateSender:
         self._decided.set()
 
     def refuse(self, reason: str) -> None:
-        """Answer with the reason why no state is sent."""
-        self._why_not = reason
+        """Answer with the reason why no state is sent, and keep none."""
+        self._why_not, self._taken = reason, None
         self._decided.set()
 
     def close(self) -> None:
