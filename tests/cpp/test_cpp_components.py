@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import importlib
+import math
 import os
 import shutil
 import subprocess
@@ -34,6 +35,7 @@ from poise import (
     oneway,
     subscribed,
 )
+from poise.errors import UsageError
 from poise.runtime.component.component import set_parameters
 from poise.runtime.component.implementation import fingerprint
 from poise.runtime.component.ports import ports_of
@@ -325,6 +327,15 @@ def test_calls_are_started_and_their_answers_taken_later(
             mine.leave()
 
     wait_until(lambda: taken() == ["5", "cancelled", "no eggs"])
+
+
+@every_kind
+def test_a_limit_that_is_no_number_is_an_error_and_no_crash(
+    pair: Pair, mixed: ModuleType
+) -> None:
+    source = start(pair, (mixed.Source, mixed.Target))
+    with pytest.raises(UsageError, match=r"within\(nan\): give a number of seconds"):
+        source.start(math.nan)
 
 
 @every_kind

@@ -62,8 +62,9 @@ class Within {
  public:
   explicit Within(double seconds) {
     const Locked lock;
-    block_ = detail::from_python("poise", "within")(seconds);
-    block_.attr("__enter__")();
+    nb::object block = detail::from_python("poise", "within")(seconds);
+    block.attr("__enter__")();  // what this throws ends the block under the lock
+    block_ = std::move(block);
   }
   ~Within() {
     const Locked lock;
