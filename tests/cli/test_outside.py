@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 import poise as api
+from poise.cli import outside_command
 from poise.emulate import probe_host
 from poise.errors import CalleeError, RunError, Timeout, UsageError
 from tests.command import Poise, robot_up, run_poise
@@ -556,3 +557,28 @@ def test_one_who_does_not_run_is_waited_for_within_the_limit(
         robot.component("summer").call("sums", "total", limit=0.2)
     robot.tasks.start("add")
     assert total(robot) >= 0
+
+
+def test_ctrl_c_ends_a_series_of_messages_and_says_how_many_there_were(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    class Publisher:
+        tried = 0
+
+        def publish(self, *_: object, **__: object) -> None:
+            self.tried += 1
+            if self.tried == 2:
+                raise RunError("its container has ended")
+            if self.tried == 3:
+                os.kill(os.getpid(), signal.SIGINT)
+
+    publisher = Publisher(), "count"
+    monkeypatch.setattr(outside_command, "_component", lambda *_: publisher)
+    with pytest.raises(SystemExit) as ended:
+        outside_command.pub_command("counter.count", "{value: 7}", rate=1000.0)
+    assert ended.value.code == 130
+    said = capsys.readouterr().err.splitlines()
+    assert said == [
+        "sent 2 messages to counter.count",
+        "1 message may be lost; the last: its container has ended",
+    ]

@@ -11,6 +11,7 @@ from typing import Annotated, Any
 import typer
 import yaml
 
+from poise.cli.main import Interrupts
 from poise.cli.options import AsJson, print_json, running
 from poise.cli.running_robot_command import Robot
 from poise.errors import PoiseError, RunError, UsageError, did_you_mean, listed
@@ -21,6 +22,8 @@ from poise.units import counted
 
 _MOST_FAILURES = 10
 """`poise pub --rate` ends when more messages than these fail one after the other."""
+_LOOK_EVERY = 0.1
+"""It sees Ctrl-C after this time at most [s]."""
 _NAMED = re.compile(r"([A-Za-z_]\w*)=(.*)", re.DOTALL)
 Port = Annotated[str, typer.Argument(metavar="COMPONENT.PORT", show_default=False)]
 Limit = Annotated[
@@ -96,26 +99,37 @@ def pub_command(
     value = value_of(message)
     most = count or (1 if rate is None else None)
     tried = sent = in_a_row = 0
-    began, why = time.monotonic(), ""
+    began, why, interrupts = time.monotonic(), "", Interrupts()
     try:
-        while most is None or tried < most:
-            tried += 1
-            try:
-                component.publish(name, value, limit=limit)
-            except NoManager:
-                raise
-            except RunError as error:  # its container ended, say
-                in_a_row, why = in_a_row + 1, str(error)
-                if rate is None or in_a_row > _MOST_FAILURES:
+        with interrupts:
+            while most is None or tried < most:
+                interrupts.check()
+                tried += 1
+                try:
+                    component.publish(name, value, limit=limit)
+                except NoManager:
                     raise
-            else:
-                sent, in_a_row = sent + 1, 0
-            if rate is not None and tried != most:
-                time.sleep(max(0.0, began + tried / rate - time.monotonic()))
+                except RunError as error:  # its container ended, say
+                    in_a_row, why = in_a_row + 1, str(error)
+                    if rate is None or in_a_row > _MOST_FAILURES:
+                        raise
+                else:
+                    sent, in_a_row = sent + 1, 0
+                if rate is not None and tried != most:
+                    _sleep_until(began + tried / rate, interrupts)
     finally:
         sys.stderr.write(f"sent {counted(sent, 'message')} to {port}\n")
-    if failed := tried - sent:
-        raise RunError(f"{counted(failed, 'message')} may be lost; the last: {why}")
+        failed = f"{counted(tried - sent, 'message')} may be lost; the last: {why}"
+        if interrupts.number and tried > sent:
+            sys.stderr.write(f"{failed}\n")
+    if tried > sent:
+        raise RunError(failed)
+
+
+def _sleep_until(moment: float, interrupts: Interrupts) -> None:
+    while (left := moment - time.monotonic()) > 0:
+        interrupts.check()
+        time.sleep(min(left, _LOOK_EVERY))
 
 
 def _component(port: str, robot: str | None) -> tuple[RunningComponent, str]:
