@@ -60,6 +60,22 @@ core = Core(arrays_of(Problem(components=items, computers=computers)))
 def wait():
     core.search([], 0.01, 10**9, 0)
 """
+CLOSES = """
+import socket, sys, time
+from poise.cli import main
+from poise.wire.control_session import close_session, open_session
+
+hung = socket.create_server(("127.0.0.1", 0))  # as a computer that stands still
+
+def work(_words):
+    session = open_session(connect=[f"tcp/127.0.0.1:{hung.getsockname()[1]}"])
+    time.sleep(0.5)
+    close_session(session)
+    sys.exit(3)
+
+"""
+AS_SCRIPT = f"{CLOSES}work([])"
+AS_COMMAND = f"{CLOSES}main._run = work\nmain.main()"
 FIRST_FRAMES = """
 import threading, time
 from poise.wire import frame
@@ -99,6 +115,17 @@ def test_a_thread_that_waits_while_the_interpreter_ends_does_not_abort_it(
 ) -> None:
     ended = run(ENDS.format(waits))
     assert (ended.returncode, ended.stderr) == (0, "")
+
+
+@pytest.mark.parametrize(
+    "closes",
+    [AS_COMMAND, pytest.param(AS_SCRIPT, marks=pytest.mark.exhaustive)],
+    ids=["command", "script"],
+)
+def test_a_session_that_takes_long_to_close_does_not_abort_it(closes: str) -> None:
+    """As when a computer is lost: a script waits for up to 10 s, a command does not."""
+    ended = run(closes)
+    assert (ended.returncode, ended.stderr) == (3, "")
 
 
 def test_threads_may_send_their_first_frames_at_the_same_time() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import logging
 import sys
@@ -79,6 +80,32 @@ def daemon(
     target = keep_at if again else work
     given = (work, *args) if again else args
     return threading.Thread(target=target, name=name, args=given, daemon=True)
+
+
+_LAST_WAIT = 15.0
+"""At its end an interpreter waits so long for a library's code [s]."""
+_abandoned: list[threading.Thread] = []
+
+
+def abandon(thread: threading.Thread) -> None:
+    """Wait no longer for a thread that is in a library's code.
+
+    If it came back while the interpreter ends, that would abort the process: a script
+    waits for it, and a command ends without (`is_any_abandoned`).
+    """
+    _abandoned[:] = [*filter(threading.Thread.is_alive, _abandoned), thread]
+
+
+def is_any_abandoned() -> bool:
+    """Return whether an abandoned thread has not come back yet."""
+    return any(thread.is_alive() for thread in _abandoned)
+
+
+@atexit.register
+def _wait_for_abandoned() -> None:
+    until = time.monotonic() + _LAST_WAIT
+    for thread in _abandoned:
+        thread.join(max(0.0, until - time.monotonic()))
 
 
 def report_failure() -> None:

@@ -92,6 +92,8 @@ def close_session(session: zenoh.Session) -> None:
     closing = threads.daemon(session.close, "closing")
     closing.start()
     closing.join(_CLOSE_LIMIT)
+    if closing.is_alive():
+        threads.abandon(closing)
 
 
 _LOOKS = (
