@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any, cast
 
 import pytest
@@ -105,14 +106,27 @@ def test_an_agent_that_refuses_ends_the_start(robot: Robot, agents: FakeAgents) 
         run.start()
 
 
-def test_a_lost_computer_is_said_at_once(robot: Robot, agents: FakeAgents) -> None:
-    run, _ = run_of(robot, agents)
+def test_a_lost_computer_is_said_at_once_and_may_be_back(
+    robot: Robot, agents: FakeAgents
+) -> None:
+    """On a small board an agent may stand still for a moment as the robot starts."""
+    run, journal = run_of(robot, agents)
+    run.clock = clock = VirtualClock()
     run.start()
     agents.gone.add("right")
-    with pytest.raises(
-        RunError, match=r"'right' has been out of reach since .*thinker stops"
-    ):
-        run.watch(100.0)
+    run.watch(0.0)
+    said = r"'right' has been out of reach since .*thinker stops"
+    assert re.search(said, journal.entries()[-1].what)
+    clock.sleep(4.0)
+    run.watch(0.0)
+    agents.gone.clear()
+    run.watch(0.0)
+    assert journal.entries()[-1].kind == "right"
+    agents.gone.add("right")
+    run.watch(0.0)
+    clock.sleep(6.0)
+    with pytest.raises(RunError, match=said):
+        run.watch(0.0)
 
 
 def test_stops_the_others_when_one_refuses(robot: Robot, agents: FakeAgents) -> None:

@@ -47,6 +47,8 @@ READY_LIMIT = 20.0
 """All components are configured and all connectors joined within this time [s]."""
 ACTIVE_LIMIT = 10.0
 STOP_LIMIT = 5.0
+_BACK_WITHIN = 5.0
+"""A computer may be out of reach for so long while the robot starts [s]."""
 _CRASHES = 5
 """A component does not start whose container has ended so often since it was to run."""
 
@@ -91,6 +93,7 @@ class LiveRobot(DesiredState):
         """How much the planner searches, so that a simulation can be repeated; None: as
         its time allows."""
         self.goes_on_without_lost = False
+        self._away_since: dict[str, float] = {}
         """Whether a lost computer is a deviation; else it ends what waits."""
 
     def commit(self, desired: Desired, why: str, *, tell_later: bool = False) -> None:
@@ -170,7 +173,8 @@ class LiveRobot(DesiredState):
     ) -> None:
         """Wait until `wanted` are at their goals and their connectors are joined.
 
-        Those whose ends do not reach each other are joined later.
+        Those whose ends do not reach each other are joined later. While the robot
+        starts, an agent may be back in a moment, as on a board that is busy.
 
         `trouble`: called at every news; raises to end the waiting. None: any trouble
         does.
@@ -180,12 +184,16 @@ class LiveRobot(DesiredState):
 
         def is_reached() -> bool:
             check()
-            self.raise_on_unreached(wanted)
+            if self.goes_on_without_lost:
+                self.raise_on_unreached(wanted)
+            elif self.agents.out_of_reach():
+                return False
             self._raise_on_refusal(wanted)
             self._raise_on_crashes(wanted)
             return not self.missing(wanted)
 
         if not self.agents.wait_news(is_reached, limit):
+            self.raise_on_lost()
             missing = "; ".join(self.missing(wanted))
             raise RunError(f"not ready within {limit:g} s: {missing}")
 
@@ -338,7 +346,7 @@ class LiveRobot(DesiredState):
         self.reconcile()
         if self.is_over.is_set():
             raise RunError("the robot is being stopped")
-        self.raise_on_lost()
+        self.raise_on_lost(_BACK_WITHIN)
 
     def _raise_on_trouble(self) -> bool:
         self.poll()
@@ -397,10 +405,20 @@ class LiveRobot(DesiredState):
             if not is_there and len(same := faults.get(place, ())) >= _CRASHES:
                 raise DoesNotStart(incarnation.component, "; ".join(combined(same)))
 
-    def raise_on_lost(self) -> bool:
-        """Raise RunError when a computer is out of reach, unless it goes on without."""
-        if not self.goes_on_without_lost:
-            for sentence in self.unreached().values():
+    def raise_on_lost(self, patience: float = 0.0) -> bool:
+        """Raise RunError when a computer is out of reach for `patience` [s] or more.
+
+        Unless it goes on without. What is out of reach is in the journal at once.
+        """
+        if self.goes_on_without_lost:
+            return False
+        now, before, sentences = self.clock.now(), self._away_since, self.unreached()
+        self._away_since = {name: before.get(name, now) for name in sentences}
+        for computer, sentence in sentences.items():
+            if computer not in before:
                 self.journal.note("wrong", sentence)
+            if now - self._away_since[computer] >= patience:
                 raise RunError(sentence)
+        for computer in before.keys() - sentences.keys():
+            self.journal.note("right", f"computer '{computer}' is reached again")
         return False
