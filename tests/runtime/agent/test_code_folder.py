@@ -51,6 +51,16 @@ def archive_of(
     return packed.getvalue()
 
 
+def with_size(size: str) -> bytes:
+    """Return an archive that says so of the size of its file."""
+    packed = io.BytesIO()
+    with tarfile.open(fileobj=packed, mode="w") as tar:
+        member = tarfile.TarInfo("a.py")
+        member.pax_headers = {"GNU.sparse.size": size}
+        tar.addfile(member)
+    return packed.getvalue()
+
+
 def digest_of(data: bytes) -> str:
     return hashlib.sha256(data).hexdigest()
 
@@ -173,6 +183,7 @@ def test_a_hostile_archive_is_refused_and_writes_nothing(
     [
         (b"no archive", "this is not an archive of code"),
         (CODE[:700], "this is not an archive of code"),
+        (with_size("x"), "this is not an archive of code: invalid literal"),
         (archive_of(("code/a.py", b""), ("code/a.py", b"")), "File exists"),
         (
             archive_of(("code/a.py", b""), wheels={"tiny.whl": "1" * 64}),

@@ -224,7 +224,7 @@ def unpack(archive: Path, into: Path, left: int = MOST_CODE) -> int:
                 is_program = bool(member.mode & 0o100)
                 place = _place(into, member.name)
                 left = _write(place, content, left, is_program=is_program)
-    except tarfile.TarError as error:
+    except (tarfile.TarError, ValueError) as error:  # a number that is none
         raise RunError(f"this is not an archive of code: {error}") from error
     return left
 
