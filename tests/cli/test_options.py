@@ -68,3 +68,23 @@ def test_two_ways_to_name_a_robot_are_refused(command: str) -> None:
     done = run_poise(command, "--robot", "other", "--file", HELLO / "robot.yaml")
     assert done.returncode == 2
     assert "not both" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["--name", "my robot"], "--name 'my robot' is not a name: a letter, then"),
+        (["--computer", "a.b:cpu=2,memory=1GiB"], "--computer 'a.b' is not a name"),
+        (["--computer", "arm:gpu=2"], "--computer arm: say its cpu and its memory"),
+        (["--computer", "arm:cpu=2,memory=0"], "--computer arm: say its cpu and its"),
+        (["--computer", "arm:cpu=2,memory=1GiB"] * 2, "--computer arm is there twice"),
+    ],
+)
+def test_ros_2_is_not_watched_for_what_no_robot_file_can_have(
+    words: list[str], says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    done = run_poise("ros2", "import", "--for", "1s", *words)
+    assert done.returncode == 2
+    assert says in done.stderr
+    assert "watching" not in done.stderr

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import sys
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -21,6 +22,7 @@ from poise.cli.options import (
     parse_option,
 )
 from poise.cli.plan_command import computer_of
+from poise.endpoint import NAME, NAME_SAYS
 from poise.errors import RobotError, UsageError
 from poise.model.hardware import Computer
 from poise.model.load import load
@@ -32,7 +34,7 @@ from poise.session.profiling.stored_profiles import profiled
 from poise.session.render.printable import console_to
 from poise.session.robot_file import check, with_code
 from poise.session.running_robots.running import Running
-from poise.units import SECONDS, format_bytes
+from poise.units import SECONDS, format_bytes, quoted
 
 _RUNNING = "running"
 _ON_STDOUT = "-"
@@ -170,6 +172,7 @@ def import_command(
         raise UsageError(f"{output} exists: remove it, or name another file with -o")
     if not output.absolute().parent.is_dir():
         raise UsageError(f"--output {output}: there is no folder for it")
+    _check_name("--name", name)
     computers = _keys(map(computer_of, computer or ()))
     sys.stderr.write(f"watching ROS 2 for {seconds:g} s\n")
     imported = import_robot(
@@ -232,11 +235,22 @@ def export_command(
 
 
 def _keys(computers: Iterable[Computer]) -> dict[str, dict[str, str | float]]:
-    """Return computers as a robot file has them."""
-    return {
-        computer.name: {
-            "cpu": computer.capacity.get("cpu", 0.0),
-            "memory": format_bytes(computer.capacity.get("memory", 0)),
-        }
-        for computer in computers
-    }
+    """Return computers as a robot file has them; UsageError: it has none such."""
+    keys: dict[str, dict[str, str | float]] = {}
+    for computer in computers:
+        name, has = computer.name, computer.capacity
+        _check_name("--computer", name)
+        if name in keys:
+            raise UsageError(f"--computer {name} is there twice: name it once")
+        if has.keys() != {"cpu", "memory"} or not all(has.values()):
+            raise UsageError(
+                f"--computer {name}: say its cpu and its memory, as in "
+                f"{name}:cpu=2,memory=4GiB"
+            )
+        keys[name] = {"cpu": has["cpu"], "memory": format_bytes(has["memory"])}
+    return keys
+
+
+def _check_name(option: str, name: str) -> None:
+    if not re.fullmatch(NAME, name):
+        raise UsageError(f"{option} {quoted(name)} is not a name: {NAME_SAYS}")
