@@ -322,6 +322,7 @@ def test_says_why_a_component_has_no_placement_and_refuses_one_that_is_none(
             "--scale one=0.5 and --scale ONE=2 are about the same",
         ),
         (("--add", "x:cpu=1,cpu=2"), "cpu is both 1 and 2; name it once"),
+        (("--add", "x:cpus=1"), "no resource 'cpus' (did you mean 'cpu'?)"),
     ],
 )
 def test_refuses_what_contradicts_itself(

@@ -14,7 +14,7 @@ from rich.markup import escape
 from poise import plan, units
 from poise.cli.main import Interrupts
 from poise.cli.options import AsJson, Set, arguments_of, busy, in_file, print_json
-from poise.errors import UsageError
+from poise.errors import UsageError, unknown
 from poise.estimate.outcomes import Conditions
 from poise.estimate.success_rates import learned
 from poise.model import load
@@ -390,7 +390,11 @@ def changed_problem(
     if without:
         problem = plan.without(problem, without)
     for text in add:
-        problem = plan.add(problem, computer_of(text))
+        computer = computer_of(text)
+        known = dict.fromkeys(("cpu", "memory", *problem.resources))
+        for resource in computer.capacity.keys() - known:
+            raise UsageError(f"--add {text!r}: {unknown('resource', resource, known)}")
+        problem = plan.add(problem, computer)
     if scale:
         problem = plan.scale(problem, _factors(scale))
     return problem
