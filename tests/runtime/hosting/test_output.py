@@ -27,6 +27,7 @@ from poise.runtime.hosting.output import (
     write_as,
 )
 from poise.wire.records.request_records import OutputLines, ReadOutput
+from tests.waiting import LIMIT
 
 
 @pytest.fixture(autouse=True)
@@ -183,6 +184,29 @@ def test_a_file_that_somebody_removed_is_begun_again_when_it_would_be_full(
     file.add("after")
     assert [o.text for o in read(tmp_path).lines] == ["after"]
     assert capfd.readouterr().err == ""
+
+
+def test_what_a_destructor_writes_while_a_line_is_kept_holds_nobody_up(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Python runs those of cycles at any moment, on whatever thread."""
+    file = OutputFile(tmp_path, "hall")
+
+    class Leaving:
+        def __del__(self) -> None:
+            file.add("goodbye")
+
+    left = [Leaving()]
+
+    def now() -> float:
+        left.clear()
+        return wall_time()
+
+    monkeypatch.setattr(output, "wall_time", now)
+    writing = threading.Thread(target=file.add, args=("hello",), daemon=True)
+    writing.start()
+    writing.join(LIMIT)
+    assert {o.text for o in read(tmp_path).lines} == {"hello", "goodbye"}
 
 
 def test_moments_grow_even_when_the_clock_does_not(

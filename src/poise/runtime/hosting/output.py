@@ -43,7 +43,7 @@ class OutputFile:
         name = blake2s(container.encode(), digest_size=8).hexdigest()
         self._path = folder / f"{name}{_NOW}"
         self._container = container
-        self._lock = threading.Lock()
+        self._lock = threading.RLock()  # a destructor may write amid a line
         self._at = 0
         self._fd = -1
         self._size = 0
@@ -83,7 +83,7 @@ class OutputFile:
 
     def unlock(self) -> None:
         """Let a process that was forked write: who held the lock is not there."""
-        self._lock = threading.Lock()
+        self._lock = threading.RLock()
 
     def _tell(self, error: OSError) -> None:
         if str(error) != self._trouble:
