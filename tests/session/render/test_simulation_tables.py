@@ -127,6 +127,10 @@ def test_names_are_no_markup() -> None:
     assert "[red]x[/]" in str(Simulation.of(replace(REPORT, outages=(odd,))))
 
 
+def test_no_share_of_deadlines_is_known_where_no_timer_has_any() -> None:
+    assert compared("auto", replace(REPORT, timers=()))[1] == ""
+
+
 def test_a_comparison_has_a_row_for_each_placement() -> None:
     assert compared("static", REPORT) == (
         "static",

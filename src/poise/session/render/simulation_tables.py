@@ -142,7 +142,7 @@ def compared(method: str, report: SimulationReport) -> tuple[str, ...]:
     longest = max((each.lasts for each in report.outages), default=None)
     return (
         method,
-        f"{share(report.missed, report.due):.2%}",
+        f"{share(report.missed, report.due):.2%}" if report.due else "",
         used_cpu(report.loads),
         f"{share(old, uses):.2%}" if uses else "",
         str(len(report.moves)),
@@ -350,7 +350,8 @@ def _late(report: SimulationReport) -> Iterator[str]:
     """Yield a bar for each timer that was late, the worst first."""
     timers = [each for each in late(report.timers) if each.missed]
     if not timers:
-        yield "<p>None was missed.</p>"
+        none = "None was missed" if report.due else "No timer has a deadline"
+        yield f"<p>{none}.</p>"
     for timer in timers[:_MOST_LATE]:
         part = share(timer.missed, timer.due)
         value = f"{timer.missed} of {timer.due} ({part:.2%})"

@@ -72,7 +72,9 @@ def test_late_timers_are_bars_the_worst_first() -> None:
     found = page(REPORT)
     assert found.index("20 of 1000 (2.00%)") < found.index("5 of 1000 (0.50%)")
     assert "width:2.0%" in found
-    assert "None was missed" in page(replace(REPORT, timers=()))
+    on_time = tuple(replace(each, missed=0) for each in REPORT.timers)
+    assert "None was missed" in page(replace(REPORT, timers=on_time))
+    assert "No timer has a deadline" in page(replace(REPORT, timers=()))
 
 
 def test_a_comparison_has_the_table_and_each_placement() -> None:
