@@ -209,8 +209,12 @@ def _verdict(report: RunRecord) -> str:
         return f"✗ invalid run: {report.invalid}"
     if report.failed:
         return "✗ failed: errors, faults or suspended architectures are at the end"
-    missed = sum(each.missed for each in _deadlines(report))
-    return f"✓ ran without a fault; {counted(missed, 'deadline')} missed"
+    early = ", and was ended early" if report.interrupted else ""
+    deadlines = [*_deadlines(report)]
+    missed = "nothing has a deadline"
+    if deadlines:
+        missed = f"{counted(sum(d.missed for d in deadlines), 'deadline')} missed"
+    return f"✓ ran without a fault{early}; {missed}"
 
 
 class _Deadline(NamedTuple):

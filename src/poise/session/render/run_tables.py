@@ -154,13 +154,13 @@ def _add_component(rows: Table, component: ComponentReport) -> None:
     if not component.timers:
         rows.add_row(*head)
     for timer in component.timers:
-        share = timer.missed / timer.releases if timer.releases else 0.0
+        known = timer.deadline and timer.releases
+        took = timer.duration
         rows.add_row(
             *head,
             f"{timer.name} {format_seconds(timer.period)}",
-            f"{share:.1%}" if timer.deadline else "",
-            format_seconds(timer.duration.median),
-            format_seconds(timer.duration.p99),
+            f"{timer.missed / timer.releases:.1%}" if known else "",
+            *map(format_seconds, (took.median, took.p99) if took.count else ()),
         )
         head = ("", "")
 

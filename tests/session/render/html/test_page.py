@@ -114,6 +114,15 @@ def test_what_was_never_due_counts_as_nothing_that_was_kept() -> None:
     assert "Nothing is known" not in worst(REPORT.page())
 
 
+def test_no_figure_is_shown_of_a_timer_that_was_never_due() -> None:
+    row = next(line for line in str(REPORT).splitlines() if "tick" in line)
+    assert "30.0%" in row
+    idle = replace(REPORT.components[0], timers=(timer(0, 0),))
+    said = str(replace(REPORT, components=(idle,)))
+    row = next(line for line in said.splitlines() if "tick" in line)
+    assert row.split() == ["eye", "50.0%", "tick", "100", "ms"]
+
+
 def luminance(colour: str) -> float:
     """Return a colour's relative luminance, as WCAG 2 has it."""
     parts = [int(colour[at : at + 2], 16) / 255 for at in (1, 3, 5)]
@@ -191,6 +200,8 @@ def test_a_run_shorter_than_a_moment_shows_its_computers() -> None:
     ("change", "verdict"),
     [
         ({"faults": ()}, "30 deadlines missed"),
+        ({"faults": (), "interrupted": True}, "without a fault, and was ended early"),
+        ({"faults": (), "components": ()}, "nothing has a deadline"),
         ({"refused": {"x": 1}}, "failed"),
         ({"invalid": "too busy"}, "invalid run: too busy"),
     ],
