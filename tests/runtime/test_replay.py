@@ -111,6 +111,22 @@ def test_sizes_vary_evenly_around_the_mean() -> None:
     assert sum(sizes) / len(sizes) == pytest.approx(1000, abs=30)
 
 
+class Odd(Message):
+    text: bytearray
+
+
+def odd(_: object, size: float) -> Odd:
+    return Odd(bytearray(int(size)))
+
+
+def test_a_function_of_the_robots_makes_what_nothing_else_can() -> None:
+    part = generated(rate=10.0, size=7.0, message="played_texts:odd")
+    ports = {"out": {**part, "type": "played_texts:Odd"}}
+    with player(ports=ports) as bench:
+        bench.advance(0.1 + TICK)
+        assert [len(each.text) for each in bench.published["out"]] == [7]
+
+
 def test_a_function_of_the_robots_may_make_them() -> None:
     part = generated(rate=10.0, size=7.0, message="played_texts:words")
     with player(ports={"out": part}) as bench:

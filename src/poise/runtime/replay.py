@@ -248,9 +248,11 @@ class Replay(Component):
 
     def _generated(self, name: str, how: Generated) -> Iterator[Due]:
         rng = random.Random(how.seed)  # noqa: S311, it is to be repeatable
-        make: Any = maker(self.types[name])
-        if how.message:
-            make = find_function(how.message, self.folder)
+        make: Any = (
+            find_function(how.message, self.folder)
+            if how.message
+            else maker(self.types[name])
+        )
         at = 0.0
         while True:
             is_poisson = how.arrivals == "poisson"
