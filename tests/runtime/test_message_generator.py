@@ -92,6 +92,15 @@ def test_an_array_holds_finite_numbers() -> None:
     assert np.isfinite(samples).all()
 
 
+class Branch(Message):
+    twig: Branch | None = None
+
+
+def test_says_so_of_a_message_that_has_itself_inside() -> None:
+    with pytest.raises(UsageError, match=r"for Branch .*itself inside.* `message`"):
+        maker(Branch)
+
+
 def test_says_what_nothing_can_be_made_up_for() -> None:
     with pytest.raises(UsageError, match=r"Odd\.inside .*complex.* `message`"):
         maker(Odd)

@@ -55,7 +55,10 @@ def maker(type_: Any) -> Maker:  # noqa: ANN401, any type of a message
             made = _Filling(rng, room).value(type_, type_.__qualname__)
         return made
 
-    make(random.Random(0), 0.0)  # noqa: S311, to see whether it can be made at all
+    try:
+        make(random.Random(0), 0.0)  # noqa: S311, to see whether it can be made at all
+    except RecursionError:
+        raise UsageError(_cannot(type_.__qualname__, "it has itself inside")) from None
     return make
 
 
