@@ -136,6 +136,23 @@ def test_a_computer_that_is_gone_is_no_present_place(robot: Robot) -> None:
     assert problem.components[0].only == ()
 
 
+def test_of_computers_that_are_gone_nothing_is_expected(robot: Robot) -> None:
+    """Else no decision could be taken while one that a component may use is lost."""
+    voice = ComponentEntry(name="voice", only=("main", "eye"))
+    speak = Architecture(name="speak", function="speak", components=(voice,))
+    left = robot.on(c for c in robot.computers if c.name != "eye")
+    problem = plan.problem_of(replace(left, architectures=(speak,)))
+    assert problem.components[0].only == ("main",)
+    assert problem.components[0].why == "only main or eye; eye not available"
+    nowhere = replace(speak, components=(replace(voice, only=("eye",)),))
+    with pytest.raises(RobotError, match="can run nowhere: only eye; eye not availab"):
+        plan.problem_of(replace(left, architectures=(nowhere,)))
+    other = replace(speak, name="whisper", components=(ComponentEntry(name="breath"),))
+    problem = plan.problem_of(replace(left, architectures=(nowhere, other)))
+    assert [bundle.name for bundle in problem.architectures] == ["whisper"]
+    assert [component.name for component in problem.components] == ["breath"]
+
+
 def test_says_which_pins_contradict(robot: Robot) -> None:
     devices = (*robot.devices, Device(name="arm", computer="main"))
     both = ComponentEntry(name="hand", devices=("camera", "arm"))

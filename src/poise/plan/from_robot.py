@@ -36,28 +36,35 @@ def problem_of(
         Names of functions, instead of a task.
     present
         Component -> computer, as it is now. Components that may not be moved while
-        they run stay there; computers that are gone are passed over.
+        they run stay there; computers that are gone are passed over. An architecture
+        that can run nowhere is, too, where an alternative can run.
     move
         What F grows by for moving a component, plus as much for each MB of its state.
 
     Raises
     ------
     RobotError
-        When a function is not there, or a component can run nowhere; the message lists
-        all.
+        When a function is not there, or all that provides one has components that can
+        run nowhere; the message lists all.
     UsageError
         When there is no such task.
     """
     robot = robot.on(robot.hosts)
     chosen = _architectures(robot, task, functions)
-    faults: list[str] = []
-    components = tuple(
-        _component(robot, a, c, present or {}, move, faults)
-        for a in chosen
-        for c in a.components
-    )
-    if faults:
-        raise RobotError("no placement is possible:\n  " + "\n  ".join(faults))
+    items: dict[str, list[Item]] = {}
+    faults: dict[str, list[str]] = {}
+    for a in chosen:
+        faults[a.name] = []
+        items[a.name] = [
+            _component(robot, a, c, present or {}, move, faults[a.name])
+            for c in a.components
+        ]
+    provided = {a.function for a in chosen if not faults[a.name]}
+    if lacking := [a for a in chosen if a.function not in provided]:
+        why = "\n  ".join(fault for a in lacking for fault in faults[a.name])
+        raise RobotError(f"no placement is possible:\n  {why}")
+    chosen = [a for a in chosen if not faults[a.name]]
+    components = tuple(item for a in chosen for item in items[a.name])
     names = {c.name for c in components}
     return Problem(
         components=components,
@@ -143,14 +150,18 @@ def _component(
     move: float,
     faults: list[str],
 ) -> Item:
+    there = {h.name for h in robot.computers}
     now = present.get(component.name)
-    if all(now != h.name for h in robot.computers):
+    if now not in there:
         now = None
     only: tuple[str, ...] | None = None
     reasons = []
     for names, reason in _pins(robot, architecture, component, now):
         only = names if only is None else tuple(h for h in only if h in names)
         reasons.append(reason)
+    if only and (gone := sorted({*only} - there)):
+        only = tuple(h for h in only if h in there)
+        reasons.append(f"{' and '.join(gone)} not available")
     why = "; ".join(reasons)
     if only == ():
         faults.append(f"component {component.name!r} can run nowhere: {why}")

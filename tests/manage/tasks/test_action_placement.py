@@ -2,24 +2,28 @@
 
 from __future__ import annotations
 
+import pytest
+
 from poise.manage.adaptation.situation import Situation
 from poise.manage.tasks.action_placement import room_for_functions
 from poise.model.robot import Architecture, ComponentEntry, Computer, Robot
 
 
-def test_what_was_planned_on_a_lost_computer_begins_on_another() -> None:
+@pytest.mark.parametrize(
+    ("only", "planned"), [((), {"eye": "x"}), (("x", "y"), {})], ids=["plan", "only"]
+)
+def test_what_was_to_run_on_a_lost_computer_begins_on_another(
+    only: tuple[str, ...], planned: dict[str, str]
+) -> None:
+    eye = ComponentEntry(name="eye", only=only)
     robot = Robot(
         name="r",
         computers=tuple(
             Computer(name=name, capacity={"cpu": 1.0, "memory": 1e9})
             for name in ("x", "y")
         ),
-        architectures=(
-            Architecture(
-                name="see", function="see", components=(ComponentEntry(name="eye"),)
-            ),
-        ),
+        architectures=(Architecture(name="see", function="see", components=(eye,)),),
     )
     situation = Situation(robot=robot, task="", placement={}, lost=frozenset("x"))
-    room = room_for_functions(situation, ["see"], {"eye": "x"})
+    room = room_for_functions(situation, ["see"], planned)
     assert (room.begins, room.why) == ({"eye": "y"}, "")
