@@ -27,6 +27,12 @@ def test_says_which_file_is_no_profile(text: str) -> None:
         profile_file.from_text(text, "p.yaml")
 
 
+def test_says_how_to_replace_what_is_yaml_and_no_profile() -> None:
+    says = r"p\.yaml: not a profile: .*`poise`\. Write it again with `poise profile`"
+    with pytest.raises(RobotError, match=says):
+        profile_file.from_text("robot: r\n", "p.yaml")
+
+
 def test_says_what_writes_a_file_that_is_not_there(tmp_path: Path) -> None:
     with pytest.raises(RobotError, match="`poise profile` writes it"):
         profile_file.read(tmp_path / "none.yaml")

@@ -319,12 +319,12 @@ def from_text(text: str, file: str) -> Profile:
         if why := _too_old(plain):
             raise RobotError(f"{file}: {why}")
         return convert(plain, Profile)
-    except (yaml.YAMLError, ValueError) as error:  # as for a date that does not exist
-        raise RobotError(f"{file}: not YAML: {error}") from error
     except msgspec.ValidationError as error:
         raise RobotError(
             f"{file}: not a profile: {error}. Write it again with `poise profile`"
         ) from error
+    except (yaml.YAMLError, ValueError) as error:  # as for a date that does not exist
+        raise RobotError(f"{file}: not YAML: {error}") from error
 
 
 def _too_old(plain: object) -> str:
