@@ -8,7 +8,7 @@ import pytest
 from typer.testing import CliRunner
 
 from poise.cli.command_table import build
-from poise.errors import UsageError
+from poise.errors import RobotError, UsageError
 from poise.estimate import profiles as profile_file
 from poise.model import load
 from tests.command import Poise
@@ -79,3 +79,18 @@ def test_a_computer_that_a_real_robot_has_not_is_named(tmp_path: Path) -> None:
     result = CliRunner().invoke(build(words), words)
     assert isinstance(result.exception, UsageError)
     assert "--on middle: the robot's computers are left, right" in str(result.exception)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("words", [["profile", "show"], ["calibrate"]])
+def test_the_profile_of_another_robot_is_refused(
+    words: list[str], tmp_path: Path
+) -> None:
+    sorter = Path(__file__).parents[2] / "examples" / "sorter"
+    (tmp_path / "robot.yaml").write_text(ROBOT)
+    (tmp_path / "burn.py").write_text(BURN)
+    (tmp_path / "profile.yaml").write_bytes((sorter / "profile.yaml").read_bytes())
+    words = [*words, str(tmp_path / "robot.yaml")]
+    result = CliRunner().invoke(build(words), words)
+    assert isinstance(result.exception, RobotError)
+    assert "is the profile of robot 'sorter', not of 'r'" in str(result.exception)

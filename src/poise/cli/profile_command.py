@@ -33,7 +33,7 @@ from poise.session.folders import to_write
 from poise.session.profiling.calibrate import Calibration, calibrate
 from poise.session.profiling.profile_robot import Profiling, Tick, profile
 from poise.session.profiling.stored_profiles import (
-    read_profile,
+    own_profile,
     stale,
     store_of,
     write_demands,
@@ -125,7 +125,7 @@ def show_command(
     console = console_to(stderr=as_json)
     robot = load_bare(file)
     with store_of(robot) as store:
-        last = read_profile(robot) or store.latest(robot.name)
+        last = own_profile(robot) or store.latest(robot.name)
         earlier = store.all(robot.name) if history else []
     if last is None:
         raise RobotError(

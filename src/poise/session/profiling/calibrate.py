@@ -31,7 +31,7 @@ from poise.session.folders import write_whole
 from poise.session.launch.start import Sampling, started
 from poise.session.profiling.stored_profiles import (
     check_keepable,
-    read_profile,
+    own_profile,
     steady,
     store_of,
 )
@@ -313,6 +313,7 @@ def calibrate(
     if chosen not in names:
         raise UsageError(f"--reference {chosen}: the computers are {', '.join(names)}")
     check_keepable(robot)
+    own_profile(robot)  # or its costs would be written into another robot's
     with steady(robot):
         computers, busy = _speeds(robot, chosen, seconds, check)
         costs, more = _costs(robot, seconds, check)
@@ -333,7 +334,7 @@ def _keep(robot: Robot, costs: Mapping[str, KindCosts]) -> None:
     """Write the costs to the store, from which later profiles take them, and now."""
     with store_of(robot) as store:
         store.add_costs(robot.name, costs)
-    profile = read_profile(robot)
+    profile = own_profile(robot)
     if profile is not None:
         path = Path(robot.folder) / robot.profile
         calibrated = msgspec.structs.replace(profile, costs=costs)

@@ -39,6 +39,17 @@ def read_profile(robot: Robot) -> Profile | None:
     return profile_file.read(path)
 
 
+def own_profile(robot: Robot) -> Profile | None:
+    """Return what `read_profile` does; RobotError: it is that of another robot."""
+    profile = read_profile(robot)
+    if profile is not None and profile.robot != robot.name:
+        raise RobotError(
+            f"{robot.profile} is the profile of robot '{profile.robot}', not of "
+            f"'{robot.name}'"
+        )
+    return profile
+
+
 def store_of(robot: Robot) -> Store:
     """Return the store of all profiles of the robots in this folder."""
     return Store(Path(robot.folder) / STORE)
@@ -52,15 +63,10 @@ def check_keepable(robot: Robot) -> None:
 
 def profiled(robot: Robot) -> Profiled:
     """Return the robot with measured demands where its file has none."""
-    profile = read_profile(robot)
+    profile = own_profile(robot)
     if profile is None:
         asked = f"{robot.profile} does not exist: `poise profile` measures it"
         return Profiled(robot, (asked,) if robot.profile else ())
-    if profile.robot != robot.name:
-        raise RobotError(
-            f"{robot.profile} is the profile of robot '{profile.robot}', not of "
-            f"'{robot.name}'"
-        )
     source = f"{robot.profile}, measured by `poise profile` on '{profile.computer}'"
     costs = "overheads are MB/s: `poise calibrate` measures the costs of connectors"
     if profile.costs:
