@@ -10,6 +10,7 @@ from typer.testing import CliRunner
 
 from poise.cli.command_table import build
 from poise.errors import UsageError
+from poise.model import load
 from poise.session.folders import to_write
 from tests.command import run_poise
 
@@ -88,3 +89,15 @@ def test_ros_2_is_not_watched_for_what_no_robot_file_can_have(
     assert done.returncode == 2
     assert says in done.stderr
     assert "watching" not in done.stderr
+
+
+def test_a_drawing_without_a_task_is_of_all_functions_and_says_so() -> None:
+    tasks = HELLO.with_name("tasks") / "robot.yaml"
+    drawn = run_poise("draw", tasks, "--placement", "auto", "-o", "-").stdout
+    first = load(tasks).tasks[0].name
+    of_first = run_poise(
+        "draw", tasks, "--placement", "auto", "--task", first, "-o", "-"
+    ).stdout
+    assert drawn.count("«component»") > of_first.count("«component»")
+    said = " ".join(run_poise("draw", "-h").stdout.replace("│", " ").split())
+    assert "The task. Default: all functions." in said

@@ -12,15 +12,7 @@ from typing import Annotated
 import typer
 from rich.markup import escape
 
-from poise.cli.options import (
-    RobotFile,
-    RobotTask,
-    Set,
-    arguments_of,
-    busy,
-    in_file,
-    parse_option,
-)
+from poise.cli.options import RobotFile, Set, arguments_of, busy, in_file, parse_option
 from poise.cli.plan_command import computer_of
 from poise.endpoint import NAME, NAME_SAYS
 from poise.errors import RobotError, UsageError
@@ -43,6 +35,15 @@ _WHERE = (
     "file with `component: computer`."
 )
 
+_TaskOrAll = Annotated[
+    str | None,
+    typer.Option(
+        "--task",
+        help="The task. Default: all functions.",
+        autocompletion=in_file("tasks"),
+    ),
+]
+
 
 def draw_command(
     file: RobotFile,
@@ -50,7 +51,7 @@ def draw_command(
         What | None,
         typer.Option(help="What to draw. Default: what the placements ask for."),
     ] = None,
-    task: RobotTask = None,
+    task: _TaskOrAll = None,
     placement: Annotated[str | None, typer.Option(help=_WHERE)] = None,
     compare: Annotated[
         str | None,
@@ -191,12 +192,7 @@ def import_command(
 
 def export_command(
     file: RobotFile,
-    task: Annotated[
-        str | None,
-        typer.Option(
-            help="The task. Default: all functions.", autocompletion=in_file("tasks")
-        ),
-    ] = None,
+    task: _TaskOrAll = None,
     placement: Annotated[str, typer.Option(help=_WHERE)] = "auto",
     output: Annotated[
         Path, typer.Option("--output", "-o", help="The folder for the launch files.")
