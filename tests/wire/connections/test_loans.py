@@ -111,6 +111,16 @@ def test_a_loan_has_the_wanted_shape_and_type(pool: Blocks) -> None:
     assert loan(100_000).dtype == np.float64
 
 
+@pytest.mark.parametrize(
+    "shape",
+    [np.int64(90_000), (np.int32(300), np.int32(300)), np.array([300, 300])],
+)
+def test_a_shape_may_have_numbers_of_numpy(pool: Blocks, shape: Any) -> None:
+    array = loan(shape, np.uint8)
+    assert array.size == 90_000
+    assert is_on_a_block(pool, array)
+
+
 def test_nothing_copies_a_loan(receiver: Receiver) -> None:
     """What is written by a way that is left open is seen at the other end."""
     array = filled(1)

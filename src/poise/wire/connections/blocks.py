@@ -18,6 +18,7 @@ import os
 import threading
 import weakref
 from math import prod
+from operator import index
 from typing import TYPE_CHECKING, Any
 
 from poise.wire import _channel
@@ -200,7 +201,8 @@ def loan(shape: int | tuple[int, ...], dtype: DTypeLike = float) -> np.ndarray:
     import numpy as np  # noqa: PLC0415, only where users' arrays are
 
     kind = np.dtype(dtype)
-    sides = (shape,) if isinstance(shape, int) else tuple(shape)
+    given: Any = (shape,) if np.ndim(shape) == 0 else shape
+    sides = tuple(map(index, given))  # NumPy's numbers have no room for all sizes
     size = prod(sides) * kind.itemsize
     if size >= THRESHOLD and not kind.hasobject and min(sides) > 0:
         block = BLOCKS.allocate(size, OWN)
