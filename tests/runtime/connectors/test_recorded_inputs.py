@@ -93,6 +93,16 @@ def test_last_messages_are_recorded_as_all_others(
     np.testing.assert_array_equal(got.two, array)
 
 
+def test_what_is_no_numbered_message_is_refused_but_not_recorded(
+    file: InputFile, tmp_path: Path
+) -> None:
+    """What raised here would end the thread of its connection."""
+    handler, frames = received(file)
+    come(handler, Kind.MESSAGE, "nothing of the kind", tag=numbered_tag(Vectors))
+    assert len(frames) == 1
+    assert not inputs_so_far(tmp_path)
+
+
 def test_arrays_of_any_length_are_recorded(file: InputFile, tmp_path: Path) -> None:
     sent = Vectors(np.arange(3, dtype=np.uint8), np.arange(5, dtype=np.uint8))
     come(received(file)[0], Kind.MESSAGE, sent)

@@ -31,7 +31,7 @@ from poise.runtime.connectors.latest import (
     numbered_tag,
     without_number,
 )
-from poise.wire.codec import Packed, pack
+from poise.wire.codec import MALFORMED, Packed, pack
 from poise.wire.connections.connection_server import Handler
 from poise.wire.frame import Frame, Kind, Pieces
 from poise.wire.recording_file import Input, McapFile
@@ -377,7 +377,10 @@ class InputFile:
             return
         tag = None if received.kind is Kind.MESSAGE else received.tag
         if tag is None and received.tag == self._numbered:
-            body = without_number(body)
+            try:
+                body = without_number(body)
+            except MALFORMED:  # it was refused
+                return
         entry = Input(self._source, at, body, buffers, tag, _result(answer))
         try:
             self._file.add_record(entry, at)
