@@ -120,6 +120,15 @@ def test_a_file_with_a_number_that_is_none_is_refused(
         poise.place(robot, method=str(file))
 
 
+def test_a_file_that_places_a_component_twice_is_refused(
+    robot: Robot, tmp_path: Path
+) -> None:
+    file = tmp_path / "placement.yaml"
+    file.write_text("a: left\nb: left\na: right\n")
+    with pytest.raises(UsageError, match="cannot be read: 'a' is there 2 times"):
+        poise.place(robot, method=str(file))
+
+
 def test_all_that_is_wrong_with_a_file_is_said_at_once(
     robot: Robot, tmp_path: Path
 ) -> None:

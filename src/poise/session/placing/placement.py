@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import random
+from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from functools import partial
 from itertools import cycle
 from pathlib import Path
+from typing import Any
 
 import yaml
 from msgspec import Struct
@@ -104,6 +106,13 @@ class _NamesLoader(yaml.SafeLoader):
         first: [each for each in known if each[0] == "tag:yaml.org,2002:null"]
         for first, known in yaml.SafeLoader.yaml_implicit_resolvers.items()
     }
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> Any:  # noqa: ANN401, FBT001, FBT002, as PyYAML has it
+        """Return a mapping; of equal names PyYAML would take the last."""
+        for name, count in Counter(str(key.value) for key, _ in node.value).items():
+            if count > 1:
+                raise ValueError(f"'{name}' is there {count} times")
+        return super().construct_mapping(node, deep)
 
 
 def _read(path: Path) -> tuple[Mapping[object, object], frozenset[str]]:
