@@ -64,6 +64,13 @@ def test_a_recording_without_what_policies_see_is_refused(tmp_path: Path) -> Non
         poise.test_policies(ROBOT, tmp_path / "x")
 
 
+def test_a_recording_of_another_robot_is_refused(tmp_path: Path) -> None:
+    record(tmp_path / "x", *[0.9] * 8)
+    other = msgspec.structs.replace(ROBOT, name="other")
+    with pytest.raises(UsageError, match="recorded of robot 'r', not of 'other'"):
+        poise.test_policies(other, tmp_path / "x")
+
+
 def test_a_damaged_recording_is_refused(tmp_path: Path) -> None:
     with McapFile(tmp_path / "x", "r") as file:
         file.add("policies", None, 1.0, b"damaged")

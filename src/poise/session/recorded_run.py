@@ -183,7 +183,7 @@ class RecordedRun:
         UsageError
             Another robot was recorded.
         """
-        self._check_robot(robot)
+        _check_robot(self.robot, robot, self.file)
         speeds = {
             c.name: 1.0 if robot.is_emulated else c.speed for c in robot.computers
         }
@@ -219,7 +219,7 @@ class RecordedRun:
         UsageError
             Another robot was recorded.
         """
-        self._check_robot(robot)
+        _check_robot(self.robot, robot, self.file)
         estimates = Estimates(robot, read_profile(robot), emulated=robot.is_emulated)
         samples = list(self._samples())
         began = min((sample.at for sample in samples), default=0.0)
@@ -232,13 +232,6 @@ class RecordedRun:
                 )
         return estimates.demand_estimates()
 
-    def _check_robot(self, robot: Robot) -> None:
-        if robot.name != self.robot:
-            raise UsageError(
-                f"{self.file} was recorded of robot '{self.robot}', not of "
-                f"'{robot.name}'"
-            )
-
     def _samples(self) -> Iterator[AgentSample]:
         samples = samples_of(self.file)
         first = next(samples, None)
@@ -248,6 +241,13 @@ class RecordedRun:
                 "--record` and `poise up --record` record it"
             )
         return itertools.chain([first], samples)
+
+
+def _check_robot(recorded: str, robot: Robot, file: Path) -> None:
+    if robot.name != recorded:
+        raise UsageError(
+            f"{file} was recorded of robot '{recorded}', not of '{robot.name}'"
+        )
 
 
 def _each_second(used: Mapping[int, float]) -> tuple[float, ...]:
@@ -306,8 +306,9 @@ def test_policies(
     Raises
     ------
     UsageError
-        It cannot be read, or nothing that policies see was recorded.
+        It cannot be read, another robot was recorded, or nothing that policies see.
     """
+    _check_robot(robot_of(Path(recording)), robot, Path(recording))
     policies = Policies(policies_of(robot.policies), robot.folder)
     found: list[PolicyEvent] = []
     began: float | None = None
