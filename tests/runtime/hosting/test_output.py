@@ -7,9 +7,9 @@ import logging
 import os
 import sys
 import threading
-from io import StringIO
+from io import BytesIO, StringIO, TextIOWrapper
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 from unittest.mock import Mock
 
 import pytest
@@ -50,6 +50,17 @@ def test_all_is_passed_on_and_whole_lines_are_kept(tmp_path: Path) -> None:
     assert [(o.component, o.text) for o in read(tmp_path).lines] == [("hall", "one 2")]
     stream.write(" and half\n\n")
     assert [o.text for o in read(tmp_path).lines] == ["one 2", "half and half", ""]
+
+
+def test_code_uses_the_stream_as_it_does_elsewhere(tmp_path: Path) -> None:
+    terminal = TextIOWrapper(BytesIO(), encoding="utf-8")
+    stream: Any = KeptStream(terminal, OutputFile(tmp_path, "hall"))
+    assert (stream.encoding, stream.errors) == ("utf-8", "strict")
+    assert stream.writable()
+    stream.reconfigure(write_through=True)
+    stream.write("text, ")
+    stream.buffer.write(b"and bytes")
+    assert terminal.buffer.getvalue() == b"text, and bytes"
 
 
 def test_lines_are_those_of_the_component_whose_thread_writes(tmp_path: Path) -> None:

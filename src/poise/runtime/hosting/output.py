@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from hashlib import blake2s
 from io import TextIOBase
 from pathlib import Path
-from typing import TextIO
+from typing import Any, TextIO
 
 from poise.clock import wall_time
 from poise.threads import SHOWN_FOR
@@ -129,6 +129,24 @@ class KeptStream(KeptLines):
     def __init__(self, stream: TextIO, file: OutputFile) -> None:
         super().__init__(file)
         self._stream = stream
+
+    def __getattr__(self, name: str) -> Any:  # noqa: ANN401, as the stream's
+        """Return what else the stream has, such as its `buffer`."""
+        return getattr(self._stream, name)
+
+    @property
+    def encoding(self) -> str:  # type: ignore[override]
+        """The stream's encoding."""
+        return self._stream.encoding
+
+    @property
+    def errors(self) -> str | None:  # type: ignore[override]
+        """What the stream does with what it cannot encode."""
+        return self._stream.errors
+
+    def writable(self) -> bool:
+        """Return True."""
+        return True
 
     def write(self, text: str) -> int:
         """Pass text on; keep each line that is complete."""
