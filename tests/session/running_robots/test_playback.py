@@ -30,3 +30,13 @@ def test_nothing_is_played_when_a_port_is_not_in_the_recording(
     assert not published
     assert playback.play("r.mcap", only=["eye.seen"]).messages == {"eye.seen": 1}
     assert published == [("seen", 7)]
+
+
+def test_a_recording_without_messages_is_refused(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Such is what `poise record` writes of a robot when it is given no connector."""
+    monkeypatch.setattr(playback, "said_in", lambda _: iter(()))
+    monkeypatch.setattr(playback, "connect", lambda _: None)
+    with pytest.raises(UsageError, match=r"no message is recorded in r\.mcap: `poise"):
+        playback.play("r.mcap")

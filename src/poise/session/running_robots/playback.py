@@ -74,7 +74,7 @@ def play(
     Raises
     ------
     UsageError
-        There is no such robot, file or port, or it is no recording.
+        There is no such robot, file or port, or it is no recording of messages.
     RunError
         A component took no message within 10 s.
     """
@@ -105,6 +105,11 @@ def play(
             continue
         messages[port] += 1
         behind = max(0.0, time.monotonic() - due)
+    if not used:
+        raise UsageError(
+            f"no message is recorded in {path}: `poise record` records those of the "
+            "connectors that it is given"
+        )
     return Playback(messages=messages, skipped=skipped, behind=behind)
 
 
