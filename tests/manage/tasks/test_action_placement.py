@@ -9,6 +9,26 @@ from poise.manage.tasks.action_placement import room_for_functions
 from poise.model.robot import Architecture, ComponentEntry, Computer, Robot
 
 
+def test_of_alternatives_that_two_tasks_planned_with_one_begins() -> None:
+    """Else the tasks would stand still from then on."""
+    robot = Robot(
+        name="r",
+        computers=(Computer(name="x", capacity={"cpu": 1.0, "memory": 1e9}),),
+        architectures=tuple(
+            Architecture(
+                name=name,
+                function="see",
+                components=(ComponentEntry(name=f"{name}-eye"),),
+            )
+            for name in ("one", "other")
+        ),
+    )
+    situation = Situation(robot=robot, task="", placement={})
+    planned = {"one-eye": "x", "other-eye": "x"}
+    room = room_for_functions(situation, ["see"], planned)
+    assert (room.begins, room.why) == ({"one-eye": "x"}, "")
+
+
 @pytest.mark.parametrize(
     ("only", "planned"), [((), {"eye": "x"}), (("x", "y"), {})], ids=["plan", "only"]
 )

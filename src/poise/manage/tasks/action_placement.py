@@ -11,7 +11,7 @@ from msgspec.structs import replace
 
 from poise import plan
 from poise.clock import boot_time
-from poise.errors import PoiseError, RobotError
+from poise.errors import PoiseError, RobotError, UsageError
 from poise.estimate.success_rates import learned
 from poise.manage.adaptation.proposal import SOLVE_FOR
 from poise.manage.adaptation.situation import Situation
@@ -89,18 +89,11 @@ def beyond_memory(
 
 def _fits(problem: plan.Problem, placement: Mapping[str, str]) -> bool:
     """Return whether a placement is one of the problem, and keeps all limits."""
-    known = {component.name for component in problem.components}
-    computers = {computer.name for computer in problem.computers}
-    if not placement or not known.issuperset(placement):
+    try:
+        result = plan.evaluate(problem, placement)
+    except UsageError:  # two tasks planned with alternatives, or a computer was lost
         return False
-    if not computers.issuperset(placement.values()):  # one was lost since the plan
-        return False
-    bundles = problem.architectures
-    whole = {b.function for b in bundles if placement.keys() >= {*b.components}}
-    if whole != {bundle.function for bundle in bundles}:
-        return False
-    kept = plan.keep_components(problem, placement.keys())
-    return plan.evaluate(kept, placement).feasible
+    return result.feasible and result.placement.keys() == placement.keys()
 
 
 def _with_chosen(robot: Robot, placement: Mapping[str, str]) -> Robot:
