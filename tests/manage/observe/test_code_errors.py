@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import pytest
+from msgspec.structs import replace
+
 from poise.manage.observe.troubles import QUIET, CodeErrors
 from poise.wire.records.status_records import (
     AgentStatus,
@@ -104,4 +107,39 @@ def test_messages_that_are_refused_are_told_of() -> None:
     assert said == [
         ("wrong", what),
         ("right", f"no more: {what} (6 times)"),
+    ]
+
+
+def test_what_an_earlier_manager_has_told_of_is_not_new() -> None:
+    said = list[tuple[str, str]]()
+    raised = CodeErrors(lambda kind, what: said.append((kind, what)))
+    raised.record(statuses(5, refused=2), 0.0, are_known=True)
+    raised.record(statuses(5, refused=2), 1.0)
+    assert not said
+    raised.record(statuses(6, refused=2), 2.0)
+    assert said == [("wrong", WHAT)]
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("ValueError: too wide\nby 3 cm", "ValueError: too wide ..."),
+        (f"{TEXT}by 3 cm\n    or more", "ValueError: too wide ..."),
+        ('  File "a.py", line 1\n    a b\n      ^\nSyntaxError: no', "SyntaxError: no"),
+    ],
+)
+def test_of_a_long_error_its_type_and_first_line_are_said(text: str, says: str) -> None:
+    said = list[str]()
+    component = ComponentStatus(
+        name="hand",
+        state="active",
+        error_counts=(ErrorCount(where="tick", text=text, first=1.0, count=1),),
+    )
+    container = ContainerStatus(name="arm", pid=1, components=(component,))
+    status = statuses(0)["left"]
+    CodeErrors(lambda _, what: said.append(what)).record(
+        {"left": replace(status, containers=(container,))}, 0.0
+    )
+    assert said == [
+        f"'tick' of component 'hand' on 'left' raised {says}; `poise log hand` says more"
     ]

@@ -11,6 +11,7 @@ import re
 import time
 import traceback
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
+from itertools import dropwhile
 from typing import Protocol
 
 from msgspec.structs import replace
@@ -126,8 +127,13 @@ class CodeErrors:
         self._coming: dict[tuple[str, str], tuple[Deviation, int, float]] = {}
         """What goes wrong now, how often it did so, and when it did last."""
 
-    def record(self, statuses: Statuses, now: float) -> None:
-        """Note what is new in `statuses`, and what came no more until `now` [s]."""
+    def record(
+        self, statuses: Statuses, now: float, *, are_known: bool = False
+    ) -> None:
+        """Note what is new in `statuses`, and what came no more until `now` [s].
+
+        `are_known`: an earlier manager has told of them.
+        """
         for computer, status in statuses.items():
             for container in status.containers:
                 for component in container.components:
@@ -138,7 +144,7 @@ class CodeErrors:
                         continue
                     stay = container.pid, component.epoch
                     raised = _raised(component, computer)
-                    is_told = component.state == "failed"
+                    is_told = are_known or component.state == "failed"
                     self._take(component.name, stay, raised, now, is_told=is_told)
                 for name, count in refused(container):
                     error = Deviation(
@@ -147,7 +153,8 @@ class CodeErrors:
                         computer=computer,
                         since=wall_time(),
                     )
-                    self._take(name, container.pid, {"": (count, error)}, now)
+                    counts = {"": (count, error)}
+                    self._take(name, container.pid, counts, now, is_told=are_known)
         for key, (error, count, last) in list(self._coming.items()):
             if now - last >= QUIET:
                 del self._coming[key]
@@ -187,7 +194,7 @@ def _raised(component: ComponentStatus, computer: str) -> _Counts:
     counts: dict[str, tuple[int, Deviation]] = {}
     name = component.name
     for error in component.error_counts:
-        text = error.text.rstrip().rpartition("\n")[2]
+        text = _summary(error.text)
         handler = f"'{error.where}' of component '{name}' on '{computer}'"
         said = Deviation(
             what=f"{handler} raised {text}; `poise log {name}` says more",
@@ -198,6 +205,17 @@ def _raised(component: ComponentStatus, computer: str) -> _Counts:
         count, said = counts.get(kind, (0, said))
         counts[kind] = count + error.count, said
     return counts
+
+
+def _summary(traceback: str) -> str:
+    """Return the error's type and the first line of what it says."""
+    *earlier, last = traceback.rstrip().split("\n")
+    frames = [n for n, line in enumerate(earlier) if line.startswith('  File "')]
+    said = dropwhile(
+        lambda line: line.startswith("    "), earlier[frames[-1] + 1 if frames else 0 :]
+    )
+    first = next(said, "")
+    return f"{first} ..." if first else last
 
 
 def refused(container: ContainerStatus) -> Iterator[tuple[str, int]]:

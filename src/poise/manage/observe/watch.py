@@ -31,6 +31,9 @@ class Watch:
         self._unjoined: dict[str, tuple[Deviation, float]] = {}
         self._faults = FaultFilter(live.faults_before)
         self.code_errors = CodeErrors(live.journal.note)
+        if live.has_taken_over:
+            known = live.current()
+            self.code_errors.record(known, time.monotonic(), are_known=True)
 
     @property
     def num_faults(self) -> int:
