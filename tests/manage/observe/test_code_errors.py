@@ -141,5 +141,6 @@ def test_of_a_long_error_its_type_and_first_line_are_said(text: str, says: str) 
         {"left": replace(status, containers=(container,))}, 0.0
     )
     assert said == [
-        f"'tick' of component 'hand' on 'left' raised {says}; `poise log hand` says more"
+        f"'tick' of component 'hand' on 'left' raised {says}; "
+        "`poise log hand` says more"
     ]
