@@ -140,7 +140,5 @@ def test_of_a_long_error_its_type_and_first_line_are_said(text: str, says: str) 
     CodeErrors(lambda _, what: said.append(what)).record(
         {"left": replace(status, containers=(container,))}, 0.0
     )
-    assert said == [
-        f"'tick' of component 'hand' on 'left' raised {says}; "
-        "`poise log hand` says more"
-    ]
+    what = f"'tick' of component 'hand' on 'left' raised {says}"
+    assert said == [f"{what}; `poise log hand` says more"]

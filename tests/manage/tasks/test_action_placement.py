@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import pytest
 
+from poise.estimate.online import Estimate
 from poise.manage.adaptation.situation import Situation
+from poise.manage.observe.estimates import DemandEstimate
 from poise.manage.tasks.action_placement import room_for_functions
 from poise.model.robot import Architecture, ComponentEntry, Computer, Robot
 
@@ -27,6 +29,28 @@ def test_of_alternatives_that_two_tasks_planned_with_one_begins() -> None:
     planned = {"one-eye": "x", "other-eye": "x"}
     room = room_for_functions(situation, ["see"], planned)
     assert (room.begins, room.why) == ({"one-eye": "x"}, "")
+
+
+def test_without_any_computer_there_is_no_room() -> None:
+    """As it seems to a manager that stood still for a while."""
+    see = ComponentEntry(name="eye", demand={"cpu": 0.1})
+    robot = Robot(
+        name="r",
+        computers=(Computer(name="x", capacity={"cpu": 1.0, "memory": 1e9}),),
+        architectures=(Architecture(name="see", function="see", components=(see,)),),
+    )
+    now = Estimate(mean=0.2, p95=0.2, error=0.01, starved=0.0)
+    estimate = DemandEstimate(
+        component="eye", computer="x", expected=None, estimate=now
+    )
+    situation = Situation(
+        robot=robot,
+        task="",
+        placement={"eye": "x"},
+        lost=frozenset("x"),
+        demand_estimates=(estimate,),
+    )
+    assert room_for_functions(situation, ["see"], {}).why
 
 
 @pytest.mark.parametrize(

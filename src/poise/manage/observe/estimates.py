@@ -373,7 +373,8 @@ def present_demands(
         if now.drift is None and now.mean - now.error <= demand:
             continue
         needed = shifted_cpu_demand(demand, need.expected, now)
-        most = max(_most(component, computer) for computer in robot.computers)
+        usable = (_most(component, computer) for computer in robot.computers)
+        most = max(usable, default=0.0)  # all of them may be out of reach
         found[need.component] = PresentDemand(
             mean=now.mean,
             error=now.error,
