@@ -17,7 +17,7 @@ from poise import Component, Message, Provided, Published, Required, every, subs
 from poise.clock import SystemClock
 from poise.errors import Unavailable
 from poise.runtime.connectors.latest import LatestMessages
-from poise.runtime.execution.container_lease import LeaseEnd, LeaseEnded
+from poise.runtime.execution.container_lease import LeaseEnd, LeaseEnded, check_lease
 from poise.runtime.execution.counters import Counts, new_memory
 from poise.runtime.hosting.checkpoints import Checkpoints
 from poise.runtime.hosting.command_line import freeze_fenced
@@ -133,6 +133,26 @@ def test_timers_and_messages_wait_until_the_lease_is_extended(
     lease.at = inf
     wait_until(lambda: component.heard == [3])
     wait_until(lambda: component.ticks > before)
+
+
+def test_a_lease_that_ends_amid_a_handler_is_no_error_of_its_code(
+    runner: Runner, lease: LeaseEnd, caplog: pytest.LogCaptureFixture
+) -> None:
+    component = counter(runner)
+
+    def send_late(_message: Number) -> None:
+        lease.at = boot_time()
+        check_lease(lease, "one")  # as all does that sends
+
+    component.numbers = send_late  # type: ignore[method-assign]
+    runner.aim("active")
+    wait_until(lambda: component.ticks)
+    feed = runner.endpoints.mailbox.feed("numbers", Counts())
+    feed.put((0, Number(3)))
+    wait_until(lambda: "'numbers' ended early: component 'one'" in caplog.text)
+    status = runner.status()
+    assert (status.errors, status.error, status.error_counts) == (0, "", ())
+    assert "LeaseEnded" not in caplog.text
 
 
 def test_nothing_is_activated_without_a_lease(runner: Runner, lease: LeaseEnd) -> None:

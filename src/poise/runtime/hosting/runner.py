@@ -289,9 +289,11 @@ class Runner:
                     self._weigh()
         # a user's hook may raise anything
         except BaseException as error:  # noqa: BLE001
-            self._errors.note(hook, error, self.clock.now())
-            # one that may say no farewell keeps its state
-            if hook != "deactivate" or not isinstance(error, LeaseEnded):
+            if hook == "deactivate" and isinstance(error, LeaseEnded):
+                # one that may say no farewell keeps its state
+                log.warning("'%s' ended early: %s", hook, error)
+            else:
+                self._errors.note(hook, error, self.clock.now())
                 self._clean_up_after(hook)
                 state = "failed"
         if state == "active":
@@ -498,6 +500,8 @@ class Runner:
                 self.ages.run(method, args, taken=taken, is_timer=is_timer)
             else:
                 method(*args)
+        except LeaseEnded as error:  # its code did nothing wrong
+            log.warning("'%s' ended early: %s", what, error)
         # a user's method may raise anything
         except BaseException as error:  # noqa: BLE001
             self._errors.note(what, error, self.clock.now())
