@@ -290,3 +290,24 @@ def test_a_stop_ends_what_is_back_though_not_all_is(
     with pytest.raises(RunError, match="computer 'third' has been out of reach"):
         stop(run)
     assert not agents.statuses()["right"].containers
+
+
+def test_what_was_dropped_as_its_computer_was_lost_has_no_lease_when_it_starts_anew(
+    robot: Robot, agents: FakeAgents
+) -> None:
+    """Another agent may have heard that computer, and so its component was active."""
+    run, _ = run_of(robot, agents)
+    run.start()
+    run.goes_on_without_lost = True
+    old = run.placed["thinker"]
+    new = structs.replace(old, computer="left", epoch=old.epoch + 1)
+    agents.gone.add("right")
+    run.commit(run.desired.without(["thinker"]), "a test")
+    run.end_left_behind([new])
+    assert agents.revoked == ["right"]
+    agents.gone.clear()
+    run.commit(run.desired.placing([new]), "a test")  # right is told, and obeys
+    run.commit(run.desired.without(["thinker"]), "a test")
+    agents.gone.add("right")
+    run.end_left_behind([structs.replace(new, epoch=new.epoch + 1)])
+    assert agents.revoked == ["right"]

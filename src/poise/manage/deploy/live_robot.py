@@ -35,6 +35,7 @@ from poise.manage.observe.deviations import (
 from poise.manage.tasks.prefetch_report import Switches
 from poise.model.robot import Robot
 from poise.units import counted
+from poise.wire.heartbeats import LEASES_END_WITHIN
 from poise.wire.records.deployment_records import Goal
 from poise.wire.records.status_records import (
     AgentStatus,
@@ -47,6 +48,7 @@ READY_LIMIT = 20.0
 """All components are configured and all connectors joined within this time [s]."""
 ACTIVE_LIMIT = 10.0
 STOP_LIMIT = 5.0
+_LOOK_EVERY = 0.02
 _BACK_WITHIN = 5.0
 """A computer may be out of reach for so long while the robot starts [s]."""
 _CRASHES = 5
@@ -93,13 +95,67 @@ class LiveRobot(DesiredState):
         """How much the planner searches, so that a simulation can be repeated; None: as
         its time allows."""
         self.goes_on_without_lost = False
-        self._away_since: dict[str, float] = {}
         """Whether a lost computer is a deviation; else it ends what waits."""
+        self._away_since: dict[str, float] = {}
+        self._left_behind: dict[tuple[str, int], Incarnation] = {}
 
     def commit(self, desired: Desired, why: str, *, tell_later: bool = False) -> None:
         """Let something else run from now on; faults after that explain a wait."""
+        before = self.desired.incarnations()
         self._faults_before_commit = last_numbers(self.agents.statuses())
         super().commit(desired, why, tell_later=tell_later)
+        self._note_left_behind(before)
+
+    def _note_left_behind(self, before: Iterable[Incarnation]) -> None:
+        """Remember what is to end, until its agent says that it has."""
+        away, current = self.agents.out_of_reach(), self.current()
+        wanted = {i.key for i in self.desired.incarnations() if i.goal == "active"}
+        left = {i.key: i for i in before if i.goal == "active"}
+        self._left_behind = {
+            key: incarnation
+            for key, incarnation in (self._left_behind | left).items()
+            if key not in wanted
+            and (
+                incarnation.computer in away
+                or incarnation.computer not in current
+                or self.reported(incarnation) is not None
+            )
+        }
+
+    def end_left_behind(self, coming: Collection[Incarnation]) -> None:
+        """Wait until no earlier incarnation of what is to be active is at work.
+
+        Where it is out of reach, it has its lease while another agent hears its
+        computer. Raises RunError: it may still be at work.
+        """
+        keys = {i.key for i in coming}
+        names = {i.component for i in coming}
+        left = [
+            i
+            for i in self._left_behind.values()
+            if i.component in names and i.key not in keys
+        ]
+        lost = {i.computer for i in left} & self.agents.out_of_reach().keys()
+        if lost:
+            self.revoke_leases(lost)
+        for incarnation in left:
+            if incarnation.computer not in lost:
+                self.wait_ended(incarnation)
+
+    def revoke_leases(self, lost: Collection[str]) -> None:
+        """Wait until nothing of lost computers can be active there any more."""
+
+        def is_back() -> bool:
+            self.poll()
+            return not self.computers().isdisjoint(lost)
+
+        names = " or ".join(f"'{name}'" for name in sorted(lost))
+        deadline = self.clock.now() + LEASES_END_WITHIN
+        while not self.agents.revoke(lost):
+            if self.agents.wait_news(is_back, _LOOK_EVERY):
+                raise RunError(f"{names} is reached again")
+            if self.clock.now() > deadline:
+                raise RunError(f"components of {names} may still be at work")
 
     def start(self) -> None:
         """End what an earlier manager left, and start everything."""

@@ -145,7 +145,10 @@ class PendingMigration:
         return not missing
 
     def _unmet(self) -> list[str]:
-        """Return what it waits for, in words: targets, and sources that rest."""
+        """Return what it waits for, in words: targets, and sources that rest.
+
+        Not sources that were stopped since, as their action has ended.
+        """
         ends = (*self._sources.values(), *self._targets)
         unsure = [
             f"computer '{computer}' is not heard, or was cut off"
@@ -155,7 +158,7 @@ class PendingMigration:
         resting = (
             self._sources.get((component.name, component.epoch))
             for component in components_of(self._live.agents.statuses())
-            if component.state == "inactive"
+            if component.state == "inactive" and component.name in self._live.placed
         )
         unjoined = (structs.replace(s, unjoined=True) for s in resting if s is not None)
         return unsure + self._live.missing([*self._targets, *unjoined])

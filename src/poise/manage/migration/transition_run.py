@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Collection, Mapping, Sequence
 
 from msgspec import structs
@@ -20,7 +19,6 @@ from poise.manage.migration.migration_report import (
 from poise.manage.migration.move import plan_move
 from poise.manage.observe.deviations import Deviation
 from poise.units import counted
-from poise.wire.heartbeats import LEASES_END_WITHIN
 
 _LOOK_EVERY = 0.02
 
@@ -59,7 +57,9 @@ def start_together(
         live.wait(inactive, READY_LIMIT)
         for incarnation in ends:
             live.wait_ended(incarnation)
-        _revoke_leases(live, lost)
+        if lost:
+            live.revoke_leases(lost)
+        live.end_left_behind(new)
         if live.agents.election is not None:
             # else a later leader would let what ran before go on beside them
             live.commit_lastingly(live.desired.placing(inactive), "the new placement")
@@ -85,21 +85,6 @@ def start_together(
         return False
     live.journal.note("done", "the components run again", placement=live.placement())
     return True
-
-
-def _revoke_leases(live: LiveRobot, lost: Collection[str]) -> None:
-    """Wait until nothing of lost computers can be active there any more."""
-
-    def is_back() -> bool:
-        live.poll()
-        return not live.computers().isdisjoint(lost)
-
-    deadline = time.monotonic() + LEASES_END_WITHIN
-    while not live.agents.revoke(lost):
-        if live.agents.wait_news(is_back, _LOOK_EVERY):
-            raise RunError(f"{_names(lost)} is reached again")
-        if time.monotonic() > deadline:
-            raise RunError(f"components of {_names(lost)} may still be at work")
 
 
 def _names(computers: Collection[str]) -> str:
@@ -209,6 +194,7 @@ class _Transition:
         try:
             inactive = [new.with_goal("inactive")]
             live.bring(inactive, READY_LIMIT, f"prepare '{component}'")
+            live.end_left_behind([new])
             live.bring([new], ACTIVE_LIMIT, f"activate '{component}'")
         except RunError as error:
             live.commit(live.desired.with_coming(()), f"it does not start: {error}")

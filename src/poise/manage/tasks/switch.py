@@ -74,6 +74,7 @@ def switch(live: LiveRobot, ends: Collection[str], begins: Mapping[str, str]) ->
     try:
         live.commit(desired.with_coming(new), "switch to the next action")
         _wait(live, [*idle, *new], READY_LIMIT)
+        live.end_left_behind(new)
         live.commit(live.desired.with_coming(active), "activate the next action")
         _wait(live, active, ACTIVE_LIMIT)
     except RunError as error:
