@@ -42,10 +42,11 @@ soak: setup
 	@$(BIN)/python -m tests.chaos $(CHAOS)
 	@$(BIN)/python -m tests.soak $(FOR)
 
-# a robot in virtual time, broken by 200 seeds: make simulate, make simulate FOR=2h
+# a robot in virtual time, broken by 300 seeds: make simulate, make simulate FOR=2h
 simulate: setup
 	@$(BIN)/python -m tests.simulation $(if $(filter command line,$(origin FOR)),$(FOR),200)
-	@$(BIN)/python -m tests.simulation $(if $(filter command line,$(origin FOR)),$(FOR),100) --elects
+	@$(BIN)/python -m tests.simulation $(if $(filter command line,$(origin FOR)),$(FOR),50) --robots elects
+	@$(BIN)/python -m tests.simulation $(if $(filter command line,$(origin FOR)),$(FOR),50) --robots varied
 
 # lines and branches of src/poise that no test reaches, in all processes; fails below the floor in pyproject.toml
 coverage: setup

@@ -3,7 +3,8 @@
     python -m tests.simulation 200         # 200 seeds
     python -m tests.simulation 2h          # for so long
     python -m tests.simulation --seed 71   # one, with its trace
-    python -m tests.simulation 200 --elects   # standbys follow a manager that is gone
+    python -m tests.simulation 200 --robots elects   # standbys follow the manager
+    python -m tests.simulation 200 --robots varied   # another robot for each seed
     python -m tests.simulation 200 --virtual 40s   # instead of two minutes each
 
 Two processes work at a time. The first failures are shrunk and printed with their
@@ -19,12 +20,12 @@ import time
 from collections.abc import Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from itertools import count, islice
+from typing import get_args
 
 from poise.errors import UsageError
 from poise.units import SECONDS as UNIT
 from poise.units import parse
-from tests.simulation.conftest import small_scenario
-from tests.simulation.seeds import SECONDS, chunk, run
+from tests.simulation.seeds import SECONDS, Kind, chunk, run, scenario_of
 from tests.simulation.shrink import Shrunk
 from tests.simulation.simulated_run import RunOutcome
 
@@ -41,17 +42,15 @@ def main() -> int:
     parser.add_argument("extent", nargs="?", default="200", help="seeds, or a time")
     parser.add_argument("--seed", type=int, help="only this one, with its trace")
     parser.add_argument("--first", type=int, default=0, help="the first seed")
-    parser.add_argument(
-        "--elects", action="store_true", help="standbys follow a manager that is gone"
-    )
+    parser.add_argument("--robots", choices=get_args(Kind), default="small")
     parser.add_argument("--virtual", default=f"{SECONDS:g}s", help="of each seed")
     asked = parser.parse_args()
     seconds = parse(asked.virtual, UNIT)
     if asked.seed is not None:
-        return replay(asked.seed, seconds, elects=asked.elects)
+        return replay(asked.seed, seconds, asked.robots)
     failures: list[int] = []
     virtual, runs, began = 0.0, 0, time.monotonic()
-    seeds = in_parallel(asked.extent, asked.first, seconds, elects=asked.elects)
+    seeds = in_parallel(asked.extent, asked.first, seconds, asked.robots)
     for outcome in seeds:
         runs, virtual = runs + 1, virtual + outcome.virtual
         if outcome.failure:
@@ -64,12 +63,12 @@ def main() -> int:
         f"{virtual / took:.0f} times real time; {len(failures)} failed"
     )
     for seed in failures[:SHRUNK]:
-        replay(seed, seconds, elects=asked.elects)
+        replay(seed, seconds, asked.robots)
     return bool(failures)
 
 
 def in_parallel(
-    extent: str, first: int, seconds: float, *, elects: bool
+    extent: str, first: int, seconds: float, kind: Kind
 ) -> Iterator[RunOutcome]:
     """Yield outcomes as they come, until so many seeds or so much time are over."""
     most = int(extent) if extent.isdigit() else None
@@ -82,7 +81,7 @@ def in_parallel(
             while is_due and len(waiting) < 2 * WORKERS:
                 if not (part := list(islice(seeds, CHUNK))):
                     break
-                waiting.add(pool.submit(chunk, part, seconds, elects=elects))
+                waiting.add(pool.submit(chunk, part, seconds, kind))
             if not waiting:
                 return
             done, waiting = wait(waiting, return_when=FIRST_COMPLETED)
@@ -90,12 +89,12 @@ def in_parallel(
                 yield from each.result()
 
 
-def replay(seed: int, seconds: float, *, elects: bool) -> int:
+def replay(seed: int, seconds: float, kind: Kind) -> int:
     """Run a seed again, and print the shortest way to its failure."""
-    outcome = run(seed, seconds, elects=elects)
+    outcome = run(seed, seconds, kind)
     if outcome.failure:
         logging.disable(logging.CRITICAL)  # it is in the trace
-        shrunk = Shrunk(small_scenario(seconds, elects=elects), outcome)
+        shrunk = Shrunk(scenario_of(seed, seconds, kind), outcome)
         shrunk.shrink()
         outcome = shrunk.outcome
     print(f"--- seed {seed}: {outcome.failure or 'all held'} {outcome.message}")

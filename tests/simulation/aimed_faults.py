@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 
 from msgspec import Struct
 
@@ -51,6 +51,7 @@ class AimedFaults:
 
     `begin`, `end`: nothing breaks before, and all is over after [s].
     `inject`: lets a fault begin now.
+    `kinds`: which may.
     `faults`: those so far.
     """
 
@@ -60,11 +61,13 @@ class AimedFaults:
         begin: float,
         end: float,
         inject: Callable[[SimulatedFault], object],
+        kinds: Sequence[SimulatedFaultKind],
     ) -> None:
         self.faults: list[SimulatedFault] = []
         self._robot = robot
         self._begin, self._end = begin, end
         self._inject = inject
+        self._kinds = kinds
         if robot.choices.happens("faults", _IN_RUNS):
             robot.on_moment = self._note
 
@@ -95,6 +98,6 @@ class AimedFaults:
             lasts=lasts,
             pick=choices.draw("faults"),
         )
-        if at + lasts < self._end:
+        if at + lasts < self._end and kind in self._kinds:
             self.faults.append(fault)
             scheduler.at(at, lambda: self._inject(fault))

@@ -49,7 +49,7 @@ def small_scenario(seconds: float = 10.0, *, elects: bool = False) -> Scenario:
                 name="see",
                 function="seeing",
                 components=(_component("camera"), _component("filter")),
-                connectors=(_joined("camera.out", "filter.raw"),),
+                connectors=(joined("camera.out", "filter.raw"),),
             ),
             Architecture(
                 name="think", function="thinking", components=(_component("mind"),)
@@ -58,7 +58,7 @@ def small_scenario(seconds: float = 10.0, *, elects: bool = False) -> Scenario:
                 name="act", function="acting", components=(_component("arm"),)
             ),
         ),
-        connectors=(_joined("filter.out", "mind.seen"), _joined("mind.out", "arm.to")),
+        connectors=(joined("filter.out", "mind.seen"), joined("mind.out", "arm.to")),
         tasks=(
             Task(
                 name="work",
@@ -85,6 +85,6 @@ def _component(name: str) -> ComponentEntry:
     )
 
 
-def _joined(source: str, target: str) -> Connector:
+def joined(source: str, target: str) -> Connector:
     ends = (ConnectorEnd(*end.split(".")) for end in (source, target))
     return Connector(between=(next(ends), next(ends)))

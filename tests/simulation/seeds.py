@@ -4,26 +4,39 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterable
+from typing import Literal
 
 from tests.simulation.conftest import small_scenario
-from tests.simulation.simulated_run import RunOutcome, simulate
+from tests.simulation.simulated_run import RunOutcome, Scenario, simulate
+from tests.simulation.varied_robots import varied_scenario
 
 SECONDS = 120.0
 """Of faults in each run [virtual s]."""
 
 
+Kind = Literal["small", "elects", "varied"]
+"""The robot of all seeds, the same with standbys, or another one for each seed."""
+
+
+def scenario_of(seed: int, seconds: float, kind: Kind) -> Scenario:
+    """Return what a seed runs, but for its chance."""
+    if kind == "varied":
+        return varied_scenario(seed, seconds)
+    return small_scenario(seconds, elects=kind == "elects")
+
+
 def chunk(
-    seeds: Iterable[int], seconds: float = SECONDS, *, elects: bool = False
+    seeds: Iterable[int], seconds: float = SECONDS, kind: Kind = "small"
 ) -> list[RunOutcome]:
     """Run some seeds; what a replay needs is left out of what went well."""
-    return [run(seed, seconds, elects=elects) for seed in seeds]
+    return [run(seed, seconds, kind) for seed in seeds]
 
 
-def run(seed: int, seconds: float = SECONDS, *, elects: bool = False) -> RunOutcome:
+def run(seed: int, seconds: float = SECONDS, kind: Kind = "small") -> RunOutcome:
     """Run one seed; what agents log about their containers is in the trace."""
     before = logging.root.manager.disable
     logging.disable(logging.CRITICAL)
     try:
-        return simulate(small_scenario(seconds, elects=elects), seed)
+        return simulate(scenario_of(seed, seconds, kind), seed)
     finally:
         logging.disable(before)

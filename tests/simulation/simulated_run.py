@@ -18,6 +18,7 @@ from poise.manage.control_socket.commands import (
     RobotStatus,
 )
 from poise.manage.migration.migration_report import MigrationReport
+from poise.model.check.allowed_computers import allowed_computers
 from poise.model.robot import Robot
 from poise.simulation.choices import Choices
 from poise.simulation.faults import (
@@ -232,7 +233,7 @@ class _Run:
             is_quiet = robot.choices.happens("faults", _QUIET)
             first = (begin + end) / 2 if is_quiet else begin
             self.faults = tuple(plan_faults(robot.choices, names, first, end, kinds))
-            self._aimed = AimedFaults(robot, first, end, self._inject)
+            self._aimed = AimedFaults(robot, first, end, self._inject, kinds)
         for fault in self.faults:
             self._scheduler.at(fault.at, partial(self._inject, fault))
         if self._scenario.moves:
@@ -329,11 +330,13 @@ class _Run:
         ]
         if manager is None or not is_judge or manager.up_since > begin or others:
             return
-        works = self.robot.working()
+        works, live = self.robot.working(), manager.live
+        allowed = allowed_computers(self._scenario.robot)
         missing = [
             name
-            for name in sorted(self._scenario.placement)
+            for name in sorted(live.placement() if live is not None else ())
             if not {*works.get(name, ())} - {fault.target}
+            and allowed[name] - {fault.target}
         ]
         if missing:
             self.robot.ledger.violate(
@@ -414,10 +417,12 @@ class _Run:
             robot.note("client", f"move {component} to {computer}: {_short(result)}")
             if not isinstance(result, MigrationReport):
                 return
+            assert manager.live is not None
+            placed = manager.live.placed.get(component)
+            if placed is None:  # its action has ended
+                return
             if result.committed:
-                assert manager.live is not None
-                epoch = manager.live.placed[component].epoch
-                robot.ledger.commit(component, epoch)
+                robot.ledger.commit(component, placed.epoch)
             elif robot.ledger.is_whole:
                 robot.ledger.violate("moves-succeed", f"{command}: {result.reason}")
 

@@ -213,7 +213,7 @@ def test_managers_that_somebody_starts_run_nothing_twice_and_undo_no_move(
 @pytest.mark.parametrize("seed", [0, 17, 37, 555, 774, 2089, 3045])
 def test_standbys_follow_each_other_and_nothing_is_active_twice(seed: int) -> None:
     """These failed for as many different defects (docs/design/simulation.md)."""
-    assert run(seed, elects=True).message == ""
+    assert run(seed, kind="elects").message == ""
 
 
 @pytest.mark.slow
@@ -221,4 +221,16 @@ def test_standbys_follow_each_other_and_nothing_is_active_twice(seed: int) -> No
 def test_half_done_moves_and_late_heartbeats_make_nothing_active_twice(
     seed: int,
 ) -> None:
-    assert run(seed, 40.0, elects=True).message == ""
+    assert run(seed, 40.0, "elects").message == ""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("seed", "seconds"), [(47, 60.0), (119, 60.0), (78, 120.0)])
+def test_robots_with_alternatives_pins_and_several_tasks_do_what_is_desired(
+    seed: int, seconds: float
+) -> None:
+    """Two failed as tasks had planned with different alternatives.
+
+    One as what an action had used before a cut began elsewhere, and had its lease yet.
+    """
+    assert run(seed, seconds, "varied").message == ""
