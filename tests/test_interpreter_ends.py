@@ -75,7 +75,7 @@ def work(_words):
 
 """
 AS_SCRIPT = f"{CLOSES}work([])"
-AS_COMMAND = f"{CLOSES}main._run = work\nmain.main()"
+AS_COMMAND = f"{CLOSES}main._run = work\nmain.run_process()"
 FIRST_FRAMES = """
 import threading, time
 from poise.wire import frame

@@ -1,5 +1,5 @@
 """``python -m poise`` is the command `poise`."""
 
-from poise.cli.main import main
+from poise.cli.main import run_process
 
-main()
+run_process()

@@ -18,19 +18,20 @@ if TYPE_CHECKING:
     from poise.errors import PoiseError
 
 
-def main() -> None:
-    """Run the command line; docs/command-line.md says the exit codes."""
+def run_process() -> None:
+    """Run the command line as all that this process does."""
     from poise.threads import is_any_abandoned
 
     try:
-        _main()
+        main()
     except SystemExit as ended:
         if is_any_abandoned() and isinstance(ended.code, int | None):
             os._exit(ended.code or 0)  # the interpreter would wait for it
         raise
 
 
-def _main() -> None:
+def main() -> None:
+    """Run the command line; docs/command-line.md says the exit codes."""
     end_at_once()  # before anything is imported that takes long
     _open_closed()
     if isinstance(sys.stdout, TextIOWrapper):
