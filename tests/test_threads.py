@@ -83,6 +83,7 @@ def test_a_failure_is_shown_with_its_thread() -> None:
     failures = threads.Failures("container 'see'")
     assert not failures.trouble()
     failures.note("flush", KeyError("a bug"))
-    assert "in container 'see' the thread 'flush' failed: KeyError('a bug')" in (
-        failures.trouble()
-    )
+    trouble = failures.trouble()
+    assert "in container 'see' the thread 'flush' failed: KeyError('a bug')" in trouble
+    # not that of a component: a thread which it starts writes as its container
+    assert "(`poise log` has the traceback)" in trouble

@@ -65,7 +65,7 @@ class Failures:
     def note(self, thread: str, error: BaseException) -> None:
         """Take note of a failure, as `hear_failures` reports it."""
         text = f"in {self._program} the thread '{thread}' failed: {error!r}"
-        self._last = f"{text} (its log has the traceback)", time.monotonic()
+        self._last = f"{text} (`poise log` has the traceback)", time.monotonic()
 
     def trouble(self) -> str:
         """Return the last failure, if it was within `SHOWN_FOR`; else nothing."""

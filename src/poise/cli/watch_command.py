@@ -133,8 +133,9 @@ def log_command(
 ) -> None:
     """Show what components wrote to standard output and error, and what they logged.
 
-    Of each container the last 256 KiB are there, and up to as much before, also after
-    it has crashed. With --json each line is an object.
+    At least the last 256 KiB of each container are kept, also after it has crashed.
+    What a thread wrote that a component started itself has the name of the container,
+    and is shown when no component is named. With --json each line is an object.
 
     Examples
     --------
