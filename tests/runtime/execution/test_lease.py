@@ -136,7 +136,10 @@ def test_timers_and_messages_wait_until_the_lease_is_extended(
 
 
 def test_a_lease_that_ends_amid_a_handler_is_no_error_of_its_code(
-    runner: Runner, lease: LeaseEnd, caplog: pytest.LogCaptureFixture
+    runner: Runner,
+    lease: LeaseEnd,
+    caplog: pytest.LogCaptureFixture,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     component = counter(runner)
 
@@ -144,7 +147,7 @@ def test_a_lease_that_ends_amid_a_handler_is_no_error_of_its_code(
         lease.at = boot_time()
         check_lease(lease, "one")  # as all does that sends
 
-    component.numbers = send_late  # type: ignore[method-assign]
+    monkeypatch.setattr(component, "numbers", send_late)
     runner.aim("active")
     wait_until(lambda: component.ticks)
     feed = runner.endpoints.mailbox.feed("numbers", Counts())
