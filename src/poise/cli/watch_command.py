@@ -28,6 +28,7 @@ from poise.manage.agent_connections.statuses import connectors_of
 from poise.manage.journal import KINDS, JournalEntry, read_journal
 from poise.runtime.hosting.command_line import die_with_parent
 from poise.session.folders import find_journal
+from poise.session.launch.printer import visible
 from poise.session.render.printable import console_to
 from poise.session.running_robots.local_robots import (
     Rate,
@@ -161,7 +162,8 @@ def _log_line(line: OutputLine, *, as_json: bool) -> str:
         return msgspec.json.encode(line).decode() + "\n"
     clock = time.strftime("%H:%M:%S", time.localtime(line.at // 10**9))
     millis = line.at // 10**6 % 1000
-    return f"{clock}.{millis:03} {line.component}@{line.computer}: {line.text}\n"
+    text = visible(line.text, colours=sys.stdout.isatty())
+    return f"{clock}.{millis:03} {line.component}@{line.computer}: {text}\n"
 
 
 def hz_command(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import os
 import queue
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Self
@@ -20,8 +21,28 @@ _CLOSE_LIMIT = 1.0
 """At the end, lines that wait are printed within this time [s], or never."""
 
 
+_CONTROLS = re.compile(r"\x1b\[[\d;:]*m|[\x00-\x08\x0b-\x1f\x7f-\x9f]")
+"""Colours, and what else controls a terminal; not new lines and tabs."""
+
+
+def visible(text: str, *, colours: bool = False) -> str:
+    """Return text of others so that it controls no terminal; `colours`: they may pass.
+
+    A component's error could clear the screen of whoever asks for the status.
+    """
+
+    def written(found: re.Match[str]) -> str:
+        is_colour = colours and found.group().endswith("m")
+        return found.group() if is_colour else ascii(found.group())[1:-1]
+
+    return _CONTROLS.sub(written, text)
+
+
 class Printer:
-    """Prints to a descriptor of its own, so that a blocked print holds up no exit."""
+    """Prints to a descriptor of its own, so that a blocked print holds up no exit.
+
+    Lines may have colours, but nothing else that controls a terminal.
+    """
 
     def __init__(self, fd: int = STDOUT) -> None:
         self._fd = fd
@@ -58,7 +79,7 @@ class Printer:
             return
 
     def _write(self, line: str) -> None:
-        left = f"{line}\n".encode(errors="replace")
+        left = f"{visible(line, colours=True)}\n".encode(errors="replace")
         while left:
             left = left[os.write(self._fd, left) :]
 

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from io import StringIO
+from typing import Any
 
-from rich.console import Console, RenderableType
+from rich.console import Console, ConsoleOptions, RenderableType
+from rich.segment import Segment
 from rich.terminal_theme import TerminalTheme
+from rich.text import Text
+
+from poise.session.launch.printer import visible
 
 _WIDTH = 400
 """Of what is not a terminal [characters]: nothing is broken over lines there."""
@@ -31,7 +36,8 @@ class Printable:
 
     def __str__(self) -> str:
         """Return the parts as text."""
-        console = Console(file=StringIO(), width=console_to().width, highlight=False)
+        width = console_to().width
+        console = _SafeConsole(file=StringIO(), width=width, highlight=False)
         with console.capture() as text:
             console.print(self)
         return text.get().rstrip()
@@ -68,9 +74,27 @@ _COLOURS = TerminalTheme(
 _HTML = '<pre style="line-height:normal">{code}</pre>'
 
 
+class _SafeConsole(Console):
+    """Shows what would control the terminal in a text, as in a component's error."""
+
+    def render_str(self, text: str, **options: Any) -> Text:
+        """Return a text before its width is measured, as the base."""
+        return super().render_str(visible(text), **options)
+
+    def render(
+        self, renderable: RenderableType, options: ConsoleOptions | None = None
+    ) -> Iterable[Segment]:
+        """Render, as the base."""
+        for segment in super().render(renderable, options):
+            if segment.control is None:
+                yield Segment(visible(segment.text), segment.style)
+            else:
+                yield segment
+
+
 def console_to(*, stderr: bool = False) -> Console:
     """Return a console for a command; wide where no terminal says how wide it is."""
-    console = Console(stderr=stderr, highlight=False)
+    console = _SafeConsole(stderr=stderr, highlight=False)
     if not console.is_terminal:
         console.width = _WIDTH
     return console
