@@ -77,7 +77,7 @@ _HTML = '<pre style="line-height:normal">{code}</pre>'
 class _SafeConsole(Console):
     """Shows what would control the terminal in a text, as in a component's error."""
 
-    def render_str(self, text: str, **options: Any) -> Text:
+    def render_str(self, text: str, **options: Any) -> Text:  # noqa: ANN401, as the base
         """Return a text before its width is measured, as the base."""
         return super().render_str(visible(text), **options)
 
