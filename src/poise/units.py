@@ -114,7 +114,7 @@ def parse(text: str | float, dimension: Dimension) -> float:
     if not math.isfinite(value):
         raise ValueError(f"{quoted(text)} is too large for a {dimension.name}")
     if value < 0 or match[1].startswith("-"):
-        raise ValueError(f"{quoted(text)} is negative; a {dimension.name} is not")
+        raise ValueError(f"{quoted(text)}: a {dimension.name} must not be negative")
     return value
 
 

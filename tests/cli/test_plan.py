@@ -266,7 +266,10 @@ tasks: {go: {actions: [{name: go, functions: [servo]}]}}
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (("--task", "talk", "--task", "serve"), "several need --smallest"),
+        (
+            ("--task", "talk", "--task", "serve"),
+            "several tasks are planned together only with --smallest",
+        ),
         (("--task", "serve", "--compare", "static,auto"), "add --at-once"),
         (("--task", "serve", "--method", "p.yaml"), "a file places all at once"),
         (("--task", "dance"), "no task 'dance'"),

@@ -70,7 +70,7 @@ def test_replays_into_the_estimator(folder: Path, poise: Poise) -> None:
     [
         (("export", "run.mcap"), "give a file: --to"),
         (("replay", "run.mcap"), "give the robot file: --robot"),
-        (("export", "robot.yaml", "--to", "x.csv"), "robot.yaml is no recording"),
+        (("export", "robot.yaml", "--to", "x.csv"), "robot.yaml is not a recording"),
         (("export", "none", "--to", "x.csv"), "cannot be read"),
     ],
 )

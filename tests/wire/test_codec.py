@@ -93,8 +93,8 @@ def test_numbers_of_numpy_come_over_as_numbers() -> None:
 @pytest.mark.parametrize(
     ("value", "says"),
     [
-        (object(), "a object cannot cross a connector"),
-        (print, "a builtin_function_or_method cannot cross"),
+        (object(), "a value of type object cannot cross a connector"),
+        (print, "type builtin_function_or_method cannot cross"),
         (np.array([None]), "an array of object cannot cross"),
         (np.zeros(2, [("x", "f4")]), "one for each field"),
         (1 << 70, "Anything cannot cross a connector: can't serialize ints"),

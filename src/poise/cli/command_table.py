@@ -78,7 +78,7 @@ COMMANDS = {
     "stop": ("running_robot", "Stop a running robot."),
     "agent": ("agent", "Run what the manager wants on this computer."),
     "agent install": ("agent", "Let systemd run this computer's agent."),
-    "agent uninstall": ("agent", "End that."),
+    "agent uninstall": ("agent", "Stop and remove that service."),
     "witness": ("agent", "Vote for a robot's manager, and run nothing."),
     "standby": ("agent", "Wait to lead a robot; agents start it."),
 }

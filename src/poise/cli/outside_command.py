@@ -14,7 +14,14 @@ import yaml
 from poise.cli.main import Interrupts
 from poise.cli.options import AsJson, print_json, running
 from poise.cli.running_robot_command import Robot
-from poise.errors import PoiseError, RunError, UsageError, did_you_mean, listed
+from poise.errors import (
+    CalleeError,
+    PoiseError,
+    RunError,
+    UsageError,
+    did_you_mean,
+    listed,
+)
 from poise.runtime.connectors.tap import Plain
 from poise.session.running_robots.running import NoManager, connect
 from poise.session.running_robots.running_component import RunningComponent, value_of
@@ -229,7 +236,12 @@ def set_command(
             raise UsageError(f"'{change}': give NAME=VALUE, as in gain=0.06")
         values[named[1]] = value_of(named[2])
     up = connect(robot).component(component)
-    _show(up.set_parameters(values, limit=limit), as_json=as_json)
+    try:
+        taken = up.set_parameters(values, limit=limit)
+    except CalleeError as error:
+        refused = f"component '{component}' refused {listed(values)}: {error}"
+        raise RunError(f"{refused}; nothing was changed") from error
+    _show(taken, as_json=as_json)
 
 
 def _show(values: dict[str, Any], *, as_json: bool) -> None:

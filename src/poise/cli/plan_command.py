@@ -228,7 +228,10 @@ def _check_together(
             "--explain with --without for the computers that are left out"
         )
     if len(tasks) > 1 and not smallest:
-        raise UsageError(f"--task {' --task '.join(tasks)}: several need --smallest")
+        raise UsageError(
+            f"--task {' --task '.join(tasks)}: several tasks are planned together only "
+            "with --smallest"
+        )
     if phase is not None and explain is None:
         raise UsageError(f"--phase {phase} works only together with --explain")
     if at_once and len(tasks) != 1:

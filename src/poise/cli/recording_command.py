@@ -201,7 +201,7 @@ def play_command(
             say(f"{port}: {counted(count, 'message')}")
         if played.behind > _LATE:
             late = f"the last one was {played.behind:.1f} s late"
-            say(f"{late}: play it with less --rate")
+            say(f"{late}: play it with a lower --rate")
     if any(why != CALLS for why in played.skipped.values()):
         raise typer.Exit(1)
 

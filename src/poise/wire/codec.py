@@ -175,7 +175,8 @@ def _plain(value: Any) -> Any:  # noqa: ANN401, msgspec's hook
     if type(value).__module__ == "numpy" and not getattr(value, "shape", "none"):
         return value.item()
     raise WireError(
-        f"a {type(value).__qualname__} cannot cross a connector; use a Message, "
+        f"a value of type {type(value).__qualname__} "
+        "cannot cross a connector; use a Message, "
         "plain data or a NumPy array, where the type of the port or state says so"
     )
 

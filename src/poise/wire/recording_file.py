@@ -223,7 +223,7 @@ def robot_of(path: Path) -> str:
     for record in _records(path):
         if type(record).__name__ == "Metadata" and record.name == _LIBRARY:
             return str(record.metadata.get("robot", ""))
-    raise UsageError(f"{path} is no recording of Poise")
+    raise UsageError(f"{path} is not a recording of Poise")
 
 
 def samples_of(path: Path) -> Iterator[AgentSample]:
@@ -313,7 +313,9 @@ def _records(path: Path) -> Iterator[McapRecord]:
         raise UsageError(f"recording {path} cannot be read: {error}") from error
     except errors.McapError as error:
         if not is_recording:
-            raise UsageError(f"{path} is no recording: it is no MCAP file") from error
+            raise UsageError(
+                f"{path} is not a recording: it is not an MCAP file"
+            ) from error
         log.warning(
             "the recording %s was not closed: up to its last second is missing", path
         )

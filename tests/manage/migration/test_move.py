@@ -490,7 +490,7 @@ def test_a_publisher_waits_for_a_slow_subscriber_that_moves(
         ("Unactivatable", "LookupError: no such motor"),
         ("Hanging", "is not activated|took over"),
         ("Unsnapshotable", "LookupError: no such tape"),
-        ("Unwritable", "WireError: a object cannot cross"),
+        ("Unwritable", "WireError: a value of type object cannot cross"),
         (
             "Unrestoring",
             "Unrestoring has no `restore`, so the state would be lost",

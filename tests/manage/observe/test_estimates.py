@@ -134,7 +134,7 @@ def test_a_replay_gives_the_same_estimates(
 
 def test_says_what_is_no_recording(tmp_path: Path) -> None:
     (tmp_path / "x").write_text("hello")
-    with pytest.raises(UsageError, match="is no recording"):
+    with pytest.raises(UsageError, match="is not a recording"):
         list(samples_of(tmp_path / "x"))
     with pytest.raises(UsageError, match="cannot be read"):
         list(samples_of(tmp_path / "y"))

@@ -392,7 +392,7 @@ def test_components_start_tasks_and_refusals_are_journalled() -> None:
     )
     for _ in range(2):
         rig.manager.advance()
-    assert rig.states() == {"t": ("paused", "it was asked"), "u": ("going", "")}
+    assert rig.states() == {"t": ("paused", "on request"), "u": ("going", "")}
     (refused,) = (each for each in rig.said() if "has no task 'nap'" in each)
     assert refused.startswith("component 'seeer' asks to start task 'nap': ")
 

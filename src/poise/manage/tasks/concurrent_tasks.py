@@ -108,7 +108,7 @@ class Tasks:
         record = self.find(name)
         if record.state != "paused":
             self._stop_clocks(record, now)
-            self._enter(record, "paused", now, "it was asked")
+            self._enter(record, "paused", now, "on request")
 
     def resume(self, name: str, now: float) -> None:
         """Let a paused task go on; UsageError when it is not paused."""
@@ -121,7 +121,7 @@ class Tasks:
         """End a task; UsageError when it does not run."""
         record = self.find(name)
         self._stop_clocks(record, now)
-        self._enter(record, "cancelled", now, "it was asked")
+        self._enter(record, "cancelled", now, "on request")
 
     def find(self, name: str) -> TaskRecord:
         """Return a task that is not over; UsageError when there is none."""

@@ -28,7 +28,7 @@ Choose = Callable[[Choice, bool], int]
 """Returns the index of the step of a choice that is done; True: only looks ahead."""
 Say = Callable[[str], object]
 TaskState = Literal["going", "waiting", "paused", "done", "failed", "cancelled"]
-"""`waiting`: for what other tasks use, or for room; `paused`: because it was asked."""
+"""`waiting`: for what other tasks use, or for room; `paused`: on request."""
 OVER = {"done", "failed", "cancelled"}
 
 

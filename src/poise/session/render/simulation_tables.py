@@ -253,7 +253,7 @@ def outage_cells(outage: Outage) -> tuple[str, ...]:
 def _messages(report: SimulationReport) -> str:
     sentences = [f"{counted(report.messages, 'message')} processed"]
     if report.dropped:
-        sentences.append(f"{report.dropped} dropped, as newer ones came")
+        sentences.append(f"{report.dropped} dropped because newer ones came")
     if report.calls:
         sentences.append(f"{counted(report.calls, 'call')} answered")
     if report.failed_calls:

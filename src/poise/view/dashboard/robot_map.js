@@ -43,7 +43,7 @@ export default {
     <span v-if="health" :class="['health', health.kind]">{{ health.says }}</span>
     <label class="find">Find <input type="search" v-model="wanted" aria-label="Find components"></label>
   </div>
-  <p v-if="silent" class="trouble">⚠ Nothing came for {{ silent }} s: the manager is busy, or the link to this page is slow or down.</p>
+  <p v-if="silent" class="trouble">⚠ Nothing has come for {{ silent }} s: the manager is busy, or the link to this page is slow or down.</p>
   <div role="status" aria-live="polite">
     <p v-if="robot.trouble" class="trouble">⚠ No answer since {{ clock(robot.since) }}, trying again;
       below is {{ robot.old ? "what was known last" : "what agents report" }}. {{ robot.trouble }}</p>
