@@ -140,8 +140,8 @@ def test_measures_shared_isolated_and_command_line_components(
     assert kept.size == pytest.approx(kept.median, rel=0.06)
     assert 1000 < kept.largest < 1200
 
-    # as if measured on a machine twice as quick: what joins is given in its cores
-    quicker = replace(profile, loops=2 * profile.loops)
+    # as if measured on a machine 16 times as quick: what joins is given in its cores
+    quicker = replace(profile, loops=16 * profile.loops)
     (folder / "profile.yaml").write_text(profile_file.to_text(quicker))
     both = ("--architecture", "seeing", "--architecture", "thinking")
     done = poise("profile", "robot.yaml", *both, *quick, "--on", "main", "--write")
@@ -149,7 +149,8 @@ def test_measures_shared_isolated_and_command_line_components(
     profile = read(folder)
     assert profile.loops == pytest.approx(quicker.loops, rel=1e-3)
     thinks = profile.components["mind"].handlers["think"].mean
-    assert thinks == pytest.approx(mind.handlers["think"].mean / 2, rel=0.4)
+    # the speed of a shared machine may change by a factor of two
+    assert 1 / 48 < thinks / mind.handlers["think"].mean < 1 / 6
     assert set(profile.components) == {"eye", "memory", "heart", "mind", "archive"}
     assert profile.components["eye"].timers["see"].missed >= 0
     assert profile.components["heart"].start > 0

@@ -27,8 +27,8 @@ from poise.manage.deploy import desired_state, takeover
 from poise.manage.deploy.adoption import joined_by
 from poise.manage.deploy.desired import Desired
 from poise.manage.deploy.desired_state import DesiredState
+from poise.manage.deploy.live_robot import LiveRobot
 from poise.manage.deploy.reconciler import Reconciler
-from poise.manage.migration import transition_run
 from poise.manage.migration.coordinator import Migration
 from poise.manage.migration.migration_rounds import MigrationRounds
 from poise.manage.observe.troubles import ManagerParts
@@ -306,7 +306,7 @@ DEFECTS: Defects = {
     "long-lease": ("agents keep leases for 2 s", _put(fence, "LEASE", 2.0)),
     "no-revoke": (
         "what was lost starts before its lease has ended",
-        _put(transition_run, "_revoke_leases", lambda *_: None),
+        _put(LiveRobot, "revoke_leases", lambda *_: None),
     ),
     "no-gap": (
         "an agent that went on after its lease does not know",
