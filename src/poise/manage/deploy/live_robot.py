@@ -49,7 +49,7 @@ READY_LIMIT = 20.0
 ACTIVE_LIMIT = 10.0
 STOP_LIMIT = 5.0
 _LOOK_EVERY = 0.02
-_BACK_WITHIN = 5.0
+_BACK_WITHIN = 10.0
 """A computer may be out of reach for so long while the robot starts [s]."""
 _CRASHES = 5
 """A component does not start whose container has ended so often since it was to run."""
