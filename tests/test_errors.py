@@ -2,7 +2,9 @@
 
 import os
 
-from poise.errors import FileProblem, RobotError, encodable, signal_name
+import pytest
+
+from poise.errors import FileProblem, RobotError, encodable, last_error, signal_name
 from poise.runtime.component.error_report import traceback_of
 from poise.runtime.supervision.container_processes import ProcessEnd
 from poise.wire import frame
@@ -35,3 +37,19 @@ def test_what_cannot_be_encoded_is_written_out() -> None:
 def test_each_signal_has_a_name_for_people() -> None:
     assert (signal_name(9), signal_name(40)) == ("SIGKILL", "signal 40")
     assert str(ProcessEnd(40)) == "was killed by signal 40"
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        (
+            'Traceback:\n  File "a.py", line 3\n    f()\nValueError: no',
+            "ValueError: no",
+        ),
+        ('  File "a.py", line 3\nValueError: no\nnor yes', "ValueError: no ..."),
+        ("the disk is full\n", "the disk is full"),
+        ("", ""),
+    ],
+)
+def test_an_error_is_told_by_its_type_and_first_line(text: str, says: str) -> None:
+    assert last_error(text) == says

@@ -184,6 +184,17 @@ def encodable(text: str) -> str:
     return text.encode(errors="backslashreplace").decode()
 
 
+def last_error(traceback: str) -> str:
+    """Return type and first line of the error that a traceback ends with."""
+    *earlier, last = traceback.rstrip().split("\n")
+    frames = [n for n, line in enumerate(earlier) if line.startswith('  File "')]
+    after = earlier[frames[-1] + 1 if frames else 0 :]
+    # a frame has its code below
+    heads = "  ", "Traceback"
+    first = next((line for line in after if not line.startswith(heads)), "")
+    return f"{first} ..." if first else last
+
+
 def said(error: object) -> str:
     """Return what an error says as a text that can be sent, whatever its class does."""
     try:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from msgspec import Struct
 
+from poise.errors import last_error
 from poise.manage.agent_connections.statuses import Statuses, connectors_of
 from poise.wire.records.status_records import (
     AgentStatus,
@@ -126,7 +127,7 @@ def _of_containers(wanted: AbstractSet[str], status: AgentStatus) -> Iterator[st
     if status.trouble:
         yield f"on '{status.computer}' {status.trouble}"
     for error in status.errors:
-        last = error.text.rstrip().rpartition("\n")[2]
+        last = last_error(error.text)
         yield (
             f"agent of '{status.computer}': an internal error in part "
             f'"{error.where}": {last} (traceback in its log); the rest goes on'
@@ -159,7 +160,7 @@ def explain(
         return f"{what} does not run{restarts}"
     if reported.state == "unresponsive" and container:
         return f"{what} does not respond: {container.reason}"
-    last = reported.error.rstrip().rpartition("\n")[2]
+    last = last_error(reported.error)
     return f"{what} is {reported.state}" + (f": {last}" if last else "")
 
 

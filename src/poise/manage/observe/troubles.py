@@ -11,13 +11,12 @@ import re
 import time
 import traceback
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
-from itertools import dropwhile
 from typing import Protocol
 
 from msgspec.structs import replace
 
 from poise.clock import Clock, wall_time
-from poise.errors import PoiseError, TakenOver
+from poise.errors import PoiseError, TakenOver, last_error
 from poise.manage.agent_connections.statuses import Statuses
 from poise.manage.journal import EntryKind, Journal
 from poise.manage.observe.deviations import Deviation
@@ -194,7 +193,7 @@ def _raised(component: ComponentStatus, computer: str) -> _Counts:
     counts: dict[str, tuple[int, Deviation]] = {}
     name = component.name
     for error in component.error_counts:
-        text = _summary(error.text)
+        text = last_error(error.text)
         handler = f"'{error.where}' of component '{name}' on '{computer}'"
         said = Deviation(
             what=f"{handler} raised {text}; `poise log {name}` says more",
@@ -205,17 +204,6 @@ def _raised(component: ComponentStatus, computer: str) -> _Counts:
         count, said = counts.get(kind, (0, said))
         counts[kind] = count + error.count, said
     return counts
-
-
-def _summary(traceback: str) -> str:
-    """Return the error's type and the first line of what it says."""
-    *earlier, last = traceback.rstrip().split("\n")
-    frames = [n for n, line in enumerate(earlier) if line.startswith('  File "')]
-    said = dropwhile(
-        lambda line: line.startswith("    "), earlier[frames[-1] + 1 if frames else 0 :]
-    )
-    first = next(said, "")
-    return f"{first} ..." if first else last
 
 
 def refused(container: ContainerStatus) -> Iterator[tuple[str, int]]:

@@ -8,6 +8,7 @@ from collections.abc import Callable, Collection, Iterable, Mapping
 from msgspec import Struct
 from msgspec.structs import replace
 
+from poise.errors import last_error
 from poise.manage.agent_connections.statuses import components_of
 from poise.manage.deploy.desired import Incarnation
 from poise.manage.deploy.live_robot import LiveRobot
@@ -341,7 +342,7 @@ class Prefetcher:
         component = self._live.reported(idle)
         if component is None or component.state != "failed":
             return ""
-        return component.error.rstrip().rpartition("\n")[2] or "it failed"
+        return last_error(component.error) or "it failed"
 
     def _container(self, incarnation: Incarnation) -> tuple[str, str]:
         return incarnation.computer, self._live.layout.container_of(incarnation)

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 
 from msgspec import Struct
 
-from poise.errors import Timeout, Unavailable, signal_name
+from poise.errors import Timeout, Unavailable, last_error, signal_name
 from poise.runtime.agent.surroundings import ContainerControl, Reply
 from poise.runtime.supervision.health import Silence
 from poise.wire.codec import WireError
@@ -167,7 +167,7 @@ class ContainerProcess:
     def last_error(self) -> str:
         """Return the last lines of the errors that it ended with, or nothing."""
         failed = [c for c in self._components() if c.error and c.state == "failed"]
-        errors = [f"{c.name}: {c.error.splitlines()[-1]}" for c in failed]
+        errors = [f"{c.name}: {last_error(c.error)}" for c in failed]
         return "; ".join(filter(None, [*errors, self._why_ended]))
 
     def loss(self, age_of: Callable[[str, int], float | None]) -> str:

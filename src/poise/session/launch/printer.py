@@ -28,7 +28,7 @@ _CONTROLS = re.compile(r"\x1b\[[\d;:]*m|[\x00-\x08\x0b-\x1f\x7f-\x9f]")
 def visible(text: str, *, colours: bool = False) -> str:
     """Return text of others so that it controls no terminal; `colours`: they may pass.
 
-    A component's error could clear the screen of whoever asks for the status.
+    A component's error could clear the screen of a user who asks for the status.
     """
 
     def written(found: re.Match[str]) -> str:

@@ -9,6 +9,7 @@ from itertools import pairwise
 import msgspec
 from msgspec import Struct, structs
 
+from poise.errors import last_error
 from poise.estimate.online import Reading, window_between
 from poise.estimate.profiles import (
     ComponentProfile,
@@ -187,7 +188,7 @@ def failures(robot: Robot, run: Observed, names: Collection[str]) -> WhatFailed:
     always, sentences = set(), []
     for component in components_of(run.working):
         if component.errors and component.name in names:
-            last = component.error.rstrip().rpartition("\n")[2]
+            last = last_error(component.error)
             errors = counted(component.errors, "error")
             sentences.append(f"component '{component.name}': {errors}, last {last}")
             if any(e.where not in component.work for e in component.error_counts):

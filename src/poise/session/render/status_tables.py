@@ -10,6 +10,7 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
+from poise.errors import last_error
 from poise.manage.agent_connections.statuses import connectors_of, located
 from poise.manage.control_socket.commands import RobotStatus
 from poise.manage.observe.estimates import DemandEstimate, culprit_on
@@ -227,7 +228,7 @@ def _remarks(
     component: ComponentStatus, standing: DemandEstimate | None, culprit: str = ""
 ) -> Iterator[str]:
     if component.errors:
-        last = component.error.rstrip().rpartition("\n")[2]
+        last = last_error(component.error)
         which = f" ({escape(last)})" if last else ""
         yield f"{counted(component.errors, 'error')}{which}"
     if component.state != "active":

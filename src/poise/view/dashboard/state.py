@@ -7,6 +7,7 @@ import re
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
+from poise.errors import last_error
 from poise.session.running_robots.running import ChainReport, JournalEntry, Status
 from poise.view.robot_view import (
     ConnectorRow,
@@ -258,7 +259,7 @@ def _components(status: Status) -> Iterator[tuple[str, dict[str, Any]]]:
                     "state": component.state,
                     "in": container.name,
                     "errors": component.errors,
-                    "error": component.error.rstrip().rpartition("\n")[2],
+                    "error": last_error(component.error),
                     "hung": round(component.hung, 1),
                 }
     for name, shown_as in shown.items():
