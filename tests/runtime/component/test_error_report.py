@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import traceback
+from concurrent.futures import Future
 from pathlib import Path
 
 import pytest
@@ -57,6 +58,13 @@ def test_a_cause_in_users_code_is_told() -> None:
 
 def test_what_poise_says_itself_needs_no_traceback() -> None:
     error = raised("raise E('no such class')", OURS, E=RobotError)
+    assert traceback_of(error) == "no such class"
+
+
+def test_what_poise_says_in_another_thread_needs_no_traceback_either() -> None:
+    failed = Future[None]()
+    failed.set_exception(RobotError("no such class"))
+    error = raised("failed.result()", OURS, failed=failed)
     assert traceback_of(error) == "no such class"
 
 

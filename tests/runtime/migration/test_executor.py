@@ -13,8 +13,13 @@ from poise import Component
 from poise.clock import SystemClock
 from poise.errors import RunError
 from poise.runtime.hosting.runner import Runner
+from poise.runtime.hosting.wiring import Wiring
 from poise.runtime.migration.executor import MigrationExecutor
-from poise.wire.records.deployment_records import ComponentSpec, ContainerSpec
+from poise.wire.records.deployment_records import (
+    ComponentSpec,
+    ConnectorSpec,
+    ContainerSpec,
+)
 from poise.wire.records.migration_records import (
     MigrationSteps,
     Step,
@@ -153,6 +158,26 @@ def test_the_answer_says_what_a_hook_raised(
     outcome = executor.receive(batch(OFFER))()
     assert isinstance(outcome, StepsFailed)
     assert r"no map-\udcff.png" in outcome.reason
+
+
+def test_code_that_lacks_a_port_takes_nobodys_place(runner: Runner) -> None:
+    """The manager may commit before it hears that the port is not there."""
+    wiring = Wiring(Mock())
+    spec = ConnectorSpec(
+        name="one.scan-other.scan",
+        kind="local",
+        source="one",
+        source_port="scan",
+        source_computer="here",
+        target="other",
+        target_port="scan",
+        target_computer="here",
+    )
+    wiring.apply((spec,), {("one", 0): runner})
+    executor = MigrationExecutor({("one", 0): runner}, wiring, Mock())
+    outcome = executor.receive(batch(Step("pre-copy", "one", 0)))()
+    assert isinstance(outcome, StepsFailed)
+    assert "component 'one' has no port 'scan' that publishes" in outcome.reason
 
 
 @pytest.mark.slow

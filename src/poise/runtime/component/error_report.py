@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import concurrent.futures
 import importlib
 import logging
 import math
@@ -29,7 +30,11 @@ from poise.wire.records.status_records import (
 _OURS = (
     *(
         f"{Path(folder).absolute()}/"
-        for folder in (*poise.__path__, *importlib.__path__)
+        for folder in (
+            *poise.__path__,
+            *importlib.__path__,
+            *concurrent.futures.__path__,
+        )
     ),
     "<frozen importlib",
 )

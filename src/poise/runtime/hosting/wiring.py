@@ -75,6 +75,7 @@ class Wiring:
         self._server = server
         self._clock_offset = clock_offset
         self._open: dict[str, OpenConnector] = {}
+        self._troubles: dict[tuple[str, int], str] = {}
 
     def apply(
         self, specs: tuple[ConnectorSpec, ...], runners: Runners
@@ -99,7 +100,13 @@ class Wiring:
         self._buffer_amid_a_move(known)
         for key in self._open.keys() - wanted.keys():
             self.shut(key)
+        self._troubles = troubles
         return troubles
+
+    def raise_on_trouble(self, component: str, epoch: int) -> None:
+        """Raise RunError when a connector of an incarnation could not be opened."""
+        if trouble := self._troubles.get((component, epoch)):
+            raise RunError(f"component '{component}' cannot be joined: {trouble}")
 
     def sender(self, connector: str) -> Sender:
         """Return the sender of a connector, by its name."""

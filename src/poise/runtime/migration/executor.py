@@ -174,6 +174,8 @@ class MigrationExecutor(StepTaker):
                 for key in step.lossy:
                     self._wiring.shut(key)
                 runner.endpoints.wait_markers(markers, _left(deadline))
+            case "pre-copy":  # the manager may have heard of none of it yet
+                self._wiring.raise_on_trouble(step.component, step.epoch)
         if step.role is not None:
             participant = self._participant(self._runner(step), step.role, migration)
             with participant.phases.taking(step.name, step.phase):
