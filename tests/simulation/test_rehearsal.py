@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 from msgspec import structs
 
@@ -13,7 +15,7 @@ from poise.estimate.profiles import (
     TimerProfile,
 )
 from poise.model.hardware import Link
-from poise.model.robot import Action, Chain, Robot
+from poise.model.robot import Action, Chain, Robot, Task
 from poise.simulation.faults import SimulatedFault
 from poise.simulation.rehearsal import Rehearsal, RehearsalPlan
 from poise.simulation.simulation_report import SimulationReport
@@ -179,3 +181,15 @@ def test_the_same_seed_tells_the_same() -> None:
 def test_a_component_without_code_is_said_to_be_guessed() -> None:
     report = rehearsed(plan_of(), 1.0)
     assert any("the code of 'arm' is not known" in guess for guess in report.guesses)
+
+
+@pytest.mark.slow
+def test_what_is_simulated_is_not_learned(tmp_path: Path) -> None:
+    """An action of 1 s fails: the real robot's choices do not depend on that."""
+    plan = plan_of()
+    action = Action(name="go", functions=("seeing",), limit=1.0)
+    tasks = (Task(name="work", actions=(action,)),)
+    robot = structs.replace(plan.robot, folder=str(tmp_path), tasks=tasks)
+    report = rehearsed(structs.replace(plan, robot=robot), 3.0)
+    assert any("its limit of 1 s is over" in event.what for event in report.events)
+    assert list(tmp_path.iterdir()) == []

@@ -94,6 +94,8 @@ class LiveRobot(DesiredState):
         self.solve_steps: int | None = None
         """How much the planner searches, so that a simulation can be repeated; None: as
         its time allows."""
+        self.learns = True
+        """Whether how actions end is kept for later choices: not what is simulated."""
         self.goes_on_without_lost = False
         """Whether a lost computer is a deviation; else it ends what waits."""
         self._away_since: dict[str, float] = {}

@@ -339,7 +339,7 @@ class TaskManager:
         """Learn from what has ended: that takes longer than a switch."""
         for ended, serving in self._unlearned:
             robot, name = self._live.robot, ended.action.name
-            if not robot.folder or not serving:
+            if not self._live.learns or not robot.folder or not serving:
                 continue
             ending: Ending = "done" if ended.done else "failed"
             conditions = conditions_of(self._situation())

@@ -149,6 +149,7 @@ class SimulatedManager:
             live = self.live = LiveRobot(robot, placement, agents, journal, "/robot")
             live.begin_with(encode(asked.saved))
             live.solve_steps = SOLVE_STEPS
+            live.learns = False
             start_or_take_over(
                 live, by_force=self._takes_over, follows=self._is_standby
             )
