@@ -8,6 +8,7 @@ import socket
 import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from itertools import pairwise
 
 import msgspec
 import pytest
@@ -70,6 +71,27 @@ def test_heartbeats_go_out_while_others_flood_the_port() -> None:
         heartbeats.start()
         wait_until(lambda: number >= 20)  # 0.2 s without the flood
     heartbeats.close()
+
+
+def test_two_that_answer_each_other_at_once_send_no_more_than_100_a_second() -> None:
+    """As an agent that asks its manager, on one computer."""
+    sent: list[float] = []
+    clock = SystemClock()
+
+    def next_beat() -> tuple[Heartbeat, float]:
+        sent.append(clock.now())
+        beat = Heartbeat(robot="r", sender="a", key="k", number=len(sent), sent=0.0)
+        return beat, 0.1
+
+    listen = Endpoint(HOST, free_port())
+    heartbeats = Heartbeats(
+        clock, lambda _: True, next_beat, UdpDatagrams(clock, listen)
+    )
+    heartbeats.send_to({"itself": (HOST, listen.port)})
+    heartbeats.start()
+    wait_until(lambda: len(sent) >= 20)  # it is answered, too: 0.2 s and not 2 s
+    heartbeats.close()
+    assert min(b - a for a, b in pairwise(sent)) >= 0.0099
 
 
 def test_an_error_in_what_hears_them_does_not_end_them(

@@ -223,6 +223,9 @@ class Contacts:
         }
 
 
+_APART = 0.01
+"""Heartbeats of one sender are so far apart at least [s]: two that answer each other at
+once would send thousands in a second."""
 _LARGEST = 16384
 _JOIN_LIMIT = 1.0
 _READING = 0.02
@@ -371,23 +374,28 @@ class Heartbeats:
 
     def _main(self) -> None:
         go_first()
-        due = self._clock.now()
+        due = earliest = self._clock.now()
         while not self._ended.is_set():
-            self._take(due)
+            self._take(due, earliest)
+            pause = EVERY
             try:
-                due = self._clock.now() + self._send()
+                pause = self._send()
             except Exception:  # noqa: BLE001, it is reported
                 threads.report_failure()
-                due = self._clock.now() + EVERY
+            now = self._clock.now()
+            due, earliest = now + pause, now + _APART
 
-    def _take(self, until: float) -> None:
+    def _take(self, until: float, earliest: float) -> None:
         """Take in what comes until a moment [s]; first of all what is there.
 
-        When more comes than can be read, the own heartbeat goes first.
+        What has to be answered is so at once, but not before `earliest` [s]. When more
+        comes than can be read, the own heartbeat goes first.
         """
         while True:
             received = self._datagrams.receive(until)
-            if (received and self._hear(received)) or self._clock.now() >= until:
+            if received and self._hear(received):
+                until = min(until, earliest)
+            if self._clock.now() >= until:
                 return
 
     def _send(self) -> float:
