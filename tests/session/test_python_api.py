@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
+from typing import Any, cast
 
 import pytest
+from msgspec import structs
 
 import poise
 from poise.model import Architecture, ComponentEntry, Computer, Robot
@@ -22,6 +25,11 @@ def hello() -> Robot:
     counter = ComponentEntry(name="counter", demand={"cpu": 0.5, "memory": 0.5})
     architecture = Architecture(name="a", function="a", components=(counter,))
     return Robot(name="hello", computers=(left,), architectures=(architecture,))
+
+
+def greeter() -> Robot:
+    greet = Action(name="greet", functions=("a",))
+    return structs.replace(hello(), tasks=(Task(name="greet", actions=(greet,)),))
 
 
 def report() -> RunReport:
@@ -157,3 +165,61 @@ def test_a_report_is_a_data_frame() -> None:
     pytest.importorskip("pandas")
     frame = report().to_pandas("timers")
     assert list(frame["timer"]) == ["tick"]
+
+
+WRONG_DURATIONS = [0.0, -1.0, float("nan"), float("inf"), "3 s", None]
+
+
+@pytest.mark.parametrize("seconds", WRONG_DURATIONS)
+def test_what_has_no_duration_or_no_end_is_not_begun(seconds: float) -> None:
+    robot = greeter()
+    with pytest.raises(poise.UsageError, match="a run"):
+        poise.run(robot, seconds=seconds)
+    with pytest.raises(poise.UsageError, match="a simulation"):
+        poise.simulate(robot, seconds=seconds)
+    with pytest.raises(poise.UsageError, match="a measurement"):
+        poise.profile(robot, seconds=seconds)
+    with pytest.raises(poise.UsageError, match="a measurement"):
+        poise.calibrate(robot, seconds=seconds)
+
+
+def test_a_file_is_no_robot() -> None:
+    name = cast("Any", "robot.yaml")
+    for call in (
+        poise.place,
+        poise.simulate,
+        poise.profile,
+        poise.calibrate,
+        poise.deploy,
+        poise.draw,
+        partial(poise.run, seconds=1.0),
+        lambda robot: poise.up(robot).__enter__(),
+    ):
+        with pytest.raises(poise.UsageError, match="is not a robot"):
+            call(name)
+
+
+def test_the_name_of_a_method_is_no_placement() -> None:
+    robot, method = greeter(), cast("Any", "static")
+    for call in (
+        poise.simulate,
+        partial(poise.run, seconds=1.0),
+        lambda robot, placement: poise.up(robot, placement=placement).__enter__(),
+    ):
+        with pytest.raises(poise.UsageError, match="'static' is not a placement"):
+            call(robot, placement=method)
+
+
+def test_only_up_starts_several_tasks() -> None:
+    robot, tasks = greeter(), cast("Any", ["greet"])
+    with pytest.raises(poise.UsageError, match="not the name of a task"):
+        poise.place(robot, tasks)
+    with pytest.raises(poise.UsageError, match="not the name of a task"):
+        poise.run(robot, tasks, seconds=1.0)
+    with pytest.raises(poise.UsageError, match="name a task"), poise.up(robot, []):
+        pass
+
+
+def test_a_file_may_be_named_by_a_string() -> None:
+    with pytest.raises(poise.UsageError, match="there is no folder nowhere"):
+        poise.run(greeter(), seconds=1.0, journal="nowhere/journal.jsonl")

@@ -6,6 +6,7 @@ import contextlib
 import shutil
 from collections import Counter
 from collections.abc import Collection, Iterator
+from os import PathLike
 from pathlib import Path
 
 import msgspec
@@ -77,7 +78,10 @@ def _type(robot: Robot, end: ConnectorEnd, kinds: tuple[str, ...]) -> str:
 
 @contextlib.contextmanager
 def keeping(
-    robot: Robot, placed: Collection[str], file: Path | None, say: Say
+    robot: Robot,
+    placed: Collection[str],
+    file: str | PathLike[str] | None,
+    say: Say,
 ) -> Iterator[tuple[Robot, RecordingFile | None]]:
     """Give what is to run, and what records it in `file`; None: nothing does.
 
@@ -86,14 +90,15 @@ def keeping(
     if file is None:
         yield robot, None
         return
-    inputs = inputs_folder(file)
+    path = Path(file)
+    inputs = inputs_folder(path)
     shutil.rmtree(inputs, ignore_errors=True)
     tap = tapped(robot, placed, inputs)
-    recorder = RecordingFile(file, robot.name)
+    recorder = RecordingFile(path, robot.name)
     try:
         yield tap.robot, recorder
     finally:
-        inputs_said = _collect(tap, recorder, file)
+        inputs_said = _collect(tap, recorder, path)
         recorder.close()
         say(str(recorder))
         say(inputs_said)

@@ -19,6 +19,7 @@ from poise.plan.conflict import conflict
 from poise.plan.problem.arrays import arrays_of
 from poise.runtime.code_check import check_code_isolated
 from poise.session import Say, log, nothing
+from poise.session.arguments import check_robot, check_task
 from poise.session.profiling.stored_profiles import profiled
 from poise.units import format_seconds
 
@@ -148,6 +149,8 @@ def with_code(robot: Robot) -> Robot:
 
 def task_of(robot: Robot, task: str | None) -> str:
     """Return the task, or the robot's first when none is named, or RobotError."""
+    check_robot(robot)
+    check_task(task)
     if task is not None:
         return task
     if not robot.tasks:

@@ -7,7 +7,7 @@ import re
 import time
 from collections import Counter
 from collections.abc import Callable
-from pathlib import Path
+from os import PathLike
 
 from poise.clock import wall_time
 from poise.emulate import set_for
@@ -20,6 +20,7 @@ from poise.manage.manager import Manager
 from poise.manage.observe.chains import chain_reports
 from poise.model.robot import Robot
 from poise.session import Check, Say, log, nothing
+from poise.session.arguments import check_duration
 from poise.session.deploy.deploy import as_deployed
 from poise.session.last_seen import LastSeen
 from poise.session.launch.managed import journal_of, managed, planned
@@ -44,8 +45,8 @@ def run(  # noqa: PLR0913 - each is a choice of the user
     *,
     seconds: float,
     placement: Placement | None = None,
-    journal: Path | None = None,
-    record: Path | None = None,
+    journal: str | PathLike[str] | None = None,
+    record: str | PathLike[str] | None = None,
     adapt: bool = False,
     say: Say = log.info,
     meanwhile: Meanwhile = lambda *_: None,
@@ -84,12 +85,13 @@ def run(  # noqa: PLR0913 - each is a choice of the user
     Raises
     ------
     UsageError
-        The robot runs already.
+        The robot runs already, or an argument is wrong.
     RobotError, RunError
         It cannot start, a component failed or a computer was lost; everything is down
         again.
     """
     chosen, decided = task_of(robot, task), list[str]()
+    check_duration("a run", seconds)
     robot = as_deployed(robot)
     first = first_phase(robot, [chosen], placement, decided.append)
     placed, warnings = first.placed, Warnings(say)

@@ -7,7 +7,6 @@ import signal
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, suppress
-from math import isfinite
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,6 +17,7 @@ from rich.console import RenderableType
 from poise.errors import RobotError, RunError, UsageError
 from poise.model.robot import Robot
 from poise.session import Check, Say, log, nothing
+from poise.session.arguments import check_duration
 from poise.session.bag_workload import bag_traffic
 from poise.session.fault_file import Faults, faults_of
 from poise.session.placing.first_phase import first_phase
@@ -201,8 +201,7 @@ def _scenario(
 ) -> RehearsalPlan:
     """Return what the user asks for, but for the placement, if it can be simulated."""
     _, plan = _engine()  # before anything is decided
-    if not (isfinite(seconds) and seconds > 0):
-        raise UsageError(f"{seconds:g} s: a simulation must last longer than 0 s")
+    check_duration("a simulation", seconds)
     return plan(
         robot=robot,
         placement={},

@@ -7,6 +7,7 @@ import os
 import threading
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import partial
+from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
@@ -129,10 +130,10 @@ def up(  # noqa: PLR0913 - each is a choice of the user
     task: str | Sequence[str] | None = None,
     *,
     placement: Placement | None = None,
-    journal: Path | None = None,
+    journal: str | PathLike[str] | None = None,
     metrics: int | None = None,
     otel: str | None = None,
-    record: Path | None = None,
+    record: str | PathLike[str] | None = None,
     adapt: bool = True,
     take_over: bool = False,
     say: Say = log.info,
@@ -178,11 +179,11 @@ def up(  # noqa: PLR0913 - each is a choice of the user
     TakenOver
         Another manager has taken it over; it goes on.
     UsageError
-        A robot of this name runs already.
+        A robot of this name runs already, or an argument is wrong.
     """
     if take_over:
         _check_outlives(robot)
-    names = [task_of(robot, task)] if task is None or isinstance(task, str) else task
+    names = _tasks_of(robot, task)
     actions = [each for name in names for each in robot.actions(name)]
     robot = as_deployed(learned(robot, actions).robot)
     decided: list[str] = []
@@ -198,7 +199,7 @@ def up(  # noqa: PLR0913 - each is a choice of the user
         book = stack.enter_context(
             journal_of(robot, first, journal, lambda entry: say(str(entry)), decided)
         )
-        recorder = RecordingFile(record, robot.name) if record else None
+        recorder = RecordingFile(Path(record), robot.name) if record else None
         if recorder is not None:
             stack.callback(lambda: say(str(recorder)))
             stack.callback(recorder.close)
@@ -229,6 +230,15 @@ def up(  # noqa: PLR0913 - each is a choice of the user
         if exporter is not None:
             exporter.show(manager.status)
         yield running
+
+
+def _tasks_of(robot: Robot, task: str | Sequence[str] | None) -> Sequence[str]:
+    """Return the tasks to start; UsageError when a list names none."""
+    if task is None or isinstance(task, str):
+        return [task_of(robot, task)]
+    if not task:
+        raise UsageError("name a task to start, or leave it out for the robot's first")
+    return [task_of(robot, each) for each in task]
 
 
 def _check_outlives(robot: Robot) -> None:

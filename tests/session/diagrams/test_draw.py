@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from itertools import combinations, pairwise
 from pathlib import Path
+from typing import cast
 from xml.etree import ElementTree as ET
 
 import pytest
@@ -21,7 +22,7 @@ from poise.model.robot import (
     Robot,
 )
 from poise.session.diagrams.diagram import BoxDiagram, Join, SequenceDiagram
-from poise.session.diagrams.draw import FORMATS, Drawing, draw
+from poise.session.diagrams.draw import FORMATS, Drawing, What, draw
 
 GIB = 2**30
 
@@ -131,9 +132,17 @@ def test_a_transition_that_does_not_fit_says_why() -> None:
         draw(heavy, "transition", {"then": THEN, "now": NOW})
 
 
+def test_placements_ask_for_a_deployment_diagram() -> None:
+    assert draw(ROBOT, placements=PLACEMENTS) == draw(ROBOT, "deployment", PLACEMENTS)
+
+
 def test_what_is_missing_is_said() -> None:
     with pytest.raises(UsageError, match="transition got 1"):
         draw(ROBOT, "transition", {"now": NOW})
+    with pytest.raises(UsageError, match="components got 1"):
+        draw(ROBOT, "components", {"now": NOW})
+    with pytest.raises(UsageError, match="no diagram 'boxes'"):
+        draw(ROBOT, cast("What", "boxes"))
     with pytest.raises(UsageError, match="no task 'dance'"):
         draw(ROBOT, task="dance")
     with pytest.raises(UsageError, match=r"robot\.gif: .*\.svg"):

@@ -30,6 +30,7 @@ from poise.manage.agent_connections.reports import AgentReports
 from poise.manage.agent_connections.requests import AgentRequests
 from poise.model.robot import Robot
 from poise.session import Check, Say, log, nothing
+from poise.session.arguments import check_robot
 from poise.session.launch.computers import Computers, real_agents
 from poise.units import format_bytes
 from poise.wire.codec import MALFORMED
@@ -175,6 +176,7 @@ def deploy(robot: Robot, *, say: Say = log.info, check: Check = nothing) -> Depl
         A computer is out of reach, has no room, or refuses it. The others have it, and
         on that one nothing has changed. Or pip cannot fetch the wheels.
     """
+    check_robot(robot)
     with _agents(robot) as (reports, requests, computers):
         names = [computer.name for computer in robot.hosts if computer.address]
         wanted = frozenset(names)

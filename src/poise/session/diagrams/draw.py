@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Literal
+from typing import Literal, get_args
 
 from msgspec import Struct
 
-from poise.errors import UsageError
+from poise.errors import UsageError, listed
 from poise.manage.migration.migration_report import TransitionStep
 from poise.manage.migration.transition_plan import plan_transition
 from poise.model.robot import (
@@ -22,6 +22,7 @@ from poise.model.robot import (
 )
 from poise.runtime.component.implementation import find, search_also
 from poise.runtime.component.ports import ports_of
+from poise.session.arguments import check_robot
 from poise.session.diagrams.diagram import (
     Arrow,
     Box,
@@ -81,7 +82,7 @@ class Drawing(Struct, frozen=True):
 
 def draw(
     robot: Robot,
-    what: What = "components",
+    what: What | None = None,
     placements: Mapping[str, Mapping[str, str]] | None = None,
     *,
     task: str | None = None,
@@ -93,7 +94,8 @@ def draw(
     what
         ``components``: the architectures and how their components are joined;
         ``deployment``: what runs where, several placements side by side;
-        ``transition``: what happens on the way from one placement to another.
+        ``transition``: what happens on the way from one placement to another. None: a
+        deployment when there are placements, else components.
     placements
         Name -> placement (component -> computer), such as `Placement.where` or that of
         a running robot's status. A transition has two, before and after.
@@ -107,8 +109,12 @@ def draw(
     RobotError
         No transition leads to the second placement; the message says why.
     """
+    check_robot(robot)
     named = placements or {}
-    if what == "components":
+    what = what or ("deployment" if named else "components")
+    if what not in get_args(What):
+        raise UsageError(f"no diagram '{what}' (there are: {listed(get_args(What))})")
+    if what == "components" and not named:
         if task is not None and task not in {each.name for each in robot.tasks}:
             raise UsageError(f"robot '{robot.name}' has no task '{task}'")
         functions = None if task is None else robot.functions_of(task)
@@ -122,8 +128,8 @@ def draw(
         steps = plan_transition(robot, now, then)
         return Drawing(sequence_diagram(robot, " → ".join(named), steps))
     raise UsageError(
-        "a deployment diagram is of one placement or more, a transition of two: "
-        f"{what} got {len(named)}"
+        "a component diagram is of no placement, a deployment of one or more, a "
+        f"transition of two: {what} got {len(named)}"
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from os import PathLike
 from pathlib import Path
 from typing import NamedTuple
 
@@ -71,13 +72,14 @@ def without_standbys(robot: Robot) -> str:
 def journal_of(
     robot: Robot,
     first: FirstPhase,
-    path: Path | None,
+    path: str | PathLike[str] | None,
     show: Callable[[JournalEntry], object],
     decided: Sequence[str],
 ) -> Iterator[Journal]:
     """Keep the journal of a robot, which begins with why it is placed as it is."""
-    check_journal(path)
-    journal = Journal(path or make_journal(robot.name), show)
+    file = None if path is None else Path(path)
+    check_journal(file)
+    journal = Journal(file or make_journal(robot.name), show)
     try:
         for sentence in decided:
             journal.note("decided", sentence)

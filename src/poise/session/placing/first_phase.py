@@ -11,7 +11,7 @@ from msgspec.structs import replace
 
 from poise import plan
 from poise.clock import boot_time
-from poise.errors import FileProblem, RobotError
+from poise.errors import FileProblem, RobotError, UsageError
 from poise.estimate.code_version import hash_of
 from poise.estimate.outcomes import WELL
 from poise.estimate.success_rates import Belief
@@ -53,6 +53,11 @@ def first_phase(
     started.arbitrate(now)
     started.announce()
     first, *others = started.going()
+    if not isinstance(placement, Placement | None):
+        raise UsageError(
+            f"{placement!r} is not a placement: `poise.place(robot, TASK, method=...)` "
+            "returns one"
+        )
     chosen = placement or place(robot, first.name, fewer=True)
     if chosen.task_result.reason and len(chosen.phases) > 1:
         say(f"not all of task '{first.name}' fits: {chosen.task_result.reason}")

@@ -22,6 +22,7 @@ from poise.estimate.success_rates import learned
 from poise.model.robot import Robot
 from poise.plan.alternatives import needs
 from poise.plan.planner import SOLVERS
+from poise.session.arguments import check_robot, check_task
 from poise.session.placing.by_time import DecidedByTime, Solve, decide_by_time
 from poise.session.render.picture import planned_picture
 from poise.session.render.plan_tables import plan_parts
@@ -358,6 +359,8 @@ def place(  # noqa: PLR0913 - each is a choice of the user
     RobotError
         A component can run nowhere, or an architecture has no home.
     """
+    check_robot(robot)
+    check_task(task)
     actions = robot.actions(task)
     robot = learned(
         robot, actions, conditions=conditions, explore=explore, seed=seed

@@ -27,6 +27,7 @@ from poise.model.robot import (
 )
 from poise.runtime.calibration import SCORES
 from poise.session import Check, nothing
+from poise.session.arguments import check_duration, check_robot
 from poise.session.folders import write_whole
 from poise.session.launch.start import Sampling, started
 from poise.session.profiling.stored_profiles import (
@@ -306,8 +307,8 @@ def calibrate(
     RunError
         The computers could not be measured.
     """
-    if not seconds > 0:
-        raise UsageError("a measurement must last longer than 0 s")
+    check_robot(robot)
+    check_duration("a measurement", seconds)
     names = [c.name for c in robot.hosts]
     chosen = reference or names[0]
     if chosen not in names:

@@ -22,6 +22,7 @@ from poise.manage.journal import Journal
 from poise.manage.observe.sample_recording import Recording
 from poise.model.robot import Robot
 from poise.session import Check, Say, log, nothing
+from poise.session.arguments import check_duration, check_robot
 from poise.session.folders import write_whole
 from poise.session.launch.start import Sampling, Started, started
 from poise.session.profiling.figures import (
@@ -117,8 +118,8 @@ def profile(  # noqa: PLR0913 - each is a choice of the user
     RobotError, RunError
         The robot could not be run.
     """
-    if not seconds > 0:
-        raise UsageError("a measurement must last longer than 0 s")
+    check_robot(robot)
+    check_duration("a measurement", seconds)
     names = _chosen(robot, architectures)
     check_keepable(robot)
     computer = computer or robot.hosts[0].name

@@ -1,0 +1,29 @@
+"""Refuses arguments that no later step could explain."""
+
+from __future__ import annotations
+
+from math import inf
+from numbers import Real
+
+from poise.errors import UsageError
+from poise.model.robot import Robot
+
+
+def check_robot(robot: object) -> None:
+    """Raise UsageError for what is no robot, such as the name of its file."""
+    if not isinstance(robot, Robot):
+        raise UsageError(f"{robot!r} is not a robot: `poise.load(FILE)` returns one")
+
+
+def check_task(task: object) -> None:
+    """Raise UsageError for what cannot name a task, such as a list of them."""
+    if not isinstance(task, str | None):
+        raise UsageError(f"{task!r} is not the name of a task")
+
+
+def check_duration(what: str, seconds: object) -> None:
+    """Raise UsageError unless something lasts longer than 0 s, and ends."""
+    if not isinstance(seconds, Real):
+        raise UsageError(f"{what} lasts a number of seconds, not {seconds!r}")
+    if not 0 < float(seconds) < inf:
+        raise UsageError(f"{seconds:g} s: {what} must last longer than 0 s, and end")
