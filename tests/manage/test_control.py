@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from queue import SimpleQueue
+from typing import Any, cast
 
 import pytest
 
@@ -123,6 +124,15 @@ def test_a_refusal_is_the_clients_error(
     server.start(answering(refusal))
     with pytest.raises(error, match="not today"):
         send_command("first", StopCommand())
+
+
+def test_a_command_of_wrong_types_is_refused(server: ControlServer) -> None:
+    taken = Manager()
+    server.start(taken.submit)
+    nobody = cast("Any", None)
+    with pytest.raises(UsageError, match="no such command: Expected `str`"):
+        send_command("first", MoveCommand(nobody, "right"))
+    assert taken.taken.empty()
 
 
 def test_a_client_that_leaves_cancels_its_command(

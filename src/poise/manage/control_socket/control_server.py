@@ -23,7 +23,7 @@ from poise.clock import wall_time
 from poise.errors import RunError, UsageError
 from poise.manage.control_socket.commands import Command, Refusal, Result, StatusCommand
 from poise.wire import frame
-from poise.wire.codec import WireError
+from poise.wire.codec import Unreadable, WireError
 from poise.wire.robots_here import is_alive, make_folder, path_of
 
 log = logging.getLogger(__name__)
@@ -115,13 +115,23 @@ class ControlServer:
         self._threads.add(threading.current_thread())
         try:
             with connection, contextlib.suppress(WireError, RunError):
-                command: Command = frame.receive_record(connection, Command)
-                result = self._result(connection, command)
+                result = self._served(connection)
                 if result is not None:
                     frame.send_record(connection, result)
         finally:
             self._threads.discard(threading.current_thread())
             self._free.release()
+
+    def _served(self, connection: socket.socket) -> Result | Refusal | None:
+        """Return the result of the command that comes in, or why it is none."""
+        try:
+            command: Command = frame.receive_record(connection, Command)
+        except Unreadable:
+            raise
+        except WireError as error:
+            why = error.__cause__ or error
+            return Refusal(f"robot '{self._robot}' knows no such command: {why}")
+        return self._result(connection, command)
 
     def _result(
         self, connection: socket.socket, command: Command
