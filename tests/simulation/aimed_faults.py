@@ -36,6 +36,12 @@ _AIMS: Mapping[Moment, _Aim] = {
         often=0.05,
         within=0.02,
     ),
+    # where a client wants something to be
+    "command": _Aim(
+        ("kill agent", "pause agent", "pause computer", "isolate computer"),
+        often=0.1,
+        within=0.5,
+    ),
     "up": _Aim(("kill manager", "pause manager"), often=0.3, within=0.3),
     # somebody sees that it does not answer
     "paused": _Aim(("take over", "another manager"), often=0.5, within=3.0),

@@ -9,12 +9,13 @@ from typing import Literal
 from tests.simulation.conftest import small_scenario
 from tests.simulation.simulated_run import RunOutcome, Scenario, simulate
 from tests.simulation.varied_robots import varied_scenario
+from tests.simulation.wild_robots import wild_scenario
 
 SECONDS = 120.0
 """Of faults in each run [virtual s]."""
 
 
-Kind = Literal["small", "elects", "varied"]
+Kind = Literal["small", "elects", "varied", "wild"]
 """The robot of all seeds, the same with standbys, or another one for each seed."""
 
 
@@ -22,6 +23,8 @@ def scenario_of(seed: int, seconds: float, kind: Kind) -> Scenario:
     """Return what a seed runs, but for its chance."""
     if kind == "varied":
         return varied_scenario(seed, seconds)
+    if kind == "wild":
+        return wild_scenario(seed, seconds)
     return small_scenario(seconds, elects=kind == "elects")
 
 

@@ -11,13 +11,7 @@ from functools import partial
 from msgspec import Struct
 
 from poise.errors import TakenOver
-from poise.manage.control_socket.commands import (
-    MoveCommand,
-    Refusal,
-    Result,
-    RobotStatus,
-)
-from poise.manage.migration.migration_report import MigrationReport
+from poise.manage.control_socket.commands import RobotStatus
 from poise.model.check.allowed_computers import allowed_computers
 from poise.model.robot import Robot
 from poise.simulation.choices import Choices
@@ -39,6 +33,8 @@ from poise.simulation.scheduler import ENGINE, SimulationError
 from poise.simulation.workload import SimulatedWork
 from poise.wire.records.request_records import Claim, Election, ManagerId
 from tests.simulation.aimed_faults import AimedFaults
+from tests.simulation.clients import Clients
+from tests.simulation.served_tasks import unserved
 
 INVARIANTS: Mapping[str, str] = {
     "nothing-active-twice": "No two incarnations of a component work at one time.",
@@ -84,12 +80,9 @@ _BAD_LINKS = {*LINK_KINDS, "isolate computer", "lose datagrams"}
 _SILENCING = {*_BAD_LINKS, *(kind for kind in KINDS if "pause" in kind)} | {
     "suspend computer"
 }
-COMMAND_LIMIT = 60.0
-"""An accepted command ends within this time [s]."""
 _POLL_EVERY = 0.05
 _QUIET = 0.15
 """In this share of runs nothing breaks in the first half."""
-_COMMAND_EVERY, _COMMANDED = 1.0, 0.2
 _LINES = 400
 
 
@@ -103,6 +96,8 @@ class Scenario(Struct, frozen=True, kw_only=True):
     `moves`: whether clients move components meanwhile.
     `converges`: how long it may take after the last fault [s].
     `election`: how managers follow each other; None: somebody starts the next one.
+    `is_wild`: whether clients ask for all that there is, and what components need is
+    more than there is at times.
     """
 
     robot: Robot
@@ -115,6 +110,7 @@ class Scenario(Struct, frozen=True, kw_only=True):
     moves: bool = True
     converges: float = CONVERGE_LIMIT
     election: Election | None = None
+    is_wild: bool = False
 
 
 class RunOutcome(Struct, frozen=True, kw_only=True):
@@ -223,7 +219,9 @@ class _Run:
             robot.start_agent(computer)
         robot.start_manager(next(iter(robot.computers)))
         self._until(UP_LIMIT, "the robot is not up")
-        robot.ledger.is_whole = True
+        stops = {"restart", "replace", "suspend"}
+        policies = self._scenario.robot.policies
+        robot.ledger.is_whole = stops.isdisjoint(policy.do for policy in policies)
         begin = self._scheduler.now
         end = begin + self._scenario.seconds
         self.faults = self._scenario.faults or ()
@@ -236,12 +234,26 @@ class _Run:
             self._aimed = AimedFaults(robot, first, end, self._inject, kinds)
         for fault in self.faults:
             self._scheduler.at(fault.at, partial(self._inject, fault))
+        clients = self._clients(end)
         if self._scenario.moves:
-            self._scheduler.at(begin + 1.0, lambda: self._move(end))
+            clients.begin(begin + 1.0)
         robot.run(max([end, *(f.at + f.lasts for f in self.faults)]) + 0.01)
         self._heal()
         limit = self._scenario.converges
-        self._until(limit, f"{limit:g} s after the last fault", not_well)
+        troubles = not_well
+        if self._scenario.is_wild:
+            keeps = self._scenario.election is not None
+            troubles = partial(
+                not_served, undone=clients.undone if keeps else lambda _: []
+            )
+        self._until(limit, f"{limit:g} s after the last fault", troubles)
+
+    def _clients(self, end: float) -> Clients:
+        robot, is_wild = self.robot, self._scenario.is_wild
+        names = sorted(self._scenario.placement)
+        if is_wild:
+            names = sorted(component.name for component in robot.robot.components())
+        return Clients(robot, names, end, does_all=is_wild)
 
     def _heal(self) -> None:
         """Start what was killed and never came back."""
@@ -392,73 +404,44 @@ class _Run:
             if error is not None and not isinstance(error, TakenOver):
                 raise Violation("no-bug-stops-the-robot", str(error))
 
-    def _move(self, end: float) -> None:
-        """Let a client move a component, and do so again later."""
-        robot, choices = self.robot, self.robot.choices
-        if self._scheduler.now >= end:
-            return
-        self._scheduler.at(
-            self._scheduler.now + _COMMAND_EVERY, lambda: self._move(end)
-        )
-        manager, wants = robot.manager, choices.happens("clients", _COMMANDED)
-        if not wants or manager is None or manager.manager is None:
-            return
-        names = sorted(self._scenario.placement)
-        computers = sorted(robot.computers)
-        component = names[choices.among("clients", len(names))]
-        computer = computers[choices.among("clients", len(computers))]
-        command = MoveCommand(component, computer)
-        robot.note("client", f"move {component} to {computer}")
-        is_done = False
-
-        def take(result: Result | Refusal) -> None:
-            nonlocal is_done
-            is_done = True
-            robot.note("client", f"move {component} to {computer}: {_short(result)}")
-            if not isinstance(result, MigrationReport):
-                return
-            assert manager.live is not None
-            placed = manager.live.placed.get(component)
-            if placed is None:  # its action has ended
-                return
-            if result.committed:
-                robot.ledger.commit(component, placed.epoch)
-            elif robot.ledger.is_whole:
-                robot.ledger.violate("moves-succeed", f"{command}: {result.reason}")
-
-        def look() -> None:
-            if not is_done and not manager.process.is_dead:
-                raise Violation("commands-end", f"{command} after {COMMAND_LIMIT:g} s")
-
-        manager.ask(command, take)
-        self._scheduler.at(self._scheduler.now + COMMAND_LIMIT, look)
-
 
 def not_well(robot: SimulatedRobot) -> list[str]:
     """Return what is not as it is desired, or is said not to be."""
-    found, manager = unsettled(robot), robot.manager
-    if found or manager is None:
-        return found
-    said: list[str] = []
-    is_told: list[RobotStatus] = []
+    return unsettled(robot) or _told(robot, _wrong)
 
-    def take(status: RobotStatus) -> None:
-        is_told.append(status)
+
+def not_served(
+    robot: SimulatedRobot, undone: Callable[[RobotStatus], list[str]]
+) -> list[str]:
+    """Return what is not as it is desired, or not as tasks or clients want it.
+
+    Here `status` may say for good that something is late, or uses too much.
+    """
+    return unsettled(robot) or _told(
+        robot, lambda status: [*unserved(robot.robot, status), *undone(status)]
+    )
+
+
+def _wrong(status: RobotStatus) -> list[str]:
+    return [
+        f"status says: {deviation.what}"
+        for deviation in status.deviations
         # a clock that jumped is said for a while, and so are many restarts
-        said.extend(
-            f"status says: {deviation.what}"
-            for deviation in status.deviations
-            if deviation.computer and not deviation.what.startswith("container '")
-        )
+        if deviation.computer and not deviation.what.startswith("container '")
+    ]
 
-    manager.ask_status(take)
+
+def _told(
+    robot: SimulatedRobot, judge: Callable[[RobotStatus], list[str]]
+) -> list[str]:
+    """Return what is wrong by what the manager says of itself, if it is up."""
+    if robot.manager is None:
+        return []
+    told: list[RobotStatus] = []
+    robot.manager.ask_status(told.append)
     robot.run(robot.scheduler.now + _ANSWERED)
-    return said if is_told else ["the manager does not say how it is"]
+    return judge(told[0]) if told else ["the manager does not say how it is"]
 
 
 def _lost(manager: SimulatedManager) -> frozenset[str]:
     return manager.manager.lost() if manager.manager else frozenset()
-
-
-def _short(result: Result | Refusal) -> str:
-    return str(result)[:120]

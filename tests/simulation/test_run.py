@@ -234,3 +234,9 @@ def test_robots_with_alternatives_pins_and_several_tasks_do_what_is_desired(
     One as what an action had used before a cut began elsewhere, and had its lease yet.
     """
     assert run(seed, seconds, "varied").message == ""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [0, 3])
+def test_robots_on_which_all_is_tight_do_what_tasks_and_clients_want(seed: int) -> None:
+    assert run(seed, 30.0, "wild").message == ""

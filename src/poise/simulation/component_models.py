@@ -69,6 +69,7 @@ class ComponentModel(Struct, frozen=True, kw_only=True):
     `memory`: that it needs [bytes].
     `follows_device`: its timers wait for a device, so they keep its phase, whatever
     that is in a run.
+    `ends`: the ports at which it says now and then that an action is over.
     """
 
     timers: tuple[TimerModel, ...] = (_TICK,)
@@ -83,6 +84,7 @@ class ComponentModel(Struct, frozen=True, kw_only=True):
     state_size: float = 10_000
     memory: float = 10e6
     follows_device: bool = False
+    ends: tuple[str, ...] = ()
 
     def made_in(self, engine: Engine, component: str, random: Random) -> Model:
         """Return it as the engine has it; `random` draws the phase of a device."""
@@ -113,6 +115,8 @@ class ComponentModel(Struct, frozen=True, kw_only=True):
 
 MOST_KEPT = 50
 """Messages of one connector that wait for a component, unless it says otherwise."""
+Flaw = Literal["fails", "crashes"]
+"""What is wrong with code: it cannot be configured, or it crashes soon after."""
 Models = Mapping[str, ComponentModel]
 """Component -> its model; those that are not named have the default one."""
 

@@ -27,6 +27,7 @@ from poise.model.software import ComponentCode
 from poise.runtime.component.ports import Timer
 from poise.simulation.component_models import (
     ComponentModel,
+    Flaw,
     HandlerModel,
     Models,
     TimerModel,
@@ -68,6 +69,7 @@ class SimulatedWork(Struct, frozen=True, kw_only=True):
 
     `models`: component -> what it does; the others do the default.
     `traffic`: how large messages are, and what they cost.
+    `flaws`: implementation -> what is wrong with it.
     `agent`: CPU of an agent [cores].
     `guesses`: what was assumed, because neither profile nor robot file nor code says
     it.
@@ -75,6 +77,7 @@ class SimulatedWork(Struct, frozen=True, kw_only=True):
 
     models: Models = {}
     traffic: Traffic = Traffic()
+    flaws: Mapping[str, Flaw] = {}
     agent: float = 0.0
     guesses: tuple[str, ...] = ()
 

@@ -14,10 +14,15 @@ from poise.simulation._engine import ExecutorState, Sender
 from poise.simulation.component_models import drawn
 from poise.wire.records.deployment_records import ComponentSpec, TargetState
 from poise.wire.records.migration_records import MigrationPhases, MigrationSteps, Step
-from poise.wire.records.status_records import ComponentStatus, State
+from poise.wire.records.status_records import ActionEnd, ComponentStatus, State
 
 if TYPE_CHECKING:
     from poise.simulation.robot.modelled_container import SimulatedContainer
+
+
+_CRASH_AFTER, _END_AFTER = (0.0, 4.0), (1.0, 15.0)
+_FAILED = 0.3
+"""How often an action fails by what its component says."""
 
 
 class SimulatedComponent:
@@ -42,8 +47,11 @@ class SimulatedComponent:
         )
         self.executor.set_leased(spec.leased)
         self._is_changing = False
+        self._error = ""
+        self._ends = 0
+        self._is_done = True
         start = self.model.start if container.is_new else self.model.start_later
-        process.after(drawn(world.choices, start), lambda: self._enter("inactive"))
+        process.after(drawn(world.choices, start), self._be_configured)
 
     def deploy(self, spec: ComponentSpec) -> None:
         """Be as a deployment says."""
@@ -63,6 +71,11 @@ class SimulatedComponent:
             self.executor.resume()
         self._go_on()
 
+    @property
+    def is_at_work(self) -> bool:
+        """Whether it is active, and is to be."""
+        return self.state == "active" and self.goal == "active"
+
     def resume(self) -> None:
         """Work again."""
         self.executor.resume()
@@ -78,7 +91,38 @@ class SimulatedComponent:
             cpu=self.executor.cpu,
             timers=self.executor.timers(now),
             chains=self.executor.chains(),
+            error=self._error,
+            ends=tuple(
+                ActionEnd(port=port, count=self._ends, done=self._is_done)
+                for port in self.model.ends
+            ),
         )
+
+    def _be_configured(self) -> None:
+        """Be ready, unless its code fails now; some crashes its container later."""
+        world, process = self.container.world, self.container.process
+        flaw = world.workload.flaws.get(self.spec.implementation)
+        if flaw == "fails":
+            self._error = f"{self.spec.implementation} cannot be configured"
+        if flaw == "crashes":
+            process.after(drawn(world.choices, _CRASH_AFTER), process.kill)
+        self._enter("failed" if self._error else "inactive")
+        if self.model.ends:
+            self._end_later()
+
+    def _end_later(self) -> None:
+        """Say now and then that an action is over."""
+        world = self.container.world
+
+        def end() -> None:
+            if self.is_at_work:
+                self._ends += 1
+                self._is_done = not world.choices.happens("components", _FAILED)
+                self.container.note_change()
+            if self.state != "finalized":
+                self._end_later()
+
+        self.container.process.after(drawn(world.choices, _END_AFTER), end)
 
     def _enter(self, state: State) -> None:
         was, self.state, self._is_changing = self.state, state, False
@@ -126,6 +170,7 @@ class MigrationModel(StepTaker):
         self._container = container
         self._phases: dict[tuple[str, int], tuple[int, MigrationPhases]] = {}
         self.states: dict[tuple[str, int, int], ExecutorState] = {}
+        self._is_fresh: dict[tuple[str, int], bool] = {}
 
     def give_back(self, component: SimulatedComponent) -> None:
         """Let a source go on with all that waited for it: the real one keeps it."""
@@ -209,7 +254,10 @@ class MigrationModel(StepTaker):
         deadline: float,
     ) -> None:
         match step.name:
-            case "restore state":
+            case "pre-copy":
+                # of what has another's place, no source has the state
+                self._is_fresh[component.key] = component.spec.name not in step.sources
+            case "restore state" if not self._is_fresh.get(component.key):
                 self._restore(component, migration, deadline)
             case "activate":
                 component.executor.pause()

@@ -11,10 +11,16 @@ from poise.simulation._engine import Sender
 from poise.simulation.robot.modelled_component import MigrationModel, SimulatedComponent
 from poise.simulation.robot.simulated_process import Process
 from poise.simulation.scheduler import SimulatedTask
+from poise.wire.codec import pack, unpack
 from poise.wire.records.deployment_records import ConnectorSpec, ContainerSpec
 from poise.wire.records.heartbeat_records import Clocks
 from poise.wire.records.migration_records import MigrationSteps
-from poise.wire.records.request_records import PortAnswer, PortRequest, TapReading
+from poise.wire.records.request_records import (
+    PARAMETERS,
+    PortAnswer,
+    PortRequest,
+    TapReading,
+)
 from poise.wire.records.status_records import (
     ConnectorStatus,
     ContainerStatus,
@@ -37,7 +43,7 @@ ORPHAN_LIMIT, LEASED_ORPHAN_LIMIT = 60.0, 10.0
 """A container without an agent ends after this time [s]; with leased components, after
 the shorter one."""
 Key = tuple[str, int]
-Moment = Literal["steps", "up", "paused"]
+Moment = Literal["steps", "up", "paused", "command"]
 
 
 class SimulatedContainer:
@@ -88,12 +94,23 @@ class SimulatedContainer:
         elif isinstance(record, MigrationSteps):
             self.migration.hear(record)
         elif isinstance(record, PortRequest):
-            why = "what a component would answer is not simulated"
-            self.answer(PortAnswer(number=record.number, outcome="refused", reason=why))
+            self.answer(self._answer_to(record))
         elif not isinstance(record, Clocks):
             self.answer(
                 TapReading(number=record.number, connector=record.connector, carries="")
             )
+
+    def _answer_to(self, asked: PortRequest) -> PortAnswer:
+        """Let a component take parameters; nothing else that it would answer."""
+        if (asked.port, asked.method) != (PARAMETERS, "set"):
+            why = "what a component would answer is not simulated"
+            return PortAnswer(number=asked.number, outcome="refused", reason=why)
+        working = {c.spec.name for c in self.components.values() if c.is_at_work}
+        if asked.component not in working:
+            why = f"'{asked.component}' does not work here"
+            return PortAnswer(number=asked.number, outcome="away", reason=why)
+        _, changes = unpack(asked.value)
+        return PortAnswer(number=asked.number, outcome="done", value=pack(changes))
 
     def answer(self, record: FromContainer) -> None:
         """Tell the agent something; in vain when there is none."""
