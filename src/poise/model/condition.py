@@ -1,18 +1,16 @@
 """Conditions: expressions over the values of one subject, as in `memory > 200 MiB`.
 
-Python's parser reads them. What is allowed beside names and quantities is `and`, `or`,
-`not`, comparisons and arithmetic, so a condition can neither fail at run time nor do
-anything.
+Python's parser reads them, and its compiler gets only what was checked: beside names
+and quantities `and`, `or`, `not`, comparisons and arithmetic. So a condition can
+neither fail at run time nor do anything.
 """
 
 from __future__ import annotations
 
 import ast
 import math
-import operator
 import re
 from collections.abc import Callable, Mapping
-from functools import reduce
 from string import Formatter
 from typing import Any, TypeAlias
 
@@ -92,8 +90,18 @@ def parse_condition(
             f"{quoted(text)} is not a condition; write, for instance, "
             "'used > 90% and starved >= 0.1'"
         ) from None
-    compiler = _Compiler(_names(record, choices), constants)
-    return Condition(text, compiler.of("truth value", tree))
+    checked = _Checker(_names(record, choices), constants).of("truth value", tree)
+    return Condition(text, _compiled(checked))
+
+
+def _compiled(checked: ast.expr) -> _Read:
+    """Return what evaluates a checked expression of the values in a record."""
+    whole = ast.parse(f"lambda {_RECORD}: 0", mode="eval")
+    assert isinstance(whole.body, ast.Lambda)  # noqa: S101, as it is written
+    whole.body.body = checked
+    code = compile(ast.fix_missing_locations(whole), "<condition>", "eval")
+    read: _Read = eval(code, dict(_FUNCTIONS))  # noqa: S307, it was checked
+    return read
 
 
 def check_sentence(text: str, record: type[Struct]) -> None:
@@ -167,99 +175,98 @@ def _names(record: type[Struct], choices: Mapping[str, tuple[str, ...]]) -> Name
     return kinds
 
 
-class _Compiler:
-    """Checks an expression, and turns it into a function of a record."""
+_RECORD = "record"
+
+
+class _Checker:
+    """Checks an expression, and returns it as one of the values in a record."""
 
     def __init__(self, names: Names, constants: Mapping[str, _Constant]) -> None:
         self._names = names
         self._constants = constants
 
-    def expression(self, node: ast.expr) -> tuple[_Kind, _Read]:
+    def expression(self, node: ast.expr) -> tuple[_Kind, ast.expr]:
         match node:
             case ast.Name(id):
                 return self._name(id)
             case ast.Constant(str() as text):
-                constant = _Kind("text", choices=(text,), is_constant=True)
-                return constant, lambda _: text
+                return _Kind("text", choices=(text,), is_constant=True), node
             case ast.BoolOp() | ast.UnaryOp(ast.Not()) | ast.Compare():
                 return _TRUTH, self._logic(node)
-            case ast.UnaryOp(ast.USub(), inner):
-                kind, read = self._of("number", inner)
-                return kind, lambda record: -read(record)
-            case ast.BinOp(left, op, right) if type(op) in _ARITHMETIC:
+            case ast.UnaryOp(ast.USub() as op, inner):
+                kind, negated = self._of("number", inner)
+                return kind, ast.UnaryOp(op, negated)
+            case ast.BinOp(
+                left, ast.Add() | ast.Sub() | ast.Mult() | ast.Div() as op, right
+            ):
                 return self._arithmetic(left, op, right)
         raise ValueError(
             "a condition has names of values, numbers with units, texts in quotes, "
             "and, or, not, comparisons and + - * / only"
         )
 
-    def _logic(self, node: ast.BoolOp | ast.UnaryOp | ast.Compare) -> _Read:
+    def _logic(self, node: ast.BoolOp | ast.UnaryOp | ast.Compare) -> ast.expr:
         if isinstance(node, ast.Compare):
             return self._comparisons(node.left, node.ops, node.comparators)
         if isinstance(node, ast.UnaryOp):
-            is_so = self.of("truth value", node.operand)
-            return lambda record: not is_so(record)
-        joins = _both if isinstance(node.op, ast.And) else _either
-        return reduce(joins, [self.of("truth value", part) for part in node.values])
+            return ast.UnaryOp(node.op, self.of("truth value", node.operand))
+        parts = [self.of("truth value", part) for part in node.values]
+        return ast.BoolOp(node.op, parts)
 
-    def _name(self, name: str) -> tuple[_Kind, _Read]:
+    def _name(self, name: str) -> tuple[_Kind, ast.expr]:
         if name in self._constants:
             value, kind = self._constants[name]
-            return kind, lambda _: value
+            return kind, ast.Constant(value)
         if name not in self._names:
             raise ValueError(
                 f"there is no value '{name}'{did_you_mean(name, self._names)}; "
                 f"values: {listed(self._names)}"
             )
-        return self._names[name], operator.attrgetter(name)
+        record = ast.Name(_RECORD, ast.Load())
+        return self._names[name], ast.Attribute(record, name, ast.Load())
 
-    def of(self, wanted: str, node: ast.expr) -> _Read:
-        """Return what reads an expression of the wanted type; ValueError for others."""
+    def of(self, wanted: str, node: ast.expr) -> ast.expr:
+        """Return an expression of the wanted type; ValueError for others."""
         return self._of(wanted, node)[1]
 
-    def _of(self, wanted: str, node: ast.expr) -> tuple[_Kind, _Read]:
-        kind, read = self.expression(node)
+    def _of(self, wanted: str, node: ast.expr) -> tuple[_Kind, ast.expr]:
+        kind, checked = self.expression(node)
         if kind.type != wanted:
             what = quoted(node.id) if isinstance(node, ast.Name) else "a part of it"
             if what[1:-1] in self._constants:
                 what = f"{self._constants[what[1:-1]][0]:g}"
             raise ValueError(f"{what} is a {kind.type}, not a {wanted}: compare it")
-        return kind, read
+        return kind, checked
 
     def _arithmetic(
         self, left: ast.expr, op: ast.operator, right: ast.expr
-    ) -> tuple[_Kind, _Read]:
+    ) -> tuple[_Kind, ast.expr]:
         kind, first = self._of("number", left)
         other, second = self._of("number", right)
         kind = _common(kind, other) if isinstance(op, ast.Add | ast.Sub) else _NUMBER
-        compute = _ARITHMETIC[type(op)]
-        return kind, lambda record: compute(first(record), second(record))
+        if isinstance(op, ast.Div):
+            return kind, _call(_divide, first, second)
+        return kind, ast.BinOp(first, op, second)
 
     def _comparisons(
         self, left: ast.expr, ops: list[ast.cmpop], rights: list[ast.expr]
-    ) -> _Read:
-        steps = []
+    ) -> ast.expr:
+        steps: list[ast.expr] = []
         for op, right in zip(ops, rights, strict=True):
             if type(op) not in _COMPARISONS:
                 raise ValueError("compare with < <= > >= == or !=")
             (kind, first), (other, second) = map(self.expression, (left, right))
             _check_alike(kind, other, op)
-            steps.append((first, _COMPARISONS[type(op)], second))
+            if isinstance(op, ast.NotEq):
+                steps.append(_call(_differ, first, second))
+            else:
+                steps.append(ast.Compare(first, [op], [second]))
             left = right
-        if len(steps) == 1:  # as most are
-            ((one, compares, another),) = steps
-            return lambda record: compares(one(record), another(record))
-        return lambda record: all(
-            compare(first(record), second(record)) for first, compare, second in steps
-        )
+        return steps[0] if len(steps) == 1 else ast.BoolOp(ast.And(), steps)
 
 
-def _both(first: _Read, second: _Read) -> _Read:
-    return lambda record: first(record) and second(record)
-
-
-def _either(first: _Read, second: _Read) -> _Read:
-    return lambda record: first(record) or second(record)
+def _call(function: Callable[..., Value], *values: ast.expr) -> ast.expr:
+    return ast.Call(ast.Name(function.__name__, ast.Load()), [*values], [])
 
 
 def _check_alike(kind: _Kind, other: _Kind, op: ast.cmpop) -> None:
@@ -307,17 +314,5 @@ def _differ(one: Value, another: Value) -> bool:
     return bool(one == one and another == another and one != another)  # noqa: PLR0124
 
 
-_ARITHMETIC: Mapping[type, Callable[[float, float], float]] = {
-    ast.Add: operator.add,
-    ast.Sub: operator.sub,
-    ast.Mult: operator.mul,
-    ast.Div: _divide,
-}
-_COMPARISONS: Mapping[type, Callable[[Value, Value], bool]] = {
-    ast.Lt: operator.lt,
-    ast.LtE: operator.le,
-    ast.Gt: operator.gt,
-    ast.GtE: operator.ge,
-    ast.Eq: operator.eq,
-    ast.NotEq: _differ,
-}
+_FUNCTIONS = {function.__name__: function for function in (_divide, _differ)}
+_COMPARISONS = (ast.Lt, ast.LtE, ast.Gt, ast.GtE, ast.Eq, ast.NotEq)

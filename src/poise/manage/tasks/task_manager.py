@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from collections.abc import Set as AbstractSet
+from functools import cache
 
 import msgspec
 from msgspec.structs import replace
@@ -44,8 +45,8 @@ from poise.manage.tasks.task_progress import (
     Saved,
     TaskRecord,
 )
-from poise.model.condition import parse_condition
-from poise.model.policy import SUBJECTS
+from poise.model.condition import Condition, parse_condition
+from poise.model.policy import SUBJECTS, Subject
 from poise.model.robot import Architecture
 from poise.model.steps import Action, Choice, Task, Until
 
@@ -351,7 +352,7 @@ class TaskManager:
         self._unlearned.clear()
 
     def _condition_holds(self, until: Until) -> bool:
-        condition = parse_condition(until.when, SUBJECTS[until.subject])
+        condition = _parsed(until.when, until.subject)
         return any(
             condition(subject)
             for subject in values_of(self._situation(), until.subject)
@@ -403,3 +404,8 @@ class TaskManager:
 
     def _say(self, text: str) -> None:
         self._live.journal.note("decided", text)
+
+
+@cache
+def _parsed(when: str, subject: Subject) -> Condition:
+    return parse_condition(when, SUBJECTS[subject])
