@@ -342,13 +342,13 @@ class _Run:
         ]
         if manager is None or not is_judge or manager.up_since > begin or others:
             return
-        works, live = self.robot.working(), manager.live
+        works, live = set(self.robot.working()), manager.live
         allowed = allowed_computers(self._scenario.robot)
         missing = [
             name
             for name in sorted(live.placement() if live is not None else ())
-            if not {*works.get(name, ())} - {fault.target}
-            and allowed[name] - {fault.target}
+            if (elsewhere := allowed[name] - {fault.target})
+            and works.isdisjoint((name, at) for at in elsewhere)
         ]
         if missing:
             self.robot.ledger.violate(

@@ -7,6 +7,7 @@ Names are unique within their kind; names of components are unique in the whole 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Container, Iterable, Iterator, Mapping
+from itertools import chain
 from typing import Annotated, Literal, Protocol, TypeVar
 
 from msgspec import Struct
@@ -310,9 +311,8 @@ class Robot(Struct, frozen=True, kw_only=True):
     code: Mapping[str, ComponentCode] = {}
 
     def components(self) -> Iterator[ComponentEntry]:
-        """Yield every component of every architecture."""
-        for architecture in self.architectures:
-            yield from architecture.components
+        """Return every component of every architecture."""
+        return chain.from_iterable([a.components for a in self.architectures])
 
     def with_components(
         self, change: Callable[[ComponentEntry], ComponentEntry | None]
@@ -370,10 +370,8 @@ class Robot(Struct, frozen=True, kw_only=True):
         return all(computer.address is None for computer in self.computers)
 
     def all_connectors(self) -> Iterator[Connector]:
-        """Yield every connector, inside architectures first, then between them."""
-        for architecture in self.architectures:
-            yield from architecture.connectors
-        yield from self.connectors
+        """Return every connector, inside architectures first, then between them."""
+        return chain(*[a.connectors for a in self.architectures], self.connectors)
 
     def architecture(self, name: str) -> Architecture:
         """Return the architecture called `name`; KeyError when there is none."""

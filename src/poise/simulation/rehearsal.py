@@ -30,7 +30,9 @@ def unsettled(robot: SimulatedRobot) -> list[str]:
     if manager is None or manager.manager is None or manager.live is None:
         why = robot.managers[-1].error if robot.managers else None
         return [f"no manager is up ({why or 'it starts'})"]
-    working = robot.working()
+    working: dict[str, list[str]] = {}
+    for name, at in robot.working():
+        working.setdefault(name, []).append(at)
     misplaced = [
         f"'{name}' works on {' and '.join(working.get(name, ['nothing']))}, not '{at}'"
         for name, at in sorted(manager.live.placement().items())

@@ -222,7 +222,7 @@ class SimulationObserver:
 
     def _note_outages(self) -> None:
         now = self._robot.scheduler.now
-        working = self._robot.working().keys()
+        working = {name for name, _ in self._robot.working()}
         is_calm = not (self._down or self._since or self._restarting)
         if is_calm and working >= self._placed.keys():
             return

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from itertools import chain
 from typing import TYPE_CHECKING
 
 from poise.wire.records.status_records import (
@@ -28,16 +29,17 @@ _WORKING = {
 
 
 def components_of(statuses: Statuses) -> Iterator[ComponentStatus]:
-    """Yield the components in all statuses, by computer."""
-    for _, status in sorted(statuses.items()):
-        yield from status.components
+    """Return the components in all statuses, by computer."""
+    return chain.from_iterable([s.components for _, s in sorted(statuses.items())])
 
 
-def located(statuses: Statuses) -> Iterator[tuple[str, ComponentStatus]]:
-    """Yield the components in all statuses with their computers, by computer."""
-    for computer, status in sorted(statuses.items()):
-        for component in status.components:
-            yield computer, component
+def located(statuses: Statuses) -> Sequence[tuple[str, ComponentStatus]]:
+    """Return the components in all statuses with their computers, by computer."""
+    return [
+        (computer, component)
+        for computer, status in sorted(statuses.items())
+        for component in status.components
+    ]
 
 
 def calling_ports(statuses: Statuses) -> set[tuple[str, str]]:
@@ -80,10 +82,9 @@ def gateways(statuses: Statuses) -> dict[str, str]:
 
 
 def connectors_of(statuses: Statuses) -> Iterator[ConnectorStatus]:
-    """Yield the connector ends in all statuses."""
-    for status in statuses.values():
-        for container in status.containers:
-            yield from container.connectors
+    """Return the connector ends in all statuses."""
+    containers = chain.from_iterable([s.containers for s in statuses.values()])
+    return chain.from_iterable([container.connectors for container in containers])
 
 
 def not_at_goals(

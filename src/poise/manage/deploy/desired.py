@@ -80,12 +80,14 @@ class Desired(Struct, frozen=True, kw_only=True):
         busy = self.placed.keys() | {
             incarnation.component for incarnation in self.coming
         }
-        idle = (
+        idle = [
             incarnation
             for name, incarnation in self.prefetched.items()
             if name not in busy
-        )
+        ]
         wanted = (*self.placed.values(), *self.coming, *self.configured_ahead, *idle)
+        if not self.held:
+            return wanted
         return tuple(
             replace(incarnation, goal="inactive", held=incarnation.goal == "active")
             if incarnation.component in self.held

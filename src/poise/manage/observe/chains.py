@@ -118,7 +118,7 @@ class ChainReader:
         return tuple(
             _report(chain, running, {n: ends[e] for n, e in into if e in ends})
             for chain, into in self._chains
-            if all(name in running for name in chain.through)
+            if running.keys() >= {*chain.through}
         )
 
 
@@ -128,24 +128,25 @@ def _report(
     came: Mapping[str, ConnectorStatus],
 ) -> ChainReport:
     """Return how old the data of a chain was; `came`: where it comes to a component."""
-    hops = tuple(
+    owns = [_own(running[name][1], chain.name) for name in chain.through]
+    hops = [
         ChainHop(
             component=name,
-            computer=computer,
-            epoch=component.epoch,
-            age=_own(component, chain.name).age,
+            computer=running[name][0],
+            epoch=running[name][1].epoch,
+            age=own.age,
             wire=came[name].latency if name in came else Summary(),
         )
-        for name, (computer, component) in ((n, running[n]) for n in chain.through)
-    )
-    last = _own(running[chain.through[-1]][1], chain.name)
+        for name, own in zip(chain.through, owns, strict=True)
+    ]
+    last = owns[-1]
     return ChainReport(
         name=chain.name,
         deadline=chain.deadline,
         missed=last.missed,
         age=last.age,
-        error=sum(end.latency_error for end in came.values()),
-        hops=hops,
+        error=sum([end.latency_error for end in came.values()]),
+        hops=tuple(hops),
     )
 
 
@@ -168,7 +169,7 @@ def _ends(robot: Robot, chain: Chain) -> list[tuple[str, tuple[str, Side]]]:
     return ends
 
 
-_Sums = tuple[tuple[int, float], ...]
+_Sums = list[tuple[int, float]]
 """Of each component a count, and a sum of times [s]."""
 _Totals = tuple[float, int, int, _Sums, _Sums]
 """When; uses and misses; ages; times on a wire."""
@@ -191,10 +192,10 @@ class ChainAges:
         self._totals = {}
         for report in reports:
             # what moved counts from 0 again
-            key = report.name, tuple(hop.epoch for hop in report.hops)
+            key = report.name, *[hop.epoch for hop in report.hops]
             totals = self._totals[key] = before.get(key) or deque()
-            ages = _sums(hop.age for hop in report.hops)
-            wires = _sums(hop.wire for hop in report.hops)
+            ages = _sums([hop.age for hop in report.hops])
+            wires = _sums([hop.wire for hop in report.hops])
             if not totals or totals[-1][1] != report.age.count:
                 totals.append((now, report.age.count, report.missed, ages, wires))
             _forget(totals, now)
@@ -226,7 +227,7 @@ def _forget(totals: deque[_Totals], now: float) -> None:
 
 
 def _sums(summaries: Iterable[Summary]) -> _Sums:
-    return tuple((summary.count, summary.count * summary.mean) for summary in summaries)
+    return [(summary.count, summary.count * summary.mean) for summary in summaries]
 
 
 def _means(names: Iterable[str], after: _Sums, before: _Sums) -> dict[str, float]:

@@ -57,7 +57,7 @@ class ComponentReports:
     def requests(self) -> Iterator[tuple[str, TaskRequest]]:
         """Yield what components want done with tasks, and which component does."""
         for component in components_of(self._live.current()):
-            for request in self._new_of(component):
+            for request in self._new_of(component) if component.task_requests else ():
                 heard = self._heard.setdefault(component.name, {})
                 heard[component.epoch] = request.number
                 while len(heard) > _EPOCHS:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import secrets
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Literal
 
 from msgspec.structs import asdict
@@ -144,7 +144,7 @@ class RolledBack(RunError):
 class Status(Printable, RobotStatus, frozen=True, tag="RobotStatus", kw_only=True):
     """A status that prints itself as tables, in a terminal and in a notebook."""
 
-    def located(self) -> Iterator[tuple[str, ComponentStatus]]:
+    def located(self) -> Sequence[tuple[str, ComponentStatus]]:
         """Yield the components that its computers report, each with its computer."""
         return located(self.computers)
 

@@ -23,6 +23,7 @@ from poise.simulation.robot.container_host import (
     SimulatedHost,
     SimulatedWatchdog,
 )
+from poise.simulation.robot.modelled_component import SimulatedComponent
 from poise.simulation.robot.modelled_container import SimulatedContainer
 from poise.simulation.robot.simulated_process import Process, SimulatedComputer
 from poise.simulation.scheduler import SimulatedTask
@@ -311,18 +312,8 @@ class SimulatedSampler:
             pid=container.process.pid,
             at=container.process.computer.monotonic(),
             cpu=container.execution.cpu.used,
-            memory=round(sum(component.model.memory for component in components)),
-            components=tuple(
-                ComponentSample(
-                    component.spec.name,
-                    component.spec.epoch,
-                    component.executor.cpu,
-                    0.0,
-                    component.executor.asked,
-                    component.executor.done,
-                )
-                for component in components
-            ),
+            memory=round(sum([component.model.memory for component in components])),
+            components=tuple(map(_of_component, components)),
             connectors=tuple(map(self._of_sender, container.senders.values())),
         )
 
@@ -330,6 +321,13 @@ class SimulatedSampler:
         name, calls, messages = sender.connector.name, sender.calls, sender.messages
         size = round((calls + messages) * self._world.workload.traffic.size_of(name))
         return ConnectorSample(name, calls, messages, size, 0, 0, sender.drops)
+
+
+def _of_component(component: SimulatedComponent) -> ComponentSample:
+    spec, executor = component.spec, component.executor
+    return ComponentSample(
+        spec.name, spec.epoch, executor.cpu, 0.0, executor.asked, executor.done
+    )
 
 
 _SEND_WITHIN = 0.1

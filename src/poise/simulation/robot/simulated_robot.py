@@ -363,16 +363,15 @@ class SimulatedRobot:
         containers = map(self._containers.get, computer.processes)
         return [container for container in containers if container is not None]
 
-    def working(self) -> dict[str, list[str]]:
-        """Return component -> the computers where it works."""
-        working: dict[str, list[str]] = {}
-        for container in self.containers():
-            if not container.process.is_paused:
-                at = container.process.computer.name
-                for component in container.components.values():
-                    if component.executor.is_working:
-                        working.setdefault(component.spec.name, []).append(at)
-        return working
+    def working(self) -> list[tuple[str, str]]:
+        """Return which components work, and on which computers."""
+        return [
+            (component.spec.name, container.process.computer.name)
+            for container in self.containers()
+            if not container.process.is_paused
+            for component in container.components.values()
+            if component.executor.is_working
+        ]
 
     def container_of(
         self, computer: str, component: str, epoch: int
