@@ -12,6 +12,7 @@ from msgspec import structs
 from poise import Component
 from poise.clock import SystemClock
 from poise.errors import RunError
+from poise.runtime.component.ports import Port
 from poise.runtime.hosting.runner import Runner
 from poise.runtime.hosting.wiring import Wiring
 from poise.runtime.migration.executor import MigrationExecutor
@@ -178,6 +179,18 @@ def test_code_that_lacks_a_port_takes_nobodys_place(runner: Runner) -> None:
     outcome = executor.receive(batch(Step("pre-copy", "one", 0)))()
     assert isinstance(outcome, StepsFailed)
     assert "component 'one' has no port 'scan' that publishes" in outcome.reason
+
+
+def test_code_with_another_port_takes_nobodys_place() -> None:
+    runners = {
+        ("one", epoch): Mock(ports={"scan": Port("scan", "publishes", type_)})
+        for epoch, type_ in enumerate((str, int))
+    }
+    executor = MigrationExecutor(runners, Mock(), Mock())
+    step = Step("pre-copy", "one", 1, sources={"one": (0, "")})
+    outcome = executor.receive(batch(step))()
+    assert isinstance(outcome, StepsFailed)
+    assert outcome.reason.startswith("the types differ: 'one.scan' publishes int")
 
 
 @pytest.mark.slow

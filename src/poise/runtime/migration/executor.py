@@ -14,6 +14,7 @@ from poise.priority import as_usual
 from poise.runtime.component.error_report import brief_traceback
 from poise.runtime.hosting.runner import Runner
 from poise.runtime.hosting.wiring import Runners, Wiring
+from poise.runtime.migration.port_check import check_ports
 from poise.runtime.migration.state_transfer import StateReceiver, StateSender
 from poise.runtime.migration.step_taker import StepTaker
 from poise.runtime.waker import poll_until
@@ -174,12 +175,23 @@ class MigrationExecutor(StepTaker):
                 for key in step.lossy:
                     self._wiring.shut(key)
                 runner.endpoints.wait_markers(markers, _left(deadline))
-            case "pre-copy":  # the manager may have heard of none of it yet
-                self._wiring.raise_on_trouble(step.component, step.epoch)
+            case "pre-copy":
+                self._check_ports(step)
         if step.role is not None:
             participant = self._participant(self._runner(step), step.role, migration)
             with participant.phases.taking(step.name, step.phase):
                 participant.run(step, deadline)
+
+    def _check_ports(self, step: Step) -> None:
+        """Raise PoiseError when a target does not fit its connectors.
+
+        The manager may not have heard yet that they could not be opened.
+        """
+        self._wiring.raise_on_trouble(step.component, step.epoch)
+        epoch, _ = step.sources.get(step.component, (step.epoch, ""))
+        before = self._runners.get((step.component, epoch))
+        if before is not None:  # it moves within the container: its code is replaced
+            check_ports(step.component, before.ports, self._runner(step).ports)
 
     def _buffer(self, step: Step, migration: int) -> None:
         for name in step.connectors:
