@@ -271,6 +271,7 @@ tasks: {go: {actions: [{name: go, functions: [servo]}]}}
             "several tasks are planned together only with --smallest",
         ),
         (("--task", "serve", "--compare", "static,auto"), "add --at-once"),
+        (("--compare", "auto", "--method", "static"), "add static to --compare"),
         (("--task", "serve", "--method", "p.yaml"), "a file places all at once"),
         (("--task", "dance"), "no task 'dance'"),
         (("--smallest", "--explain", "eyes"), "run --smallest first"),

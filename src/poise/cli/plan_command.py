@@ -125,6 +125,7 @@ def plan_command(
     """
     tasks = task or []
     _check_together(tasks, explain, phase, compare, smallest=smallest, at_once=at_once)
+    _check_methods(method, compare)
     _check_share(share=share, fewer=fewer, smallest=smallest)
     console = console_to(stderr=True)
 
@@ -205,6 +206,15 @@ def _decide(
 ) -> DecidedByTime:
     with busy("placing"):
         return decided(robot, problem, method, partial(solve, method=method))
+
+
+def _check_methods(method: str, compare: str | None) -> None:
+    """Raise UsageError for a method beside those that are compared."""
+    if compare is not None and method != "auto":
+        raise UsageError(
+            f"--compare {compare} and --method {method} together: add {method} to "
+            "--compare"
+        )
 
 
 def _check_together(

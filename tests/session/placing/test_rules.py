@@ -254,3 +254,20 @@ def test_an_architecture_without_components_is_not_suspended(
     }
     file.write_text(json.dumps(where))
     assert not poise.place(robot, method=str(file)).result.suspended
+
+
+@pytest.mark.parametrize(
+    ("suspended", "said"),
+    [
+        (["al"], "there is no architecture 'al' .did you mean 'all'"),
+        ("all", "'suspended' is no list of architectures"),
+    ],
+)
+def test_a_file_suspends_only_architectures_that_are_there(
+    robot: Robot, tmp_path: Path, suspended: object, said: str
+) -> None:
+    """Else a misspelt one would run, or be said to lack components."""
+    file = tmp_path / "placement.json"
+    file.write_text(json.dumps({"placement": {}, "suspended": suspended}))
+    with pytest.raises(UsageError, match=said):
+        poise.place(robot, method=str(file))

@@ -16,7 +16,7 @@ from msgspec import Struct
 from rich.console import RenderableType
 
 from poise import plan
-from poise.errors import UsageError
+from poise.errors import UsageError, unknown
 from poise.estimate.outcomes import WELL, Conditions
 from poise.estimate.success_rates import learned
 from poise.model.robot import Robot
@@ -131,8 +131,9 @@ def _read(path: Path) -> tuple[Mapping[object, object], frozenset[str]]:
         raise UsageError(
             f"placement {path} is not a mapping of components to computers"
         )
-    names = suspended if isinstance(suspended, list) else ()
-    return found, frozenset(map(str, names))
+    if not isinstance(suspended, list | tuple | type(None)):
+        raise UsageError(f"placement {path}: 'suspended' is no list of architectures")
+    return found, frozenset(map(str, suspended or ()))
 
 
 def _checked(
@@ -168,6 +169,10 @@ def _by_file(rule: str, robot: Robot, problem: plan.Problem) -> plan.Result:
     """
     found, named = _read(Path(rule))
     placement = by_rule(rule, robot, problem)
+    architectures = [architecture.name for architecture in robot.architectures]
+    for name in sorted(named.difference(architectures)):
+        said = unknown("architecture", name, architectures)
+        raise UsageError(f"placement {rule} suspends what is not there: {said}")
     idle = {str(name) for name, computer in found.items() if computer is None}
     suspended, lacking = list[str](), list[str]()
     for need in needs(problem):
