@@ -112,6 +112,22 @@ def test_starts_what_an_architecture_lacks_that_serves_a_task(robot: Robot) -> N
     assert serving_tasks(robot).placement().keys() == names > {"grabber"}
 
 
+def test_parameters_of_what_does_not_run_are_kept_by_each_next_manager(
+    robot: Robot,
+) -> None:
+    parameters = {"thinker": {"gain": 2}}
+    run, agents, _ = run_of(robot)
+    layout = DeploymentLayout(robot, "/run", code_version=version_of)
+    record = encode(Desired(tasks=b"some", parameters=parameters))
+    for computer, told in layout.specs(LEFT[:1], 5, {}).items():
+        agents.begin_deploy(computer, structs.replace(told, desired=record))
+    start_or_take_over(run, by_force=False)
+    assert "thinker" not in run.placed
+    assert run.desired.parameters == parameters
+    _, told = agents.deployed[-1]
+    assert newest_record([told]).parameters == parameters
+
+
 def test_starts_layers_that_never_stop(robot: Robot) -> None:
     eye, *others = robot.architectures
     fixed = tuple(structs.replace(each, layer="reactive") for each in others)

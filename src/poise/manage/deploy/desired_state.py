@@ -197,7 +197,7 @@ class DesiredState:
         if now != self._deployed_for:
             desired = self.desired
             if self.agents.election is None:  # what else runs, agents say themselves
-                desired = Desired(tasks=desired.tasks)
+                desired = Desired(tasks=desired.tasks, parameters=desired.parameters)
             encoded, term = encode(desired), self.agents.manager.term
             is_last = self.desired.is_stopped
             self._deployments = {

@@ -146,7 +146,7 @@ def _take_over(
         _last_epochs(reported),
         record.tasks,
         held,
-        changed_parameters(reported),
+        {**changed_parameters(reported), **record.parameters},
     )
     for sentence in (*unclaimed.values(), *live.unreached().values()):
         live.journal.note("wrong", sentence)
