@@ -91,6 +91,22 @@ def test_ros_2_is_not_watched_for_what_no_robot_file_can_have(
     assert "watching" not in done.stderr
 
 
+@pytest.mark.parametrize("words", [["record"], ["hz", "counter.count"]])
+def test_a_time_is_said_as_everywhere(
+    words: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))  # where no robot runs
+    for time, says in {
+        "2 min": "no robot runs here",
+        "2": "no robot runs here",
+        "soon": "--for soon: 'soon' is not a time such as 200 ms",
+        "0s": "--for 0s: ",
+    }.items():
+        done = run_poise(*words, "--for", time)
+        assert done.returncode == 2
+        assert says in done.stderr
+
+
 def test_a_drawing_without_a_task_is_of_all_functions_and_says_so() -> None:
     tasks = HELLO.with_name("tasks") / "robot.yaml"
     drawn = run_poise("draw", tasks, "--placement", "auto", "-o", "-").stdout

@@ -13,7 +13,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from poise.cli.main import Interrupts
-from poise.cli.options import AsJson, print_json, running, show
+from poise.cli.options import AsJson, parse_option, print_json, running, show
 from poise.cli.running_robot_command import Robot
 from poise.errors import UsageError
 from poise.manage.agent_connections.statuses import connectors_of
@@ -25,7 +25,7 @@ from poise.session.render.tables import table
 from poise.session.robot_file import load_bare
 from poise.session.running_robots.playback import CALLS, play
 from poise.session.running_robots.running import connect
-from poise.units import counted
+from poise.units import SECONDS, counted
 from poise.view.robot_recording import record
 
 
@@ -108,9 +108,10 @@ def record_command(
     rate: Annotated[
         float, typer.Option(help="The most messages of each connector in a second.")
     ] = 400.0,
-    seconds: Annotated[
-        float, typer.Option("--for", help="End after this time [s].")
-    ] = math.inf,
+    for_: Annotated[
+        str | None,
+        typer.Option("--for", help="How long, such as 60s; else until Ctrl-C."),
+    ] = None,
     robot: Robot = None,
     as_json: AsJson = False,
 ) -> None:
@@ -126,11 +127,13 @@ def record_command(
     --------
     poise record
 
-    poise record counter.count --for 60 -o run.mcap
+    poise record counter.count --for 60s -o run.mcap
     """
-    for option, value in ("--rate", rate), ("--for", seconds):
-        if not value > 0:
-            raise UsageError(f"{option} {value:g}: must be a positive number")
+    if not rate > 0:
+        raise UsageError(f"--rate {rate:g}: must be a positive number")
+    seconds = math.inf if for_ is None else parse_option("--for", for_, SECONDS)
+    if not seconds > 0:
+        raise UsageError(f"--for {for_}: a recording must last longer than 0 s")
     status = connect(robot).status()
     names = connectors or []
     if every:

@@ -20,7 +20,7 @@ from msgspec.structs import replace
 from rich.console import Console
 from rich.markup import escape
 
-from poise.cli.options import AsJson, print_json, running, show
+from poise.cli.options import AsJson, parse_option, print_json, running, show
 from poise.cli.running_robot_command import Robot
 from poise.endpoint import is_loopback
 from poise.errors import UsageError
@@ -38,6 +38,7 @@ from poise.session.running_robots.local_robots import (
     robots_here,
 )
 from poise.session.running_robots.running import Running, connect
+from poise.units import SECONDS
 from poise.wire.credentials import Credentials, find
 from poise.wire.records.request_records import OutputLine
 from poise.wire.records.status_records import Summary
@@ -168,9 +169,9 @@ def _log_line(line: OutputLine, *, as_json: bool) -> str:
 
 def hz_command(
     connector: Connector,
-    seconds: Annotated[
-        float, typer.Option("--for", help="How many seconds each line covers.")
-    ] = 1.0,
+    for_: Annotated[
+        str, typer.Option("--for", help="How long each line covers, such as 5s.")
+    ] = "1s",
     count: Annotated[
         int | None, typer.Option(min=1, help="End after so many lines.")
     ] = None,
@@ -184,8 +185,9 @@ def hz_command(
 
     Example: poise hz counter.count
     """
-    if not (math.isfinite(seconds) and seconds > 0):
-        raise UsageError(f"--for {seconds:g}: must be a positive number of seconds")
+    seconds = parse_option("--for", for_, SECONDS)
+    if not seconds > 0:
+        raise UsageError(f"--for {for_}: a line must cover more than 0 s")
     running, lines = Running(robot), 0
     times: list[float] = []
     before, missing, until = None, 0, time.monotonic() + seconds
