@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from fractions import Fraction
+
+import numpy as np
 import pytest
 
 from poise import (
@@ -99,6 +103,31 @@ def test_what_the_code_raises_comes_out() -> None:
     bench = Bench(Pump, {"wish": 8}, tank=Dry())
     with pytest.raises(RuntimeError, match="dry"):
         bench.advance(0.1)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        (lambda pump: pump.measure(3, 1.0), "the name of a measure is a text, not 3"),
+        (lambda pump: pump.measure("x", "y"), "measure 'x': 'y' is not a number"),
+        (lambda pump: pump.measure("x", None), "measure 'x': None is not a number"),
+        (lambda pump: pump.tasks.start(3), "the name of a task is a text, not 3"),
+        (lambda pump: pump.tasks.cancel(None), "of a task is a text, not None"),
+    ],
+)
+def test_what_an_agent_could_not_read_is_refused_where_it_is_said(
+    wrong: Callable[[Pump], None], said: str
+) -> None:
+    with pump() as bench, pytest.raises(UsageError, match=said):
+        wrong(bench.component)
+
+
+def test_any_number_is_measured() -> None:
+    numbers = (1, 2.5, True, np.float32(0.5), np.array(3), Fraction(1, 2))
+    with pump() as bench:
+        for number in numbers:
+            bench.component.measure("any", number)  # type: ignore[arg-type]
+    assert bench.measured["any"] == list(numbers)
 
 
 def test_it_ends_with_the_hooks() -> None:

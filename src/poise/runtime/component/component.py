@@ -80,19 +80,29 @@ class TaskRequests:
 
     def start(self, task: str) -> None:
         """Start a task, with the priority that the robot file gives it."""
-        self._request("start", task)
+        self._ask("start", task)
 
     def pause(self, task: str) -> None:
         """Let a task wait until it is resumed."""
-        self._request("pause", task)
+        self._ask("pause", task)
 
     def resume(self, task: str) -> None:
         """Let a paused task go on."""
-        self._request("resume", task)
+        self._ask("resume", task)
 
     def cancel(self, task: str) -> None:
         """End a task."""
-        self._request("cancel", task)
+        self._ask("cancel", task)
+
+    def _ask(self, verb: Verb, task: str) -> None:
+        _check_text("a task", task)
+        self._request(verb, task)
+
+
+def _check_text(what: str, name: object) -> None:
+    """Raise UsageError for a name that could not be told to the agent."""
+    if not isinstance(name, str):
+        raise UsageError(f"the name of {what} is a text, not {name!r}")
 
 
 class Component:
@@ -221,7 +231,20 @@ class Component:
             ) from None
 
     def measure(self, name: str, value: float) -> None:
-        """Count `value` under `name`; count, mean, maximum and median are reported."""
+        """Count `value` under `name`; count, mean, maximum and median are reported.
+
+        What is below 0, or no number (NaN), counts as 0.
+
+        Raises
+        ------
+        UsageError
+            The name is no text, or the value is of no type of numbers.
+        """
+        _check_text("a measure", name)
+        try:
+            math.isnan(value)
+        except TypeError:
+            raise UsageError(f"measure '{name}': {value!r} is not a number") from None
         self._context.measure(name, value)
 
     def configure(self) -> None:
