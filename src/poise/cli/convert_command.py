@@ -224,7 +224,7 @@ def export_command(
         )
     output.mkdir(parents=True, exist_ok=True)
     for path, text in paths.items():
-        path.write_text(text, encoding="utf-8")
+        write_whole(path, text)
         sys.stdout.write(f"{path}\n")
     for name in exported.left_out:
         sys.stderr.write(f"left out: '{name}', which only Poise can start\n")

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import msgspec
 import typer
 
-from poise.errors import UsageError
+from poise.errors import RunError, UsageError
 from poise.units import Dimension, parse
 
 if TYPE_CHECKING:
@@ -125,10 +125,12 @@ def show(outcome: object, parts: Iterable[RenderableType], *, as_json: bool) -> 
 
 def try_write(path: Path, text: str, say: Callable[[str], object]) -> bool:
     """Write a file, and say so, or why not: its outcome is printed all the same."""
+    from poise.session.folders import write_whole
+
     try:
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        say(f"{path} cannot be written: {error.strerror}")
+        write_whole(path, text)
+    except RunError as error:
+        say(str(error))
         return False
     say(f"wrote {path}")
     return True

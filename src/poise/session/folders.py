@@ -63,11 +63,15 @@ def to_write(path: Path | None) -> Path | None:
 def write_whole(path: Path, text: str) -> None:
     """Write a text file whole or not at all; owner, rights and links to it stay.
 
-    RunError: it cannot be written, and is what it was.
+    A device or a pipe, such as ``/dev/stdout``, is written to. RunError: it cannot be
+    written, and is what it was.
     """
-    target = path.resolve()
-    new = target.with_name(f".{target.name}.new")
     try:
+        if path.exists() and not path.is_file():
+            path.write_text(text, "utf-8", newline="")
+            return
+        target = path.resolve()
+        new = target.with_name(f".{target.name}.new")
         try:
             new.write_text(text, "utf-8", newline="")
             if target.exists():

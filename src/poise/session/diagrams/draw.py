@@ -34,6 +34,7 @@ from poise.session.diagrams.diagram import (
     plantuml,
 )
 from poise.session.diagrams.svg_notation import svg
+from poise.session.folders import write_whole
 from poise.units import (
     counted,
     format_amount,
@@ -63,13 +64,15 @@ class Drawing(Struct, frozen=True):
         ------
         UsageError
             It ends otherwise.
+        RunError
+            It cannot be written, and is what it was.
         """
         path = Path(path)
         if path.suffix not in FORMATS:
             raise UsageError(
                 f"{path}: the name says the format, and ends in {', '.join(FORMATS)}"
             )
-        path.write_text(self.text(path.suffix), encoding="utf-8")
+        write_whole(path, self.text(path.suffix))
 
     def text(self, ending: str = ".mmd") -> str:
         """Return it as SVG (``.svg``), Mermaid (``.mmd``) or PlantUML (``.puml``)."""
