@@ -140,15 +140,27 @@ class Clients:
         is_done = isinstance(result, PortAnswer) and result.outcome == "done"
         if is_done or isinstance(result, TaskDone):
             self._done[_about(command)] = command
-        if isinstance(command, MoveCommand) and isinstance(result, MigrationReport):
-            assert manager.live is not None
-            placed = manager.live.placed.get(command.component)
-            if placed is None:  # its action has ended
-                return
-            if result.committed:
-                ledger.commit(command.component, placed.epoch)
-            elif ledger.is_whole and not self._does_all:  # a task may end it, too
-                ledger.violate("moves-succeed", f"{command}: {result.reason}")
+        name = _component_of(command)
+        if not name or not isinstance(result, MigrationReport):
+            return
+        assert manager.live is not None
+        placed = manager.live.placed.get(name)
+        if placed is None:  # its action has ended
+            return
+        if result.committed:
+            ledger.commit(name, placed.epoch)
+        elif ledger.is_whole and not self._does_all:  # else a task may end it
+            ledger.violate("moves-succeed", f"{command}: {result.reason}")
+
+
+def _component_of(command: Command) -> str:
+    """Return which component gets another incarnation; empty: several, or none."""
+    match command:
+        case MoveCommand(component):
+            return component
+        case ReplaceCommand(component, by, watch=0.0) if ":" in by:
+            return component
+    return ""
 
 
 def _some_move(robot: Robot, names: list[str], choices: Choices) -> MoveCommand:
