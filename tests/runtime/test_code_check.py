@@ -308,6 +308,12 @@ def test_does_not_look_at_the_ports_of_what_has_no_code(check: Check) -> None:
             ["component 'driver': 'nosuchprogram': there is no such program"],
         ),
         (
+            "driver: {ros2: {executable: ./nosuchnode.py}}",
+            "",
+            (10, 16),
+            ["component 'driver': 'python': there is no such script as /"],
+        ),
+        (
             'lacking: {implementation: "PACKAGE.nav:Lacking"}',
             "",
             (10, 17),

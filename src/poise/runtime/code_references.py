@@ -16,7 +16,7 @@ from poise.model.yaml_tree import Finding
 from poise.model.yaml_tree import Path as Place
 from poise.runtime.component.component import Component
 from poise.runtime.component.parameters import parameters_type, problems
-from poise.runtime.hosting.command_line import program
+from poise.runtime.hosting.command_line import runnable
 
 
 def check_origin(
@@ -44,7 +44,7 @@ def check_programs(robot: Robot) -> Iterator[Finding]:
     for path, _, component in components(robot):
         try:
             if component.command:
-                program(component.command[0], robot.folder)
+                runnable(component.command, robot.folder)
         except OSError as error:
             text = f"component '{component.name}': '{component.command[0]}': {error}"
             yield Finding((*path, "ros2" if component.ros2 else "command"), text)

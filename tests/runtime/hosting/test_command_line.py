@@ -14,7 +14,7 @@ import pytest
 
 from poise.clock import SystemClock
 from poise.runtime.container.component_import import implementation_of
-from poise.runtime.hosting.command_line import CommandLine, program
+from poise.runtime.hosting.command_line import CommandLine, program, runnable
 from poise.runtime.hosting.runner import Runner
 from poise.runtime.waker import wait_readable
 from poise.wire.records.deployment_records import ComponentSpec
@@ -202,6 +202,30 @@ def test_a_program_that_is_not_there_fails_before_anything_runs(
         f"'{name}' cannot be started: there is no such program"
     )
     assert runner.status().errors == 1
+
+
+def test_a_script_that_is_not_there_fails_before_anything_runs(
+    running: Running,
+) -> None:
+    runner = running.command("python", "nodes/eye.py", "--fast")
+    reach(runner, "failed")
+    said = runner.status().error
+    assert said.startswith("'python' cannot be started: there is no such script as /")
+    assert said.endswith("/nodes/eye.py")
+
+
+def test_a_file_that_may_not_be_executed_is_told_from_none(tmp_path: Path) -> None:
+    (tmp_path / "plan.sh").touch(0o644)
+    with pytest.raises(PermissionError, match=r"/plan.sh may not be executed: see `"):
+        runnable(("./plan.sh",), str(tmp_path))
+
+
+@pytest.mark.parametrize("argument", ["plan.py", "--version", "-c", "."])
+def test_python_gets_its_script_or_options(tmp_path: Path, argument: str) -> None:
+    (tmp_path / "plan.py").touch()
+    argv = runnable(("python", argument), str(tmp_path))
+    assert argv == [sys.executable, argument]
+    assert runnable(("python",), str(tmp_path)) == [sys.executable]
 
 
 def test_arguments_that_no_program_can_get_fail_it(running: Running) -> None:

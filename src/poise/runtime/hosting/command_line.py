@@ -14,7 +14,7 @@ import shutil
 import signal
 import subprocess
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
@@ -32,6 +32,7 @@ _STOP_LIMIT = 0.8
 """A process that was asked to end is killed after this time [s]; its container gives a
 component a second."""
 _KILL_LIMIT = 0.5
+_PYTHON = {"python", "python3"}
 _PR_SET_PDEATHSIG = 1
 _prctl = ctypes.CDLL(None).prctl
 
@@ -48,10 +49,9 @@ class CommandLine(Component):
     def configure(self) -> None:
         """Look for the program."""
         try:
-            path = program(self.command[0], self.folder)
+            self._argv = runnable(self.command, self.folder)
         except OSError as error:
             raise self._not_started(error) from None
-        self._argv = [path, *self.command[1:]]
 
     def activate(self) -> None:
         """Start the process."""
@@ -135,17 +135,28 @@ class CommandLine(Component):
         return RobotError(f"'{self.command[0]}' cannot be started: {error}")
 
 
+def runnable(command: Sequence[str], folder: str) -> list[str]:
+    """Return a command line with its program's path; FileNotFoundError: what lacks."""
+    name, *arguments = command
+    script = Path(folder, arguments[0]).absolute() if arguments else Path()
+    if name in _PYTHON and not script.exists() and not arguments[0].startswith("-"):
+        raise FileNotFoundError(f"there is no such script as {script}")
+    return [program(name, folder), *arguments]
+
+
 def program(name: str, folder: str) -> str:
     """Return the program's path; ``python`` is the one that Poise runs in.
 
     ``ros2:package/executable`` is one of a package of ROS 2.
     """
-    if name in {"python", "python3"}:
+    if name in _PYTHON:
         return sys.executable
     if name.startswith("ros2:"):
         return _ros2_executable(*name.removeprefix("ros2:").split("/", 1))
     beside = Path(folder, name).absolute()  # the `python` of a venv is a link
     path = shutil.which(str(beside)) if "/" in name else shutil.which(name)
+    if path is None and "/" in name and beside.is_file():
+        raise PermissionError(f"{beside} may not be executed: see `chmod +x`")
     if path is None:
         where = f"as {beside}" if "/" in name else "on the PATH"
         raise FileNotFoundError(f"there is no such program {where}")

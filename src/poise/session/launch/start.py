@@ -24,7 +24,7 @@ from poise.manage.deploy.deactivation import stop
 from poise.manage.deploy.live_robot import LiveRobot
 from poise.manage.journal import Journal
 from poise.model.robot import Robot
-from poise.runtime.hosting.command_line import die_with_parent, program
+from poise.runtime.hosting.command_line import die_with_parent, runnable
 from poise.runtime.waker import wait_readable
 from poise.session import Check, Say, log, nothing
 from poise.session.folders import scratch_folder
@@ -148,7 +148,7 @@ def _start(
 ) -> subprocess.Popen[bytes]:
     try:
         return subprocess.Popen(  # noqa: S603, the robot file's own command
-            [program(command[0], robot_folder or "."), *command[1:]],
+            runnable(command, robot_folder or "."),
             cwd=robot_folder or None,
             env={**os.environ, "POISE_RUN": str(folder)},
             stdin=subprocess.PIPE,  # its end tells the world that we are gone
