@@ -210,6 +210,27 @@ def test_the_name_of_a_method_is_no_placement() -> None:
             call(robot, placement=method)
 
 
+def test_a_placement_of_another_task_is_refused() -> None:
+    robot = greeter()
+    (greet,) = robot.tasks
+    wave = structs.replace(greet, name="wave")
+    robot = structs.replace(robot, tasks=(greet, wave))
+    placed = poise.place(robot, "wave")
+    with pytest.raises(poise.UsageError, match="of task 'wave', not of 'greet'"):
+        poise.run(robot, "greet", seconds=1.0, placement=placed)
+    both = poise.up(robot, ["greet", "wave"], placement=placed)
+    with pytest.raises(poise.UsageError, match="not of 'greet' and 'wave'"), both:
+        pass
+
+
+def test_metrics_need_a_port() -> None:
+    with (
+        pytest.raises(poise.UsageError, match="port 65536: it is from 1 to 65535"),
+        poise.up(greeter(), metrics=65536),
+    ):
+        pass
+
+
 def test_only_up_starts_several_tasks() -> None:
     robot, tasks = greeter(), cast("Any", ["greet"])
     with pytest.raises(poise.UsageError, match="not the name of a task"):

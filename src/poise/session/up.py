@@ -54,6 +54,7 @@ if TYPE_CHECKING:
     from poise.manage.observe.prometheus import MetricsServer
 
 
+_PORTS = 1 << 16
 _END_LIMIT = 60.0
 """What the manager has begun, such as a move, ends within this time [s]."""
 
@@ -184,6 +185,8 @@ def up(  # noqa: PLR0913 - each is a choice of the user
     if take_over:
         _check_outlives(robot)
     names = _tasks_of(robot, task)
+    if metrics is not None and not 0 < metrics < _PORTS:
+        raise UsageError(f"metrics on port {metrics}: it is from 1 to {_PORTS - 1}")
     actions = [each for name in names for each in robot.actions(name)]
     robot = as_deployed(learned(robot, actions).robot)
     decided: list[str] = []

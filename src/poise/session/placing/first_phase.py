@@ -46,6 +46,7 @@ def first_phase(
 
     Architectures of low priority are suspended when not all fits.
     """
+    _check_placement(placement, tasks)
     started = Tasks(robot, say, lambda c, _: choose(robot, c, WELL, say))
     now = boot_time()
     for name in tasks:
@@ -53,11 +54,6 @@ def first_phase(
     started.arbitrate(now)
     started.announce()
     first, *others = started.going()
-    if not isinstance(placement, Placement | None):
-        raise UsageError(
-            f"{placement!r} is not a placement: `poise.place(robot, TASK, method=...)` "
-            "returns one"
-        )
     chosen = placement or place(robot, first.name, fewer=True)
     if chosen.task_result.reason and len(chosen.phases) > 1:
         say(f"not all of task '{first.name}' fits: {chosen.task_result.reason}")
@@ -80,6 +76,23 @@ def first_phase(
         what = " and ".join(f"'{each.name}'" for each in (first, *others))
         raise RobotError(f"task {what} has no placement: {chosen.reason}")
     return FirstPhase(started, chosen)
+
+
+def _check_placement(placement: object, tasks: Sequence[str]) -> None:
+    """Raise UsageError for what is no placement, or is one of another task."""
+    if placement is None:
+        return
+    if not isinstance(placement, Placement):
+        raise UsageError(
+            f"{placement!r} is not a placement: `poise.place(robot, TASK, method=...)` "
+            "returns one"
+        )
+    if placement.task is not None and [*tasks] != [placement.task]:
+        wanted = " and ".join(f"'{each}'" for each in tasks)
+        raise UsageError(
+            f"the placement is of task '{placement.task}', not of {wanted}: "
+            "`poise.place(robot, TASK)` returns one, and without TASK that of all"
+        )
 
 
 class Listed(Struct, frozen=True, kw_only=True, rename={"where": "from"}):
