@@ -107,6 +107,13 @@ def test_a_time_is_said_as_everywhere(
         assert says in done.stderr
 
 
+def test_a_task_that_is_named_twice_is_no_task_that_runs_already() -> None:
+    done = run_poise("up", HELLO / "robot.yaml", *2 * ["--task", "greet"])
+    assert done.returncode == 2
+    assert done.stderr == "task 'greet' is named twice; name each task once\n"
+    assert not done.stdout
+
+
 def test_a_drawing_without_a_task_is_of_all_functions_and_says_so() -> None:
     tasks = HELLO.with_name("tasks") / "robot.yaml"
     drawn = run_poise("draw", tasks, "--placement", "auto", "-o", "-").stdout

@@ -236,11 +236,13 @@ def up(  # noqa: PLR0913 - each is a choice of the user
 
 
 def _tasks_of(robot: Robot, task: str | Sequence[str] | None) -> Sequence[str]:
-    """Return the tasks to start; UsageError when a list names none."""
+    """Return the tasks to start; UsageError when a list names none, or one twice."""
     if task is None or isinstance(task, str):
         return [task_of(robot, task)]
     if not task:
         raise UsageError("name a task to start, or leave it out for the robot's first")
+    if twice := next((each for each in task if task.count(each) > 1), None):
+        raise UsageError(f"task '{twice}' is named twice; name each task once")
     return [task_of(robot, each) for each in task]
 
 
