@@ -128,6 +128,33 @@ def test_parameters_of_what_does_not_run_are_kept_by_each_next_manager(
     assert newest_record([told]).parameters == parameters
 
 
+def test_what_was_replaced_begins_again_with_its_other_code(robot: Robot) -> None:
+    """Also for the next manager; but not once the robot file has another class."""
+    run, agents, _ = run_of(robot, *LEFT)
+    start_or_take_over(run, by_force=False)
+    other = structs.replace(LEFT[1], epoch=9, implementation="mind:Other", code="2f")
+    run.commit(run.desired.placing([other]), "it is replaced")
+    run.commit(run.desired.without(["thinker"]), "nothing needs it")
+    again = run.begun("thinker", "right")
+    assert (again.implementation, again.code) == ("mind:Other", "2f")
+    for changed, begins in ((robot, "mind:Other"), (_with_class(robot, "m:New"), "")):
+        follower, others, _ = run_of(changed)
+        for computer, told in agents.deployed[-2:]:
+            others.begin_deploy(computer, told)
+        start_or_take_over(follower, by_force=False)
+        assert follower.placed["thinker"].implementation == begins
+
+
+def _with_class(robot: Robot, implementation: str) -> Robot:
+    return robot.with_components(
+        lambda c: (
+            structs.replace(c, implementation=implementation)
+            if c.name == "thinker"
+            else c
+        )
+    )
+
+
 def test_starts_layers_that_never_stop(robot: Robot) -> None:
     eye, *others = robot.architectures
     fixed = tuple(structs.replace(each, layer="reactive") for each in others)

@@ -51,6 +51,14 @@ class Incarnation(Struct, frozen=True, kw_only=True):
         return structs.replace(self, goal=goal)
 
 
+class OtherCode(Struct, frozen=True):
+    """What a component runs since it was replaced, also when it begins again."""
+
+    implementation: str  # as of an `Incarnation`
+    code: str  # the same
+    instead_of: str  # the robot file's implementation then, and the version of its code
+
+
 class Desired(Struct, frozen=True, kw_only=True):
     """What should run on all computers of a robot."""
 
@@ -67,6 +75,8 @@ class Desired(Struct, frozen=True, kw_only=True):
     preparation_cpu: Mapping[str, float] = {}
     # component -> its parameters that were set since the start
     parameters: Mapping[str, Mapping[str, Any]] = {}
+    # component -> its code, if that is not the robot file's
+    other_code: Mapping[str, OtherCode] = {}
     # what the next manager needs to go on with the tasks; agents keep it
     tasks: bytes = b""
     generation: int = 0

@@ -22,7 +22,7 @@ from poise.manage.agent_connections.agents import Agents
 from poise.manage.agent_connections.statuses import gateways
 from poise.manage.deploy.adoption import as_committed, found_in, joined_by
 from poise.manage.deploy.deployment_layout import DeploymentLayout
-from poise.manage.deploy.desired import Desired, Incarnation, difference
+from poise.manage.deploy.desired import Desired, Incarnation, OtherCode, difference
 from poise.manage.deploy.reconciler import JoiningComputer, Reconciler
 from poise.manage.journal import Journal
 from poise.manage.observe.troubles import ManagerParts
@@ -122,7 +122,9 @@ class DesiredState:
             # later than any that the agents ever saw, from whatever manager
             seen = [status.generation for status in statuses.values()]
             self.desired = structs.replace(
-                desired, generation=max(desired.generation, *seen, 0) + 1
+                desired,
+                generation=max(desired.generation, *seen, 0) + 1,
+                other_code=self._other_code(desired),
             )
             if changes := difference(before, desired):
                 self.journal.note("desired", why, changes=changes)
@@ -145,6 +147,7 @@ class DesiredState:
         tasks: bytes,
         held: frozenset[str],
         parameters: Mapping[str, Mapping[str, Any]],
+        other_code: Mapping[str, OtherCode],
     ) -> None:
         """Go on with what an earlier manager left, in place of what was planned."""
         self._epochs = dict(last_epochs)
@@ -158,6 +161,7 @@ class DesiredState:
             tasks=tasks,
             held=held,
             parameters=parameters,
+            other_code=other_code,
             generation=self._last_epoch,
         )
         self.commit(desired, "taking the robot over")
@@ -182,6 +186,32 @@ class DesiredState:
         self._epochs[component] = max(last + 1, least)
         return self._epochs[component]
 
+    def begun(self, component: str, computer: str) -> Incarnation:
+        """Return a new incarnation of a component that does not run."""
+        other = self.desired.other_code.get(component)
+        if other is not None and other.instead_of != self._own_code(component):
+            other = None  # the robot has been started with other code since
+        return Incarnation(
+            component=component,
+            computer=computer,
+            epoch=self.next_epoch(component),
+            implementation=other.implementation if other else "",
+            code=other.code if other else "",
+        )
+
+    def _other_code(self, desired: Desired) -> dict[str, OtherCode]:
+        """Return which components have other code, as far as they were placed."""
+        known = dict(desired.other_code)
+        for name, placed in desired.placed.items():
+            known.pop(name, None)
+            if placed.implementation or placed.code:
+                instead_of = self._own_code(name)
+                known[name] = OtherCode(placed.implementation, placed.code, instead_of)
+        return known
+
+    def _own_code(self, component: str) -> str:
+        return f"{self.robot.component(component).implementation}@{self.robot.deployed}"
+
     def why_held(self, component: str) -> str:
         """Return why a component stays inactive, for people."""
         missing = allowed_computers(self.robot)[component] - self.claimed
@@ -197,7 +227,11 @@ class DesiredState:
         if now != self._deployed_for:
             desired = self.desired
             if self.agents.election is None:  # what else runs, agents say themselves
-                desired = Desired(tasks=desired.tasks, parameters=desired.parameters)
+                desired = Desired(
+                    tasks=desired.tasks,
+                    parameters=desired.parameters,
+                    other_code=desired.other_code,
+                )
             encoded, term = encode(desired), self.agents.manager.term
             is_last = self.desired.is_stopped
             self._deployments = {

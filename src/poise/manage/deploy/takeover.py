@@ -23,7 +23,7 @@ from poise.manage.deploy.adoption import (
     is_half_done,
     where_held,
 )
-from poise.manage.deploy.desired import Desired, Incarnation
+from poise.manage.deploy.desired import Desired
 from poise.manage.deploy.live_robot import (
     ACTIVE_LIMIT,
     READY_LIMIT,
@@ -147,6 +147,7 @@ def _take_over(
         record.tasks,
         held,
         {**changed_parameters(reported), **record.parameters},
+        {n: c for n, c in record.other_code.items() if n not in adoption.restarts},
     )
     for sentence in (*unclaimed.values(), *live.unreached().values()):
         live.journal.note("wrong", sentence)
@@ -394,10 +395,7 @@ def _start(
     where: Mapping[str, str],
 ) -> None:
     """Start what does not go on; what cannot start is a deviation from then on."""
-    starts = [
-        Incarnation(component=name, computer=computer, epoch=live.next_epoch(name))
-        for name, computer in where.items()
-    ]
+    starts = [live.begun(name, computer) for name, computer in where.items()]
     # what is out of reach starts elsewhere, if it may, or once it is reached
     new = [
         incarnation for incarnation in starts if incarnation.computer in live.claimed

@@ -264,10 +264,8 @@ def plan_alternative(
     where = _placement(live, old, new)
     sources = tuple(live.placed[component.name] for component in old.components)
     targets = tuple(
-        Incarnation(
-            component=component.name,
-            computer=where[component.name],
-            epoch=live.next_epoch(component.name),
+        structs.replace(
+            live.begun(component.name, where[component.name]),
             goal="inactive",
             adapt=adapt,
             fresh=fresh,

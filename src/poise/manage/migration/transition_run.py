@@ -38,12 +38,12 @@ def start_together(
     """
     new = [
         structs.replace(
-            instead.get(name)
-            or live.placed.get(name, Incarnation(component=name, computer=computer)),
+            instead.get(name) or live.placed.get(name) or begun,
             computer=computer,
-            epoch=live.next_epoch(name),
+            epoch=begun.epoch,
         )
         for name, computer in placement.items()
+        for begun in [live.begun(name, computer)]
     ]
     new = [_with_checkpoint(live, incarnation) for incarnation in new]
     old = [live.placed[name] for name in sorted(placement.keys() & live.placed.keys())]
@@ -155,8 +155,6 @@ class _Transition:
     def __init__(self, live: LiveRobot) -> None:
         self.moves: list[MigrationReport] = []
         self._live = live
-        # what is started again may have been replaced since the robot began
-        self._ended: dict[str, Incarnation] = {}
 
     def execute(self, step: TransitionStep) -> str:
         """Take a step; return why it failed, or an empty text."""
@@ -183,14 +181,7 @@ class _Transition:
 
     def _start(self, component: str, computer: str) -> None:
         live = self._live
-        before = self._ended.get(component)
-        new = Incarnation(
-            component=component,
-            computer=computer,
-            epoch=live.next_epoch(component),
-            implementation=before.implementation if before else "",
-            code=before.code if before else "",
-        )
+        new = live.begun(component, computer)
         try:
             inactive = [new.with_goal("inactive")]
             live.bring(inactive, READY_LIMIT, f"prepare '{component}'")
@@ -204,7 +195,6 @@ class _Transition:
     def _stop(self, component: str) -> None:
         live = self._live
         old = live.placed[component]
-        self._ended[component] = old
         live.commit(live.desired.without([component]), f"end '{component}'")
         try:
             live.wait_ended(old)

@@ -103,14 +103,8 @@ def _prepared(
         found = live.reported(before)
         if found is None or found.state != "failed":
             return before
-    return Incarnation(
-        component=name,
-        computer=computer,
-        epoch=live.next_epoch(name),
-        goal="inactive",
-        gently=gently,
-        unjoined=True,
-    )
+    new = live.begun(name, computer)
+    return replace(new, goal="inactive", gently=gently, unjoined=True)
 
 
 def _wait(live: LiveRobot, wanted: Collection[Incarnation], limit: float) -> None:
