@@ -18,6 +18,7 @@ from poise.manage.control_socket.commands import (
     TaskCommand,
     TaskDone,
 )
+from poise.manage.journal import JournalEntry
 from poise.manage.migration.migration_report import MigrationReport
 from poise.manage.tasks.task_progress import OVER
 from poise.model.robot import Robot
@@ -67,6 +68,9 @@ class Clients:
         self._number = 0
         self._asked: dict[str, Command] = {}
         self._done: dict[str, Command] = {}
+        self._moved: set[str] = set()
+        if does_all:
+            robot.on_entry = self._note_entry
 
     def begin(self, at: float) -> None:
         """Ask first at a moment [s]."""
@@ -102,6 +106,12 @@ class Clients:
             elif isinstance(command, ReplaceCommand) and _breaks(command):
                 robot.ledger.is_whole = False
             is_more = choices.happens("clients", _AT_ONCE)
+
+    def _note_entry(self, entry: JournalEntry) -> None:
+        """Let epochs begin anew where a manager found nothing at work: no task was."""
+        if entry.what.startswith("starting "):
+            for name in self._moved:
+                self._robot.ledger.commit(name, 0)
 
     def _some_command(self, manager: SimulatedManager) -> Command:
         """Return what one asks for, most often about what runs."""
@@ -148,6 +158,7 @@ class Clients:
         if placed is None:  # its action has ended
             return
         if result.committed:
+            self._moved.add(name)
             ledger.commit(name, placed.epoch)
         elif ledger.is_whole and not self._does_all:  # else a task may end it
             ledger.violate("moves-succeed", f"{command}: {result.reason}")
