@@ -237,6 +237,7 @@ def test_robots_with_alternatives_pins_and_several_tasks_do_what_is_desired(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [0, 3])
+@pytest.mark.parametrize("seed", [0, 609, 1032])
 def test_robots_on_which_all_is_tight_do_what_tasks_and_clients_want(seed: int) -> None:
-    assert run(seed, 30.0, "wild").message == ""
+    """One lost parameters; in one a switch began what was found at work meanwhile."""
+    assert run(seed, 60.0, "wild").message == ""

@@ -69,12 +69,13 @@ def switch(live: LiveRobot, ends: Collection[str], begins: Mapping[str, str]) ->
         replace(_prepared(live, name, at), unjoined=False, gently=False)
         for name, at in begins.items()
     ]
-    active = [incarnation.with_goal("active") for incarnation in new]
     desired = live.desired.without([*ends, *begins]).with_prefetched(idle)
     try:
         live.commit(desired.with_coming(new), "switch to the next action")
         _wait(live, [*idle, *new], READY_LIMIT)
         live.end_left_behind(new)
+        # what is at work on a computer that was joined meanwhile goes on
+        active = [e.with_goal("active") for e in new if e.component not in live.placed]
         live.commit(live.desired.with_coming(active), "activate the next action")
         _wait(live, active, ACTIVE_LIMIT)
     except RunError as error:
