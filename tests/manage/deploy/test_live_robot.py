@@ -142,8 +142,23 @@ def test_what_does_not_stop_is_named(robot: Robot, agents: FakeAgents) -> None:
     run, _ = run_of(robot, agents)
     run.start()
     agents.deaf.add("left")
-    with pytest.raises(RunError, match="everything on 'left' still ran 5 s"):
+    with pytest.raises(RunError, match="everything on 'left' still ran 15 s"):
         stop(run)
+
+
+def test_a_stop_says_what_did_not_end_in_time(robot: Robot, agents: FakeAgents) -> None:
+    run, journal = run_of(robot, agents)
+    run.start()
+    before = Fault(container="c", message="was restarted", number=1)
+    agents.note_faults(before)
+    late = Fault(container="c", message="was ended: it parks", number=2)
+    agents.faults = before, late
+    stop(run)
+    assert run.remaining == (
+        "stopped, but: container 'c' on 'left' was ended: it parks; "
+        "container 'c' on 'right' was ended: it parks"
+    )
+    assert journal.entries()[-1].what == "everything stopped"
 
 
 def test_a_stop_says_what_still_runs_out_of_reach(

@@ -127,6 +127,14 @@ class Greedy(Component):
     def activate(self):
         ctypes.PyDLL(None).sleep(1000)  # with the GIL
 
+class Parking(Component):
+    def deactivate(self):
+        time.sleep(2.5)
+
+    def cleanup(self):
+        time.sleep(0.5)
+        pathlib.Path("parked").touch()
+
 class Stubborn(Component):
     def deactivate(self):
         while True: pass
@@ -493,8 +501,22 @@ def test_kills_one_that_will_not_end(manager: Manager) -> None:
     manager.deploy("stubborn")
     container = manager.wait_active("stubborn")
     manager.deploy()
-    manager.wait_for(lambda status: not status.containers)
+    status = manager.wait_for(lambda status: not status.containers)
     wait_gone(container.pid)
+    fault = status.faults[-1]
+    said = "was ended: component 'stubborn' did not end in time: 'deactivate' has run"
+    assert said in fault.message
+
+
+def test_waits_until_one_has_parked(manager: Manager) -> None:
+    """Its last hook takes longer than a handler may."""
+    manager.deploy("parking")
+    container = manager.wait_active("parking")
+    manager.deploy()
+    status = manager.wait_for(lambda status: not status.containers)
+    wait_gone(container.pid)
+    assert (manager.folder / "parked").exists()
+    assert "parking" not in [fault.container for fault in status.faults]
 
 
 def test_runs_a_command_and_starts_it_anew_when_it_ends(manager: Manager) -> None:

@@ -56,6 +56,7 @@ class Process:
         self.fault: Exception | None = None
         self.lease_end = 0.0
         self.is_lapsed = False
+        self.beats = 1
 
     def note_born(self, pid: int) -> None:
         pass
@@ -75,7 +76,7 @@ class Process:
         self.signals.append(number)
 
     def heartbeat(self) -> int | None:
-        return 1
+        return self.beats
 
     def close(self) -> None:
         pass
@@ -443,6 +444,23 @@ def test_the_end_asks_first_and_kills_what_does_not_end() -> None:
     world.core.on_ended(101, ProcessEnd(9))
     assert world.core.has_ended()
     assert not world.status.faults
+
+
+def test_a_container_that_ends_may_take_as_long_as_its_heart_beats() -> None:
+    world = World()
+    world.deploy("see")
+    process = world.host.processes["see"]
+    world.deploy()
+    for _ in range(5):
+        process.beats += 1
+        world.run(1.5)
+    assert process.signals == [SIGTERM]
+    world.run(4.1)
+    assert process.signals == [SIGTERM, SIGKILL]
+    world.core.on_ended(100, ProcessEnd(9))
+    world.run(0.6)
+    (fault,) = world.status.faults
+    assert fault.message == "was ended: it did not end within 2 s"
 
 
 def test_what_an_earlier_agent_wanted_is_started_without_a_manager() -> None:

@@ -15,7 +15,8 @@ from poise.manage.agent_connections.statuses import (
 )
 from poise.manage.deploy.desired import Incarnation
 from poise.manage.deploy.live_robot import LiveRobot
-from poise.wire.records.status_records import ConnectorStatus
+from poise.manage.observe.deviations import fault_sentence, faults_after, last_numbers
+from poise.wire.records.status_records import ENDING_LIMIT, ConnectorStatus
 
 
 def levels(names: Collection[str], leads: Iterable[tuple[str, str]]) -> list[list[str]]:
@@ -59,8 +60,9 @@ Leads = list[tuple[str, str]]
 """Pairs of components of which the first calls the second, or publishes to it."""
 
 REST_LIMIT = 2.0
-"""Components become inactive within this time [s], or are not waited for any longer.
-Containers are patient with a handler for half of it."""
+"""Components become inactive within this time [s], or are not waited for any longer,
+unless they are amid `deactivate`. Containers are patient with a handler for half of
+it."""
 ARRIVAL_LIMIT = 2.5
 """Messages of a source that was deactivated are processed within this time [s]:
 containers report their counts once a second, agents twice."""
@@ -101,7 +103,10 @@ def _deactivate(live: LiveRobot, leads: Leads) -> Iterator[set[str]]:
         inactive |= set(level)
         why = f"{', '.join(sorted(level))}: callers end before those whom they call"
         live.commit(live.desired.aiming("inactive", inactive), why)
-        live.agents.wait_news(partial(_are_inactive, live, inactive), REST_LIMIT)
+        if not live.agents.wait_news(
+            partial(_are_inactive, live, inactive), REST_LIMIT
+        ):
+            live.agents.wait_news(partial(_have_ended, live, inactive), ENDING_LIMIT)
         yield inactive
 
 
@@ -114,6 +119,14 @@ def _are_inactive(live: LiveRobot, names: Collection[str]) -> bool:
         if incarnation.component in names
     ]
     return not maybe_active(places, live.computers(), live.current())
+
+
+def _have_ended(live: LiveRobot, names: Collection[str]) -> bool:
+    """Return whether components are inactive, or something else keeps them."""
+    return _are_inactive(live, names) or not any(
+        component.name in names and component.handler == "deactivate"
+        for component in components_of(live.current())
+    )
 
 
 def maybe_active(
@@ -189,8 +202,8 @@ def stop(live: LiveRobot) -> None:
     """Stop everything, callers first, on all computers that are reached.
 
     Computers that come back within `RETURN_LIMIT` are stopped, too. Harmless when
-    repeated, and where another manager has the robot. After RunError, `live.remaining`
-    says what still runs.
+    repeated, and where another manager has the robot. `live.remaining` says what did
+    not end in time; after RunError, what still runs.
     """
     if live.is_left or live.desired.is_stopped:
         return
@@ -203,6 +216,7 @@ def stop(live: LiveRobot) -> None:
 
 def _stop(live: LiveRobot) -> None:
     agents, live.goes_on_without_lost = live.agents, True
+    before = last_numbers(agents.statuses())
     with contextlib.suppress(RunError):  # it is only for quiet
         deactivate_callers(live)
     away = {computer.name for computer in live.robot.computers} - live.computers()
@@ -211,6 +225,13 @@ def _stop(live: LiveRobot) -> None:
         agents.wait_news(lambda: away <= live.computers(), RETURN_LIMIT)
         if not away.isdisjoint(live.computers()):
             live.end_all("computers that are back are stopped")
+    late = [
+        fault_sentence(computer, fault)
+        for computer, fault in faults_after(before, agents.statuses())
+    ]
+    if late:
+        live.remaining = f"stopped, but: {'; '.join(late)}"
+        live.journal.note("failed", live.remaining)
     text = "; ".join(
         f"{sentence}; `poise stop --file FILE` ends it once '{name}' is reached"
         for name, sentence in live.unreached().items()

@@ -38,6 +38,7 @@ from poise.units import counted
 from poise.wire.heartbeats import LEASES_END_WITHIN
 from poise.wire.records.deployment_records import Goal
 from poise.wire.records.status_records import (
+    ENDING_LIMIT,
     AgentStatus,
     ComponentStatus,
     ContainerHealth,
@@ -47,7 +48,8 @@ from poise.wire.records.status_records import (
 READY_LIMIT = 20.0
 """All components are configured and all connectors joined within this time [s]."""
 ACTIVE_LIMIT = 10.0
-STOP_LIMIT = 5.0
+STOP_LIMIT = ENDING_LIMIT + 5.0
+"""Containers that were asked to end have ended within this time [s]."""
 _LOOK_EVERY = 0.02
 _BACK_WITHIN = 10.0
 """A computer may be out of reach for so long while the robot starts [s]."""

@@ -50,6 +50,7 @@ from poise.wire.records.request_records import (
     Refused,
 )
 from poise.wire.records.status_records import (
+    ENDING_LIMIT,
     AgentStatus,
     ContainerRequest,
     FromContainer,
@@ -211,7 +212,7 @@ class AgentCore:
     def end(self) -> None:
         """End every container in stages, in the ticks until `has_ended`."""
         self._has_news = True
-        self._end_limit = self._clock.now() + STOP_LIMIT + 1
+        self._end_limit = self._clock.now() + ENDING_LIMIT + STOP_LIMIT + 1
         self._parts = tuple(
             part for part in self._parts if part.name in {"steps", "containers"}
         )

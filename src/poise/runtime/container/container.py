@@ -15,7 +15,7 @@ import signal
 import socket
 import sys
 import time
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from types import FrameType
@@ -60,6 +60,7 @@ from poise.wire.records.heartbeat_records import Clocks
 from poise.wire.records.migration_records import MigrationSteps
 from poise.wire.records.request_records import PortRequest, Tap
 from poise.wire.records.status_records import (
+    ENDING_LIMIT,
     ComponentStatus,
     ContainerAnswer,
     ContainerFailure,
@@ -79,6 +80,8 @@ a status takes longer to make and to pass on than they do."""
 _JOINING_EVERY = 0.02
 """While a connector is not joined, it is looked for this often [s]."""
 _STOP_LIMIT = 1.0
+"""The handlers that run when a container is to end are waited for so long [s]."""
+_LOOK_EVERY = 0.05
 _STEP_THREADS = 4
 _LONG_PAUSE = 3.0
 """No move pauses a component for so long while there is a manager [s]."""
@@ -399,7 +402,7 @@ class Container:
     def _remove(self, key: ComponentKey) -> None:
         runner = self._runners.pop(key)
         runner.aim("finalized")
-        self._ending[key] = runner, self._clock.now() + _STOP_LIMIT
+        self._ending[key] = runner, self._clock.now() + ENDING_LIMIT
         self._steps.forget(runner)
         self._outside.forget(runner)
 
@@ -410,7 +413,7 @@ class Container:
             del self._ending[key]
         for key, (runner, limit) in self._ending.items():
             if self._clock.now() > limit:
-                log.warning("component '%s' did not end in %g s", key[0], _STOP_LIMIT)
+                log.warning("component '%s' did not end in %g s", key[0], ENDING_LIMIT)
                 self._ending[key] = runner, math.inf
         return bool(ended)
 
@@ -439,19 +442,39 @@ class Container:
         )
 
     def _stop(self) -> None:
-        deadline = self._clock.now() + self._stop_limit
-        running = {**self._runners, **{k: r for k, (r, _) in self._ending.items()}}
-        for runner in running.values():
+        running = [*self._runners.values(), *(r for r, _ in self._ending.values())]
+        for runner in running:
             runner.aim("finalized")
-        for (name, _), runner in running.items():
-            if not runner.wait_ended(max(0.0, deadline - self._clock.now())):
-                log.warning("component '%s' did not end in time", name)
+        if late := self._wait_ended(running):
+            log.warning("%s", late)
+            if self._stopping:
+                self._tell_failure(RunError(late))
         with contextlib.suppress(Timeout):  # nobody may be left to tell
             self._report(self._status())
         self._step_threads.shutdown(wait=False, cancel_futures=True)
         self._outside.close()
         self._wiring.close()
         self._server.close()
+
+    def _wait_ended(self, running: Iterable[Runner]) -> str:
+        """Wait until components have ended; return which had not in time, in words.
+
+        The hooks by which they end may take longer than a handler.
+        """
+        now, running = self._clock.now(), list(running)
+        until = now + self._stop_limit
+        hooks_until = now + (ENDING_LIMIT if self._stop_limit else 0.0)
+        while running := [each for each in running if not each.wait_ended(0.0)]:
+            now = self._clock.now()
+            limits = [
+                until if since is None else min(hooks_until, since + ENDING_LIMIT)
+                for since in (each.ends_since() for each in running)
+            ]
+            if now >= max(limits):
+                break
+            self._stats_page.beat()
+            running[0].wait_ended(_LOOK_EVERY)
+        return "; ".join(each.why_not_ended() for each in running)
 
 
 def _failed(key: ComponentKey, what: str, why: str) -> ComponentStatus:

@@ -28,9 +28,8 @@ from poise.runtime.hosting.output import LONGEST, write_as
 if TYPE_CHECKING:
     from poise.runtime.hosting.runner import Runner
 
-_STOP_LIMIT = 0.8
-"""A process that was asked to end is killed after this time [s]; its container gives a
-component a second."""
+_STOP_LIMIT = 5.0
+"""A process that was asked to end is killed after this time [s], as by `ros2 launch`."""
 _KILL_LIMIT = 0.5
 _PYTHON = {"python", "python3"}
 _PR_SET_PDEATHSIG = 1

@@ -109,6 +109,7 @@ class Runner:
         self.clock = clock
         self._on_change = on_change
         self._handler: tuple[str, float] | None = None
+        self._hook: tuple[str, float] | None = None
         self._measures: dict[str, Histogram] = {}
         self._work_of: dict[str, Histogram] = {}
         self._errors = Errors(spec.name)
@@ -167,6 +168,22 @@ class Runner:
         self._thread.join(limit)
         return not self._thread.is_alive()
 
+    def why_not_ended(self) -> str:
+        """Return what keeps its thread from ending, in words."""
+        name, now = self.spec.name, self.clock.now()
+        what, since = self._handler or self._hook or ("", now)
+        runs = f": '{what}' has run for {now - since:.1f} s" if what else ""
+        return f"component '{name}' did not end in time{runs}"
+
+    def ends_since(self) -> float | None:
+        """Return since when `deactivate` or `cleanup` runs, or is next [s].
+
+        None: other code runs.
+        """
+        hook, since = self._hook or ("", self.clock.now())
+        is_next = not hook and self.life_cycle.state == "inactive"
+        return since if is_next or hook in {"deactivate", "cleanup"} else None
+
     def has_ended(self) -> bool:
         """Return at once whether its code runs no more."""
         return self.life_cycle.state in ENDED or not self._thread.is_alive()
@@ -188,13 +205,13 @@ class Runner:
 
     @property
     def is_paused(self) -> bool:
-        """Whether it is active, and its code may not run: it moves."""
-        return self.life_cycle.state == "active" and self.gate.is_paused
+        """Whether it should work, and its code may not run: it moves."""
+        return self.life_cycle.is_at_work and self.gate.is_paused
 
     def status(self, cpu: float | None = None) -> ComponentStatus:
         """Return what is known of it now."""
         now = self.clock.now()
-        handler, since = self._handler or ("", now)
+        handler, since = self._handler or self._hook or ("", now)
         return ComponentStatus(
             name=self.spec.name,
             epoch=self.spec.epoch,
@@ -280,6 +297,7 @@ class Runner:
         hurry = (
             before_components() if self.life_cycle.goal == "ready" else nullcontext()
         )
+        self._hook = hook, self.clock.now()
         try:
             with hurry, self.gate.borrowed(by_hook=True):
                 getattr(self.component, hook)()
@@ -296,6 +314,7 @@ class Runner:
                 self._errors.note(hook, error, self.clock.now())
                 self._clean_up_after(hook)
                 state = "failed"
+        self._hook = None
         if state == "active":
             if self.checkpoints is not None:
                 self.checkpoints.begin()

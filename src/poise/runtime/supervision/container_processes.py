@@ -27,7 +27,8 @@ from poise.wire.records.status_records import (
 )
 
 STOP_LIMIT = 2.0
-"""A container that was asked to end is killed after this time [s]."""
+"""A container that was asked to end, and whose heart has not beaten for this time [s],
+is killed: it beats while hooks of its components run."""
 
 
 class ContainerProcess:
@@ -46,6 +47,7 @@ class ContainerProcess:
         self.silent_since = 0.0
         self.kill_at = float("inf")
         self.is_stopping = False
+        self._beat: int | None = None
         self.is_deaf = False
         self._why_ended = ""
         self._clocks = Clocks({})
@@ -147,7 +149,7 @@ class ContainerProcess:
     def keep_limits(self, now: float) -> None:
         """Kill it when it takes too long to end, or to respond."""
         if self.kill_at <= now:
-            self.kill()
+            self._keep_stop_limit(now)
         if self.silence and self.hung_at <= now:
             self.give_up(f"it does not respond: {self.silence.reason}")
 
@@ -156,7 +158,17 @@ class ContainerProcess:
         if self.pid and not self.is_stopping:
             self.is_stopping = True
             self.kill_at = now + (0.0 if self.silence else STOP_LIMIT)
+            self._beat = self._control.heartbeat()
             self._control.signal(signal.SIGTERM)
+
+    def _keep_stop_limit(self, now: float) -> None:
+        """Kill it, unless its heart beats, for then it ends by itself."""
+        before, self._beat = self._beat, self._control.heartbeat()
+        if self._beat != before and not self.silence:
+            self.kill_at = now + STOP_LIMIT
+        else:
+            self._why_ended = f"it did not end within {STOP_LIMIT:g} s"
+            self.kill()
 
     def kill(self) -> None:
         """End it now, or as soon as it is born."""
@@ -169,6 +181,11 @@ class ContainerProcess:
         failed = [c for c in self._components() if c.error and c.state == "failed"]
         errors = [f"{c.name}: {last_error(c.error)}" for c in failed]
         return "; ".join(filter(None, [*errors, self._why_ended]))
+
+    @property
+    def why_late(self) -> str:
+        """Why it did not end in time when it was asked to, in words; empty: it did."""
+        return self._why_ended if self.is_stopping else ""
 
     def loss(self, age_of: Callable[[str, int], float | None]) -> str:
         """Return what became of the states of its components, in words."""

@@ -302,6 +302,8 @@ class Supervisor:
         self._host.release(process.name)
         self.cpu_of_ended += process.status.cpu if process.status else 0.0
         if process.is_stopping or self._is_ending:
+            if why := process.why_late:
+                self.health.note_fault(process.name, f"was ended: {why}")
             if process.name not in self._specs():
                 self.health.forget(process.name)
             return

@@ -308,6 +308,9 @@ class AgentStatus(Struct, frozen=True, kw_only=True, dict=True):
         return sum(container.missed for container in self.containers)
 
 
+ENDING_LIMIT = 10.0
+"""`deactivate` and `cleanup` of a process's components end within this time [s], or it
+is ended."""
 SAMPLE_EVERY = 0.2
 """How often agents tell what they count, unless asked for another rate [s]."""
 
