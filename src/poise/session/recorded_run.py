@@ -318,7 +318,7 @@ def test_policies(
             began = seen.at if began is None else began
             due = policies.due(policies.evaluate(seen.of, seen.at, waits=True), seen.at)
             policies.note_acted(due, seen.at)
-            for trouble in set(policies.troubles()) - troubles:
+            for trouble in set(policies.troubles().values()) - troubles:
                 say(trouble)
                 troubles.add(trouble)
             found += [

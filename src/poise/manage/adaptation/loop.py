@@ -9,13 +9,13 @@ commands. Everything it sees, decides and does is in the journal.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import cache, partial
 
 from msgspec.structs import replace
 
 from poise.clock import wall_time
-from poise.errors import PoiseError, UsageError
+from poise.errors import PoiseError, UsageError, last_error
 from poise.manage.adaptation.actions import Actions
 from poise.manage.adaptation.bad_links import check_links
 from poise.manage.adaptation.move_forecast import alternatives, check_move, what_if
@@ -40,6 +40,8 @@ from poise.manage.shortages.suspension import (
 )
 from poise.model.policy import Seen, policies_of
 from poise.units import counted
+
+_TRACEBACK = "Traceback (most recent call last):"
 
 
 class Adaptation:
@@ -78,7 +80,8 @@ class Adaptation:
             ReplanResponder(self._transitions),
             UseAgainResponder(self._transitions),
         )
-        self._troubles: set[str] = set()
+        self._troubles: dict[str, tuple[str, Deviation]] = {}
+        """Policy -> what is wrong with its function, in full and in short."""
         self._reported: dict[Key, Deviation] = {}
         self.deviations: tuple[Deviation, ...] = ()
 
@@ -174,10 +177,7 @@ class Adaptation:
     def _report(self, symptoms: tuple[Symptom, ...]) -> None:
         """Journal each symptom when it has lasted, and when it has ended."""
         note = self._live.journal.note
-        troubles = {*self._policies.troubles()}
-        for trouble in sorted(troubles - self._troubles):
-            note("wrong", trouble)
-        self._troubles = troubles
+        self._note_troubles(self._policies.troubles())
         for symptom in symptoms:
             # a computer that is out of reach is reported as such (`LostComputers`)
             if symptom.key not in self._reported and symptom.policy.do != "fail over":
@@ -187,4 +187,28 @@ class Adaptation:
                 note("wrong", symptom.what, policies=saw([symptom]))
         for key in sorted(self._reported.keys() - self._policies.since.keys()):
             note("right", self._reported.pop(key).end())
-        self.deviations = (*self._needs.deviations(), *self._reported.values())
+        self.deviations = (
+            *self._needs.deviations(),
+            *(deviation for _, deviation in self._troubles.values()),
+            *self._reported.values(),
+        )
+
+    def _note_troubles(self, troubles: Mapping[str, str]) -> None:
+        """Journal what is wrong with policies' functions, and what is not any more."""
+        note, before = self._live.journal.note, self._troubles
+        self._troubles = {}
+        for name, trouble in troubles.items():
+            known, first = before.get(name, ("", None))
+            if trouble != known:
+                note("wrong", trouble)
+            since = first.since if first else wall_time()
+            deviation = Deviation(what=_short(trouble), computer="", since=since)
+            self._troubles[name] = trouble, deviation
+        for name in before.keys() - troubles.keys():
+            note("right", before[name][1].end())
+
+
+def _short(trouble: str) -> str:
+    """Return a sentence with the end of its traceback in place of all of it."""
+    what, is_long, _ = trouble.partition(_TRACEBACK)
+    return f"{what}{last_error(trouble)}" if is_long else trouble

@@ -15,7 +15,7 @@ from functools import cache
 
 from msgspec import Struct, structs
 
-from poise.errors import PoiseError
+from poise.errors import PoiseError, signal_name
 from poise.manage.adaptation import policy_process
 from poise.manage.adaptation.policy_process import IMPORT_LIMIT, LIMIT, FunctionAnswer
 from poise.model.condition import Condition, parse_condition, sentence
@@ -134,9 +134,13 @@ class OwnFunction:
         self._again = min(2 * self._again, _LONGEST)
         if process is not None:
             process.kill()
-            if process.wait() == -signal.SIGALRM:
+            code = process.wait()  # one that had ended by itself keeps its own
+            if code == -signal.SIGALRM:
                 limits = f"{LIMIT:g} s, and {IMPORT_LIMIT:g} s for its import"
                 why = f"took too long and was ended: its limit is {limits}"
+            elif code != -signal.SIGKILL:
+                how = f"exit code {code}" if code >= 0 else signal_name(-code)
+                why = f"ended its process with {how}"
             self._connection.close()
             self._process = None
         again_in = f"it is asked again in {again:g} s"
@@ -189,13 +193,13 @@ class Policies:
         self._seen_at: dict[Key, float] = {}
         self.since: Mapping[Key, float] = {}
 
-    def troubles(self) -> tuple[str, ...]:
-        """Return what is wrong with functions, for people."""
-        return tuple(
-            f"policy '{policy.name}': {function.trouble}"
+    def troubles(self) -> dict[str, str]:
+        """Return policy -> what is wrong with its function, for people."""
+        return {
+            policy.name: f"policy '{policy.name}': {function.trouble}"
             for policy, function in self._functions
             if function.trouble
-        )
+        }
 
     def close(self) -> None:
         """End the processes of functions."""

@@ -15,9 +15,11 @@ import sys
 import traceback
 from collections.abc import Callable, Iterable
 
+import msgspec
 from msgspec import Struct
 
-from poise.errors import Unavailable
+from poise.decoding import convert
+from poise.errors import Unavailable, unknown
 from poise.model.policy import PolicyAction, Seen
 from poise.wire import frame
 
@@ -68,13 +70,30 @@ def _answer(
     function: Callable[[Seen], Iterable[object] | None], seen: Seen
 ) -> FunctionAnswer:
     try:
-        answers = tuple(function(seen) or ())
+        answers = function(seen) or ()
+        if isinstance(answers, str | PolicyAction):
+            return FunctionAnswer(error=f"it returned {answers!r}, not a list")
+        answers = tuple(answers)
     except Exception:  # noqa: BLE001, it is the user's code
         return FunctionAnswer(error=traceback.format_exc())
-    actions = [action for action in answers if isinstance(action, PolicyAction)]
-    if wrong := [action for action in answers if not isinstance(action, PolicyAction)]:
-        return FunctionAnswer(error=f"it returned {wrong[0]!r}, not a PolicyAction")
-    return FunctionAnswer(tuple(actions))
+    errors = (_why_wrong(answer, seen) for answer in answers)
+    if error := next(filter(None, errors), ""):
+        return FunctionAnswer(error=error)
+    return FunctionAnswer(tuple(a for a in answers if isinstance(a, PolicyAction)))
+
+
+def _why_wrong(answer: object, seen: Seen) -> str:
+    """Return why what a function returned is no action; empty: it is one."""
+    if not isinstance(answer, PolicyAction):
+        return f"it returned {answer!r}, not a PolicyAction"
+    try:  # nothing has checked the types of its fields
+        convert(msgspec.to_builtins(answer), PolicyAction)
+    except (TypeError, ValueError) as error:
+        return f"it returned {answer!r}: {error}"
+    computers = [computer.name for computer in seen.computers]
+    if answer.do == "move" and answer.to not in computers:
+        return f"it moves '{answer.about}': {unknown('computer', answer.to, computers)}"
+    return ""
 
 
 if __name__ == "__main__":

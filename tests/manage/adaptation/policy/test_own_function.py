@@ -39,6 +39,19 @@ def hangs(seen):
 
 def quiet(seen):
     pass
+
+def lone(seen):
+    return "notify"
+
+def explodes(seen):
+    return [PolicyAction(do="explode", about="left", why="so")]
+
+def aimless(seen):
+    return [PolicyAction(do="move", about="eyes", why="so")]
+
+def leaves(seen):
+    import os
+    os._exit(3)
 """
 SEEN = Seen(at=0.0, computers=(ComputerValues(name="left", used=0.9),))
 
@@ -88,10 +101,20 @@ def test_its_error_is_said_and_it_is_asked_again(function: OwnFunction) -> None:
     assert function._process is process
 
 
-@pytest.mark.parametrize("function", ["odd"], indirect=True)
-def test_what_is_no_action_is_said(function: OwnFunction) -> None:
-    function.answer(SEEN)
-    assert function.trouble.endswith("it returned 'restart', not a PolicyAction")
+@pytest.mark.parametrize(
+    ("function", "said"),
+    [
+        ("odd", "failed: it returned 'restart', not a PolicyAction"),
+        ("lone", "failed: it returned 'notify', not a list"),
+        ("explodes", "Invalid enum value 'explode' - at `$.do`"),
+        ("aimless", "it moves 'eyes': there is no computer ''; computers: 'left'"),
+        ("leaves", "ended its process with exit code 3; it is asked again in 10 s"),
+    ],
+    indirect=["function"],
+)
+def test_what_is_no_action_is_said(function: OwnFunction, said: str) -> None:
+    assert function.answer(SEEN) == ()
+    assert function.trouble.endswith(said)
 
 
 @pytest.mark.parametrize("function", ["missing"], indirect=True)
@@ -125,8 +148,7 @@ def test_an_action_about_nobody_is_said(tmp_path: Path) -> None:
     policies = Policies([Policy(name="own", call="mine:stranger")], str(tmp_path))
     try:
         assert policies.evaluate(SEEN.of, 0.0, waits=True) == ()
-        (trouble,) = policies.troubles()
-        assert trouble == (
+        assert policies.troubles()["own"] == (
             "policy 'own': 'mine:stranger' names no subject 'nobody' for 'restart'"
         )
     finally:
