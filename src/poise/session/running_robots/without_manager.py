@@ -10,6 +10,7 @@ from poise.manage.agent_connections.statuses import containers_left
 from poise.manage.control_socket.agents_without_manager import ask_agents
 from poise.manage.control_socket.commands import RobotStatus
 from poise.manage.deploy.live_robot import STOP_LIMIT
+from poise.manage.observe.deviations import fault_sentence, faults_after, last_numbers
 from poise.model.robot import Robot
 from poise.session.launch.computers import emulated_addresses, real_agents
 from poise.wire.control_session import endpoint_of
@@ -62,17 +63,21 @@ def stop_agents(addresses: AgentAddresses) -> None:
         agents.wait_news(lambda: agents.reached() == ends.keys(), REACH_LIMIT)
         reached = agents.reached()
         agents.claim(reached)
-        _end_all(agents, reached)
+        late = _end_all(agents, reached)
     missing = ", ".join(sorted(ends.keys() - reached))
     if missing:
         raise RunError(
-            f"out of reach: {missing}; their containers go on. "
+            f"out of reach: {missing}; containers that run there go on. "
             f"Stopped: {', '.join(sorted(reached)) or 'nothing'}"
         )
     forget(addresses.robot)
+    if late:
+        raise RunError(f"stopped, but: {'; '.join(late)}")
 
 
-def _end_all(agents: Agents, computers: set[str]) -> None:
+def _end_all(agents: Agents, computers: set[str]) -> list[str]:
+    """End all containers of computers; return which did not end in time, in words."""
+    before = last_numbers(agents.statuses())
     generations = {n: s.generation + 1 for n, s in agents.statuses().items()}
     for name in sorted(computers):
         nothing = Deployment(generation=generations[name], containers=())
@@ -85,6 +90,7 @@ def _end_all(agents: Agents, computers: set[str]) -> None:
 
     if not agents.wait_news(lambda: not left(), STOP_LIMIT):
         raise RunError(f"{', '.join(left())} still ran {STOP_LIMIT:g} s after the stop")
+    return [fault_sentence(*each) for each in faults_after(before, agents.statuses())]
 
 
 def _addresses(robot: Robot) -> AgentAddresses:
