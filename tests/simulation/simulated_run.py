@@ -343,6 +343,8 @@ class _Run:
         if manager is None or not is_judge or manager.up_since > begin or others:
             return
         works, live = set(self.robot.working()), manager.live
+        if self._scenario.is_wild and live is not None and live.desired.coming:
+            return  # a start takes up to 3 s there, and what makes room moves before
         allowed = allowed_computers(self._scenario.robot)
         missing = [
             name
