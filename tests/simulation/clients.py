@@ -108,8 +108,12 @@ class Clients:
             is_more = choices.happens("clients", _AT_ONCE)
 
     def _note_entry(self, entry: JournalEntry) -> None:
-        """Let epochs begin anew where a manager found nothing at work: no task was."""
+        """Let all begin anew where somebody started a robot that had no task at work.
+
+        Epochs do, and its tasks run, whatever clients asked for before.
+        """
         if entry.what.startswith("starting "):
+            self._done.clear()
             for name in self._moved:
                 self._robot.ledger.commit(name, 0)
 
