@@ -233,7 +233,7 @@ class Component:
     def measure(self, name: str, value: float) -> None:
         """Count `value` under `name`; count, mean, maximum and median are reported.
 
-        What is below 0, or no number (NaN), counts as 0.
+        What is no number (NaN) counts as 0.
 
         Raises
         ------

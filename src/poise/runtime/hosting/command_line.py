@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from poise.runtime.hosting.runner import Runner
 
 _STOP_LIMIT = 5.0
-"""A process that was asked to end is killed after this time [s], as by `ros2 launch`."""
+"""A process that was asked to end is killed after this time [s], as by ROS 2."""
 _KILL_LIMIT = 0.5
 _PYTHON = {"python", "python3"}
 _PR_SET_PDEATHSIG = 1

@@ -32,6 +32,7 @@ from poise.runtime.execution.data_age import DataAges, Stamped
 from poise.runtime.execution.exclusion import Exclusion, Redirected, new_chain
 from poise.runtime.execution.input_watch import InputWatch
 from poise.runtime.execution.mailbox import PortQueue, Work
+from poise.runtime.execution.signed_histogram import SignedHistogram
 from poise.runtime.execution.timers import Releases, Timers, release_offset
 from poise.runtime.hosting.checkpoints import Checkpoints
 from poise.runtime.hosting.life_cycle import ENDED, ExecutionGate, LifeCycle, TaskNews
@@ -110,7 +111,7 @@ class Runner:
         self._on_change = on_change
         self._handler: tuple[str, float] | None = None
         self._hook: tuple[str, float] | None = None
-        self._measures: dict[str, Histogram] = {}
+        self._measures: dict[str, SignedHistogram] = {}
         self._work_of: dict[str, Histogram] = {}
         self._errors = Errors(spec.name)
         self._action = spec
@@ -246,7 +247,7 @@ class Runner:
         return tuple(port.name for port in self.ports.values() if port.kind == kind)
 
     def _measure(self, name: str, value: float) -> None:
-        self._measures.setdefault(name, Histogram()).add(value)
+        self._measures.setdefault(name, SignedHistogram()).add(value)
 
     def _count_process(self, pid: int) -> None:
         if pid:

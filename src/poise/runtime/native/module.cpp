@@ -123,6 +123,7 @@ NB_MODULE(_calls, module) {
   nb::class_<Histogram>(module, "Histogram", "Counts values, with quantiles right within 5 % (histogram.h).")
       .def(nb::init<>())
       .def("add", locked<&Histogram::add>(), nb::arg("value"))
+      .def("quantile", locked<&Histogram::quantile>(), nb::arg("share"))
       .def("summary", [](const Histogram& histogram) {
         CallsLock lock(calls_mutex);
         const auto count = histogram.count();
