@@ -223,6 +223,15 @@ def test_a_placement_of_another_task_is_refused() -> None:
         pass
 
 
+@pytest.mark.parametrize("url", ["nonsense", "http://", "localhost:4318"])
+def test_a_collector_has_a_url(url: str) -> None:
+    with (
+        pytest.raises(poise.UsageError, match="is no URL, as in http://localhost:4318"),
+        poise.up(greeter(), otel=url),
+    ):
+        pass
+
+
 def test_metrics_need_a_port() -> None:
     with (
         pytest.raises(poise.UsageError, match="port 65536: it is from 1 to 65535"),

@@ -10,6 +10,7 @@ from functools import partial
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
+from urllib.parse import urlsplit
 
 from msgspec.structs import replace
 
@@ -191,7 +192,7 @@ def up(  # noqa: PLR0913 - each is a choice of the user
     robot = as_deployed(learned(robot, actions).robot)
     decided: list[str] = []
     first = first_phase(robot, names, placement, decided.append)
-    send = _telemetry() if otel is not None else None
+    send = _telemetry(otel) if otel is not None else None
     if sentence := without_standbys(robot):
         say(sentence)
     with contextlib.ExitStack() as stack:
@@ -262,8 +263,14 @@ def _exporter(port: int, patience: float = 0.0) -> MetricsServer:
     return MetricsServer("127.0.0.1", port, patience)
 
 
-def _telemetry() -> type[Telemetry]:
-    """Return the class that sends metrics; UsageError when its extra is missing."""
+def _telemetry(url: str) -> type[Telemetry]:
+    """Return the class that sends metrics.
+
+    UsageError: its extra is missing, or the URL is none.
+    """
+    parts = urlsplit(url)
+    if parts.scheme not in {"http", "https"} or not parts.hostname:
+        raise UsageError(f"otel '{url}' is no URL, as in http://localhost:4318")
     try:
         from poise.manage.observe.opentelemetry import Telemetry
     except ImportError as error:
