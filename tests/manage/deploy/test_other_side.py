@@ -272,6 +272,24 @@ def test_what_was_moved_away_from_the_other_side_before_does_not_come_back(
     assert cut.goals("thinker") == [("right", 4, "active")]
 
 
+def test_what_ended_after_it_moved_away_from_the_other_side_does_not_come_back(
+    robot: Robot,
+) -> None:
+    """Neither there nor with the next manager, which finds all computers."""
+    cut = Cut(robot, "right", GRABBER, THINKER)
+    cut.take_over()
+    cut.run.commit(cut.run.desired.without(["thinker"]), "no action needs it")
+    there = Incarnation(component="thinker", computer="left", epoch=3)
+    cut.heal(GRABBER, there, robot=robot)
+    assert cut.goals("thinker") == []
+    layout = DeploymentLayout(robot, "/run", code_version=version_of)
+    cut.agents.begin_deploy("left", layout.specs([GRABBER, there], 1, {})["left"])
+    agents = cast("Agents", cut.agents)
+    cut.run = LiveRobot(robot, PLACEMENT, agents, cut.journal, "/run")
+    cut.take_over()
+    assert ("left", 3, "active") not in cut.goals("thinker")
+
+
 def test_what_runs_only_on_the_other_side_goes_on_there(robot: Robot) -> None:
     cut = Cut(robot, "right", THINKER)
     cut.take_over()

@@ -458,7 +458,7 @@ def test_the_next_manager_goes_on_where_this_one_was() -> None:
     )
     rig = Rig(robot, "t")
     rig.end("seeer")
-    kept = Desired(tasks=rig.run.desired.tasks)
+    kept = Desired(tasks=rig.run.desired.tasks, ended=rig.run.desired.ended)
     assert {told.desired for _, told in rig.agents.deployed[-2:]} == {
         msgspec.msgpack.encode(kept)
     }

@@ -397,6 +397,7 @@ def joined_by(
         )
         is_lacking = (
             before is None
+            and not desired.is_over(*reported.key)
             and own is not None
             and reported.computer in allowed[reported.name]
             # a part of what provides it may have joined before, from another computer

@@ -77,6 +77,8 @@ class Desired(Struct, frozen=True, kw_only=True):
     parameters: Mapping[str, Mapping[str, Any]] = {}
     # component -> its code, if that is not the robot file's
     other_code: Mapping[str, OtherCode] = {}
+    # component that is not placed -> its epoch when it ended
+    ended: Mapping[str, int] = {}
     # what the next manager needs to go on with the tasks; agents keep it
     tasks: bytes = b""
     generation: int = 0
@@ -108,6 +110,10 @@ class Desired(Struct, frozen=True, kw_only=True):
     def placement(self) -> dict[str, str]:
         """Return component -> computer of what is authoritative."""
         return {name: incarnation.computer for name, incarnation in self.placed.items()}
+
+    def is_over(self, component: str, epoch: int) -> bool:
+        """Return whether a later incarnation of what does not run has ended."""
+        return epoch < self.ended.get(component, epoch)
 
     def settled(self) -> dict[str, Incarnation]:
         """Return the components that no change is about."""

@@ -125,6 +125,7 @@ class DesiredState:
                 desired,
                 generation=max(desired.generation, *seen, 0) + 1,
                 other_code=self._other_code(desired),
+                ended=self._ended(desired),
             )
             if changes := difference(before, desired):
                 self.journal.note("desired", why, changes=changes)
@@ -148,6 +149,7 @@ class DesiredState:
         held: frozenset[str],
         parameters: Mapping[str, Mapping[str, Any]],
         other_code: Mapping[str, OtherCode],
+        ended: Mapping[str, int],
     ) -> None:
         """Go on with what an earlier manager left, in place of what was planned."""
         self._epochs = dict(last_epochs)
@@ -162,6 +164,7 @@ class DesiredState:
             held=held,
             parameters=parameters,
             other_code=other_code,
+            ended={**ended, **last_epochs},
             generation=self._last_epoch,
         )
         self.commit(desired, "taking the robot over")
@@ -209,6 +212,17 @@ class DesiredState:
                 known[name] = OtherCode(placed.implementation, placed.code, instead_of)
         return known
 
+    def _ended(self, desired: Desired) -> dict[str, int]:
+        """Return the epochs of what has ended, where agents were told of it."""
+        ended = {
+            name: placed.epoch
+            for name, placed in self.desired.placed.items()
+            # what was to start on a computer that was not claimed is not there
+            if self.desired.generation and placed.computer in self.claimed
+        }
+        last = {**ended, **desired.ended}
+        return {n: epoch for n, epoch in last.items() if n not in desired.placed}
+
     def _own_code(self, component: str) -> str:
         return f"{self.robot.component(component).implementation}@{self.robot.deployed}"
 
@@ -231,6 +245,7 @@ class DesiredState:
                     tasks=desired.tasks,
                     parameters=desired.parameters,
                     other_code=desired.other_code,
+                    ended=desired.ended,
                 )
             encoded, term = encode(desired), self.agents.manager.term
             is_last = self.desired.is_stopped

@@ -68,7 +68,8 @@ def start_or_take_over(
     found = [*found_in(deployments), *_recorded(live, record)]
     reported = found
     if live.agents.election is None:  # no record says what is on computers out of reach
-        reported = as_committed(found, live.agents.statuses())
+        there = [each for each in found if not record.is_over(*each.key)]
+        reported = as_committed(there, live.agents.statuses())
     if record.is_stopped and follows:
         live.end_all("the robot was stopped, and some agents did not know")
         live.leave()
@@ -148,6 +149,7 @@ def _take_over(
         held,
         {**changed_parameters(reported), **record.parameters},
         {n: c for n, c in record.other_code.items() if n not in adoption.restarts},
+        record.ended,
     )
     for sentence in (*unclaimed.values(), *live.unreached().values()):
         live.journal.note("wrong", sentence)
