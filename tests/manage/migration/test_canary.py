@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 from msgspec.structs import replace
 
+from poise.errors import RunError
 from poise.manage.deploy.desired import Incarnation
 from poise.manage.migration import canary
 from poise.manage.migration.canary import Canaries
@@ -167,6 +168,25 @@ def test_code_that_cannot_come_back_is_not_said_to_do_so(robot: Robot) -> None:
         "its previous code did not start"
     )
     assert robot.notes[-1] == deviation.what
+
+
+def test_code_that_nobody_can_be_told_is_back_is_not_restarted(
+    robot: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The manager is cut off, and its successor may undo it: no bug, and no restart."""
+
+    def fail() -> MigrationReport:
+        raise RunError("no agent could be told")
+
+    robot.replace()
+    robot.timer = timer(20, 9)
+    monkeypatch.setattr(canary, "plan_return", lambda *_: SimpleNamespace(run=fail))
+    assert robot.canaries.check()
+    assert robot.notes[-1].endswith("; no agent could be told")
+    assert not robot.restarted
+    assert not robot.canaries.check()
+    (shown,) = robot.canaries.deviations()
+    assert shown.what == robot.notes[-1]
 
 
 def test_code_that_moves_is_not_to_blame_for_what_crashed_there_before(

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Mapping
 from msgspec import Struct, structs
 
 from poise.clock import wall_time
+from poise.errors import RunError
 from poise.manage.deploy.desired import Incarnation
 from poise.manage.deploy.live_robot import LiveRobot
 from poise.manage.migration.migration_report import MigrationReport
@@ -132,14 +133,16 @@ class Canaries:
         live.journal.note("decided", what)
         found = live.reported(placed)
         is_there = found is not None and found.state == "active"
-        if not (is_there and plan_return(live, trial.before).run().committed):
-            where, before = {name: placed.computer}, {name: trial.before}
-            if not start_together(live, where, instead=before):
-                what = (
-                    f"the new code of component '{name}' has failed ({why}), and its "
-                )
-                what += "previous code did not start"
-                live.journal.note("failed", what)
+        try:
+            is_back = is_there and plan_return(live, trial.before).run().committed
+        except RunError as error:  # also once it is back, if no agent can be told
+            is_back, what = True, f"{what}; {error}"
+            live.journal.note("failed", what)
+        where, before = {name: placed.computer}, {name: trial.before}
+        if not is_back and not start_together(live, where, instead=before):
+            what = f"the new code of component '{name}' has failed ({why}), and its "
+            what += "previous code did not start"
+            live.journal.note("failed", what)
         shown = Deviation(
             what=what, computer=placed.computer, component=name, since=wall_time()
         )
