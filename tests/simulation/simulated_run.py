@@ -8,7 +8,7 @@ from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 
-from msgspec import Struct
+from msgspec import Struct, structs
 
 from poise.errors import TakenOver
 from poise.manage.control_socket.commands import RobotStatus
@@ -256,8 +256,9 @@ class _Run:
         return Clients(robot, names, end, does_all=is_wild)
 
     def _heal(self) -> None:
-        """Start what was killed and never came back."""
+        """Start what was killed and never came back, and mend code that crashes."""
         robot = self.robot
+        robot.workload = structs.replace(robot.workload, flaws={})
         for computer in robot.computers:
             robot.start_agent(computer)
         self._keep_managed()

@@ -105,10 +105,15 @@ class SimulatedComponent:
         if flaw == "fails":
             self._error = f"{self.spec.implementation} cannot be configured"
         if flaw == "crashes":
-            process.after(drawn(world.choices, _CRASH_AFTER), process.kill)
+            process.after(drawn(world.choices, _CRASH_AFTER), self._crash)
         self._enter("failed" if self._error else "inactive")
         if self.model.ends:
             self._end_later()
+
+    def _crash(self) -> None:
+        """End the container, unless the code was mended meanwhile."""
+        if self.spec.implementation in self.container.world.workload.flaws:
+            self.container.process.kill()
 
     def _end_later(self) -> None:
         """Say now and then that an action is over."""
