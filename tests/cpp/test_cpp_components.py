@@ -514,6 +514,16 @@ def test_an_argument_of_another_type_is_refused(pair: Pair, mixed: ModuleType) -
         source.sums.add("1", 2)  # type: ignore[attr-defined]
 
 
+@pytest.mark.parametrize("pair", ["local"], indirect=True)
+def test_a_number_that_its_type_in_cpp_cannot_hold_is_refused(
+    pair: Pair, mixed: ModuleType
+) -> None:
+    source = start(pair, (Source, mixed.Target))
+    with pytest.raises(CannotCross, match=r"Expected `int` <= 2147483647"):
+        source.add(2**31, 0)
+    assert source.add(2**31 - 1, 0) == 2**31 - 1
+
+
 def test_a_module_that_was_built_with_other_headers_is_refused(
     built: Path, tmp_path: Path
 ) -> None:

@@ -69,6 +69,21 @@ def test_a_type_that_is_built_otherwise_does_not_fit(
     assert fingerprint(mine) != fingerprint(theirs)
 
 
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("Node | None", "Optional[Node]"),
+        ("x: float", "x: Annotated[float, Meta(ge=0)]"),
+    ],
+)
+def test_other_ways_to_write_a_type_and_limits_of_values_do_not_count(
+    install: Any, old: str, new: str
+) -> None:
+    code = f"{CODE}\nfrom typing import Annotated, Optional\nfrom msgspec import Meta\n"
+    one, other = install("one", code), install("other", code.replace(old, new))
+    assert fingerprint(one.Node) == fingerprint(other.Node)
+
+
 def test_equal_types_of_other_names_do_not_fit(install: Any) -> None:
     code = CODE + "\nclass Place(Message, frozen=True):\n    x: float\n    y: float\n"
     made = install("one", code)

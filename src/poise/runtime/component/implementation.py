@@ -6,8 +6,8 @@ import importlib
 import inspect
 import sys
 from collections.abc import Callable, Hashable, Iterable, Mapping
-from types import ModuleType
-from typing import Any, get_args, get_origin, get_type_hints
+from types import ModuleType, UnionType
+from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
 
 from msgspec import Struct
 
@@ -122,14 +122,20 @@ Seen = tuple[type, ...]
 
 
 def fingerprint(type_: Any) -> Hashable:  # noqa: ANN401, any type
-    """Return what a type is made of; types with equal fingerprints fit each other."""
+    """Return what a type is made of; types with equal fingerprints fit each other.
+
+    Limits of values do not count: each end checks its own.
+    """
     return _fingerprint(type_, ())
 
 
 def _fingerprint(type_: Any, seen: Seen) -> Hashable:  # noqa: ANN401, any type
+    if get_origin(type_) is Annotated:
+        return _fingerprint(get_args(type_)[0], seen)
     if get_origin(type_) is not None:
         inner = tuple(_fingerprint(arg, seen) for arg in get_args(type_))
-        return (str(get_origin(type_)), inner)
+        origin = get_origin(type_)
+        return (str(UnionType if origin is Union else origin), inner)
     if not isinstance(type_, type) or type_ in seen:
         return getattr(type_, "__qualname__", repr(type_))
     if issubclass(type_, Struct):

@@ -64,7 +64,7 @@ def _method(interface: type, name: str) -> Method:
     function = getattr(interface, name)
     signature = inspect.signature(function)
     own = list(signature.parameters.values())[1:]
-    hints = get_type_hints(function)
+    hints = get_type_hints(function, include_extras=True)
     for parameter in own:
         if parameter.name not in hints or parameter.kind in {
             parameter.VAR_POSITIONAL,

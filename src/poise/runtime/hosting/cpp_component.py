@@ -9,7 +9,9 @@ import inspect
 from collections.abc import Callable, Iterable, Mapping
 from functools import cache
 from types import MethodType, new_class
-from typing import Any
+from typing import Annotated, Any
+
+import msgspec
 
 from poise.runtime.component.component import Component
 from poise.runtime.component.ports import (
@@ -28,6 +30,9 @@ Types = Mapping[str, Any]
 """Annotations by name, in their order."""
 Make = Callable[[Component], tuple[Mapping[str, Any], Callable[..., None], object]]
 
+_LARGEST = 2**63 - 1
+"""The largest limit of an integer that msgspec takes."""
+
 
 class CppError(Exception):
     """What code in C++ threw; a subclass has the name of its type."""
@@ -41,6 +46,12 @@ def _error_class(type_name: str) -> type[CppError]:
 def error(type_name: str, message: str) -> CppError:
     """Return what stands for an exception of C++."""
     return _error_class(type_name)(message)
+
+
+def integer_type(least: int, most: int) -> object:
+    """Return the annotation of integers of one type."""
+    limits = msgspec.Meta(ge=least, le=most if most <= _LARGEST else None)
+    return Annotated[int, limits]
 
 
 def array_type(dtype: str) -> object:

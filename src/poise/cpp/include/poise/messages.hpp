@@ -16,6 +16,7 @@
 
 #include <array>
 #include <cstddef>
+#include <limits>
 #include <map>
 #include <memory>
 #include <numeric>
@@ -213,7 +214,9 @@ struct TypeOf {
     } else if constexpr (std::is_same_v<T, bool>) {
       return builtin("bool");
     } else if constexpr (std::is_integral_v<T>) {
-      return builtin("int");
+      using Limits = std::numeric_limits<T>;
+      return from_python("poise.runtime.hosting.cpp_component", "integer_type")(Limits::min(),
+                                                                                Limits::max());
     } else if constexpr (std::is_floating_point_v<T>) {
       return builtin("float");
     } else if constexpr (std::is_same_v<T, std::string>) {
