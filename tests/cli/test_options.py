@@ -61,7 +61,9 @@ def test_nothing_is_measured_that_could_not_be_kept(
     (tmp_path / ".poise").write_text("in the way")
     result = CliRunner().invoke(build([command]), [command, "robot.yaml"])
     assert isinstance(result.exception, UsageError)
-    assert "profiles.sqlite cannot store profiles" in str(result.exception)
+    said = str(result.exception)
+    assert "profiles.sqlite cannot store profiles: " in said
+    assert said.endswith(".poise: File exists")
 
 
 @pytest.mark.parametrize("command", ["status", "stop"])

@@ -30,7 +30,10 @@ class SqliteFile:
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             self._database = sqlite3.connect(path, isolation_level=None, timeout=1.0)
-        except (OSError, sqlite3.Error) as error:
+        except OSError as error:
+            why = f"{error.filename}: {error.strerror}"
+            raise UsageError(f"{path} cannot store {holds}: {why}") from error
+        except sqlite3.Error as error:
             raise self._broken(error) from error
         self.execute(schema)
 
