@@ -161,6 +161,16 @@ def test_the_answer_says_what_a_hook_raised(
     assert r"no map-\udcff.png" in outcome.reason
 
 
+def test_the_answer_says_in_which_step_a_hook_raised(
+    executor: MigrationExecutor, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What code in C++ throws has no traceback that would say so."""
+    monkeypatch.setattr(executor, "_act", Mock(side_effect=ValueError("too small")))
+    outcome = executor.receive(batch(Step("restore state", "one", 0)))()
+    assert isinstance(outcome, StepsFailed)
+    assert outcome.reason.startswith("'restore state': ValueError: too small")
+
+
 def test_code_that_lacks_a_port_takes_nobodys_place(runner: Runner) -> None:
     """The manager may commit before it hears that the port is not there."""
     wiring = Wiring(Mock())

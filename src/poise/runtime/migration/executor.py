@@ -154,7 +154,7 @@ class MigrationExecutor(StepTaker):
         except PoiseError:
             raise
         except (Exception, SystemExit) as error:  # a user's restore may raise anything
-            raise RunError(brief_traceback(error)) from error
+            raise RunError(f"'{step.name}': {brief_traceback(error)}") from error
 
     def _act(self, step: Step, migration: int, deadline: float) -> None:
         match step.name:
