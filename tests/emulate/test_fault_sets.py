@@ -6,11 +6,13 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 
 from poise.emulate import InjectedFault, emulated_set
-from poise.emulate.registry import FaultKind
+from poise.emulate.registry import FaultKind, KeptSet
+from poise.errors import UsageError
 from tests.waiting import wait_long
 
 
@@ -32,6 +34,18 @@ def test_each_fault_says_what_ends_it(
     said = emulated_set._said([fault])
     assert str(fault) in said
     assert command in said
+
+
+def test_a_cut_without_namespaces_is_refused_for_that_reason_alone() -> None:
+    without = ("quota: no root", "namespaces and shaped links: no root")
+    state = KeptSet(robot="any", hardware="", without=without)
+    kept = Mock(layout=Mock(network=None), state=lambda: state)
+    with pytest.raises(UsageError) as refused:
+        emulated_set.EmulatedSet._network(kept)
+    assert str(refused.value) == (
+        "this machine does not emulate the network: without namespaces and shaped "
+        "links: no root"
+    )
 
 
 @pytest.mark.slow

@@ -228,7 +228,8 @@ class EmulatedSet:
 
     def _network(self) -> NetworkPlan:
         if self.layout.network is None:
-            without = "; ".join(self.state().without)
+            reasons = (why for why in self.state().without if "namespaces" in why)
+            without = "; ".join(reasons)
             raise UsageError(
                 f"this machine does not emulate the network: without {without}"
             )
