@@ -327,7 +327,10 @@ def test_status_and_stop_overtake_a_move(crowd: Crowd) -> None:
         queued = crowd.waiting("move pong right", stack)
         assert status().placement["slow"] == "left"
         stopping = crowd.waiting("stop", stack)
-        assert stopping.communicate(timeout=LONG)[0] == "stopped\n"
+        told = stopping.communicate(timeout=LONG)[0]
+        ended = "stopped, but: container 'talking.slow' on 'right' was ended: "
+        assert told.startswith(ended)
+        assert "'configure' has run for" in told
         assert busy.exists()  # the move could not have ended by itself
         told = moving.communicate(timeout=LONG)[0]
         stays = "slow stays on left: the robot is being stopped\n"

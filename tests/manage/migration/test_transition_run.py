@@ -64,7 +64,7 @@ def test_what_does_not_end_is_started_anew(live: LiveRobot, agents: FakeAgents) 
     agents.deaf = {"left"}
     report = transit(live, (STOP,))
     assert not report.committed
-    assert "component 'filter' still runs on 'left' 5 s after" in report.reason
+    assert "component 'filter' still runs on 'left' 15 s after" in report.reason
     assert live.placement() == PLACEMENT
     assert told(agents)["filter"] == ("left", 1, "eye:Filter")
 
