@@ -109,6 +109,15 @@ def test_what_comes_again_and_again_is_logged_now_and_then(
     assert errors.last.endswith("ZeroDivisionError: division by zero")
 
 
+def test_what_poise_says_itself_for_two_reasons_is_counted_apart() -> None:
+    errors = Errors("one")
+    for lines in ("", "\n"):
+        error = raised(f"{lines}raise E('refused')", OURS, E=RobotError)
+        errors.note("checkpoint", error, 0.0)
+        errors.note("checkpoint", error, 0.0)
+    assert [error.count for error in errors.counts()] == [2, 2]
+
+
 def test_errors_of_one_line_are_counted_together_and_not_without_end() -> None:
     errors = Errors("camera")
     for _ in range(3):

@@ -85,7 +85,8 @@ class Errors:
         return tuple(self._distinct.values())
 
     def _add(self, where: str, error: BaseException) -> None:
-        line = next(reversed(_outside(extract_tb(error.__traceback__))), None)
+        lines = extract_tb(error.__traceback__)
+        line = next(reversed(_outside(lines) or lines), None)
         place = line and (line.filename, line.lineno)
         key: Hashable = where, type(error), place
         if key not in self._distinct and len(self._distinct) >= MOST_DISTINCT:
