@@ -22,7 +22,7 @@ def check_task(task: object) -> None:
 
 
 def check_duration(what: str, seconds: object) -> None:
-    """Raise UsageError unless something lasts longer than 0 s, and ends."""
+    """Raise UsageError unless a time is above 0 s, and finite."""
     if not isinstance(seconds, Real):
         raise UsageError(f"{what} lasts a number of seconds, not {seconds!r}")
     if not 0 < float(seconds) < inf:

@@ -31,7 +31,7 @@ class Before(Component):
 class Better(Before):
     """Publishes something more, as code that is connected to nobody may."""
 
-    spare: Published[Scan]
+    more: Published[Scan]
 
 
 def same_again() -> type[Message]:
@@ -71,7 +71,7 @@ class Caller(Before):
 
 class Subscriber(Before):
     @subscribed(keep=1)
-    def spare(self, message: Scan) -> None: ...
+    def more(self, message: Scan) -> None: ...
 
 
 def check(after: type[Component]) -> None:
@@ -92,7 +92,7 @@ def test_code_whose_ports_the_connectors_fit_takes_the_place(
         (OtherMethods, "provides Cooling, and before provides Heating"),
         (OtherWay, "requires Heating, and before provides Heating"),
         (Caller, "'eye.other' requires Heating, but no connector joins it"),
-        (Subscriber, "'eye.spare' subscribes Scan, but no connector joins it"),
+        (Subscriber, "'eye.more' subscribes Scan, but no connector joins it"),
     ],
 )
 def test_code_that_the_connectors_do_not_fit_is_refused(
