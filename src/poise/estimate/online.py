@@ -137,7 +137,7 @@ def demand_in(windows: Collection[Window], total: Sums | None = None) -> Demand:
     cost = jobs.cpu / jobs.done
     cores = total.asked / total.seconds * cost
     # one window may belong to another job, and one job more or less may have arrived
-    unsure = max([window.cpu for window in between]) / jobs.cpu
+    unsure = max(window.cpu for window in between) / jobs.cpu
     return Demand(cores, cores * unsure + cost / total.seconds)
 
 

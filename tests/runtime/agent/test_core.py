@@ -460,7 +460,7 @@ def test_a_container_that_ends_may_take_as_long_as_its_heart_beats() -> None:
     world.core.on_ended(100, ProcessEnd(9))
     world.run(0.6)
     (fault,) = world.status.faults
-    assert fault.message == "was ended: it did not end within 2 s"
+    assert fault.message == "was ended: it did not respond for 2 s"
 
 
 def test_what_an_earlier_agent_wanted_is_started_without_a_manager() -> None:

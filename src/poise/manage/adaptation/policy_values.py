@@ -31,7 +31,7 @@ def _computers(situation: Situation) -> Iterator[Values]:
     for each in situation.estimates_at_work():
         estimates.setdefault(each.computer, []).append(each)
     components = Counter(situation.placement.values())
-    late = Counter([timer.computer for timer in situation.misses if timer.late])
+    late = Counter(timer.computer for timer in situation.misses if timer.late)
     by_name = {each.component: each for each in situation.demand_estimates}
     for computer in situation.robot.computers:
         here = estimates.get(computer.name, ())
@@ -45,9 +45,9 @@ def _computers(situation: Situation) -> Iterator[Values]:
             used=load.used if load else 0.0,
             background=load.background if load else 0.0,
             full=load is not None and load.is_full,
-            starved=max([each.estimate.starved for each in here], default=0.0),
+            starved=max((each.estimate.starved for each in here), default=0.0),
             late=late[computer.name],
-            drifted=sum([each.estimate.drift is not None for each in here]),
+            drifted=sum(each.estimate.drift is not None for each in here),
             short=shortages[computer.name],
             culprit=culprit_on(load, running)
             or "nothing takes more than was expected there",

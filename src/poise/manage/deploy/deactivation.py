@@ -15,7 +15,7 @@ from poise.manage.agent_connections.statuses import (
 )
 from poise.manage.deploy.desired import Incarnation
 from poise.manage.deploy.live_robot import LiveRobot
-from poise.manage.observe.deviations import fault_sentence, faults_after, last_numbers
+from poise.manage.observe.deviations import last_numbers, new_faults
 from poise.wire.records.status_records import ENDING_LIMIT, ConnectorStatus
 
 
@@ -225,18 +225,13 @@ def _stop(live: LiveRobot) -> None:
         agents.wait_news(lambda: away <= live.computers(), RETURN_LIMIT)
         if not away.isdisjoint(live.computers()):
             live.end_all("computers that are back are stopped")
-    late = [
-        fault_sentence(computer, fault)
-        for computer, fault in faults_after(before, agents.statuses())
-    ]
-    if late:
-        live.remaining = f"stopped, but: {'; '.join(late)}"
-        live.journal.note("failed", live.remaining)
-    text = "; ".join(
+    unreached = [
         f"{sentence}; `poise stop --file FILE` ends it once '{name}' is reached"
         for name, sentence in live.unreached().items()
-    )
-    if text:
-        live.journal.note("failed", f"stopped, but: {text}")
-        raise RunError(f"stopped, but: {text}")
+    ]
+    if text := "; ".join([*new_faults(before, agents.statuses()), *unreached]):
+        live.remaining = f"stopped, but: {text}"
+        live.journal.note("failed", live.remaining)
+    if unreached:
+        raise RunError(live.remaining)
     live.journal.note("done", "everything stopped")

@@ -196,6 +196,11 @@ def fault_sentence(computer: str, fault: Fault) -> str:
     return f"container '{fault.container}' on '{computer}' {fault.message}{restarts}"
 
 
+def new_faults(before: Numbers, statuses: Statuses) -> list[str]:
+    """Return the faults after `before` for people, oldest first."""
+    return [fault_sentence(*each) for each in faults_after(before, statuses)]
+
+
 class FaultFilter:
     """Selects the faults to report: of a container with very many, one a minute.
 

@@ -105,8 +105,10 @@ class Loads:
         used = after.all - before.all
         own = after.agent - before.agent
         # what a container used that began or ended meanwhile is not known in full
-        before_of = before.containers
-        own += sum([cpu - before_of.get(p, 0.0) for p, cpu in after.containers.items()])
+        own += sum(
+            cpu - before.containers.get(pid, 0.0)
+            for pid, cpu in after.containers.items()
+        )
         background = (used - own) / seconds * speed
         return Load(
             capacity=self._capacities[name],
@@ -122,7 +124,7 @@ class Loads:
 
 def _used(container: ContainerSample) -> float:
     """Return a container's CPU time, with that of the commands that it runs [s]."""
-    return max(container.cpu, sum([c.cpu for c in container.components]))
+    return max(container.cpu, sum(component.cpu for component in container.components))
 
 
 _COUNT_OVER = 2.0

@@ -130,11 +130,11 @@ def fingerprint(type_: Any) -> Hashable:  # noqa: ANN401, any type
 
 
 def _fingerprint(type_: Any, seen: Seen) -> Hashable:  # noqa: ANN401, any type
-    if get_origin(type_) is Annotated:
+    origin = get_origin(type_)
+    if origin is Annotated:
         return _fingerprint(get_args(type_)[0], seen)
-    if get_origin(type_) is not None:
+    if origin is not None:
         inner = tuple(_fingerprint(arg, seen) for arg in get_args(type_))
-        origin = get_origin(type_)
         return (str(UnionType if origin is Union else origin), inner)
     if not isinstance(type_, type) or type_ in seen:
         return getattr(type_, "__qualname__", repr(type_))

@@ -15,7 +15,7 @@ import signal
 import socket
 import sys
 import time
-from collections.abc import Collection, Iterable
+from collections.abc import Collection
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from types import FrameType
@@ -456,12 +456,12 @@ class Container:
         self._wiring.close()
         self._server.close()
 
-    def _wait_ended(self, running: Iterable[Runner]) -> str:
+    def _wait_ended(self, running: list[Runner]) -> str:
         """Wait until components have ended; return which had not in time, in words.
 
         The hooks by which they end may take longer than a handler.
         """
-        now, running = self._clock.now(), list(running)
+        now = self._clock.now()
         until = now + self._stop_limit
         hooks_until = now + (ENDING_LIMIT if self._stop_limit else 0.0)
         while running := [each for each in running if not each.wait_ended(0.0)]:

@@ -372,6 +372,7 @@ class Runner:
     def _clean_up_after(self, hook: str) -> None:
         if hook == "cleanup":
             return
+        self._hook = "cleanup", self.clock.now()
         try:
             with self.gate.borrowed(by_hook=True):
                 self.component.cleanup()

@@ -167,7 +167,9 @@ class ContainerProcess:
         if self._beat != before and not self.silence:
             self.kill_at = now + STOP_LIMIT
         else:
-            self._why_ended = f"it did not end within {STOP_LIMIT:g} s"
+            silence = f": {self.silence.reason}" if self.silence else ""
+            why = silence or f" for {STOP_LIMIT:g} s"
+            self._why_ended = self._why_ended or f"it did not respond{why}"
             self.kill()
 
     def kill(self) -> None:

@@ -124,14 +124,14 @@ def _read(path: Path) -> tuple[Mapping[object, object], frozenset[str]]:
     except (OSError, ValueError, yaml.YAMLError) as error:
         # PyYAML raises ValueError for some tagged values, such as !!int x
         raise UsageError(f"placement {path} cannot be read: {error}") from error
-    suspended: object = ()
+    suspended: object = None
     if isinstance(found, dict) and isinstance(found.get("placement"), dict):
         suspended, found = found.get("suspended"), found["placement"]
     if not isinstance(found, dict):
         raise UsageError(
             f"placement {path} is not a mapping of components to computers"
         )
-    if not isinstance(suspended, list | tuple | type(None)):
+    if not isinstance(suspended, list | None):
         raise UsageError(f"placement {path}: 'suspended' is no list of architectures")
     return found, frozenset(map(str, suspended or ()))
 

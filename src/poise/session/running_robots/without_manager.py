@@ -10,7 +10,7 @@ from poise.manage.agent_connections.statuses import containers_left
 from poise.manage.control_socket.agents_without_manager import ask_agents
 from poise.manage.control_socket.commands import RobotStatus
 from poise.manage.deploy.live_robot import STOP_LIMIT
-from poise.manage.observe.deviations import fault_sentence, faults_after, last_numbers
+from poise.manage.observe.deviations import last_numbers, new_faults
 from poise.model.robot import Robot
 from poise.session.launch.computers import emulated_addresses, real_agents
 from poise.wire.control_session import endpoint_of
@@ -90,7 +90,7 @@ def _end_all(agents: Agents, computers: set[str]) -> list[str]:
 
     if not agents.wait_news(lambda: not left(), STOP_LIMIT):
         raise RunError(f"{', '.join(left())} still ran {STOP_LIMIT:g} s after the stop")
-    return [fault_sentence(*each) for each in faults_after(before, agents.statuses())]
+    return new_faults(before, agents.statuses())
 
 
 def _addresses(robot: Robot) -> AgentAddresses:

@@ -135,7 +135,7 @@ class ComponentStatus(Struct, frozen=True, kw_only=True):
     errors: int = 0
     # The errors by line and type, in the order in which they first came
     error_counts: tuple[ErrorCount, ...] = ()
-    # The timer or port whose code its thread runs now, and for how long already [s]
+    # The timer, port or hook whose code its thread runs now, and for how long [s]
     handler: str = ""
     handler_seconds: float = 0.0
     hung: float = 0.0  # For how long a handler has run, or a due timer could not [s]
