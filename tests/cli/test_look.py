@@ -95,3 +95,6 @@ def test_what_is_not_there_is_refused(poise: Poise) -> None:
     assert done.returncode == 2
     assert f"no connector 'nothing' (there are: {CONNECTOR})" in done.stderr
     assert poise("list", "wishes").returncode == 2
+    port = poise("echo", "counter.nope", "--robot", NAME)
+    assert port.returncode == 2
+    assert "'counter' publishes no 'nope'; it publishes 'count'" in port.stderr

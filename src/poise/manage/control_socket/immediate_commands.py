@@ -303,7 +303,8 @@ def _read_tap(live: LiveRobot, command: TapCommand) -> TapReading:
             f"'{command.connector}' is made by ROS 2 alone: `ros2 topic echo {topic}` "
             "shows it"
         )
-    connector, computer, container = begin_of(agents.statuses(), command.connector)
+    statuses = agents.statuses()
+    connector, computer, container = begin_of(statuses, command.connector)
     asked = Tap(
         number=secrets.randbits(_BITS),
         container=container,
@@ -318,6 +319,8 @@ def _read_tap(live: LiveRobot, command: TapCommand) -> TapReading:
     reply = agents.request(computer, asked, _ANSWER_LIMIT)
     if isinstance(reply, TapReading):
         return reply
+    if isinstance(reply, StepsFailed) and connector not in dict(_begins(statuses)):
+        raise UsageError(reply.reason)  # the component has no such port
     why = f"no answer within {_ANSWER_LIMIT:g} s"
     if isinstance(reply, Refused | StepsFailed):
         why = reply.reason
