@@ -44,6 +44,8 @@ def test_lists_what_runs_and_its_names(poise: Poise) -> None:
         "connectors": [CONNECTOR],
     }.items():
         assert poise("list", what, "--robot", NAME).stdout.split() == names
+        said = poise("list", what, "--robot", NAME, "--json").stdout
+        assert json.loads(said) == names
     status = json.loads(poise("list", "--robot", NAME, "--json").stdout)[NAME]
     assert status["task"] == "greet"
 

@@ -141,7 +141,7 @@ OUTPUTS: Mapping[str, Sequence[Any]] = {
     "deploy": [Deployed],
     "keys": [list[KeysListed]],
     "keys list": [list[KeysListed]],
-    "list": [Robots],
+    "list": [Robots, list[str]],
     "call": [Called],
     "param": [dict[str, dict[str, Any]]],
     "param list": [dict[str, dict[str, Any]]],

@@ -68,10 +68,12 @@ def list_command(
     poise list connectors
     """
     robots = robots_here(robot)
-    if what is not None and not as_json:
-        sys.stdout.writelines(f"{name}\n" for name in names_of(robots, what))
-    else:
+    if what is None:
         show(robots, listing(robots), as_json=as_json)
+    elif as_json:
+        print_json(list(names_of(robots, what)))
+    else:
+        sys.stdout.writelines(f"{name}\n" for name in names_of(robots, what))
 
 
 def echo_command(
