@@ -286,6 +286,23 @@ def test_checkpoints_go_on_when_a_move_led_back(
     wait_until(lambda: any(b"a word" in f.read_bytes() for f in _kept(tmp_path)))
 
 
+@pytest.mark.slow
+def test_what_came_by_a_move_is_kept_at_once(
+    incarnations: Incarnations, tmp_path: Path
+) -> None:
+    """What the source had kept is removed, and the interval may be long."""
+    old = incarnations.start(Book, active=True)
+    new = incarnations.start(
+        Book,
+        active=False,
+        checkpoints=Checkpoints(tmp_path, "book", 2, 1000.0, SystemClock()),
+    )
+    tell(old, "a word")
+    restore(new, fetch(rest(old), Request.ALL, LIMIT))
+    new.aim("active")
+    wait_until(lambda: any(b"a word" in f.read_bytes() for f in _kept(tmp_path)))
+
+
 def _kept(folder: Path) -> list[Path]:
     return [*folder.glob("*.checkpoint")]
 

@@ -61,14 +61,14 @@ class Checkpoints:
         self.due = float("inf")
         self.cost = 0.0
 
-    def begin(self) -> None:
-        """Be due for the first time after an interval."""
+    def postpone(self) -> None:
+        """Be due after an interval."""
         self.due = self._clock.now() + self._every
 
     def write(self, component: Component, latest: LatestMessages) -> None:
         """Keep the state of a component; when that fails, the one before is kept."""
         began = self._clock.now()
-        self.due = began + self._every
+        self.postpone()
         state, last = component.snapshot(), latest.to_frames()
         if state is None and not last:
             return

@@ -317,8 +317,8 @@ class Runner:
                 state = "failed"
         self._hook = None
         if state == "active":
-            if self.checkpoints is not None:
-                self.checkpoints.begin()
+            if self.checkpoints is not None:  # what it brought along is not kept yet
+                self.checkpoints.due = self.clock.now()
             elapsed = wall_time() - release_offset(self.spec.name)
             self.counters.plan(self.timers.start(self.clock.now(), elapsed))
         elif hook == "configure":
@@ -457,7 +457,7 @@ class Runner:
 
     def _write_checkpoint(self, checkpoints: Checkpoints) -> None:
         if self.owes_changes:  # they would count from its snapshot
-            checkpoints.begin()
+            checkpoints.postpone()
         else:
             checkpoints.write(self.component, self.endpoints.latest)
 
