@@ -143,7 +143,7 @@ def test_what_is_missing_is_said() -> None:
         draw(ROBOT, "components", {"now": NOW})
     with pytest.raises(UsageError, match="no diagram 'boxes'"):
         draw(ROBOT, cast("What", "boxes"))
-    with pytest.raises(UsageError, match="no task 'dance'"):
+    with pytest.raises(UsageError, match=r"no task 'dance' \(its tasks: "):
         draw(ROBOT, task="dance")
     with pytest.raises(UsageError, match=r"robot\.gif: .*\.svg"):
         draw(ROBOT).save("robot.gif")

@@ -20,6 +20,7 @@ from poise.model.robot import (
     Link,
     Robot,
 )
+from poise.plan.from_robot import check_task
 from poise.runtime.component.implementation import find, search_also
 from poise.runtime.component.ports import ports_of
 from poise.session.arguments import check_robot
@@ -118,8 +119,8 @@ def draw(
     if what not in get_args(What):
         raise UsageError(f"no diagram '{what}' (there are: {listed(get_args(What))})")
     if what == "components" and not named:
-        if task is not None and task not in {each.name for each in robot.tasks}:
-            raise UsageError(f"robot '{robot.name}' has no task '{task}'")
+        if task is not None:
+            check_task(robot, task)
         functions = None if task is None else robot.functions_of(task)
         return Drawing(component_diagram(robot, functions))
     for name, placement in named.items():
