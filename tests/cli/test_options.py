@@ -37,6 +37,8 @@ def test_what_is_there_stays_and_what_is_not_is_not_made(tmp_path: Path) -> None
         ["up", "FILE", "--journal", "robot.yaml"],
         ["profile", "show", "FILE", "--plot", "nowhere/it.svg"],
         ["recording", "export", "FILE", "--to", "nowhere/it.csv"],
+        ["draw", "FILE", "-o", "nowhere/it.svg"],
+        ["ros2", "export", "FILE", "-o", "robot.yaml"],
     ],
     ids=lambda words: f"{words[0]} {words[-2]} {words[-1]}",
 )

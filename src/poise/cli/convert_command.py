@@ -20,7 +20,7 @@ from poise.model.hardware import Computer
 from poise.model.load import load
 from poise.model.robot import Robot
 from poise.session.diagrams.draw import FORMATS, What, draw
-from poise.session.folders import write_whole
+from poise.session.folders import make_folder, to_write, write_whole
 from poise.session.placing.placement import place
 from poise.session.profiling.stored_profiles import profiled
 from poise.session.render.printable import console_to
@@ -96,11 +96,13 @@ def draw_command(
     for sentence in measured.says:
         console.print(escape(sentence))
     robot = measured.robot
+    path = Path(output or f"{robot.name}-{chosen}.svg")
+    if output != _ON_STDOUT:
+        to_write(path)
     drawing = draw(robot, chosen, _placements(robot, task, names), task=task)
     if output == _ON_STDOUT:
         sys.stdout.write(drawing.text())
         return
-    path = Path(output or f"{robot.name}-{chosen}.svg")
     with busy("drawing"):
         drawing.save(path)
     console.print(escape(f"wrote {path}"))
@@ -222,7 +224,9 @@ def export_command(
         raise UsageError(
             f"{', '.join(there)} exists: remove it, or name another folder with -o"
         )
-    output.mkdir(parents=True, exist_ok=True)
+    make_folder(output)
+    for path in paths:
+        to_write(path)
     for path, text in paths.items():
         write_whole(path, text)
         sys.stdout.write(f"{path}\n")

@@ -32,7 +32,7 @@ from poise.cli.watch_command import check_dashboard, dashboard_beside
 from poise.errors import UsageError
 from poise.model.steps import Prefetch
 from poise.session.deploy.deploy import deploy
-from poise.session.folders import to_write
+from poise.session.folders import make_folder, to_write
 from poise.session.launch.printer import Printer, log_printer
 from poise.session.placing.placement import place
 from poise.session.render.printable import console_to
@@ -97,7 +97,7 @@ def run_command(
     chosen = task_of(robot, task)
     placed = place(robot, chosen, method=placement, fewer=True)
     if report is not None:
-        _make_folder(report)
+        to_write(make_folder(report) / "report.json")
     with Interrupts() as interrupts:
         with progress(console, seconds) as show:
             result = run(
@@ -123,14 +123,6 @@ def run_command(
             console.print(result)
     if result.invalid or not is_kept or (result.failed and not allow_errors):
         raise typer.Exit(1)
-
-
-def _make_folder(path: Path) -> None:
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UsageError(f"--report {path}: {error.strerror}") from error
-    to_write(path / "report.json")
 
 
 _POLL_EVERY = 0.2

@@ -60,6 +60,15 @@ def to_write(path: Path | None) -> Path | None:
     return path
 
 
+def make_folder(path: Path) -> Path:
+    """Return a folder to write into, made if need be; UsageError when it cannot be."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UsageError(f"{path} cannot be a folder: {error.strerror}") from error
+    return path
+
+
 def write_whole(path: Path, text: str) -> None:
     """Write a text file whole or not at all; owner, rights and links to it stay.
 
