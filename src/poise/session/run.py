@@ -9,11 +9,13 @@ from collections import Counter
 from collections.abc import Callable
 from os import PathLike
 
+from msgspec import structs
+
 from poise.clock import wall_time
 from poise.emulate import set_for
 from poise.errors import PoiseError, RunError, UsageError
 from poise.manage.control_socket.control_server import ControlServer
-from poise.manage.deploy.deactivation import drain
+from poise.manage.deploy.deactivation import drain, stop
 from poise.manage.deploy.live_robot import LiveRobot
 from poise.manage.journal import JournalEntry
 from poise.manage.manager import Manager
@@ -30,7 +32,7 @@ from poise.session.placing.placement import Placement
 from poise.session.record_run import keeping
 from poise.session.robot_file import task_of
 from poise.session.run_records import History
-from poise.session.run_report import MeasuredRun, RunReport, reported
+from poise.session.run_report import MeasuredRun, RunReport, faults_of, reported
 from poise.units import counted
 from poise.wire.heartbeats import UNCUT_SURELY_ENDED
 
@@ -121,7 +123,9 @@ def run(  # noqa: PLR0913 - each is a choice of the user
         if book.forgotten:
             lacks = counted(book.forgotten, "earlier line")
             say(f"the report lacks {lacks} of the journal; `poise journal` has more")
-        return reported(up, placed, manager.tasks.reports, seen, entries)
+        report = reported(up, placed, manager.tasks.reports, seen, entries)
+        stop(up.live)
+        return structs.replace(report, faults=faults_of(up.live))
 
 
 class Warnings:

@@ -12,6 +12,7 @@ from rich.console import RenderableType
 from poise.errors import RunError
 from poise.manage.agent_connections.statuses import Statuses
 from poise.manage.deploy.deactivation import unprocessed
+from poise.manage.deploy.live_robot import LiveRobot
 from poise.manage.journal import JournalEntry
 from poise.manage.observe.chains import ChainReport
 from poise.manage.observe.deviations import LocatedFault, faults_after
@@ -153,6 +154,14 @@ class MeasuredRun(Struct, frozen=True, kw_only=True):
     interrupted: bool
 
 
+def faults_of(live: LiveRobot) -> tuple[LocatedFault, ...]:
+    """Return what went wrong on its computers since the robot started."""
+    return tuple(
+        LocatedFault(computer=computer, **msgspec.structs.asdict(fault))
+        for computer, fault in faults_after(live.faults_before, live.agents.statuses())
+    )
+
+
 def reported(
     up: Started,
     placed: Placement,
@@ -160,7 +169,10 @@ def reported(
     seen: MeasuredRun,
     journal: tuple[JournalEntry, ...],
 ) -> RunReport:
-    """Return the report of a run whose components are inactive by now."""
+    """Return the report of a run whose components are inactive by now, but for faults.
+
+    Components have yet to end.
+    """
     final = seen.last_seen.merged(up.live.agents.statuses())
     robot = up.live.robot
     invalid, simulation = seen.invalid, {}
@@ -189,10 +201,6 @@ def reported(
         refused=refused_messages(final),
         lost=unprocessed(up.live, placed.where.keys(), seen.last_seen.ended),
         silent=silent_ports(robot, final),
-        faults=tuple(
-            LocatedFault(computer=computer, **msgspec.structs.asdict(fault))
-            for computer, fault in faults_after(up.live.faults_before, final)
-        ),
         clocks=clocks_of(seen.end),
         interrupted=seen.interrupted,
         invalid=invalid,

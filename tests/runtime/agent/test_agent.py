@@ -135,6 +135,10 @@ class Parking(Component):
         time.sleep(0.5)
         pathlib.Path("parked").touch()
 
+class Messy(Component):
+    def cleanup(self):
+        raise OSError("the map cannot be saved")
+
 class Stubborn(Component):
     def deactivate(self):
         while True: pass
@@ -506,6 +510,32 @@ def test_kills_one_that_will_not_end(manager: Manager) -> None:
     fault = status.faults[-1]
     said = "was ended: component 'stubborn' did not end in time: 'deactivate' has run"
     assert said in fault.message
+
+
+def test_a_hook_that_fails_at_the_end_is_a_fault(manager: Manager) -> None:
+    """Also of one whose container goes on."""
+    specs = [
+        ComponentSpec(
+            name=name,
+            goal="inactive",
+            implementation=f"quiet_module:{name.capitalize()}",
+        )
+        for name in ("messy", "quiet")
+    ]
+    manager.deploy_container("both", *specs)
+    manager.wait_for(lambda status: set(states(status).values()) == {"inactive"})
+    manager.deploy_container("both", specs[1])
+    said = "says that 'cleanup' of component 'messy' raised OSError: the map cannot be"
+
+    def told(status: AgentStatus) -> int:
+        return sum(fault.message.startswith(said) for fault in status.faults)
+
+    manager.wait_for(lambda status: told(status) == 1)
+    manager.deploy_container("both", *specs)
+    manager.wait_for(lambda status: states(status).get("messy") == "inactive")
+    manager.deploy()
+    status = manager.wait_for(lambda status: not status.containers)
+    assert told(status) == 2
 
 
 def test_waits_until_one_has_parked(manager: Manager) -> None:

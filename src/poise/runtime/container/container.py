@@ -154,9 +154,9 @@ class Container:
         finally:
             self._stop()
 
-    def _tell_failure(self, error: PoiseError) -> None:
+    def _tell_failure(self, what: PoiseError | str, *, goes_on: bool = False) -> None:
         with contextlib.suppress(Timeout):
-            self._link.send(ContainerFailure(encodable(str(error))))
+            self._link.send(ContainerFailure(encodable(str(what)), goes_on))
 
     def _on_signal(self, _signal: int, _frame: FrameType | None) -> None:
         self._stopping = True
@@ -410,12 +410,16 @@ class Container:
         """Forget removed components that have ended; whether there were any."""
         ended = [key for key, (runner, _) in self._ending.items() if runner.has_ended()]
         for key in ended:
-            del self._ending[key]
+            self._tell_bad_end(self._ending.pop(key)[0])
         for key, (runner, limit) in self._ending.items():
             if self._clock.now() > limit:
                 log.warning("component '%s' did not end in %g s", key[0], ENDING_LIMIT)
                 self._ending[key] = runner, math.inf
         return bool(ended)
+
+    def _tell_bad_end(self, runner: Runner) -> None:
+        if runner.bad_end:
+            self._tell_failure(f"says that {runner.bad_end}", goes_on=True)
 
     def _status(self) -> ContainerStatus:
         used = self._stats_page.cpu()
@@ -448,7 +452,9 @@ class Container:
         if late := self._wait_ended(running):
             log.warning("%s", late)
             if self._stopping:
-                self._tell_failure(RunError(late))
+                self._tell_failure(late)
+        for runner in running:
+            self._tell_bad_end(runner)
         with contextlib.suppress(Timeout):  # nobody may be left to tell
             self._report(self._status())
         self._step_threads.shutdown(wait=False, cancel_futures=True)

@@ -17,7 +17,7 @@ from typing import Any
 
 from poise import threads
 from poise.clock import ComponentClock, wall_time
-from poise.errors import Timeout
+from poise.errors import Timeout, last_error
 from poise.priority import before_components
 from poise.runtime._calls import ComponentCounters, Histogram
 from poise.runtime.component.component import Component, Context, create, set_parameters
@@ -126,6 +126,8 @@ class Runner:
         self._thread = threads.daemon(self._main, spec.name[:15])
         self.asked_at = clock.now()
         self.reason_to_end = ""
+        self.bad_end = ""
+        """What went wrong as it ended, in words."""
         self.checkpoints: Checkpoints | None = None
         # a target has its state, and is to get what changed since that snapshot
         self.owes_changes = False
@@ -312,7 +314,7 @@ class Runner:
                 # one that may say no farewell keeps its state
                 log.warning("'%s' ended early: %s", hook, error)
             else:
-                self._errors.note(hook, error, self.clock.now())
+                self._note_failure(hook, error)
                 self._clean_up_after(hook)
                 state = "failed"
         self._hook = None
@@ -326,6 +328,12 @@ class Runner:
         self.life_cycle.enter(state)
         self.gate.resume()
         self._on_change()
+
+    def _note_failure(self, hook: str, error: BaseException) -> None:
+        self._errors.note(hook, error, self.clock.now())
+        if self.life_cycle.goal == "finalized":  # its status is not looked at any more
+            raised = last_error(self._errors.last)
+            self.bad_end = f"'{hook}' of component '{self.spec.name}' raised {raised}"
 
     def _pause(self) -> bool:
         """Pause before it is deactivated, once nobody is inside, unless it ends.
@@ -341,7 +349,7 @@ class Runner:
                 if self.life_cycle.goal == "finalized":
                     self.gate.pause_for_good()
                 elif self.clock.now() > until:
-                    self._errors.note("deactivate", error, self.clock.now())
+                    self._note_failure("deactivate", error)
                     self.life_cycle.enter("failed")
                     self._on_change()
                     return False

@@ -24,6 +24,7 @@ from poise.wire.records.deployment_records import ContainerSpec, Deployment
 from poise.wire.records.heartbeat_records import Clocks
 from poise.wire.records.status_records import (
     ContainerAnswer,
+    ContainerFailure,
     ContainerHealth,
     ContainerStatus,
     FromContainer,
@@ -141,6 +142,9 @@ class Supervisor:
     def note(self, container: str, record: FromContainer) -> ContainerAnswer | None:
         """Take in what a container says; return the outcome of a step, if it is one."""
         process = self.processes.get(container)
+        if isinstance(record, ContainerFailure) and record.goes_on:
+            self.health.note_fault(container, record.reason)
+            return None
         return None if process is None else process.note(record)
 
     def note_deaf(self, container: str, why: str) -> None:

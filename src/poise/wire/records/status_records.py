@@ -371,9 +371,10 @@ class AgentSample(Struct, frozen=True, array_like=True):
 
 
 class ContainerFailure(Struct, frozen=True, tag=True):
-    """The last words of a container that cannot go on."""
+    """What a container says when it cannot go on, or a component ended badly."""
 
     reason: str
+    goes_on: bool = False
 
 
 ContainerRequest = MigrationSteps | Tap | PortRequest
