@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -57,3 +59,22 @@ def test_a_log_that_cannot_be_written_is_named_with_what_to_do(
         "log of .*: choose another folder by XDG_STATE_HOME",
     ):
         up_detached(ROBOT, Path("robot.yaml"), ["up"], print, lambda: None)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(os.geteuid() != 0, reason="mounts a small disk")
+def test_a_full_disk_is_named_when_the_reason_found_no_room(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    mount = ["mount", "-t", "tmpfs", "-o", "size=4k", "full", str(tmp_path)]
+    subprocess.run(mount, check=True)
+    try:
+        (tmp_path / "filled").write_bytes(b"x" * 4096)
+        monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+        monkeypatch.setattr(detached, "set_for", lambda _: ROBOT)
+        says = r"with exit code 2; why .*: No space left on device\. Make room, or"
+        with pytest.raises(DetachedFailure, match=says) as failed:
+            up_detached(ROBOT, Path("robot.yaml"), ["nonsense"], print, lambda: None)
+        assert failed.value.exit_code == 2
+    finally:
+        subprocess.run(["umount", str(tmp_path)], check=True)

@@ -13,7 +13,7 @@ from pathlib import Path
 from msgspec import Struct
 
 from poise.emulate import set_for
-from poise.errors import PoiseError, RunError, UsageError
+from poise.errors import PoiseError, RunError, UsageError, signal_name
 from poise.model.robot import Robot
 from poise.session import Check, Say
 from poise.session.folders import state_folder
@@ -129,8 +129,24 @@ def _wait(
         code = process.poll()
         if code is not None:
             said = log.read_bytes()[size:].decode(errors="replace").strip()
+            said = said or _why_silent(process.pid, code, log)
             raise DetachedFailure(f"{said}\n(log: {log})", code if code > 0 else 1)
         time.sleep(_LOOK_EVERY)
+
+
+def _why_silent(process: int, code: int, log: Path) -> str:
+    """Return what is known of a process that ended, and left nothing in its log."""
+    ended = f"process {process} ended "
+    ended += f"with exit code {code}" if code >= 0 else f"by {signal_name(-code)}"
+    try:
+        with log.open("ab") as file:
+            file.write(b"\n")
+    except OSError as error:
+        return (
+            f"{ended}; why is not known, as its log cannot be written: "
+            f"{error.strerror}. Make room, or choose another folder by XDG_STATE_HOME"
+        )
+    return f"{ended}, and said nothing"
 
 
 def _manages(process: int, robot: str) -> bool:
