@@ -74,7 +74,8 @@ def test_a_full_disk_is_named_when_the_reason_found_no_room(
         monkeypatch.setattr(detached, "set_for", lambda _: ROBOT)
         says = r"with exit code 2; why .*: No space left on device\. Make room, or"
         with pytest.raises(DetachedFailure, match=says) as failed:
-            up_detached(ROBOT, Path("robot.yaml"), ["nonsense"], print, lambda: None)
+            words = ["status", "--robot", "nobody"]
+            up_detached(ROBOT, Path("robot.yaml"), words, print, lambda: None)
         assert failed.value.exit_code == 2
     finally:
         subprocess.run(["umount", str(tmp_path)], check=True)
