@@ -47,10 +47,11 @@ def test_a_run_reports_it(tmp_path: Path) -> None:
 def test_it_is_told_after_a_move_and_as_the_robot_stops(tmp_path: Path) -> None:
     file = written(tmp_path, "messy-up", "messy", CODE, TEXT)
     name = poise.load(file).name
-    with robot_up(file):
+    with robot_up(file) as process:
         assert run_poise("move", "--robot", name, "mapper", "right").returncode == 0
         moved = run_poise("journal", "--robot", name)
         stopped = run_poise("stop", "--robot", name)
+        assert process.wait(LONG) == 1
     assert f"'left' {SAID}" in moved.stdout
     assert stopped.returncode == 1
     assert f"'right' {SAID}" in stopped.stderr

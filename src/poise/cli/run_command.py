@@ -235,6 +235,8 @@ def up_command(
             while not running.wait(_POLL_EVERY):
                 interrupts.check()
             say("stopping")
+        if running.started.live.remaining:  # it was said as it came
+            raise typer.Exit(1)
 
 
 def _import_the_rest() -> None:
