@@ -72,9 +72,9 @@ def test_a_full_disk_is_named_when_the_reason_found_no_room(
         (tmp_path / "filled").write_bytes(b"x" * 4096)
         monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
         monkeypatch.setattr(detached, "set_for", lambda _: ROBOT)
+        words = ["status", "--robot", "nobody"]
         says = r"with exit code 2; why .*: No space left on device\. Make room, or"
         with pytest.raises(DetachedFailure, match=says) as failed:
-            words = ["status", "--robot", "nobody"]
             up_detached(ROBOT, Path("robot.yaml"), words, print, lambda: None)
         assert failed.value.exit_code == 2
     finally:
