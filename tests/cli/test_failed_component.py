@@ -16,7 +16,7 @@ NAME = f"failed{os.getpid()}"
 CODE = """
 import os
 from pathlib import Path
-from poise import Component, every
+from poise import Component, Message, every
 
 FOLDER = Path(__file__).parent
 
@@ -29,6 +29,26 @@ class Fragile(Component):
     def tick(self):
         if (FOLDER / "bad").exists():
             os._exit(3)
+
+class Count(Message):
+    value: int
+
+class Counter(Fragile):
+    count = 0
+
+    @every(0.02)
+    def tick(self):
+        self.count += 1
+        super().tick()
+
+    def snapshot(self):
+        if self.count > 100:  # an earlier state was kept long ago
+            (FOLDER / "kept").touch()
+        return Count(self.count)
+
+    def restore(self, state: Count):
+        self.count = state.value
+        (FOLDER / "restored").write_text(str(state.value))
 """
 ROBOT = """
 robot: {name}
@@ -63,6 +83,30 @@ def test_a_failed_component_starts_again(tmp_path: Path, words: list[str]) -> No
         done = run_poise(*words, "--robot", NAME)
         assert done.returncode == 0, done.stderr
         wait_long(lambda: "everything is as the robot file says" in status())
+
+
+def test_a_failed_component_goes_on_from_its_checkpoint_but_its_state_is_not_mapped(
+    tmp_path: Path,
+) -> None:
+    (tmp_path / "fragile.py").write_text(CODE)
+    robot = tmp_path / "robot.yaml"
+    code = '"fragile:Counter", checkpoint: 50 ms'
+    robot.write_text(ROBOT.format(name=NAME).replace('"fragile:Fragile"', code))
+    replace = ("replace", "fragile", "fragile:Counter", "--robot", NAME)
+    with robot_up(robot):
+        wait_long((tmp_path / "kept").exists)
+        (tmp_path / "bad").touch()
+        wait_long(lambda: "is failed: RuntimeError: a bad day" in status())
+        refused = run_poise(*replace)
+        assert refused.returncode == 1
+        wait_long(lambda: "is failed: RuntimeError: a bad day" in status())
+        mapped = run_poise(*replace, "--adapt", "fragile:adapt")
+        assert mapped.returncode == 2
+        assert "'fragile' has failed, and --adapt maps the state" in mapped.stderr
+        (tmp_path / "bad").unlink()
+        done = run_poise(*replace)
+        assert done.returncode == 0, done.stderr
+        assert int((tmp_path / "restored").read_text()) > 0
 
 
 def status() -> str:

@@ -11,6 +11,7 @@ import pytest
 
 from poise import Component, Message
 from poise.clock import SystemClock, boot_time
+from poise.errors import RunError, UsageError
 from poise.runtime.connectors.latest import LatestMessages
 from poise.runtime.hosting.checkpoints import Checkpoints
 from poise.wire.records.request_records import age_of, set_age
@@ -81,4 +82,35 @@ def test_one_that_was_removed_is_written_again_though_the_state_is_the_same(
     (path,) = tmp_path.iterdir()
     path.unlink()
     checkpoints.write(component, LatestMessages())
+    assert path.exists()
+
+
+class Other(Message):
+    number: int
+
+
+class Restoring(Component):
+    def restore(self, state: Other) -> None: ...
+
+
+@pytest.mark.parametrize("damage", [b"", b"no frame at all" * 10])
+def test_one_that_is_damaged_is_named_with_what_to_do(
+    checkpoints: Checkpoints, component: Mock, tmp_path: Path, damage: bytes
+) -> None:
+    checkpoints.write(component, LatestMessages())
+    (path,) = tmp_path.iterdir()
+    path.write_bytes(damage)
+    with pytest.raises(RunError, match=r"checkpoint .* cannot be read: .* --fresh"):
+        checkpoints.restore(component, LatestMessages())
+    assert path.read_bytes() == damage
+
+
+def test_one_of_another_type_is_refused_without_talk_of_adapt(
+    checkpoints: Checkpoints, component: Mock, tmp_path: Path
+) -> None:
+    checkpoints.write(component, LatestMessages())
+    (path,) = tmp_path.iterdir()
+    with pytest.raises(UsageError, match="bring back code") as refused:
+        checkpoints.restore(Restoring(), LatestMessages())
+    assert "--adapt" not in str(refused.value)
     assert path.exists()

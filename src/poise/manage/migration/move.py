@@ -26,6 +26,7 @@ from poise.model.check.allowed_computers import allowed_computers
 from poise.model.robot import Architecture, Robot
 from poise.units import named
 from poise.wire.records.code_records import SHOWN
+from poise.wire.records.request_records import CheckpointCopy
 
 
 def plan_move(
@@ -173,10 +174,14 @@ def _pending(
         cold=bool(entry.command) or has_failed,
         stateless=entry.ros2 is not None and not (entry.command or has_state),
     )
+    if has_failed and new.adapt:
+        raise UsageError(
+            f"component '{old.component}' has failed, and --adapt maps the state of "
+            "one that works: without it, the new code begins from the last checkpoint"
+        )
     if has_failed:
-        fresh = structs.replace(new, fresh=True)
         return PendingMigration(
-            live, report, (), (), lambda: _restart(live, report, old, fresh)
+            live, report, (), (), lambda: _restart_failed(live, report, old, new)
         )
     if report.cold:
         return PendingMigration(
@@ -214,18 +219,51 @@ def _move_cold(
     )
 
 
-def _restart(
+def _restart_failed(
     live: LiveRobot, report: MigrationReport, old: Incarnation, new: Incarnation
+) -> MigrationReport:
+    """Restart what has failed, from its checkpoint unless it is to begin fresh."""
+    kept = live.agents.checkpoints.get(old.component, old.epoch)
+    if not new.fresh:
+        new = with_checkpoint(live, new, kept)
+    return _restart(live, report, old, new, kept)
+
+
+def with_checkpoint(
+    live: LiveRobot, new: Incarnation, kept: CheckpointCopy | None
+) -> Incarnation:
+    """Let an agent keep the state that a component has to go on from, if there is."""
+    if kept is None:
+        return structs.replace(new, fresh=True)
+    mine = structs.replace(kept, epoch=new.epoch)
+    name = new.component
+    if refusal := live.agents.keep_checkpoint(new.computer, mine):
+        what = f"the state of '{name}' could not be sent to '{new.computer}': {refusal}"
+        live.journal.note("failed", f"{what}; it starts without")
+        return structs.replace(new, fresh=True)
+    what = f"component '{name}' goes on from its state of {kept.age:.1f} s ago"
+    live.journal.note("done", what)
+    return structs.replace(new, fresh=False)
+
+
+def _restart(
+    live: LiveRobot,
+    report: MigrationReport,
+    old: Incarnation,
+    new: Incarnation,
+    kept: CheckpointCopy | None = None,
 ) -> MigrationReport:
     """End an incarnation that has no state, or has failed, and then start the next."""
     began = time.monotonic()
-    reason = _swap(live, old, new)
+    reason = _swap(live, old, new, kept)
     away = time.monotonic() - began
     return structs.replace(report, committed=not reason, reason=reason, downtime=away)
 
 
-def _swap(live: LiveRobot, old: Incarnation, new: Incarnation) -> str:
-    """Return why `old` runs again; empty: `new` runs."""
+def _swap(
+    live: LiveRobot, old: Incarnation, new: Incarnation, kept: CheckpointCopy | None
+) -> str:
+    """Return why `old` runs again, with what was kept of it; empty: `new` runs."""
     what, active = f"cold move of '{old.component}'", new.with_goal("active")
     try:
         # the two must not run at the same time
@@ -235,6 +273,7 @@ def _swap(live: LiveRobot, old: Incarnation, new: Incarnation) -> str:
         live.bring([active], ACTIVE_LIMIT, f"{what}: it starts")
     except RunError as error:
         again = structs.replace(old, epoch=live.next_epoch(old.component))
+        again = with_checkpoint(live, again, kept)
         desired = live.desired.with_coming(()).placing([again])
         live.commit(desired, f"{what} is rolled back: {error}")
         return str(error)

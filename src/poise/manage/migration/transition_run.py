@@ -16,7 +16,7 @@ from poise.manage.migration.migration_report import (
     TransitionReport,
     TransitionStep,
 )
-from poise.manage.migration.move import plan_move
+from poise.manage.migration.move import plan_move, with_checkpoint
 from poise.manage.observe.deviations import Deviation
 from poise.units import counted
 
@@ -94,19 +94,10 @@ def _names(computers: Collection[str]) -> str:
 def _with_checkpoint(live: LiveRobot, new: Incarnation) -> Incarnation:
     """Let an agent keep the state that a component has to go on from, if there is."""
     name, before = new.component, live.placed.get(new.component)
-    copy = live.agents.checkpoints.get(name, before.epoch) if before else None
-    if copy is None:
-        if before is not None:
-            _note_lost_state(live, before)
-        return structs.replace(new, fresh=True)
-    mine = structs.replace(copy, epoch=new.epoch)
-    if refusal := live.agents.keep_checkpoint(new.computer, mine):
-        what = f"the state of '{name}' could not be sent to '{new.computer}': {refusal}"
-        live.journal.note("failed", f"{what}; it starts without")
-        return structs.replace(new, fresh=True)
-    what = f"component '{name}' goes on from its state of {copy.age:.1f} s ago"
-    live.journal.note("done", what)
-    return structs.replace(new, fresh=False)
+    kept = live.agents.checkpoints.get(name, before.epoch) if before else None
+    if before is not None and kept is None:
+        _note_lost_state(live, before)
+    return with_checkpoint(live, new, kept)
 
 
 def _note_lost_state(live: LiveRobot, before: Incarnation) -> None:

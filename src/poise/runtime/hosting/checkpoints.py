@@ -19,7 +19,7 @@ from poise.runtime.connectors.latest import LatestMessages
 from poise.runtime.execution.container_lease import LeaseEnd, check_lease
 from poise.runtime.migration.state_check import check_fits, describe_type, type_taken_by
 from poise.wire import frame
-from poise.wire.codec import Codec, codec
+from poise.wire.codec import Codec, WireError, codec
 from poise.wire.frame import Kind
 from poise.wire.records.request_records import (
     MOST_KEPT,
@@ -37,6 +37,10 @@ class _Checkpoint(Struct, frozen=True):
     latest: Mapping[str, bytes] = {}  # Port -> its last message
 
 
+_REMEDY = (
+    "let `poise replace` bring back code that takes the state of the checkpoint, or "
+    "drop it with --fresh"
+)
 _CHECKPOINT: Codec[_Checkpoint] = codec(_Checkpoint)
 
 
@@ -116,12 +120,16 @@ class Checkpoints:
         try:
             data = self._path.read_bytes()
             age = age_of(self._path.stat().st_mtime)
+            kept: _Checkpoint = frame.parse(data).value(_CHECKPOINT)
         except FileNotFoundError:
             return None
-        kept: _Checkpoint = frame.parse(data).value(_CHECKPOINT)
+        except (OSError, WireError) as error:
+            what = f"its checkpoint {self._path} cannot be read: {error}"
+            raise RunError(f"{what}; `poise replace` with --fresh drops it") from None
         if kept.state:
             taken = type_taken_by(component.restore)
-            check_fits(kept.state_type, taken, type(component).restore.__qualname__)
+            by = type(component).restore.__qualname__
+            check_fits(kept.state_type, taken, by, _REMEDY)
             component.restore(frame.parse(kept.state).value(codec(taken)))
         latest.restore(kept.latest)
         self._before = data

@@ -33,7 +33,12 @@ def describe_type(type_: Any) -> str:  # noqa: ANN401, any type
     return str(made_of)
 
 
-def check_fits(described: str, taken: Any, by: str) -> None:  # noqa: ANN401, any type
+def check_fits(
+    described: str,
+    taken: Any,  # noqa: ANN401, any type
+    by: str,
+    remedy: str = f"let `snapshot` return that, or {_WAYS_OUT}",
+) -> None:
     """Raise UsageError when a described state is not what method `by` takes."""
     is_union = get_origin(taken) in {Union, UnionType}
     options = get_args(taken) if is_union else (taken,)
@@ -41,8 +46,7 @@ def check_fits(described: str, taken: Any, by: str) -> None:  # noqa: ANN401, an
         return
     raise UsageError(
         f"the state is {described}, but {by} takes "
-        f"{' or '.join(map(describe_type, options))}: let `snapshot` return that, or "
-        f"{_WAYS_OUT}"
+        f"{' or '.join(map(describe_type, options))}: {remedy}"
     )
 
 
