@@ -65,6 +65,12 @@ Executor* Container::find(ComponentKey key) const {
   return nullptr;
 }
 
+bool Container::has(int component) const {
+  return std::any_of(executors_.begin(), executors_.end(), [component](const Executor* each) {
+    return each->key().component == component;
+  });
+}
+
 void Container::connect(const std::vector<const Connector*>& connectors) {
   auto before = std::move(connectors_);
   connectors_.clear();

@@ -1,5 +1,7 @@
 #include "engine.h"
 
+#include <algorithm>
+
 namespace poise::simulation {
 
 int Engine::number(const std::string& name) {
@@ -15,6 +17,12 @@ Executor* Engine::find(const Connector& connector) {
     if (Executor* found = container.find(connector.target)) return connector.known = found;
   }
   return nullptr;
+}
+
+bool Engine::runs(int component) const {
+  return std::any_of(containers.begin(), containers.end(), [component](const Container& each) {
+    return !each.is_dead() && each.has(component);
+  });
 }
 
 Stream& Engine::back(int source, int target) {

@@ -44,9 +44,13 @@ void Sender::put(Item item) {
   } else if (buffer_.size() < most_buffered) {
     buffer_.push_back(std::move(item));
   } else {
-    ++drops_;
-    container_.engine().ledger.drop(*connector_->slot);
+    drop();
   }
+}
+
+void Sender::drop() {
+  ++drops_;
+  container_.engine().ledger.drop(*connector_->slot);
 }
 
 void Sender::send(Item item) {
@@ -64,8 +68,12 @@ void Sender::send(Item item) {
     item.call.back = &engine.back(there, here);
     item.call.size = size;
   }
-  route(here, there).send(size, [&engine, item = std::move(item)] {
-    if (Executor* target = engine.find(*item.connector)) target->container().receive(item);
+  route(here, there).send(size, [this, &engine, item = std::move(item)] {
+    const Connector& connector = *item.connector;
+    if (Executor* target = engine.find(connector))
+      target->container().receive(item);
+    else if (item.kind == Item::Kind::message && !engine.runs(connector.target.component))
+      drop();  // it is to begin
   });
 }
 

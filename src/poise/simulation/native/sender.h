@@ -41,6 +41,7 @@ class Sender {
  private:
   Stamps stamps(Executor& source) const;
   void put(Item item);
+  void drop();
   void send(Item item);
   Stream& route(int here, int there);
 
