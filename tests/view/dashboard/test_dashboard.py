@@ -252,6 +252,22 @@ def test_follows_managers_over_any_link_and_bears_200_components_and_ten_pages(
         page.goto("about:blank")
 
 
+def test_a_page_that_gets_no_news_calls_nothing_fine_and_acts_on_nothing(
+    page: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What was clicked meanwhile would be done once the link is back."""
+    monkeypatch.delenv(_IN_TEST)
+    name = f"silent-{os.getpid()}"
+    with told(name, 2), dashboard(name) as address, SlowLink(address) as link:
+        page.goto(link.address)
+        page.locator(".health.good").wait_for()
+        page.locator(".tasks").wait_for(state="attached")
+        link.rate = 0.0
+        page.get_by_text("Nothing has come for").wait_for()
+        assert not page.locator(".health.good, .fine, .tasks").count()
+        page.goto("about:blank")
+
+
 def test_parameters_are_set_in_the_dialog_of_their_component(
     robot: Path, page: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -37,7 +37,7 @@ const SIGNS = { pause: "Pause", resume: "Resume", cancel: "Cancel" };
 export default {
   components: { Charts },
   template: `
-<div :class="['robot', {stale: robot.trouble, many: isLarge}]">
+<div :class="['robot', {stale: !isNow, many: isLarge}]">
   <div class="headline">
     <h1>{{ robot.name || 'no robot yet' }}</h1>
     <span v-if="health" :class="['health', health.kind]">{{ health.says }}</span>
@@ -52,13 +52,13 @@ export default {
       <li v-if="robot.deviations.length > 6">and {{ robot.deviations.length - 6 }} more</li>
     </ul>
   </div>
-  <template v-if="!robot.trouble">
+  <template v-if="isNow">
     <p v-for="what in late" class="missed">▲ {{ what }}</p>
     <p v-if="unknown" class="missed">? {{ unknown }}</p>
     <p v-if="fine" class="fine">✓ {{ fine }}</p>
   </template>
 
-  <ul v-if="robot.managed && !robot.trouble" class="tasks" aria-label="Tasks">
+  <ul v-if="robot.managed && isNow" class="tasks" aria-label="Tasks">
     <li v-for="task in robot.tasks || []" :class="task.state"><span class="dim">task</span> <b>{{ task.name }}</b> {{ task.state }}<span
       v-if="task.why"> ({{ task.why }})</span><span v-if="task.now.length">: {{ task.now.join(", ") }}</span><span
       v-if="task.waits.length">; waits to begin {{ task.waits.join(", ") }}</span><span
@@ -144,6 +144,8 @@ export default {
   }),
 
   computed: {
+    // Whether what is shown is so now, not what was known last.
+    isNow() { return !this.robot.trouble && !this.silent; },
     robot() { return (this.parts.robot || {})[""] || {}; },
     isLarge() { return this.components.length > LARGE; },
     components() { return byName(this.parts.components); },
@@ -168,7 +170,7 @@ export default {
     },
     health() {
       if (!this.robot.name) return null;
-      if (this.robot.trouble) return { kind: "bad", says: "? no answer" };
+      if (!this.isNow) return { kind: "bad", says: this.robot.trouble ? "? no answer" : "? no news" };
       const wrong = (this.robot.deviations || []).length;
       if (wrong) return { kind: "bad", says: `▲ ${wrong} ${wrong === 1 ? "thing is" : "things are"} wrong` };
       return { kind: "good", says: "✓ everything runs as the robot file says" };
