@@ -128,6 +128,9 @@ class Vague(Component):
 class Forgetting(Component):
     def restore(self, state): ...
 
+class Undecided(Component):
+    def restore(self, state: Scan | Pose): ...
+
 class Walking(Component):
     done: Published[bool]
     at: Published[Pose]
@@ -342,6 +345,12 @@ def test_does_not_look_at_the_ports_of_what_has_no_code(check: Check) -> None:
             "",
             (10, 20),
             ["Forgetting.restore", "must say the state's type"],
+        ),
+        (
+            'undecided: {implementation: "PACKAGE.nav:Undecided"}',
+            "",
+            (10, 19),
+            ["Undecided.restore: ", "multiple Struct types"],
         ),
         (
             'misspelt: {implementation: "PACKAGE.nav:Misspelt"}',

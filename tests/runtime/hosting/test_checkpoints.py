@@ -14,6 +14,7 @@ from poise.clock import SystemClock, boot_time
 from poise.errors import RunError, UsageError
 from poise.runtime.connectors.latest import LatestMessages
 from poise.runtime.hosting.checkpoints import Checkpoints
+from poise.wire.codec import WireError
 from poise.wire.records.request_records import age_of, set_age
 
 TEN_YEARS = 10 * 365 * 86400.0
@@ -114,3 +115,15 @@ def test_one_of_another_type_is_refused_without_talk_of_adapt(
         checkpoints.restore(Restoring(), LatestMessages())
     assert "--adapt" not in str(refused.value)
     assert path.exists()
+
+
+def test_one_that_could_not_be_restored_does_not_replace_one_that_can(
+    checkpoints: Checkpoints, component: Mock, tmp_path: Path
+) -> None:
+    checkpoints.write(component, LatestMessages())
+    (path,) = tmp_path.iterdir()
+    good = path.read_bytes()
+    component.snapshot.return_value = State(5)  # type: ignore[arg-type]
+    with pytest.raises(WireError, match="Expected `str`, got `int`"):
+        checkpoints.write(component, LatestMessages())
+    assert path.read_bytes() == good

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from msgspec import Struct
 
@@ -87,6 +88,9 @@ class Checkpoints:
                 f"its state of {len(data) / 2**20:.0f} MiB is too large for a "
                 f"checkpoint: {MOST_KEPT >> 20} MiB are the limit"
             )
+        if state is not None and data != self._before:
+            # one that could not be restored would replace one that can
+            frame.parse(checkpoint.state).value(codec(type(state)))
         check_lease(self._lease, self._component)
         if data != self._before or not self._is_renewed():
             self._replace(data)
@@ -121,16 +125,21 @@ class Checkpoints:
             data = self._path.read_bytes()
             age = age_of(self._path.stat().st_mtime)
             kept: _Checkpoint = frame.parse(data).value(_CHECKPOINT)
+            state = _state_in(kept, component) if kept.state else None
         except FileNotFoundError:
             return None
         except (OSError, WireError) as error:
             what = f"its checkpoint {self._path} cannot be read: {error}"
             raise RunError(f"{what}; `poise replace` with --fresh drops it") from None
         if kept.state:
-            taken = type_taken_by(component.restore)
-            by = type(component).restore.__qualname__
-            check_fits(kept.state_type, taken, by, _REMEDY)
-            component.restore(frame.parse(kept.state).value(codec(taken)))
+            component.restore(state)
         latest.restore(kept.latest)
         self._before = data
         return age
+
+
+def _state_in(kept: _Checkpoint, component: Component) -> Any:  # noqa: ANN401, a user's type
+    taken = type_taken_by(component.restore)
+    by = type(component).restore.__qualname__
+    check_fits(kept.state_type, taken, by, _REMEDY)
+    return frame.parse(kept.state).value(codec(taken))

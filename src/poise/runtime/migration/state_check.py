@@ -13,6 +13,7 @@ from msgspec import Struct
 from poise.errors import UsageError
 from poise.runtime.component.component import Component
 from poise.runtime.component.implementation import fingerprint
+from poise.wire.codec import codec
 
 _WAYS_OUT = "let `poise replace` map it with --adapt, or drop it with --fresh"
 
@@ -95,11 +96,15 @@ def check_result(adapt: Callable[[Any], Any], component: Component) -> None:
 
 
 def check_state(component: type[Component]) -> None:
-    """Raise UsageError when what `restore` takes has no type."""
+    """Raise UsageError when what `restore` takes has no type, or one of no message."""
     for name in ("restore", "restore_delta"):
         method = getattr(component, name)
         if method is not getattr(Component, name):
-            type_taken_by(method.__get__(component))
+            taken = type_taken_by(method.__get__(component))
+            try:
+                codec(taken)
+            except TypeError as error:
+                raise UsageError(f"{method.__qualname__}: {error}") from None
 
 
 def type_taken_by(method: Any) -> Any:  # noqa: ANN401, a user's method
