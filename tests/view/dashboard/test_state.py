@@ -149,7 +149,10 @@ def test_what_agents_report_is_not_old_and_says_nothing_of_needs() -> None:
     page = PageState().of(reading, 0.0)
     assert page["robot"][""]["deviations"] == []  # it is said already
     assert not page["robot"][""]["old"]
-    assert PageState().of(replace(reading, is_old=True), 0.0)["robot"][""]["old"]
+    stopped = replace(reading, is_old=True, trouble="it does not run here")
+    shown = PageState().of(stopped, 0.0)["robot"][""]
+    assert shown["old"]
+    assert shown["deviations"] == []  # nor does it run without a manager
     assert page["computers"]["left"]["need"] is None
     idle = replace(status, placement={"arm": "left"})
     page = PageState().of(replace(reading, status=idle), 0.0)

@@ -117,7 +117,8 @@ def _robot(seen: LiveReading) -> dict[str, Any]:
             "tasks": [_task(report) for report in status.tasks],
             "startable": list(status.robot_tasks),
             "deviations": [
-                each.what for each in status.deviations if each.what != seen.trouble
+                each.what  # of agents, the first says why no manager answers
+                for each in status.deviations[1 if status.by_agents else 0 :]
             ],
             "managed": not status.by_agents,
         }
