@@ -200,7 +200,10 @@ def test_shows_a_robot_its_log_asks_what_if_moves_and_undoes(
         page.wait_for_function(f"document.title.includes('{name}')")
         page.get_by_role("button", name="pause task greet").click()
         page.get_by_role("button", name="resume task greet").click()
-        page.get_by_role("button", name="pause task greet").wait_for()
+        page.get_by_role("button", name="cancel task greet").click()
+        page.get_by_role("button", name="Cancel the task").click()
+        page.locator(".tasks .cancelled").wait_for()
+        assert "waits" not in page.locator(".tasks").inner_text()
         page.locator(".history .line").first.wait_for(state="attached")
         page.wait_for_function(_STILL)  # what fades has no colour of its own
         found = axe.Axe().run(page).response["violations"]

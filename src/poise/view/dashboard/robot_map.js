@@ -61,7 +61,7 @@ export default {
   <ul v-if="robot.managed && isNow" class="tasks" aria-label="Tasks">
     <li v-for="task in robot.tasks || []" :class="task.state"><span class="dim">task</span> <b>{{ task.name }}</b> {{ task.state }}<span
       v-if="task.why"> ({{ task.why }})</span><span v-if="task.now.length">: {{ task.now.join(", ") }}</span><span
-      v-if="task.waits.length">; waits to begin {{ task.waits.join(", ") }}</span><span
+      v-if="task.waits.length && verbs[task.state]">; waits to begin {{ task.waits.join(", ") }}</span><span
       v-if="task.next.length">; next {{ task.next.join(", ") }}</span>
       <button v-for="verb in verbs[task.state] || []" type="button" class="act" :aria-label="verb + ' task ' + task.name"
         @click="$emit('task', [verb, task.name])">{{ signs[verb] }}</button></li>
