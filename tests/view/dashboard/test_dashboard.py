@@ -271,6 +271,25 @@ def test_a_page_that_gets_no_news_calls_nothing_fine_and_acts_on_nothing(
         page.goto("about:blank")
 
 
+def test_long_names_fit_on_a_small_screen(
+    robot: Path, page: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv(_IN_TEST)
+    pytest.importorskip("nicegui")
+    long, other = "the_computer_at_the_right_of_the_robot", "t" + 62 * "o"
+    text = robot.read_text().replace("right", long)
+    actions = "{actions: [{name: greet, functions: [greeting]}]}"
+    robot.write_text(f"{text}  {other}: {actions}\n")
+    page.set_viewport_size({"width": 390, "height": 800})
+    with robot_up(robot, "--dashboard") as up:
+        assert up.stdout is not None
+        page.goto(address_in(up.stdout))
+        on(page, long, "printer").wait_for()
+        page.get_by_text(f"start {other}").wait_for()
+        assert page.evaluate("document.documentElement.scrollWidth") == 390
+        page.goto("about:blank")  # it would complain that the server has ended
+
+
 def test_parameters_are_set_in_the_dialog_of_their_component(
     robot: Path, page: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
