@@ -25,7 +25,7 @@ architectures:
       talker:
         ros2: {node: "nodes:Talker", name: mouth, params: {rate: 10.0}}
       ear:
-        ros2: {executable: ./nodes.py, remap: {count: "/it's"}}
+        ros2: {executable: ./nodes.py, arguments: ["it's"]}
         environment: {LEVEL: "3"}
       lidar:
         ros2: {package: lidar, executable: driver, namespace: /front, arguments: [-v]}
@@ -96,7 +96,7 @@ def test_each_computer_starts_its_nodes_as_poise_would(
     domain, talker, ear, logger = actions_of(exported.texts["left"], file, monkeypatch)
     assert domain == {"": "Set", "name": "ROS_DOMAIN_ID", "value": "7"}
     assert Path(ear["cwd"]).resolve() == tmp_path
-    words = ["python3", "./nodes.py", "--ros-args", "-r", "count:=/it's"]
+    words = ["python3", "./nodes.py", "it's"]
     assert (ear["cmd"], ear["additional_env"]) == (words, {"LEVEL": "3"})
     assert talker["cmd"][3:] == [
         *("--ros-args", "-r", "__node:=mouth"),

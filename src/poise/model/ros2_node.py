@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterator, Mapping
 from typing import Annotated, Any
 
@@ -10,6 +11,7 @@ from msgspec import Struct
 
 from poise.model.file_keys import Reference, note, says
 
+_WORD = r"[A-Za-z_][A-Za-z0-9_]*"
 _NAME = r"[/~]?[A-Za-z_~{][\w/{}~]*"
 RosName = Annotated[
     str,
@@ -17,6 +19,14 @@ RosName = Annotated[
         pattern=rf"^({_NAME}|/)$",
         expected="a name of ROS 2: letters, digits, '_' and '/', as /front/scan",
         examples=("/scan", "cmd_vel"),
+    ),
+]
+_RemappedName = Annotated[
+    str,
+    note(
+        pattern=rf"^((rostopic|rosservice)://|{_WORD}:)?{_NAME}$",
+        expected="a name of ROS 2, as scan or /front/scan",
+        examples=("scan",),
     ),
 ]
 
@@ -54,14 +64,15 @@ class Ros2Node(Struct, frozen=True, kw_only=True):
         RosName, says("The node's namespace: /front.", is_nullable=True)
     ] = ""
     remap: Annotated[
-        Mapping[str, str], says("Names of its code, and those to use instead.")
+        Mapping[_RemappedName, RosName],
+        says("Names of its code, and those to use instead."),
     ] = {}
     params: Annotated[
         Mapping[str, Any],
         says("Its ROS 2 parameters; {a: {b: 1}} is a.b."),
     ] = {}
     params_files: Annotated[
-        tuple[str, ...],
+        tuple[Annotated[str, note(min_length=1)], ...],
         says("Files of ROS 2 parameters, relative to the robot file."),
     ] = ()
     arguments: Annotated[
@@ -107,3 +118,19 @@ def flat(params: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any
             yield from flat(value, f"{prefix}{key}.")
         else:
             yield f"{prefix}{key}", value
+
+
+_PARAMETER = rf"/?{_WORD}((:|[./]|\./){_WORD})*"
+_PLAIN = bool, int, float, str
+
+
+def wrong_parameters(params: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """Yield each parameter that ROS 2 does not take, and why."""
+    for name, value in flat(params):
+        if not re.fullmatch(_PARAMETER, name):
+            yield name, "is no name of a parameter: letters, digits, '_', '.' and '/'"
+        kinds = {type(each) for each in (value if isinstance(value, list) else [value])}
+        if not kinds <= {*_PLAIN}:
+            yield name, "is no bool, number or text, and no list of them"
+        elif len(kinds) > 1:
+            yield name, "is a list of several types: write all as one, as in [1.0, 2.5]"

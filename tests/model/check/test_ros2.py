@@ -32,6 +32,10 @@ def of(tmp_path: Path, text: str) -> Robot:
     return load(path)
 
 
+def node_with(key: str) -> str:
+    return f"      scan: {{ros2: {{executable: a, {key}}}}}\n"
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [
@@ -75,10 +79,31 @@ def of(tmp_path: Path, text: str) -> Robot:
             ["did you mean 'drive'?"],
         ),
         (DRIVE + "ros2: {▸domain: 233}\n", ["at most 232"]),
+        (node_with("params: {▸'': 1}"), ["parameter '' is no name"]),
+        (node_with("params: {▸a b: 1}"), ["parameter 'a b' is no name"]),
+        (node_with("params: {b: {▸1: 1}}"), ["parameter 'b.1' is no name"]),
+        (node_with("params: {▸a: null}"), ["'a' is no bool, number or text"]),
+        (node_with("params: {▸a: [{b: 1}]}"), ["'a' is no bool, number or text"]),
+        (node_with("params: {▸a: [1, 2.5]}"), ["'a' is a list of several types"]),
+        (node_with("remap: {▸'': /a}"), ["'' is not allowed"]),
+        (node_with("remap: {▸a: ''}"), ["'' is not allowed"]),
+        (node_with("remap: {▸a: b c}"), ["'b c' is not allowed"]),
+        (node_with("params_files: [▸'']"), ["is empty"]),
     ],
 )
 def test_refuses_what_cannot_run(refuse: Refuse, text: str, words: list[str]) -> None:
     refuse(HEAD + text, *words)
+
+
+@pytest.mark.parametrize(
+    "key",
+    [
+        "params: {qos_overrides: {/tf.publisher.depth: 1}, a/b: x, c: [1.0, 2.5]}",
+        "remap: {node:scan: /scan, 'rostopic://a': ~/b, ~/c: d, __node: e}",
+    ],
+)
+def test_takes_what_ros2_takes(find: Find, key: str) -> None:
+    assert find(HEAD + node_with(key)) == ()
 
 
 def test_two_nodes_may_share_several_topics(find: Find) -> None:

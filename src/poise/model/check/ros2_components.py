@@ -16,8 +16,10 @@ from poise.endpoint import Endpoint
 from poise.errors import unknown
 from poise.model.check.names import component_names, components, connectors
 from poise.model.robot import ComponentEntry, Connector, ConnectorEnd, Robot
+from poise.model.ros2_node import wrong_parameters
 from poise.model.software import ComponentCode, Ros2Bridge
 from poise.model.yaml_tree import Finding
+from poise.units import quoted
 
 NODE = "poise.ros2.node:RosNode"
 BRIDGE = "poise.ros2.bridge:Bridge"
@@ -30,6 +32,10 @@ def check_ros2(robot: Robot) -> Iterator[Finding]:
     for path, _, component in components(robot):
         for key, message in _wrong_node(component):
             yield Finding((*path, key), f"component '{component.name}' {message}")
+        params = component.ros2.params if component.ros2 else {}
+        for name, why in wrong_parameters(params):
+            text = f"component '{component.name}': parameter {quoted(name)} {why}"
+            yield Finding((*path, "ros2", "params", *name.split(".")), text)
     known = {c.name: c for c in robot.components()}
     bridged = {bridge.port.component for bridge in robot.ros2.bridges}
     for path, _, connector in connectors(robot):
