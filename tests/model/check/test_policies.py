@@ -97,3 +97,25 @@ def test_a_function_decides_alone(refuse: Refuse) -> None:
 
 def test_a_function_may_take_the_place_of_a_shipped_policy(find: Find) -> None:
     assert find(ROBOT + "drift: {call: 'a:b'}") == ()
+
+
+ARCHITECTURES = """
+architectures:
+  best: {function: f, components: {a: {}}}
+  other: {function: f, components: {b: {}}}
+  alone: {function: g, components: {c: {}}}"""
+
+
+def test_a_replacement_that_nothing_can_undergo_is_found(
+    find: Find, refuse: Refuse
+) -> None:
+    text = "mine: {for each: component, when: hung > 1 s, ▸do: replace}"
+    refuse(ROBOT + text, "no function has two architectures, so nothing can be")
+    assert find(ROBOT + text.replace("▸", "") + ARCHITECTURES) == ()
+    by = "mine: {for each: component, when: hung > 1 s, do: replace, ▸by: alone}"
+    refuse(ROBOT + by + ARCHITECTURES, "'alone' alone provides 'g', so it can replace")
+
+
+def test_a_target_of_another_action_is_found(refuse: Refuse) -> None:
+    text = "mine: {for each: timer, when: late, do: notify, ▸to: left}"
+    refuse(ROBOT + text, "'to' is for 'move', not 'notify'")

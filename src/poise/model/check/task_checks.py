@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Collection, Iterator, Mapping
 
 from poise.errors import did_you_mean, listed, unknown
@@ -65,6 +66,8 @@ def _own_function(policy: Policy) -> Iterator[Finding]:
         ("for each", policy.for_each),
         ("when", policy.when),
         ("do", policy.do),
+        ("to", policy.to),
+        ("by", policy.by),
     ):
         if value is not None:
             text = f"a policy with `call` has no '{key}': its function decides"
@@ -78,8 +81,27 @@ def _targets(robot: Robot, policy: Policy) -> Iterator[Finding]:
         yield _finding(policy, "do", "'move' needs 'to', a computer")
     if policy.to is not None and policy.to not in computers:
         yield _finding(policy, "to", unknown("computer", policy.to, computers))
+    for key, do in (("to", "move"), ("by", "replace")):
+        if getattr(policy, key) is not None and policy.do not in (do, None):
+            yield _finding(policy, key, f"'{key}' is for '{do}', not '{policy.do}'")
     if policy.by is not None and policy.by not in names:
         yield _finding(policy, "by", unknown("architecture", policy.by, names))
+    elif policy.do == "replace":
+        yield from _alternatives(robot, policy)
+
+
+def _alternatives(robot: Robot, policy: Policy) -> Iterator[Finding]:
+    """Yield a replacement that no architecture could undergo."""
+    of = Counter(architecture.function for architecture in robot.architectures)
+    if policy.by is None:
+        if max(of.values(), default=0) < 2:  # noqa: PLR2004
+            text = "no function has two architectures, so nothing can be replaced"
+            yield _finding(policy, "do", text)
+        return
+    function = next(a.function for a in robot.architectures if a.name == policy.by)
+    if of[function] == 1:
+        text = f"'{policy.by}' alone provides '{function}', so it can replace none"
+        yield _finding(policy, "by", text)
 
 
 def choices_of(robot: Robot, subject: Subject) -> Mapping[str, tuple[str, ...]]:
