@@ -261,13 +261,16 @@ def test_a_page_that_gets_no_news_calls_nothing_fine_and_acts_on_nothing(
     """What was clicked meanwhile would be done once the link is back."""
     monkeypatch.delenv(_IN_TEST)
     name = f"silent-{os.getpid()}"
-    with told(name, 2), dashboard(name) as address, SlowLink(address) as link:
+    with dashboard(name) as address, SlowLink(address) as link:
         page.goto(link.address)
-        page.locator(".health.good").wait_for()
-        page.locator(".tasks").wait_for(state="attached")
-        link.rate = 0.0
-        page.get_by_text("Nothing has come for").wait_for()
-        assert not page.locator(".health.good, .fine, .tasks").count()
+        page.get_by_text("No answer since").wait_for()
+        assert not page.get_by_text("below is").count()  # nothing is
+        with told(name, 2):
+            page.locator(".health.good").wait_for()
+            page.locator(".tasks").wait_for(state="attached")
+            link.rate = 0.0
+            page.get_by_text("Nothing has come for").wait_for()
+            assert not page.locator(".health.good, .fine, .tasks").count()
         page.goto("about:blank")
 
 

@@ -45,8 +45,8 @@ export default {
   </div>
   <p v-if="silent" class="trouble">⚠ Nothing has come for {{ silent }} s: the manager is busy, or the link to this page is slow or down.</p>
   <div role="status" aria-live="polite">
-    <p v-if="robot.trouble" class="trouble">⚠ No answer since {{ clock(robot.since) }}, trying again;
-      below is {{ robot.old ? "what was known last" : "what agents report" }}. {{ robot.trouble }}</p>
+    <p v-if="robot.trouble" class="trouble">⚠ No answer since {{ clock(robot.since) }}, trying again<template
+      v-if="robot.name">; below is {{ robot.old ? "what was known last" : "what agents report" }}</template>. {{ robot.trouble }}</p>
     <ul v-if="robot.deviations && robot.deviations.length" class="deviations">
       <li v-for="what in robot.deviations.slice(0, 6)">▲ {{ what }}</li>
       <li v-if="robot.deviations.length > 6">and {{ robot.deviations.length - 6 }} more</li>
