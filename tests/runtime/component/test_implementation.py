@@ -8,7 +8,7 @@ import pytest
 
 from poise import Component
 from poise.errors import RobotError
-from poise.runtime.component.implementation import find, find_type
+from poise.runtime.component.implementation import find, find_function, find_type
 
 
 @pytest.fixture
@@ -64,6 +64,13 @@ def test_a_missing_class_is_told_with_the_close_one(package: Path) -> None:
     message = error_of(module, "Nva", package)
     assert f"{module} has no class 'Nva' (did you mean 'Nav'?)" in message
     assert message.endswith("classes: 'Nav'")
+
+
+def test_a_missing_function_is_told_with_the_close_one(package: Path) -> None:
+    module = write(package, "class Nav: pass\ndef adapt(old): return old\n")
+    with pytest.raises(RobotError, match=r"has no function 'adopt' .* 'adapt'") as told:
+        find_function(f"{module}:adopt", str(package.parent))
+    assert str(told.value).endswith("functions: 'adapt'")
 
 
 def test_a_class_that_is_no_component_is_refused(package: Path) -> None:

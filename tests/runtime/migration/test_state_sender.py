@@ -405,6 +405,29 @@ def test_another_implementation_takes_the_adapted_state(
     assert texts(new) == ("?", "?")
 
 
+@pytest.mark.parametrize("made", [None, 5, Counted("two")])  # type: ignore[arg-type]
+def test_adapt_must_return_what_it_says(
+    incarnations: Incarnations, made: object
+) -> None:
+    def falsely(_notes: Notes) -> Counted:
+        return made  # type: ignore[return-value]
+
+    old = incarnations.start(Book, active=True)
+    new = incarnations.start(Counting, active=False)
+    with pytest.raises(UsageError, match="falsely returned is not Counted: Expected"):
+        restore(new, fetch(rest(old), Request.ALL, LIMIT), falsely)
+
+
+def test_adapt_must_take_an_argument(incarnations: Incarnations) -> None:
+    def lonely() -> Counted:
+        return Counted(0)
+
+    old = incarnations.start(Book, active=True)
+    new = incarnations.start(Counting, active=False)
+    with pytest.raises(UsageError, match="lonely must take one argument: the state"):
+        restore(new, fetch(rest(old), Request.ALL, LIMIT), lonely)  # type: ignore[arg-type]
+
+
 def test_restore_must_say_the_type_of_the_state(incarnations: Incarnations) -> None:
     old = incarnations.start(Book, active=True)
     new = incarnations.start(Untyped, active=False)

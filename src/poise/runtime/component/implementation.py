@@ -49,7 +49,7 @@ def find_type(reference: str, folder: str) -> type[Any]:
 
 def find_function(reference: str, folder: str = "") -> Callable[[Any], Any]:
     """Return any function ``package.module:function``; raises as `find` does."""
-    function = _find_any(reference, folder)
+    function = _find_any(reference, folder, "function")
     if not callable(function):
         raise RobotError(
             f"'{reference}' is of type {type(function).__name__}, not a function"
@@ -57,12 +57,12 @@ def find_function(reference: str, folder: str = "") -> Callable[[Any], Any]:
     return function  # type: ignore[no-any-return]
 
 
-def _find_any(reference: str, folder: str) -> Any:  # noqa: ANN401, whatever it names
+def _find_any(reference: str, folder: str, kind: str = "class") -> Any:  # noqa: ANN401, whatever it names
     module_name, _, path = reference.partition(":")
     attribute: Any = load_module(module_name, folder)
     for name in path.split("."):
         if not hasattr(attribute, name):
-            raise RobotError(_no_attribute(reference, attribute, name))
+            raise RobotError(_no_attribute(reference, attribute, name, kind))
         attribute = getattr(attribute, name)
     return attribute
 
@@ -105,16 +105,24 @@ def load_module(name: str, folder: str) -> ModuleType:
         raise RobotError(f"{failed}: {brief_traceback(raised or error)}") from error
 
 
-def _no_attribute(reference: str, holder: Any, name: str) -> str:  # noqa: ANN401, module or class
-    classes = [
+def _no_attribute(
+    reference: str,
+    holder: Any,  # noqa: ANN401, module or class
+    name: str,
+    kind: str,
+) -> str:
+    is_class = kind == "class"
+    is_kind = inspect.isclass if is_class else inspect.isfunction
+    others = [
         other
         for other, value in vars(holder).items()
-        if inspect.isclass(value)
+        if is_kind(value)
         and holder.__name__ in (value.__module__, value.__qualname__.split(".")[0])
     ]
     return (
-        f"'{reference}': {holder.__name__} has no class '{name}'"
-        f"{did_you_mean(name, classes)}; classes: {listed(classes)}"
+        f"'{reference}': {holder.__name__} has no {kind} '{name}'"
+        f"{did_you_mean(name, others)}; "
+        f"{'classes' if is_class else 'functions'}: {listed(others)}"
     )
 
 

@@ -109,7 +109,9 @@ def check_state(component: type[Component]) -> None:
 
 def type_taken_by(method: Any) -> Any:  # noqa: ANN401, a user's method
     """Return the type that a method's parameter is annotated with."""
-    name = next(iter(inspect.signature(method).parameters))
+    name = next(iter(inspect.signature(method).parameters), None)
+    if name is None:
+        raise UsageError(f"{method.__qualname__} must take one argument: the state")
     hints = get_type_hints(method)
     if name not in hints:
         raise UsageError(

@@ -20,7 +20,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future
 from enum import IntEnum
-from typing import Any
+from typing import Any, get_type_hints
 
 import msgspec
 from msgspec import Struct
@@ -47,7 +47,7 @@ from poise.runtime.migration.state_check import (
 )
 from poise.runtime.waker import poll_until
 from poise.wire import frame
-from poise.wire.codec import Codec, codec
+from poise.wire.codec import Codec, WireError, codec
 from poise.wire.connections.channel import Channel
 from poise.wire.connections.connection_server import ConnectionServer
 from poise.wire.frame import Frame, Kind, Pieces
@@ -309,7 +309,7 @@ class StateReceiver:
                 type_ = self._before[name]
                 check_fits(transfer.state_type, type_, f"--adapt for '{name}'")
                 states[name] = frame.parse(transfer.state).value(codec(type_))
-        after = adapt(type_taken_by(adapt)(**states))
+        after = _adapted(adapt, type_taken_by(adapt)(**states))
         with runner.gate.borrowed():
             runner.component.restore(getattr(after, runner.spec.name))
 
@@ -345,7 +345,7 @@ def restore(
             method = adapt or component.restore
             check_fits(transfer.state_type, type_taken_by(method), method.__qualname__)
             state = _value_of(transfer.state, method)
-            component.restore(adapt(state) if adapt else state)
+            component.restore(_adapted(adapt, state) if adapt else state)
         if transfer.delta and not is_fresh:
             delta = _value_of(transfer.delta, component.restore_delta)
             component.restore_delta(delta)
@@ -374,3 +374,13 @@ def restore(
 
 def _value_of(data: bytes, method: Any) -> Any:  # noqa: ANN401, a user's method
     return frame.parse(data).value(codec(type_taken_by(method)))
+
+
+def _adapted(adapt: Callable[[Any], Any], state: Any) -> Any:  # noqa: ANN401, a user's function
+    """Return what a function makes of a state; UsageError: not what it says it does."""
+    made = frame.segments(codec(Any), adapt(state), Kind.MESSAGE)
+    declared = codec(get_type_hints(adapt)["return"])
+    try:
+        return frame.parse(b"".join(made)).value(declared)
+    except WireError as error:
+        raise UsageError(f"what {adapt.__qualname__} returned is {error}") from None

@@ -311,7 +311,7 @@ class PendingRequests:
                 reason = _why_silent(process)
             elif now > pending.limit:
                 reason = (
-                    f"container '{container}' took over {pending.request.limit:g} s"
+                    f"container '{container}' took over {pending.request.limit:.3g} s"
                 )
                 reason = _why_silent(process) if process.silence else reason
             else:
